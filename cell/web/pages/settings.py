@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from nicegui import run, ui
 
 from cell.files.input_error import InputError
-from cell.settings.entries import Entry, Form
+from cell.settings.entries import Entry
 from cell.settings.promotion import read_exactly
 from cell.settings.versions import ChangedMeanwhileError, replace_settings, versions
 from cell.web.draft import Draft, differences
-from cell.web.theme import BLUE, N_
+from cell.web.pages.entry_rows import EntryRows
+from cell.web.theme import BLUE
 from cell.web.users import Role
 from cell.web.visit import Visit
 
 #: So many earlier versions are offered.
 _VERSIONS = 50
-_IN_FILE, _ALL = "", "*"
-#: Words of choices that are no words of the file.
-WORDS = {"used": N_("used"), "not used": N_("not used")}
 
 
 def build(visit: Visit) -> None:
@@ -43,36 +38,19 @@ def build(visit: Visit) -> None:
     _Page(visit, Draft(config, text)).build()
 
 
-@dataclass
-class _Row:
-    """An entry on the page: where what is wrong with it is said."""
-
-    entry: Entry
-    box: ui.element
-    said: ui.label
-    field: ui.input | ui.select
-
-
 class _Page:
     """The elements of one open page, and the changes that it holds."""
 
     def __init__(self, visit: Visit, draft: Draft) -> None:
         self._visit, self._t, self._draft = visit, visit.t, draft
-        self._rows: dict[str, _Row] = {}
-        self._headings: dict[str, ui.label] = {}
-        self._asked_for: set[str] = set()
-        self._found: Sequence[tuple[str, str]] = ()
+        self._rows = EntryRows(visit.t, self._entered, self._tell)
         self._shown = 0
+        self._found: Sequence[tuple[str, str]] = ()
 
     def build(self) -> None:
         """Make the elements."""
         t = self._t
-        with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-4"):
-            self._section = ui.select(self._sections(), value=_IN_FILE, label=t("Section"))
-            self._search = ui.input(t("Search")).props("clearable debounce=40 maxlength=60")
-            self._search.props("data-test=search")
-            for field in (self._section, self._search):
-                field.classes("w-full").on_value_change(self._choose)
+        self._rows.build_fields()
         with ui.card().classes("w-full sticky-card"):
             self._state = ui.label().classes("text-lg").props("role=status data-test=checked")
             self._general = ui.label().classes("whitespace-pre-line break-words wrong")
@@ -80,108 +58,26 @@ class _Page:
                 show = ui.button(t("Show differences"), on_click=self._differences, color=BLUE)
                 show.props("text-color=white data-test=differences")
                 self._discard = ui.button(t("Discard"), on_click=self._discarded).props("outline")
-        self._list = ui.column().classes("w-full gap-2")
+        self._rows.build_rows()
         self._earlier()
         self._fill()
 
-    def _sections(self) -> dict[str, str]:
-        names = dict.fromkeys(e.key[0] for e in self._draft.entries())
-        words = {_IN_FILE: self._t("What the file has"), _ALL: self._t("All entries")}
-        return {**words, **{n: n for n in names}}
-
     def _fill(self) -> None:
-        """Make the rows anew, for the draft has other entries; show those that are asked for."""
-        self._list.clear()
-        self._rows.clear()
-        self._headings.clear()
-        with self._list:
-            for entry in self._draft.entries():
-                section = entry.key[0]
-                if section not in self._headings:
-                    heading = ui.label(section).classes("text-xl mt-4")
-                    self._headings[section] = heading.props("role=heading aria-level=2")
-                self._rows[entry.name] = self._row(entry)
-            self._none = ui.label(self._t("No entry is called so."))
-            self._rule = ui.html(self._hiding(), sanitize=False)  # ids of elements, nobody's text
+        self._rows.fill(self._draft)
         ui.timer(0.01, self._check, once=True)
 
-    def _choose(self) -> None:
-        """Show the entries that are asked for; what is typed in the others stays.
-
-        One rule of style hides the others, and the browser is told nothing else: for every change
-        of an element it goes through all of them, which takes some tenths of a second.
-        """
-        text = json.dumps(self._hiding())
-        ui.run_javascript(f"document.getElementById('{self._rule.html_id}').innerHTML = {text}")
-        if self._found:
-            self._tell()
-
-    def _hiding(self) -> str:
-        """Find what is asked for: the rule that hides the rest."""
-        self._asked_for = {n for n, row in self._rows.items() if self._wanted(row.entry)}
-        headed = {self._rows[name].entry.key[0] for name in self._asked_for}
-        away = [row.box for name, row in self._rows.items() if name not in self._asked_for]
-        away += [h for section, h in self._headings.items() if section not in headed]
-        away += [self._none] if headed else []
-        return f"<style>{', '.join(f'#{e.html_id}' for e in away)} {{display: none}}</style>"
-
-    def _wanted(self, entry: Entry) -> bool:
-        """Whether an entry is of the section, or, if something is searched, has all its words."""
-        words = (self._search.value or "").lower().split()
-        if words:
-            said = f"{entry.name} {entry.explained} {entry.unit}".lower()
-            return all(w in said for w in words)
-        there = entry.given or entry.key in self._draft.changes or entry.key[-1] == "kind"
-        section = self._section.value
-        return section in (_ALL, entry.key[0]) or (section == _IN_FILE and there)
-
-    def _row(self, entry: Entry) -> _Row:
-        t = self._t
-        given = entry.given or entry.key in self._draft.changes
-        box = ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-x-6 entry")
-        with box:
-            if entry.form is Form.CHOSEN:
-                choices = {w: t(WORDS.get(w, w)) for w in entry.choices}
-                shown = entry.shown(entry.value)
-                value = shown if shown in choices else None
-                field: ui.input | ui.select = ui.select(choices, label=entry.name, value=value)
-                field.props("stack-label")
-            else:
-                field = ui.input(entry.name, value=entry.shown(entry.value) if given else "")
-                field.props("stack-label debounce=300 maxlength=20000 autocomplete=off")
-                field.props["placeholder"] = entry.shown(entry.default)
-                field.props["suffix"] = entry.unit
-            field.classes("w-full").props(f'data-test="{entry.name}" hide-bottom-space')
-            with ui.element("div").classes("flex flex-col"):
-                ui.label(entry.explained)
-                ui.label(self._limits(entry)).classes("text-sm quiet")
-                said = ui.label().classes("break-words wrong").props("aria-live=polite")
-                said.props(f'data-test="{entry.name}:said"')
-        field.on_value_change(self._entered(entry))
-        return _Row(entry, box, said, field)
-
-    def _limits(self, entry: Entry) -> str:
-        t = self._t
-        usual = entry.shown(entry.default)
-        usual = t(WORDS.get(usual, usual))
-        default = f"{t('default')} {usual}" if usual else t("must be given")
-        return "; ".join(filter(None, (entry.limits, default)))
-
-    def _entered(self, entry: Entry) -> Callable[[Any], Any]:
-        async def entered(event: Any) -> None:
-            if not self._allowed():
-                return
-            present = next((e for e in self._draft.entries() if e.key == entry.key), entry)
-            try:
-                self._draft.enter(present, str(event.value or ""))
-            except InputError as error:
-                self._draft.unreadable[entry.key] = error.problems[0].message
-            if entry.section or entry.key[-1] == "kind":
-                self._fill()
-            else:
-                await self._check()
-
-        return entered
+    async def _entered(self, entry: Entry, text: str) -> None:
+        if not self._allowed():
+            return
+        present = next((e for e in self._draft.entries() if e.key == entry.key), entry)
+        try:
+            self._draft.enter(present, text)
+        except InputError as error:
+            self._draft.unreadable[entry.key] = error.problems[0].message
+        if entry.section or entry.key[-1] == "kind":
+            self._fill()
+        else:
+            await self._check()
 
     async def _check(self) -> None:
         """Say what `cell check` says, beside the entries; an older answer is left out."""
@@ -197,26 +93,11 @@ class _Page:
 
     def _tell(self) -> None:
         """Say what was found wrong, beside the entries that are shown or above all."""
-        found, t, general = self._found, self._t, []
-        shown = [name for name in self._rows if name in self._asked_for]
-        beside: dict[str, list[str]] = {}
-        for key, said in found:
-            place = next((n for n in shown if n == key), "")
-            place = place or next((n for n in shown if key.startswith(f"{n}[")), "")
-            if place:
-                beside.setdefault(place, []).append(said)
-            else:
-                general.append(f"{key}: {said}" if key else said)
-        for name, row in self._rows.items():
-            row.said.text = "\n".join(beside.get(name, ()))
-            wrong = name in beside
-            if wrong != ("error" in row.field.props):  # the others need not be told
-                row.field.props("error") if wrong else row.field.props(remove="error")
-        changed = len(self._draft.changes)
+        t, changed = self._t, len(self._draft.changes)
+        self._general.text = "\n".join(self._rows.tell(self._found))
         self._state.text = f"{t('Changes')}: {changed}. " + (
-            t("The settings are wrong.") if found else t("The settings are right.")
+            t("The settings are wrong.") if self._found else t("The settings are right.")
         )
-        self._general.text = "\n".join(general)
         self._discard.set_enabled(bool(changed or self._draft.unreadable))
 
     def _allowed(self) -> bool:
@@ -230,7 +111,6 @@ class _Page:
 
     def _load(self, text: str) -> None:
         self._draft = Draft(self._draft.config, text)
-        self._section.set_options(self._sections(), value=self._section.value)
         self._fill()
 
     async def _differences(self) -> None:
@@ -256,7 +136,7 @@ class _Page:
         async def written() -> None:
             write.disable()
             dialog.close()
-            with self._list:  # the dialog and all in it will be gone
+            with self._rows.place:  # the dialog and all in it will be gone
                 await self._write(before, after, summary)
 
         write.on_click(written)
@@ -303,12 +183,12 @@ class _Page:
                 except InputError as error:
                     ui.notify(str(error), type="negative", multi_line=True)
                     return
-                with self._list:
+                with self._rows.place:
                     self._fill()
 
             def load() -> None:
                 dialog.close()
-                with self._list:
+                with self._rows.place:
                     self._load(present)
 
             with ui.row():
