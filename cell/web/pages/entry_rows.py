@@ -46,13 +46,13 @@ class EntryRows:
         self._headings: dict[str, ui.label] = {}
         self._asked_for: set[str] = set()
         self._wrong: Sequence[tuple[str, str]] = ()
+        self._choices = {_IN_FILE: t("What the file has"), _ALL: t("All entries")}
 
     def build_fields(self) -> None:
         """Make the fields that choose."""
         t = self._t
         with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-4"):
-            words = {_IN_FILE: t("What the file has"), _ALL: t("All entries")}
-            self._section = ui.select(words, value=_IN_FILE, label=t("Section"))
+            self._section = ui.select(self._choices, value=_IN_FILE, label=t("Section"))
             self._search = ui.input(t("Search")).props("clearable debounce=40 maxlength=60")
             self._search.props("data-test=search")
             for field in (self._section, self._search):
@@ -76,9 +76,8 @@ class EntryRows:
                     self._headings[section] = heading.props("role=heading aria-level=2")
                 self._rows[entry.name] = self._row(entry)
             self._none = ui.label(self._t("No entry is called so."))
-            words = {_IN_FILE: self._t("What the file has"), _ALL: self._t("All entries")}
             names = {name: name for name in self._headings}
-            self._section.set_options({**words, **names}, value=self._section.value)
+            self._section.set_options({**self._choices, **names}, value=self._section.value)
             self._rule = ui.html(self._hiding(), sanitize=False)  # ids of elements, nobody's text
 
     def _choose(self) -> None:
