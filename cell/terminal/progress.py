@@ -19,6 +19,8 @@ EVERY_S = 10.0
 EVERY_VARIABLE = "CELL_PROGRESS_EVERY_S"
 #: An estimate that is exceeded by no more than this share of it stands.
 SLACK = 0.25
+#: So many pieces tell what one takes: from then on an estimate may grow, too.
+MANY = 20
 LONGER = "longer than thought"
 
 
@@ -27,9 +29,9 @@ class Stage:
     """A part of the work: `done` of `total` pieces since `begun_s`; total 0 = cannot be counted.
 
     first   pieces that lay behind when it began
-    ends_s  when it will have ended, as first thought or sooner; None = not known
-    late    whether its pieces show that it takes longer: pieces differ, and an estimate that grows
-            is none
+    ends_s  when it will have ended, of few pieces as first thought or sooner; None = not known
+    late    whether few pieces show that it takes longer: they differ, and an estimate from a few
+            that grows is none
     """
 
     text: str
@@ -48,6 +50,8 @@ class Stage:
             return replace(self, text=text, done=done)
         each_s = (now_s - self.begun_s) / (done - self.first)
         ends_s = now_s + each_s * (total - done)
+        if done - self.first >= MANY:
+            return replace(self, text=text, done=done, ends_s=ends_s, late=False)
         known_s = ends_s if self.ends_s is None else self.ends_s
         late = self.late or ends_s > known_s + SLACK * (known_s - self.begun_s)
         return replace(self, text=text, done=done, ends_s=min(ends_s, known_s), late=late)
@@ -114,7 +118,8 @@ def _usual_s() -> float:
 class ProgressLine:
     """Progress of a long computation, shown: call it as each piece begins; use it as a context.
 
-    The time left is that of the part under way, from the pieces it has behind it.  It only falls.
+    The time left is that of the part under way, from the pieces it has behind it.  Of few pieces
+    it only falls.
     """
 
     def __init__(

@@ -32,7 +32,7 @@ def test_the_time_left_is_that_of_the_part_under_way() -> None:
     assert line.line().endswith("2 of 5, 1 min 3 s so far, about 9 s left of this part")
 
 
-def test_the_time_left_never_grows() -> None:
+def test_the_time_left_of_few_pieces_never_grows() -> None:
     """Two own effects took longer than the rest: "1 min left" became 5 while one was waited for."""
     clock, line = line_of()
     line("refitting", 0, 10)
@@ -54,6 +54,18 @@ def test_the_time_left_never_grows() -> None:
     clock[0] += 5.0
     line("refitted with tip_mass", 3, 9)  # faster than thought
     assert line.line().endswith("about 28 s left of this part")
+
+
+def test_the_time_left_of_many_pieces_is_what_they_take() -> None:
+    """Of 1,000 recordings it was "longer than thought" from the 78th on, at a steady pace."""
+    clock, line = line_of()
+    line("identifying", 0, 1000)
+    clock[0] += 10.0
+    line("identifying", 10, 1000)
+    assert "about 16 min 30 s left" in line.line()
+    clock[0] += 50.0
+    line("identifying", 30, 1000)
+    assert line.line().endswith("30 of 1000, 1 min 0 s so far, about 32 min 20 s left of this part")
 
 
 def test_off_a_terminal_a_line_is_printed_at_every_tick(capsys) -> None:
