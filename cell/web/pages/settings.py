@@ -14,16 +14,14 @@ from cell.files.input_error import InputError
 from cell.settings.entries import Entry, Form
 from cell.settings.promotion import read_exactly
 from cell.settings.versions import ChangedMeanwhileError, replace_settings, versions
-from cell.web.draft import Draft, differences
-from cell.web.theme import BLUE, N_
+from cell.web.draft import Draft, differences, value_said
+from cell.web.theme import BLUE
 from cell.web.users import Role
 from cell.web.visit import Visit
 
 #: So many earlier versions are offered.
 _VERSIONS = 50
 _IN_FILE, _ALL = "", "*"
-#: Words of choices that are no words of the file.
-WORDS = {"used": N_("used"), "not used": N_("not used")}
 
 
 def build(visit: Visit) -> None:
@@ -130,7 +128,7 @@ class _Page:
         box = ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-x-6 entry")
         with box:
             if entry.form is Form.CHOSEN:
-                choices = {w: t(WORDS.get(w, w)) for w in entry.choices}
+                choices = {w: value_said(w, t) for w in entry.choices}
                 shown = entry.shown(entry.value)
                 value = shown if shown in choices else None
                 field: ui.input | ui.select = ui.select(choices, label=entry.name, value=value)
@@ -151,8 +149,7 @@ class _Page:
 
     def _limits(self, entry: Entry) -> str:
         t = self._t
-        usual = entry.shown(entry.default)
-        usual = t(WORDS.get(usual, usual))
+        usual = value_said(entry.shown(entry.default), t)
         default = f"{t('default')} {usual}" if usual else t("must be given")
         return "; ".join(filter(None, (entry.limits, default)))
 

@@ -18,7 +18,12 @@ ROOT = Path(__file__).parents[3]
 #: Places whose sentences the operators' pages show.
 PLACES = (
     *("drivers", "calib", "cell/run", "cell/plan", "cell/vision", "cell/identify"),
-    *("cell/plant/client.py", "cell/plant/left_behind.py", "cell/plant/children.py"),
+    *(
+        "cell/plant/client.py",
+        "cell/plant/service.py",
+        "cell/plant/left_behind.py",
+        "cell/plant/children.py",
+    ),
     *("cell/calibration", "cell/simulated/filmed.py"),
     *("cell/records/folder.py", "cell/records/recording/film.py", "cell/records/chart.py"),
     *("cell/records/ledger/database.py", "cell/records/recording/writer.py"),
@@ -41,7 +46,17 @@ CALLS: Mapping[str, Mapping[int, str]] = {
     **dict.fromkeys(("_LostError", "OutOfReachError", "FitError", "StripNotFoundError"), _ONE),
     **dict.fromkeys(("StoreError", "RecordError", "LinkError", "NoCellError"), _ONE),
     **dict.fromkeys(
-        ("ProtocolError", "LedgerError", "FullDiskError", "reject", "say", "_say", "_asked"), _ONE
+        (
+            "ProtocolError",
+            "LedgerError",
+            "FullDiskError",
+            "reject",
+            "leave",
+            "say",
+            "_say",
+            "_asked",
+        ),
+        _ONE,
     ),
     "Fault": {1: "cause", 3: "remedy", 4: "cable"},
     "FaultNotice": {2: "cause", 5: "remedy", 6: "cable"},
