@@ -31,7 +31,7 @@ _NUMBERS = (
     ("pace", "time for the motion, of the usual one", "%", 100.0),
     ("further_m", "further left than usual", "mm", 1e3),
     ("predicted_miss_m", "forecast of the tip above the middle", "mm", 1e3),
-    ("measured_miss_m", "measured", "mm", 1e3),
+    ("measured_miss_m", "measured tip above the middle", "mm", 1e3),
     ("predicted_margin_m", "forecast margin", "mm", 1e3),
     ("margin_m", "measured margin", "mm", 1e3),
     ("prediction_error_m", "largest error of the forecast in the destination", "mm", 1e3),

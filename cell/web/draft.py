@@ -13,6 +13,11 @@ from cell.files.yaml_edit import UNSET, Names, edited, flow
 from cell.settings.check import oddities
 from cell.settings.entries import Entry, Form, change_for, entries
 from cell.settings.loading import settings_of
+from cell.web.theme import N_
+from cell.web.wording import Translate
+
+#: Words of choices that are no words of the file.
+_WORDS = {"used": N_("used"), "not used": N_("not used")}
 
 
 class Draft:
@@ -137,3 +142,8 @@ def _in(data: Any, key: Names) -> Any:
             return UNSET
         data = data[name]
     return data
+
+
+def value_said(value: str, t: Translate) -> str:
+    """A value as the file has it, where it has it; else in a language."""
+    return t(_WORDS[value]) if value in _WORDS else value

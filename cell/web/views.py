@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from cell.records.ledger.ledger import ListedCycle
 from cell.run.machine import Event
 from cell.web.theme import AWAY, LOOKS, N_, Look
 from cell.web.watching import Seen
+from cell.web.wording import Translate
 
 #: Words of the steps of a cycle.
 STEPS = {
@@ -165,22 +166,38 @@ def shift_texts(seen: Seen) -> dict[str, str]:
     return {name: "–" if share is None else f"{share:.0%}" for name, share in shares}
 
 
-def history_row(cycle: ListedCycle) -> dict[str, str]:
-    """A cycle as a row of the history's table."""
+def fault_texts(fault: FaultView, t: Translate) -> tuple[str, str, str]:
+    """Heading, cause, and what can be done, a line each, in a language."""
+    where = ", ".join(filter(None, (t(fault.device), t(fault.step))))
+    return f"{t('Fault')}: {where}", t(fault.cause), "\n".join(map(t, fault.remedies))
+
+
+def adapters_text(adapters: Mapping[str, str], t: Translate) -> str:
+    """What is wrong with programs between the cell and the plant, a line each, in a language."""
+    return "\n".join(f"{t(name)} {t(trouble)}" for name, trouble in adapters.items())
+
+
+def reasons_text(reasons: Sequence[tuple[str, int, str]], t: Translate) -> str:
+    """Why cables were not inserted, a line each, in a language; `reasons` as in `LiveView`."""
+    return "\n".join(f"{n} × {t(WORDS.get(code, code))}: {t(why)}" for code, n, why in reasons)
+
+
+def history_row(cycle: ListedCycle, t: Translate) -> dict[str, str]:
+    """A cycle as a row of the history's table, in a language."""
 
     def mm(key: str) -> str:
         value = cycle.numbers.get(key)
-        return "" if value is None else f"{value * 1e3:+z.2f}"
+        return "" if value is None else t(f"{value * 1e3:+z.2f}")
 
     fault = cycle.fault
-    why = cycle.reason or ("" if fault is None else f"{fault.code}: {fault.cause}")
+    why = t(cycle.reason or "") or ("" if fault is None else f"{fault.code}: {t(fault.cause)}")
     return {
         "name": cycle.folder.name,
         "started": f"{cycle.started:%Y-%m-%d %H:%M:%S}",
         "cycle": str(cycle.cycle),
         "part": cycle.part or "",
         "product": cycle.product or "",
-        "outcome": cycle.outcome,
+        "outcome": t(WORDS.get(cycle.outcome, cycle.outcome)),
         "predicted": mm("predicted_miss_m"),
         "measured": mm("measured_miss_m"),
         "why": why,

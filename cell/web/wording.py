@@ -1,6 +1,7 @@
 """Words of the pages in a person's language, from gettext's catalogues; English is the source.
 
-A further language is a file `locales/LANGUAGE/LC_MESSAGES/cell.po`.
+A further language is a file `locales/LANGUAGE/LC_MESSAGES/cell.po`.  Its messages may have places
+for values, see `sentences`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import re
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
+
+from cell.web.sentences import Sentences
 
 #: A message in English → in the language of whoever looks.
 Translate = Callable[[str], str]
@@ -26,11 +29,21 @@ def languages() -> tuple[str, ...]:
 
 
 def translation(language: str) -> Translate:
-    """Function that translates a message; one that the catalogue lacks stays English."""
+    """Function that translates a message or a sentence with values in it.
+
+    What the catalogue lacks stays English, whole.
+    """
     if language not in languages() or language == SOURCE:
         return str
-    known = catalogue(language)
-    return lambda message: known.get(message) or message
+    return sentences(language)
+
+
+@lru_cache
+def sentences(language: str) -> Sentences:
+    """Messages and sentences of a language.  Raises OSError: there is none."""
+    entries = _entries((_LOCALES / language / _FILE).read_text(encoding="utf-8"))
+    decimal = re.search(r"^X-Decimal: *(\S)", entries.pop("", ""), re.MULTILINE)
+    return Sentences(entries, decimal[1] if decimal else ".")
 
 
 @lru_cache
@@ -41,6 +54,13 @@ def catalogue(language: str) -> Mapping[str, str]:
 
 def read_po(text: str) -> dict[str, str]:
     """Messages of a catalogue: msgid and msgstr, each of one or more quoted lines."""
+    found = _entries(text)
+    found.pop("", None)
+    return found
+
+
+def _entries(text: str) -> dict[str, str]:
+    """Messages of a catalogue, and its head, whose msgid is empty."""
     found: dict[str, str] = {}
     parts = {"msgid": "", "msgstr": ""}
     key = ""
@@ -53,7 +73,6 @@ def read_po(text: str) -> dict[str, str]:
             parts = {"msgid": "", "msgstr": ""}
         key = match[1] or key
         parts[key] += ast.literal_eval(match[2])
-    found.pop("", None)
     return found
 
 

@@ -84,8 +84,8 @@ class _Page:
                 t(WORDS[p.kind]),
                 self._state(p),
                 "" if p.made is None else f"{p.made:%Y-%m-%d %H:%M}",
-                "" if p.made is None else f"{_hours(p.age_h)} ≤ {_hours(p.most_h)}",
-                "\n".join(f"{name}: {text}" for name, text in p.errors),
+                "" if p.made is None else t(f"{_hours(p.age_h)} ≤ {_hours(p.most_h)}"),
+                "\n".join(f"{t(name)}: {t(text)}" for name, text in p.errors),
             ]
             for p in found
         ]
@@ -99,9 +99,8 @@ class _Page:
         t = self._t
         if part.valid:
             return t("valid")
-        return (
-            f"{t('missing') if part.made is None and not part.why else t('not valid')} {part.why}"
-        )
+        missing = part.made is None and not part.why
+        return f"{t('missing') if missing else t('not valid')} {t(part.why)}"
 
     def _starts(self) -> None:
         t, room = self._t, self._visit.room
@@ -169,12 +168,12 @@ class _Page:
             state = guided.state
             card.set_visibility(bool(state.title))
             ended = "" if state.runs else self._ended(state.code)
-            title.text = f"{state.title}: {ended}" if ended else state.title
-            ask.text = state.ask
+            title.text = f"{t(state.title)}: {ended}" if ended else t(state.title)
+            ask.text = t(state.ask)
             answers.set_visibility(bool(state.ask))
             bar.set_visibility(state.runs and state.total > 0)
             bar.value = state.done / state.total if state.total else 0.0
-            said.text = "\n".join(state.said[-(4 if state.runs else 12) :])
+            said.text = "\n".join(map(t, state.said[-(4 if state.runs else 12) :]))
             cancel.set_visibility(state.runs)
             written_s = self._coverage_s()
             picture.set_visibility(written_s > state.begun_s)
@@ -223,7 +222,8 @@ class _Page:
 
     def _told(self, refused: str | None) -> None:
         if refused:
-            ui.notify(refused, type="negative", multi_line=True, close_button=self._t("Close"))
+            words = self._t(refused)
+            ui.notify(words, type="negative", multi_line=True, close_button=self._t("Close"))
 
 
 def _hours(hours: float) -> str:

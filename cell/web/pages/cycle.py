@@ -105,7 +105,7 @@ class _Page:
         t = self._t
         title = f"{t('Cable')} {view.cycle}"
         ui.label(title).classes("text-2xl").props("role=heading aria-level=1")
-        said = ui.label(view.says).classes("text-lg break-words").props("data-test=says")
+        said = ui.label(t(view.says)).classes("text-lg break-words").props("data-test=says")
         said.classes(add="" if view.good else "wrong")
         begun = f"{view.begun:%Y-%m-%d %H:%M:%S}" if view.begun else ""
         part = f"{t('Part')} {view.part}" if view.part else ""
@@ -116,12 +116,12 @@ class _Page:
         with ui.card().classes("w-full"):
             ui.label(t("Film")).classes("text-xl font-bold").props("role=heading aria-level=2")
             if view.no_film or not times:
-                said = view.no_film or "the recording has no frames"
-                ui.label(said).classes("break-words").props("data-test=no-film")
+                said = view.no_film or N_("the recording has no frames")
+                ui.label(t(said)).classes("break-words").props("data-test=no-film")
             else:
                 self._player(times)
                 for gap in view.gaps:
-                    ui.label(f"{t('Frames that are missing')}: {gap}").classes("break-words")
+                    ui.label(f"{t('Frames that are missing')}: {t(gap)}").classes("break-words")
             if not view.no_film and self._visit.may(Role.engineer):
                 self._kept()
 
@@ -190,7 +190,8 @@ class _Page:
 
         refused = await run.io_bound(self._visit.do, what, Role.engineer, act, self._name)
         if refused:
-            ui.notify(refused, type="negative", multi_line=True, close_button=self._t("Close"))
+            words = self._t(refused)
+            ui.notify(words, type="negative", multi_line=True, close_button=self._t("Close"))
 
     def _tip(self, view: CycleView) -> None:
         t = self._t
@@ -207,13 +208,21 @@ class _Page:
     def _table(self, title: str, data: TableData | None) -> None:
         if data is None or not data.rows:
             return
-        rows = [[self._t(row[0]), *row[1:]] for row in data.rows]
+        translated = {0, *data.numbers}
+        rows = [
+            [self._t(cell) if at in translated else cell for at, cell in enumerate(row)]
+            for row in data.rows
+        ]
         table(title, [self._t(h or "quantity") for h in data.heads], rows, set(data.numbers))
 
     def _spent(self, view: CycleView) -> None:
         t = self._t
         rows = [
-            [t("State") if kind == "state" else t("Step"), _word(t, kind, name), f"{seconds:.3f}"]
+            [
+                t("State") if kind == "state" else t("Step"),
+                _word(t, kind, name),
+                t(f"{seconds:.3f}"),
+            ]
             for kind, spent in view.spent.items()
             for name, seconds in spent.items()
             if seconds > 0.0

@@ -9,13 +9,10 @@ from dataclasses import dataclass
 from nicegui import ui
 
 from cell.settings.entries import Entry, Form
-from cell.web.draft import Draft
-from cell.web.theme import N_
+from cell.web.draft import Draft, value_said
 from cell.web.wording import Translate
 
 _IN_FILE, _ALL = "", "*"
-#: Words of choices that are no words of the file.
-WORDS = {"used": N_("used"), "not used": N_("not used")}
 
 
 @dataclass
@@ -116,7 +113,7 @@ class EntryRows:
         box = ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-x-6 entry")
         with box:
             if entry.form is Form.CHOSEN:
-                choices = {w: t(WORDS.get(w, w)) for w in entry.choices}
+                choices = {w: value_said(w, t) for w in entry.choices}
                 shown = entry.shown(entry.value)
                 value = shown if shown in choices else None
                 field: ui.input | ui.select = ui.select(choices, label=entry.name, value=value)
@@ -137,8 +134,7 @@ class EntryRows:
 
     def _limits(self, entry: Entry) -> str:
         t = self._t
-        usual = entry.shown(entry.default)
-        usual = t(WORDS.get(usual, usual))
+        usual = value_said(entry.shown(entry.default), t)
         default = f"{t('default')} {usual}" if usual else t("must be given")
         return "; ".join(filter(None, (entry.limits, default)))
 

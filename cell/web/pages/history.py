@@ -16,6 +16,7 @@ from cell.settings.referred import line_of
 from cell.web.users import Role
 from cell.web.views import WORDS, error_chart, history_row
 from cell.web.visit import Visit
+from cell.web.wording import Translate
 
 #: The newest cycles are shown, so many.
 MOST = 300
@@ -89,13 +90,13 @@ def build(visit: Visit) -> None:
         if found is None:
             return
         cycles, changes, error = found
-        rows = [history_row(c) for c in reversed(cycles)]
-        table.rows = [{**r, "outcome": t(WORDS.get(r["outcome"], r["outcome"]))} for r in rows]
+        table.rows = [history_row(c, t) for c in reversed(cycles)]
         options = error_chart(cycles, t("Error of the forecast"), t("± 3 σ expected"))
         chart.set_visibility(bool(options["xAxis"]["data"]))
         chart.options.clear()
         chart.options.update(options)
-        said.text = error or "\n".join(changes) or t("Nothing has changed in the newest cycles.")
+        nothing = t("Nothing has changed in the newest cycles.")
+        said.text = t(error) or "\n".join(changes) or nothing
 
     for filtered in (outcome, days, part, product):
         filtered.on_value_change(refresh)
@@ -114,19 +115,23 @@ def _found(visit: Visit, wanted: Wanted) -> Found:
     try:
         ledger = Ledger(settings.ledger.url or visit.room.runs)
         try:
-            return ledger.listed(wanted, MOST), changes_of(ledger, settings, wanted.product), ""
+            return (
+                ledger.listed(wanted, MOST),
+                changes_of(ledger, settings, wanted.product, visit.t),
+                "",
+            )
         finally:
             ledger.close()
     except LedgerError as error:
         return [], [], str(error)
 
 
-def changes_of(ledger: Ledger, settings: Settings, product: str | None) -> list[str]:
+def changes_of(ledger: Ledger, settings: Settings, product: str | None, t: Translate) -> list[str]:
     """What the charts of a product say, or of each; of its newest model.  Raises LedgerError."""
     names: list[str | None] = [*settings.products] if product is None else [product]
     found = []
     for name in names or [None]:
         results = ledger.results(line_of(settings), name)
         newest = [r for r in results if r.model == results[-1].model]
-        found += [f"{name}: {s}" if name else str(s) for s in signals(newest)]
+        found += [f"{name}: {t(str(s))}" if name else t(str(s)) for s in signals(newest)]
     return found

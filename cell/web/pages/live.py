@@ -12,7 +12,14 @@ from cell.run.machine import Event
 from cell.web.cycles import cycle_folder, newest_picture
 from cell.web.theme import AMBER, AWAY, BLUE, GREEN, N_, RED
 from cell.web.users import Role
-from cell.web.views import WORDS, LiveView, live_view
+from cell.web.views import (
+    WORDS,
+    LiveView,
+    adapters_text,
+    fault_texts,
+    live_view,
+    reasons_text,
+)
 from cell.web.visit import Visit
 
 #: The page is brought up to date so often, s.
@@ -77,11 +84,13 @@ class _Live:
             word.text = self._t(view.look.word)
             seconds = "" if view.step_s is None else f" · {view.step_s:.0f} s"
             waits = ", ".join(self._t(WORDS.get(w, w)) for w in view.waiting)
-            step.text = f"{self._t(view.step)}{seconds}" if view.step else view.note
+            step.text = f"{self._t(view.step)}{seconds}" if view.step else self._t(view.note)
             if waits and not view.step:
                 step.text = f"{self._t('Waits for')} {waits}"
             if view.look is AWAY:
-                step.text = view.note or self._t("Start it with cell run --cycles forever.")
+                step.text = self._t(view.note) or self._t(
+                    "Start it with cell run --cycles forever."
+                )
             named = [f"{self._t('Cable')} {view.cycle}"] if view.cycle else []
             named += [f"{self._t('Part')} {view.part}"] if view.part else []
             cycle.text = " · ".join([*named, *([view.product] if view.product else [])])
@@ -157,7 +166,8 @@ class _Live:
 
     def _told(self, refused: str | None) -> None:
         if refused:
-            ui.notify(refused, type="negative", multi_line=True, close_button=self._t("Close"))
+            words = self._t(refused)
+            ui.notify(words, type="negative", multi_line=True, close_button=self._t("Close"))
 
     def _fault(self) -> None:
         t = self._t
@@ -192,10 +202,8 @@ class _Live:
             card.set_visibility(view.fault is not None or asked)
             heading.text = t("A person must look first.")
             cause.text = remedy.text = ""
-            if (fault := view.fault) is not None:
-                where = ", ".join(filter(None, (fault.device, t(fault.step))))
-                heading.text = f"{t('Fault')}: {where}"
-                cause.text, remedy.text = fault.cause, "\n".join(fault.remedies)
+            if view.fault is not None:
+                heading.text, cause.text, remedy.text = fault_texts(view.fault, t)
 
         self._updates.append(update)
 
@@ -235,7 +243,7 @@ class _Live:
 
         def update(view: LiveView) -> None:
             card.set_visibility(bool(view.adapters))
-            said.text = "\n".join(f"{self._t(k)} {why}" for k, why in view.adapters.items())
+            said.text = adapters_text(view.adapters, self._t)
 
         self._updates.append(update)
 
@@ -255,7 +263,7 @@ class _Live:
 
         def update(view: LiveView) -> None:
             outcome.text = f"{t('Newest cable')}: {t(WORDS.get(view.outcome, view.outcome))}"
-            why.text = view.reason
+            why.text = t(view.reason)
             why.set_visibility(bool(view.reason))
             figures.show(view.result)
             if view.folder != shown[0]:
@@ -283,9 +291,7 @@ class _Live:
             counts.show({WORDS.get(k, k): str(n) for k, n in view.counts.items()})
             shares.show(view.shift)
             card.set_visibility(bool(view.reasons))
-            reasons.text = "\n".join(
-                f"{n} × {self._t(WORDS.get(code, code))}: {why}" for code, n, why in view.reasons
-            )
+            reasons.text = reasons_text(view.reasons, t)
 
         self._updates.append(update)
 
@@ -305,6 +311,6 @@ class _Figures:
                 with self._row, ui.element("div").classes("flex flex-col") as place:
                     ui.label(self._t(heading)).classes("text-sm")
                     self._shown[heading] = (place, ui.label().classes("figure"))
-            self._shown[heading][1].text = text
+            self._shown[heading][1].text = self._t(text)
         for heading, (place, _) in self._shown.items():
             place.set_visibility(heading in figures)

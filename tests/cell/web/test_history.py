@@ -27,8 +27,11 @@ def test_charts_look_at_one_product_at_a_time(
     ledger = Ledger(tmp_path / "runs", create=True)
     made = [soft, stiff, soft, None]
     ledger.write([ended(n, line=line, product=of) for n, of in enumerate(made, 1)])
-    assert history.changes_of(ledger, settings, None) == [f"{soft}: 2 cycles", f"{stiff}: 1 cycles"]
-    assert history.changes_of(ledger, settings, stiff) == [f"{stiff}: 1 cycles"]
+    assert history.changes_of(ledger, settings, None, str) == [
+        f"{soft}: 2 cycles",
+        f"{stiff}: 1 cycles",
+    ]
+    assert history.changes_of(ledger, settings, stiff, str) == [f"{stiff}: 1 cycles"]
     alone = settings.model_copy(update={"products": {}})
-    assert history.changes_of(ledger, alone, None) == ["1 cycles"]
+    assert history.changes_of(ledger, alone, None, str) == ["1 cycles"]
     ledger.close()

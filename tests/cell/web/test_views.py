@@ -12,8 +12,18 @@ from cell.records.ledger.ledger import ListedCycle
 from cell.run.machine import CellState, Event
 from cell.run.plans import INSERTING
 from cell.web.theme import AWAY, LOOKS
-from cell.web.views import STEPS, error_chart, history_row, live_view
+from cell.web.views import (
+    STEPS,
+    adapters_text,
+    error_chart,
+    fault_texts,
+    history_row,
+    live_view,
+    reasons_text,
+)
 from cell.web.watching import Seen, ShiftFigures, seen_after, shift_begun
+from cell.web.wording import translation
+from drivers.interfaces import ArmMode, too_late
 
 RESULT = {
     "cycle": 3,
@@ -116,9 +126,45 @@ def test_cycles_as_rows_and_errors_as_a_chart() -> None:
         numbers,
         None,
     )
-    row = history_row(good)
+    row = history_row(good, str)
     assert (row["part"], row["predicted"], row["measured"]) == ("<b>", "+1.00", "+1.50")
     unknown = replace(good, numbers={}, reason="too stiff", outcome="rejected")
-    assert (history_row(unknown)["predicted"], history_row(unknown)["why"]) == ("", "too stiff")
+    assert (history_row(unknown, str)["predicted"], history_row(unknown, str)["why"]) == (
+        "",
+        "too stiff",
+    )
     chart = error_chart([good, unknown], "seen", "expected")
     assert [s["data"] for s in chart["series"]] == [[0.5], [0.3], [-0.3]]
+
+
+def test_a_german_page_says_causes_remedies_and_reasons_in_german() -> None:
+    t, error = translation("de"), too_late("arm", 0.0123)
+    remedy, cable = ArmMode.PROTECTIVE_STOP.remedy, "a cable is in the jaws"
+    fault = FaultNotice(3, "lower", error.cause, 0.0, "arm", remedy, cable)
+    trouble = "has ended: exit code 1; it is started again, at least every minute"
+    status = replace(IDLE, fault=fault, adapters={"handshake": trouble})
+    missed = "the tip missed the destination by 1.20 mm"
+    figures = ShiftFigures({}, None, (("missed", 2, missed), ("arm.limit", 1, error.cause)))
+    view = live_view(replace(seen_after(Seen(), status), figures=figures), 0.0)
+    assert view.fault is not None
+    late = "der Befehl kam 12,3 ms nach dem Zeitpunkt, zu dem er beginnen sollte"
+    assert fault_texts(view.fault, t) == (
+        "Störung: Arm, Absenken",
+        late,
+        "Ursache suchen, nach 5 s am Bediengerät entriegeln, dann zurücksetzen\n"
+        "ein Kabel ist im Greifer",
+    )
+    again = "es wird neu gestartet, mindestens jede Minute"
+    assert adapters_text(view.adapters, t) == (
+        f"Handshake mit der SPS endete: Rückgabewert 1; {again}"
+    )
+    assert reasons_text(view.reasons, t) == (
+        f"2 × verfehlt: die Spitze verfehlte das Ziel um 1,20 mm\n1 × arm.limit: {late}"
+    )
+    at = datetime(2026, 11, 25, 6, tzinfo=UTC)
+    cycle = ListedCycle(
+        *("line", 1, "", "", Path("/runs/a"), at, at, "missed", *[None] * 5), {}, None
+    )
+    row = history_row(replace(cycle, reason=missed, numbers={"measured_miss_m": 1.5e-3}), t)
+    assert (row["outcome"], row["measured"]) == ("verfehlt", "+1,50")
+    assert row["why"] == "die Spitze verfehlte das Ziel um 1,20 mm"

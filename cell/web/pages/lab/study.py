@@ -21,7 +21,7 @@ from cell.web.pages.lab.desk import (
 from cell.web.pages.lab.drop import drop_zone
 from cell.web.theme import BLUE, N_
 from cell.web.users import Role
-from cell.web.views import WORDS, history_row
+from cell.web.views import history_row
 from cell.web.workspace import plain
 
 #: The newest cycles are offered, so many.
@@ -224,18 +224,17 @@ class _Cycles:
     def _found(self) -> tuple[list[dict[str, str]], str]:
         room = self._desk.visit.room
         if room.settings.ledger is None:
-            return [], "the settings say `ledger: null`: no cycles are listed"
+            return [], self._t("the settings say `ledger: null`: no cycles are listed")
         try:
             ledger = Ledger(room.settings.ledger.url or room.runs)
             try:
                 wanted = Wanted(line=line_of(room.settings))
-                rows = [history_row(c) for c in reversed(ledger.listed(wanted, _MOST_CYCLES))]
+                cycles = reversed(ledger.listed(wanted, _MOST_CYCLES))
+                return [history_row(cycle, self._t) for cycle in cycles], ""
             finally:
                 ledger.close()
         except LedgerError as error:
-            return [], str(error)
-        t = self._t
-        return [{**r, "outcome": t(WORDS.get(r["outcome"], r["outcome"]))} for r in rows], ""
+            return [], self._t(str(error))
 
     def _selected(self) -> None:
         runs = self._desk.visit.room.runs
