@@ -140,7 +140,6 @@ _LIGHT = [
     ("hold_s: 1.0", "hold_s: 0.5"),
     ("decide_s: 0.7 ", "decide_s: 1.5 "),
     ("step_m: 0.002", "step_m: 0.01"),
-    ("damping_ratio: [0.02, 0.06]", "damping_ratio: [0.055, 0.06]"),  # a second try waits for rest
 ]
 
 
