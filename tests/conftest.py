@@ -21,7 +21,12 @@ from cell.cable.solver import Solver
 HARDWARE = "hardware"
 #: Rooms of tests in which devices run in real time, as do tests that want to run alone.  A busy
 #: computer can upset these, and only these are tried again.
-REAL_TIME = ("drivers/conformance", "drivers/emulators", "drivers/test_ur")
+REAL_TIME = (
+    "drivers/conformance",
+    "drivers/emulators",
+    "drivers/test_ur",
+    "end_to_end/test_hardware",  # which runs a few of the conformance suite
+)
 
 
 # how long an example takes is this computer's affair, not the code's
@@ -44,6 +49,20 @@ def no_precedence() -> Iterator[None]:
     yield
     if os.getpriority(os.PRIO_PROCESS, 0) != usual:
         os.setpriority(os.PRIO_PROCESS, 0, usual)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_forks_of_the_lab() -> Iterator[None]:
+    """Beside other processes of the tests the lab makes no forks: no core is free for them.
+
+    What it finds is the same, which tests/cell/lab/search says; commands in processes of their own
+    have all cores.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        if "PYTEST_XDIST_WORKER" in os.environ:
+            for module in ("data.side_by_side", "strength.limits"):
+                patch.setattr(f"cell.lab.{module}.threads", lambda: 1)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -28,22 +28,12 @@ def time_to_rest_s(
     longest_s  returned if it swings longer
     raises     what the engine raises
     """
+    # held still beyond its log, which `simulate` does: a last sample added there would be led to by
+    # a curve that bulges with the noise of the samples before it
     end_s = float(motion.t_s[-1])
-    until_s = end_s + longest_s
-    still = Motion(
-        *(
-            np.append(column, last)
-            for column, last in (
-                (motion.t_s, until_s),
-                (motion.x_m, motion.x_m[-1]),
-                (motion.y_m, motion.y_m[-1]),
-                (motion.angle_rad, motion.angle_rad[-1]),
-            )
-        )
-    )
-    t_s = np.arange(end_s, until_s, _INTERVAL_S)
+    t_s = np.arange(end_s, end_s + longest_s, _INTERVAL_S)
     at_tip = np.array([identified.space.cable.length_m])
-    tip_m = simulate(identified.model, still, t_s, at_tip, solver=coarsened(solver))[0, :, 0]
+    tip_m = simulate(identified.model, motion, t_s, at_tip, solver=coarsened(solver))[0, :, 0]
     away_m = np.linalg.norm(tip_m - tip_m[-1], axis=1)
     swinging = np.flatnonzero(away_m > within_m)
     return 0.0 if not swinging.size else float(t_s[swinging[-1]] - end_s) + _INTERVAL_S

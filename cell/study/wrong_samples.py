@@ -35,22 +35,30 @@ _OF_STEPS, _STEP_STD = 0.05, 12.0**-0.5
 #: A value of which a curve leaves free less than this share is as good as given by it.
 _FREE = 1e-3
 _MOST_ROUNDS = 50
+#: Values around samples that are looked at together: more are no faster, and take memory.
+_AT_ONCE = 150_000
 
 
 @dataclass(frozen=True)
 class _Comparison:
-    """Of every sample (rows,) of every channel: how it compares with those around it.
+    """Of every sample (rows, channels) of some channels: how it compares with those around it.
 
-    apart_m  by how much it lies apart from the curve through the others
-    std      standard deviation of that, for values of unit noise
-    left_m   what is left of the others beside the curve
+    rows      (rows,) of the series
+    channels  of the series
+    apart_m   by how much it lies apart from the curve through the others
+    std       standard deviation of that, for values of unit noise
+    left_m    what is left of the others beside the curve
+    usual_m   (channels,) what is left in the record as a whole
     """
 
+    rows: Numbers
+    channels: Numbers
     apart_m: FloatArray
     std: FloatArray
     left_m: FloatArray
+    usual_m: FloatArray
 
-    def times(self, noise_m: FloatArray | float) -> FloatArray:
+    def times(self, noise_m: FloatArray) -> FloatArray:
         """Standard deviations of noise by which samples lie apart."""
         return np.abs(self.apart_m) / (self.std * np.maximum(noise_m, _NOTHING_M))
 
@@ -101,41 +109,44 @@ def _look(
     beside, others = look
     here, elsewhere = (HERE, ELSEWHERE) if others == 0 else (AMONG_OTHERS, AMONG_OTHERS)
     compared = [
-        (rows, channel, comparison)
+        comparison
         for rows, channels in _seen_alike(series_m)
         if len(rows) > 2 * beside + 1
-        for channel, comparison in _compared(t_s, series_m, rows, channels, beside, others)
+        for comparison in _compared(t_s, series_m, rows, channels, beside, others)
     ]
-    usual_m = [float(np.quantile(c.left_m, SHARE)) for _, _, c in compared]
+    usual_m = [c.usual_m for c in compared]
     # The same camera sees all: a marker that hardly moves shows less than its noise, if rounded.
-    of_all_m = float(np.median(usual_m)) if usual_m else 0.0
-    for (rows, channel, c), noise_m in zip(compared, usual_m, strict=True):
-        times = c.times(np.maximum(c.left_m, least_m[channel]))
+    of_all_m = float(np.median(np.concatenate(usual_m))) if usual_m else 0.0
+    for c in compared:
+        times = c.times(np.maximum(c.left_m, least_m[c.channels]))
         # One that is wrong makes those beside it seem to be: the worst goes first.
-        around = np.lib.stride_tricks.sliding_window_view(np.pad(times, beside), 2 * beside + 1)
-        far = (times > here) & (times == np.max(around, axis=1))
-        far &= c.times(max(noise_m, of_all_m, least_m[channel])) > elsewhere
-        out[rows[far], channel] = c.apart_m[far]
+        padded = np.pad(times, ((beside, beside), (0, 0)))
+        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * beside + 1, axis=0)
+        far = (times > here) & (times == np.max(around, axis=2))
+        noise_m = np.maximum(np.maximum(c.usual_m, of_all_m), least_m[c.channels])
+        far &= c.times(noise_m) > elsewhere
+        row, channel = np.nonzero(far)
+        out[c.rows[row], c.channels[channel]] = c.apart_m[far]
 
 
-def _seen_alike(series_m: FloatArray) -> Iterator[tuple[Numbers, list[int]]]:
+def _seen_alike(series_m: FloatArray) -> Iterator[tuple[Numbers, Numbers]]:
     """Rows, and the channels that are seen in exactly these."""
     seen = np.isfinite(series_m)
     alike: dict[bytes, list[int]] = {}
     for channel in range(series_m.shape[1]):
         alike.setdefault(seen[:, channel].tobytes(), []).append(channel)
     for channels in alike.values():
-        yield np.flatnonzero(seen[:, channels[0]]), channels
+        yield np.flatnonzero(seen[:, channels[0]]), np.array(channels)
 
 
 def _compared(
     t_s: FloatArray,
     series_m: FloatArray,
     rows: Numbers,
-    channels: list[int],
+    channels: Numbers,
     beside: int,
     others: int,
-) -> Iterator[tuple[int, _Comparison]]:
+) -> Iterator[_Comparison]:
     """Every sample of channels seen in the same rows with as many around it, before and after."""
     width, count = 2 * beside + 1, len(rows)
     first = np.clip(np.arange(count) - beside, 0, count - width)
@@ -144,49 +155,75 @@ def _compared(
     apart_s = t_s[around] - t_s[rows][:, None]
     scaled = apart_s / np.max(np.abs(apart_s), axis=1, keepdims=True)
     curve = np.linalg.qr(scaled[:, :, None] ** np.arange(_TERMS))[0]
-    for channel in channels:
-        values = series_m[:, channel]
-        y = values[around] - values[rows][:, None]
-        yield channel, _beside_curve(curve, y, own, others)
+    at_once = max(1, _AT_ONCE // around.size)
+    for part in np.split(channels, range(at_once, len(channels), at_once)):
+        seen_m = series_m[rows[:, None], part]
+        y = np.take(seen_m, first[:, None] + np.arange(width), axis=0)
+        y -= seen_m[:, None]
+        apart_m, std, left_m = _beside_curve(curve, y, own, others)
+        usual_m = np.quantile(left_m, SHARE, axis=0)
+        yield _Comparison(rows, part, apart_m, std, left_m, usual_m)
 
 
-def _beside_curve(basis: FloatArray, y: FloatArray, own: Numbers, others: int) -> _Comparison:
+def _beside_curve(
+    curve: FloatArray, y: FloatArray, own: Numbers, others: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Samples beside curves fitted to those around them, without the `others` farthest from these.
 
-    basis  (rows, width, terms) orthonormal columns of the curves around every sample
-    y      (rows, width) around every sample
-    own    (rows,) where in `y` the sample itself is
+    curve    (rows, width, terms) orthonormal columns of the curves around every sample
+    y        (rows, width, channels) around every sample
+    own      (rows,) where in `y` the sample itself is
+    returns  (rows, channels) each: apart_m, std and left_m of `_Comparison`
     """
-    each = np.arange(len(y))
-    with_own = _freed(basis, own) if others else basis
-    for _ in range(others):
-        rest_m, free = _rest(with_own, y)
-        farthest = np.argmax(
-            np.where(free > _FREE, rest_m**2 / np.maximum(free, _FREE), 0.0), axis=1
-        )
-        basis, with_own = _freed(basis, farthest), _freed(with_own, farthest)
-    rest_m, free = _rest(basis, y)
-    alone = np.maximum(free[each, own], _FREE**2)
-    apart_m = rest_m[each, own] / alone
-    square = np.sum(rest_m**2, axis=1) - rest_m[each, own] * apart_m
-    freedom = y.shape[1] - basis.shape[2] - 1
+    each, beside = np.arange(len(y)), _Fit.of(curve, y)
+    without_own = beside.without(own[:, None]) if others else beside
+    for more in range(others - 1, -1, -1):
+        share = without_own.rest_m**2 / np.maximum(without_own.free, _FREE)
+        share[np.broadcast_to(without_own.free <= _FREE, share.shape)] = 0.0
+        farthest = np.argmax(share, axis=1)
+        beside = beside.without(farthest)
+        without_own = without_own.without(farthest) if more else without_own
+    alone = np.maximum(beside.free[each, own], _FREE**2)
+    apart_m = beside.rest_m[each, own] / alone
+    square = np.sum(beside.rest_m**2, axis=1) - beside.rest_m[each, own] * apart_m
+    freedom = y.shape[1] - curve.shape[2] - others - 1
     left_m = np.sqrt(np.maximum(square, 0.0) / freedom)
-    return _Comparison(apart_m, 1.0 / np.sqrt(alone), left_m)
+    return apart_m, 1.0 / np.sqrt(np.broadcast_to(alone, left_m.shape)), left_m
 
 
-def _rest(basis: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(rows, width) what a fit leaves of the values, and which part of each it does not follow."""
-    along = np.einsum("twk,tw->tk", basis, y)
-    rest_m = y - np.einsum("twk,tk->tw", basis, along)
-    return rest_m, 1.0 - np.sum(basis**2, axis=2)
+@dataclass(frozen=True)
+class _Fit:
+    """What curves leave of the values around samples, some values of which may be left out.
 
+    curve     (rows, width, terms)
+    rest_m    (rows, width, channels) what is left
+    free      (rows, width, channels or 1) which part of each value the curve does not follow
+    left_out  (rows, width, channels or 1) of each value that is left out: a direction that the
+              curve may follow besides, of length 1
+    """
 
-def _freed(basis: FloatArray, number: Numbers) -> FloatArray:
-    """The basis with one value of every row (rows,) of its own, so that it counts no more."""
-    spike = np.zeros(basis.shape[:2])
-    spike[np.arange(len(basis)), number] = 1.0
-    for _ in range(2):  # once more against rounding
-        spike -= np.einsum("twk,tk->tw", basis, np.einsum("twk,tw->tk", basis, spike))
-    length = np.linalg.norm(spike, axis=1, keepdims=True)
-    spike = np.where(length > _FREE, spike / np.maximum(length, _FREE), 0.0)
-    return np.concatenate([basis, spike[:, :, None]], axis=2)
+    curve: FloatArray
+    rest_m: FloatArray
+    free: FloatArray
+    left_out: tuple[FloatArray, ...] = ()
+
+    @staticmethod
+    def of(curve: FloatArray, y: FloatArray) -> _Fit:
+        """Of all values."""
+        rest_m = y - curve @ (curve.transpose(0, 2, 1) @ y)
+        return _Fit(curve, rest_m, 1.0 - np.sum(curve**2, axis=2)[:, :, None])
+
+    def without(self, number: Numbers) -> _Fit:
+        """Without one value more, which one (rows, channels), or (rows, 1) of all channels."""
+        each, one = np.arange(len(number))[:, None], number[:, None, :]
+        here = self.curve[each, number]  # (rows, channels, terms)
+        spike = self.curve @ here.transpose(0, 2, 1)
+        np.negative(spike, out=spike)
+        np.put_along_axis(spike, one, np.take_along_axis(spike, one, 1) + 1.0, 1)
+        for former in self.left_out:
+            spike = spike - former * np.take_along_axis(former, one, 1)
+        length = np.sqrt(np.maximum(np.take_along_axis(spike, one, 1), 0.0))
+        spike *= np.where(length > _FREE, 1.0 / np.maximum(length, _FREE), 0.0)
+        own_m = np.take_along_axis(self.rest_m, one, 1) / np.maximum(length, _FREE)
+        free = self.free - spike**2
+        return _Fit(self.curve, self.rest_m - spike * own_m, free, (*self.left_out, spike))

@@ -15,6 +15,8 @@ import pytest
 
 from drivers.ur_addresses import FAULT_PORT
 
+from .conftest import run, unrecorded
+
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 
 CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
@@ -58,8 +60,7 @@ def test_an_insertion_is_watched_in_flight(light_config: Path, tmp_path: Path) -
     """With feedback: what the cable answers is known in time, and the arm's path stays its own."""
     config = tmp_path / "seeing.yaml"
     config.write_text(light_config.read_text(encoding="utf-8") + "\nfeedback: on\n")
-    command = cell("run", "--config", config, "--json", "--out", tmp_path / "runs")
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = run("run", "--config", unrecorded(config), "--json", "--out", tmp_path / "runs")
     result = json.loads(done.stdout) if done.stdout else {}
     assert result.get("outcome") == "inserted", f"{result.get('reason')} {done.stderr}"
     assert result["corrections"] is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
+
+from .conftest import run, unrecorded
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 
@@ -49,10 +52,7 @@ class Emulators:
             time.sleep(0.02)
 
     def run(self, runs: Path) -> dict[str, Any]:
-        command = [sys.executable, "-m", "cell", "run", "-c", str(self.config), "--json"]
-        done = subprocess.run(
-            [*command, "--out", str(runs)], capture_output=True, text=True, timeout=120, check=False
-        )
+        done = run("run", "-c", self.config, "--json", "--out", runs)
         assert done.stdout, done.stderr
         result: dict[str, Any] = json.loads(done.stdout)
         return result
@@ -61,9 +61,12 @@ class Emulators:
 @pytest.fixture
 def emulators(light_config: Path, tmp_path: Path) -> Iterator[Callable[..., Emulators]]:
     started: list[Emulators] = []
+    config = tmp_path / "light.yaml"
+    shutil.copy(light_config, config)
+    unrecorded(config)
 
     def start(*options: str) -> Emulators:
-        started.append(Emulators(light_config, tmp_path / "said.txt", *options))
+        started.append(Emulators(config, tmp_path / "said.txt", *options))
         return started[-1]
 
     yield start

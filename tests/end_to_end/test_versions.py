@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from cell.arm_version import FILE
+
+from .conftest import run
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 
@@ -30,8 +30,7 @@ def test_a_cable_is_inserted_with_a_version_somebody_allows(
     passed = {"version": version, "host": host, "serial_number": serial, "speed": 0.1}
     told = [{**passed, "time": "2026-11-25T12:00:00+00:00", "folder": "runs/a-1"}]
     (tmp_path / FILE).write_text(json.dumps(told))
-    command = [sys.executable, "-m", "cell", "run", "-c", config, "--json", "--out", tmp_path]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = run("run", "-c", config, "--json", "--out", tmp_path)
     result = json.loads(done.stdout) if done.stdout else {}
     assert result.get("outcome") == "inserted", f"{result.get('reason')} {done.stderr}"
     assert done.returncode == 0

@@ -336,13 +336,14 @@ def write_study(
     noise_m: float = 1e-4,
     colour: float = 0.3,
     strokes: tuple[Stroke, ...] = STROKES,
+    step_s: float = STEP_S,
 ) -> None:
     """A study of a specimen, filmed with coloured noise, as plain text files."""
     rng = np.random.default_rng(seed)
     for stroke in strokes:
         end_s = STILL_S + stroke.seconds + HOLD_S
         t_s = np.arange(rng.uniform(0.0, FRAME_S), end_s, FRAME_S)
-        points = seen(specimen, stroke, t_s)
+        points = seen(specimen, stroke, t_s, step_s=step_s)
         noise = rng.normal(size=points.shape)
         for k in range(1, len(noise)):
             noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * noise[k]

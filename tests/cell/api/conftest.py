@@ -1,5 +1,5 @@
 """The lab's made studies."""
 
-from tests.cell.lab.conftest import make_study
+from tests.cell.lab.conftest import few_effects, make_study
 
-__all__ = ["make_study"]
+__all__ = ["few_effects", "make_study"]

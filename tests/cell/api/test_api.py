@@ -98,8 +98,11 @@ def folder(make_study, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+pytestmark = pytest.mark.usefixtures("few_effects")
+
+
 @pytest.fixture(scope="module")
-def diagnosed(folder: Path) -> cell.DiagnoseResult:
+def diagnosed(folder: Path, few_effects: set[str]) -> cell.DiagnoseResult:
     return cell.diagnose(folder)
 
 

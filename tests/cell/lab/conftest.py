@@ -1,6 +1,6 @@
 """Studies of a world finer than the model: 60 segments, half the step, coloured noise."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import simulate_each
-from cell.cable.effects import ActiveEffect
+from cell.cable.effects import ActiveEffect, library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
+from cell.lab.data import named_effects
 from cell.study.data import Markers, Study, Trial
 
 PRACTICE = Path(__file__).parents[4] / "shared" / "data" / "practice"
@@ -82,6 +83,19 @@ def make_study() -> MakeStudy:
         return Study("made", CABLE, arcs, tuple(trials))
 
     return make
+
+
+#: Alike, unlike and not smooth.
+FEW_EFFECTS = ("tip_mass", "air_drag", "natural_curvature", "grip_angle")
+
+
+@pytest.fixture(scope="module")
+def few_effects() -> Iterator[set[str]]:
+    """Commands try these alone, so that they are quick: the docs' sessions try the library."""
+    few = {name: library()[name] for name in FEW_EFFECTS}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(named_effects, "library", lambda: few)
+        yield set(few)
 
 
 @pytest.fixture

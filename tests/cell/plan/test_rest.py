@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,14 @@ def test_a_swing_decays_exponentially(jerked: Motion) -> None:
     times_s = [time_to_rest_s(cable(), jerked, within_m, 60.0) for within_m in (1e-3, 1e-4, 1e-5)]
     assert 0.5 < times_s[0] < times_s[1] < times_s[2] < 60.0
     assert np.diff(times_s)[1] == pytest.approx(np.diff(times_s)[0], rel=0.15)
+
+
+def test_the_noise_of_a_log_does_not_swing_on(jerked: Motion) -> None:
+    """Its hand was led to a place half a minute away by a curve that bulged by 0.08 mm."""
+    rng = np.random.default_rng(1)
+    noisy = replace(jerked, y_m=jerked.y_m + rng.normal(scale=1e-5, size=jerked.y_m.shape))
+    told = [time_to_rest_s(cable(), motion, 5e-5, 30.0) for motion in (jerked, noisy)]
+    assert told[1] == pytest.approx(told[0], abs=0.5)
 
 
 def test_twice_the_viscosity_half_the_time(jerked: Motion) -> None:

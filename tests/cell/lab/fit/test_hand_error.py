@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.named_effects import select_effects
+from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.hand_error import MOTIONS, HandError, hand_error
@@ -66,5 +67,7 @@ def test_a_log_as_noisy_as_the_markers_is_no_effect(tmp_path):
     assert conditions.log_m > 0.9 * conditions.noise_m
     world = World.of(conditions, 2)
     write_study(world.study(world.clean(), 2), tmp_path)
-    found = diagnose(fit_cache_of(open_study(tmp_path), select_effects([]))).diagnosis
+    names = ("air_drag", "grip_slip", "tip_mass", "grip_angle")
+    selection = EffectSelection((), {n: library()[n] for n in names})
+    found = diagnose(fit_cache_of(open_study(tmp_path), selection)).diagnosis
     assert (found.verdict, found.missing) == ("complete", ())

@@ -20,12 +20,11 @@ from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.progress import no_progress
 from cell.study.data import Markers, Study
 from cell.study.folder import write_study
-from tests.cell.lab.conftest import STROKES
+from tests.cell.lab.conftest import FEW_EFFECTS, STROKES
 
 GRAMS = library()["tip_mass"].active(mass_kg=2.5e-5)
 FEW = (STROKES[0], STROKES[1], STROKES[3])
-#: Effects that are tried, so that a diagnosis is quick: alike, unlike and not smooth.
-TRIED = {n: library()[n] for n in ("tip_mass", "air_drag", "natural_curvature", "grip_angle")}
+TRIED = {n: library()[n] for n in FEW_EFFECTS}
 
 
 def together(studies: Sequence[Study | Path]) -> TogetherResult:
@@ -42,6 +41,7 @@ def batch(make_study):
     return make
 
 
+@pytest.mark.usefixtures("few_effects")
 def test_cables_that_are_alike_give_one_effect_and_its_mean(batch, tmp_path: Path) -> None:
     studies = batch([[GRAMS]] * 3)
     folders = [tmp_path / s.name for s in studies]

@@ -23,6 +23,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study
 
+FAKE = Path(__file__).parents[4] / "config" / "fake.yaml"
 NAMES = ("draught", "grip_angle", "tip_mass")
 #: A few degrees of clamp angle: fewer strokes, as quick as it can be.
 AROUND = Surroundings(angle_rad=(-0.1, 0.1))
@@ -81,7 +82,11 @@ def test_names_are_shown_and_files_tried_but_not_both() -> None:
 def test_the_command_writes_the_motion_for_the_cell(fits: FitCache, tmp_path: Path) -> None:
     write_study(fits.given.study, tmp_path / "study")
     out = tmp_path / "motion.yaml"
+    config, text = tmp_path / "cell.yaml", FAKE.read_text("utf-8")
+    assert "angle_rad: [-0.6, 1.1]" in text
+    config.write_text(text.replace("angle_rad: [-0.6, 1.1]", "angle_rad: [-0.1, 0.1]"), "utf-8")
     command = ["suggest", str(tmp_path / "study"), "--effect", "draught", "-o", str(out)]
+    command += ["--config", str(config)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     assert yaml.safe_load(out.read_text())["purpose"].startswith("tell baseline from draught")

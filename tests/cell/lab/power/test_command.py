@@ -11,6 +11,8 @@ from cell.cli import app
 from cell.lab.data.prepared import all_fitted
 from cell.study.folder import write_study
 
+pytestmark = pytest.mark.usefixtures("few_effects")
+
 run = CliRunner().invoke
 
 

@@ -69,6 +69,7 @@ def test_two_checks_are_corrected_for_being_two(make_study, checks: list[Path]) 
     assert min(both.values()) == pytest.approx(min(1.0, 2.0 * min(alone)), rel=0.5)
 
 
+@pytest.mark.usefixtures("few_effects")
 def test_what_only_a_user_asks_makes_a_study_unexplained(
     make_study, checks: list[Path], tmp_path: Path
 ) -> None:
