@@ -14,7 +14,7 @@ from cell.files.yaml_document import Key
 from cell.study.data import Markers, Source, Study, Trial
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
 from cell.study.imports.capture import Capture, TextForm
-from cell.study.imports.mapping import ReadMapping, TextSection, TimeSection, TrialEntry
+from cell.study.imports.mapping import Mapping, ReadMapping, TextSection, TimeSection, TrialEntry
 from cell.study.imports.places import angle_towards, clamp_angle_rad, out_of_plane_m, places_m
 from cell.study.imports.quality import Measured, examined
 from cell.study.imports.read import read_capture
@@ -48,6 +48,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     """
     mapping = read.mapping
     arcs = np.array([m.arc_length_m for m in mapping.markers], dtype=np.float64)
+    stds = _arc_length_std_m(mapping)
     order = np.argsort(-arcs, kind="stable")
     cable = _cable(read)
     problems: list[Problem] = []
@@ -79,6 +80,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         tuple(trials),
         mapping.gravity_m_per_s2,
         mapping.noise_std_m,
+        arc_length_std_m=None if stds is None else stds[order],
     )
     return Imported(study, tuple(notes))
 
@@ -107,17 +109,26 @@ def _form(section: TextSection | None) -> TextForm | None:
     return None if section is None else TextForm(section.separator, section.decimal)
 
 
+def _arc_length_std_m(mapping: Mapping) -> FloatArray | None:
+    """(markers,) as the mapping has them, 0 where a place is exact; None = all are."""
+    given = [m.arc_length_std_m for m in mapping.markers]
+    if all(std_m is None for std_m in given):
+        return None
+    return np.array([std_m or 0.0 for std_m in given])
+
+
 def _cable(read: ReadMapping) -> Cable:
     """The datasheet.  Raises InputError: entries of the mapping that no study may have."""
     mapping = read.mapping
     arcs = [m.arc_length_m for m in mapping.markers if m.arc_length_m is not None]
+    stds = _arc_length_std_m(mapping)
     given = mapping.cable.model_dump(exclude_none=True)
     datasheet = datasheet_of(given)
     problems = [
         read.document.problem(_key_of(read, key), message)
         for key, message in implausible_entries(
             given, datasheet, mapping.gravity_m_per_s2, sorted(arcs, reverse=True),
-            mapping.noise_std_m,
+            mapping.noise_std_m, () if stds is None else stds[_tip_first(mapping)].tolist(),
         )
     ]  # fmt: skip
     if problems or datasheet is None:
@@ -125,13 +136,18 @@ def _cable(read: ReadMapping) -> Cable:
     return datasheet
 
 
+def _tip_first(mapping: Mapping) -> NDArray[np.intp]:
+    """Numbers of the markers in the order of a study."""
+    arcs = np.array([m.arc_length_m or 0.0 for m in mapping.markers])
+    return np.argsort(-arcs, kind="stable")
+
+
 def _key_of(read: ReadMapping, key: Key) -> Key:
     """Where the mapping says what a study says elsewhere: arc lengths beside their markers."""
-    if key[:2] != ("markers", "arc_length_m"):
+    if key[0] != "markers" or len(key) < 2:
         return key
-    arcs = [m.arc_length_m or 0.0 for m in read.mapping.markers]
-    number = sorted(range(len(arcs)), key=lambda i: -arcs[i])[int(key[2])]
-    return "markers", number, "arc_length_m"
+    number = int(_tip_first(read.mapping)[int(key[2])]) if len(key) > 2 else 0
+    return "markers", number, key[1]
 
 
 def _measured(

@@ -78,11 +78,15 @@ class AxesSection(Part):
 
 
 class MarkerEntry(Part):
-    """A marker: its columns, two or three (null = not measured), and where on the cable it is."""
+    """A marker: its columns, two or three (null = not measured), and where on the cable it is.
+
+    arc_length_std_m  standard deviation of its arc length; None = it is exact
+    """
 
     name: _Name
     columns: Annotated[list[_Name | None], Field(min_length=2, max_length=3)]
     arc_length_m: _Finite | None
+    arc_length_std_m: _Finite | None = None
 
 
 class AngleSection(Part):

@@ -60,6 +60,8 @@ def write_imported(study: Study, folder: Path) -> Study:
 
 
 def _check_same(study: Study, back: Study) -> None:
+    if _stated(study) != _stated(back):
+        raise NotReadBackError(f"{study.name} does not read back as it was written")
     pairs: list[tuple[FloatArray, FloatArray]] = [(study.arc_length_m, back.arc_length_m)]
     for written, read in zip(study.trials, back.trials, strict=True):
         thin, _ = thinned(written)
@@ -70,6 +72,19 @@ def _check_same(study: Study, back: Study) -> None:
         ]
     if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
         raise NotReadBackError(f"{study.name} does not read back as it was written")
+
+
+def _stated(study: Study) -> tuple[object, ...]:
+    """What a study says beside its arrays of measurements."""
+    std_m = study.arc_length_std_m
+    return (
+        study.name,
+        study.cable,
+        tuple(study.gravity_m_per_s2),
+        study.noise_std_m,
+        None if std_m is None else std_m.tolist(),
+        [(t.name, t.role, t.start, t.release_s) for t in study.trials],
+    )
 
 
 def write_wide(study: Study, folder: Path) -> list[Path]:
@@ -114,6 +129,8 @@ def _rows(trial: Trial) -> FloatArray:
 
 def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
     """The mapping of what `write_wide` writes."""
+    std_m = study.arc_length_std_m
+    stds = [None] * len(names) if std_m is None else [float(s) for s in std_m]
     return Mapping(
         format=FORMAT,
         name=study.name,
@@ -129,8 +146,10 @@ def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
             angle=AngleSection(column="hand_angle_rad", radians_per_unit=1.0),
         ),
         markers=[
-            MarkerEntry(name=n, columns=[f"{n}_x_m", f"{n}_y_m"], arc_length_m=float(s))
-            for n, s in zip(names, study.arc_length_m, strict=True)
+            MarkerEntry(
+                name=n, columns=[f"{n}_x_m", f"{n}_y_m"], arc_length_m=float(s), arc_length_std_m=d
+            )
+            for n, s, d in zip(names, study.arc_length_m, stds, strict=True)
         ],
         trials=[
             TrialEntry(
