@@ -1,4 +1,4 @@
-"""How markers move with their arc length, where that is uncertain."""
+"""How markers move with their arc length and with their hand, where these are uncertain."""
 
 from __future__ import annotations
 
@@ -59,6 +59,18 @@ def slopes_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
         for marker, tangent in zip(order, tangents, strict=True):
             slopes[:, marker, axes] = np.clip(tangent, -1.0, 1.0)
     return slopes
+
+
+def carried_m(trial: Trial) -> FloatArray | None:
+    """(shapes, T, markers, 2) what the drift of a hand's place does to markers; None = no drift.
+
+    The hand carries the whole cable with it: a drift is slower than a swing.  What it makes the
+    cable swing beside that is found by simulation (`likely_motions`).
+    """
+    if trial.hand_drift is None:
+        return None
+    shapes_m = trial.hand_drift.shapes_m(trial.markers.t_s, trial.grip)
+    return np.repeat(shapes_m[:, :, None], trial.markers.xy_m.shape[1], axis=2)
 
 
 def _own_lengths(curve: Callable[[FloatArray, int], FloatArray], knots: FloatArray) -> FloatArray:

@@ -14,17 +14,20 @@ from cell.files.atomic import write_all
 from cell.files.input_error import InputError
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, thinned, write_study
+from cell.study.hand_drift import HandDriftSection
+from cell.study.imports.hand_section import (
+    AngleSection,
+    AxesSection,
+    HandSection,
+    TextSection,
+    TimeSection,
+)
 from cell.study.imports.mapping import (
     FILE,
     FORMAT,
-    AngleSection,
-    AxesSection,
     CableSection,
-    HandSection,
     Mapping,
     MarkerEntry,
-    TextSection,
-    TimeSection,
     TrialEntry,
 )
 from cell.study.imports.proposal import mapping_text
@@ -83,7 +86,7 @@ def _stated(study: Study) -> tuple[object, ...]:
         tuple(study.gravity_m_per_s2),
         study.noise_std_m,
         None if std_m is None else std_m.tolist(),
-        [(t.name, t.role, t.start, t.release_s) for t in study.trials],
+        [(t.name, t.role, t.start, t.release_s, t.hand_drift) for t in study.trials],
     )
 
 
@@ -155,6 +158,8 @@ def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
             TrialEntry(
                 name=t.name, file=f"{t.name}.csv", role=t.role, start=t.start,
                 release_s=t.release_s,
+                hand_drift=None if t.hand_drift is None
+                else HandDriftSection(**t.hand_drift.to_plain()),
             )
             for t in study.trials
         ],

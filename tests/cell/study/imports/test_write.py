@@ -10,6 +10,7 @@ import numpy as np
 from cell.cable.geometry import Cable, Connector, Motion
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study
+from cell.study.hand_drift import HandDrift
 from cell.study.imports.convert import read_captures, study_of
 from cell.study.imports.mapping import FILE, read_mapping
 from cell.study.imports.write import write_imported, write_wide
@@ -24,8 +25,9 @@ def a_study() -> Study:
     xy_m = np.array([[-0.11, 0.0], [-0.06, 0.0], [-0.01, 0.0]]) + swing * [0.0, 1.0]
     xy_m += 1e-5 * rng.normal(size=xy_m.shape)
     hand = Motion(t_s + 1e-3, *(1e-5 * rng.normal(size=(2, len(t_s)))), 0.0 * t_s)
+    drift = HandDrift(0.1, 1.0 / 3.0, (1e-3, 0.0), 0.01, ends_known=True)
     trials = (
-        Trial("one", "fit", "moving", hand, Markers(t_s, xy_m)),
+        Trial("one", "fit", "moving", hand, Markers(t_s, xy_m), hand_drift=drift),
         Trial("two", "validate", "held", hand, Markers(t_s[5:], xy_m[5:]), 0.07),
     )
     cable = Cable(0.1, 0.0074, 0.016, 1e-4, Connector(0.002, 0.02, 1.1e-7))
