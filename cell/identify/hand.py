@@ -78,8 +78,17 @@ def likely_motions(motion: Motion, errors: HandErrors, first: int = 0) -> list[M
             noise = spline.noise_std * rng.normal(size=len(value))
             drawn[sample, axis] = value + constant + noise
     if errors.drift is not None:
-        shapes_m = errors.drift.shapes_m(motion.t_s, motion)
         for sample in range(errors.samples):
             rng = np.random.default_rng([20260102, first + sample])
-            drawn[sample, :2] += np.einsum("k,ktc->ct", rng.normal(size=len(shapes_m)), shapes_m)
+            drawn[sample] += _drifted(motion, errors.drift, rng)
     return motions_like(motion, drawn)
+
+
+def _drifted(motion: Motion, drift: HandDrift, rng: np.random.Generator) -> FloatArray:
+    """(3, T) an error of x, y and angle that the log does not show."""
+    shapes_m, turns_rad = drift.shapes_m(motion.t_s, motion), drift.turns_rad(motion.t_s)
+    place_m = np.einsum("k,ktc->ct", rng.normal(size=len(shapes_m)), shapes_m)
+    turn = rng.normal(size=len(turns_rad)) @ turns_rad
+    hand_m = np.column_stack([motion.x_m, motion.y_m])
+    place_m = place_m + drift.turned_m(turn, hand_m).T
+    return np.vstack([place_m, turn[None] if drift.clamp_turns else 0.0 * turn[None]])

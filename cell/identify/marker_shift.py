@@ -67,10 +67,17 @@ def carried_m(trial: Trial) -> FloatArray | None:
     The hand carries the whole cable with it: a drift is slower than a swing.  What it makes the
     cable swing beside that is found by simulation (`likely_motions`).
     """
-    if trial.hand_drift is None:
+    drift, markers, grip = trial.hand_drift, trial.markers, trial.grip
+    if drift is None:
         return None
-    shapes_m = trial.hand_drift.shapes_m(trial.markers.t_s, trial.grip)
-    return np.repeat(shapes_m[:, :, None], trial.markers.xy_m.shape[1], axis=2)
+    shapes_m = drift.shapes_m(markers.t_s, grip)
+    carried = np.repeat(shapes_m[:, :, None], markers.xy_m.shape[1], axis=2)
+    places_m = np.nan_to_num(markers.xy_m)
+    if not drift.clamp_turns:
+        hand_m = [np.interp(markers.t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)]
+        places_m = np.broadcast_to(np.stack(hand_m, axis=-1)[:, None], places_m.shape)
+    turned = [drift.turned_m(turn[:, None], places_m) for turn in drift.turns_rad(markers.t_s)]
+    return np.concatenate([carried, np.reshape(turned, (-1, *places_m.shape))])
 
 
 def _own_lengths(curve: Callable[[FloatArray, int], FloatArray], knots: FloatArray) -> FloatArray:

@@ -1,7 +1,8 @@
-"""How far a hand may be from where it is said to be, if its place was integrated from acceleration.
+"""How far a hand may be from where it is said to be, where its log does not show that.
 
-White noise of acceleration that is integrated twice is smooth, as a motion is: nothing in a log of
-places shows it.  So a study states it, and what is fitted or claimed allows for it.
+White noise of acceleration that is integrated twice is smooth, as a motion is.  An encoder at rest
+shows the same count all the time, wherever within it the hand is.  So a study states such errors,
+and what is fitted or claimed allows for them.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ FloatArray = NDArray[np.float64]
 #: Pieces of constant acceleration error over a motion, and shapes that are left out of the error's
 #: variance with less than this share.
 _PIECES, _LEAST = 32, 1e-4
+#: In this share of a motion an encoder's error at rest is no more.
+_GONE = 0.1
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Density = Annotated[float, Field(ge=0.0, le=10.0)]
@@ -32,9 +35,12 @@ class HandDriftSection(BaseModel):
 
     from_s: _Finite
     to_s: _Finite
-    noise_m_per_s2_per_rt_hz: tuple[_Density, _Density]
+    noise_m_per_s2_per_rt_hz: tuple[_Density, _Density] = (0.0, 0.0)
     gain_std: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
     ends_known: bool = False
+    turn_std_rad: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    axle_m: tuple[_Finite, _Finite] = (0.0, 0.0)
+    clamp_turns: bool = True
 
     def drift(self) -> HandDrift:
         """As used."""
@@ -43,26 +49,32 @@ class HandDriftSection(BaseModel):
 
 @dataclass(frozen=True)
 class HandDrift:
-    """Error of a hand's place that grows from 0 while the hand moves, and stays after it.
+    """Error of a hand's place that its log does not show.
 
-    The hand is known to be at rest before `from_s` and after `to_s`: the error of its velocity is 0
-    there (zero-velocity update).
+    The hand is known to be at rest before `from_s` and after `to_s`.  An error by acceleration
+    grows from 0 in between, its velocity 0 at both ends (zero-velocity update), and stays.  An
+    encoder's is constant at either rest.
 
     noise_m_per_s2_per_rt_hz  (x, y) one-sided density of the acceleration's white noise, m/s²/√Hz
     gain_std    standard deviation of the sensor's sensitivity, as a share of it
     ends_known  the place after the motion is known without error
+    turn_std_rad  standard deviation of the turn about `axle_m` at either rest
+    clamp_turns  whether the clamp turns with the hand's arm
     """
 
     from_s: float
     to_s: float
-    noise_m_per_s2_per_rt_hz: tuple[float, float]
+    noise_m_per_s2_per_rt_hz: tuple[float, float] = (0.0, 0.0)
     gain_std: float = 0.0
     ends_known: bool = False
+    turn_std_rad: float = 0.0
+    axle_m: tuple[float, float] = (0.0, 0.0)
+    clamp_turns: bool = True
 
     def to_plain(self) -> dict[str, Any]:
-        """As in a study's file."""
-        given = asdict(self)
-        return given | {"noise_m_per_s2_per_rt_hz": list(self.noise_m_per_s2_per_rt_hz)}
+        """As in a study's file: what is not so by default."""
+        section = HandDriftSection(**asdict(self))
+        return section.model_dump(mode="json", exclude_defaults=True)
 
     def shapes_m(self, t_s: FloatArray, grip: Motion) -> FloatArray:
         """(shapes, T, 2) independent errors of one standard deviation, of x or y each, m."""
@@ -73,6 +85,19 @@ class HandDrift:
             both[..., axis] = shapes
             found.append(both)
         return np.concatenate(found)
+
+    def turns_rad(self, t_s: FloatArray) -> FloatArray:
+        """(shapes, T) independent errors of the turn of one standard deviation each, rad."""
+        if self.turn_std_rad == 0.0:
+            return np.zeros((0, len(t_s)))
+        share = (t_s - self.from_s) / max(self.to_s - self.from_s, 1e-9)
+        rests = np.stack([1.0 - share / _GONE, 1.0 - (1.0 - share) / _GONE])
+        return self.turn_std_rad * np.clip(rests, 0.0, 1.0)
+
+    def turned_m(self, turn_rad: FloatArray, places_m: FloatArray) -> FloatArray:
+        """(…, 2) by how much places (…, 2) move if they turn about the axle by small angles (…)."""
+        away = places_m - np.array(self.axle_m)
+        return np.stack([-away[..., 1] * turn_rad, away[..., 0] * turn_rad], axis=-1)
 
     def largest_std_m(self, t_s: FloatArray, xy_m: FloatArray) -> float:
         """Standard deviation of x or y of a path (T, 2), where it is largest, m."""

@@ -11,7 +11,7 @@ from cell.files.yaml_document import Key
 from cell.study.hand_drift import HandDrift
 from cell.study.imports.accelerometer import REST_ROWS, NotIntegrableError, Sensed, integrated
 from cell.study.imports.capture import Capture
-from cell.study.imports.encoder import place_m, turn_rad
+from cell.study.imports.encoder import place_m, turn_of
 from cell.study.imports.hand_section import AccelerationSection
 from cell.study.imports.mapping import ReadMapping, TrialEntry
 from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
@@ -53,10 +53,7 @@ def hand_path(read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: Float
     scale = hand.metres_per_unit or mapping.metres_per_unit or 1.0
     angle_rad = clamp_angle_rad(capture, hand.angle, axes)
     if hand.turns is not None:
-        turn = turn_rad(capture, hand.turns)
-        if angle_rad is None:
-            angle_rad = turn + hand.angle.offset_rad
-        return HandPath(place_m(turn, hand.turns), angle_rad)
+        return _turned(read, entry, capture, t_s, angle_rad)
     if hand.acceleration is not None:
         assert angle_rad is not None  # towards and follows are refused
         return _integrated(read, entry, capture, t_s, angle_rad)
@@ -69,6 +66,44 @@ def hand_path(read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: Float
         towards = places_m(capture, hand.angle.towards or (), axes, scale, mapping.lost)
         angle_rad = angle_towards(xy_m, towards + hand.origin_m, hand.angle.offset_rad)
     return HandPath(xy_m, angle_rad)
+
+
+def _turned(
+    read: ReadMapping,
+    entry: TrialEntry,
+    capture: Capture,
+    t_s: FloatArray,
+    angle_rad: FloatArray | None,
+) -> HandPath:
+    """The hand of a trial by its axle's encoder; angle None: the clamp turns with the arm."""
+    hand = read.mapping.hand
+    turns = hand.turns
+    assert turns is not None
+    turn = turn_of(capture, turns)
+    xy_m = place_m(turn.angle_rad, turns)
+    follows = angle_rad is None
+    angle_rad = turn.angle_rad + hand.angle.offset_rad if angle_rad is None else angle_rad
+    if turn.count_rad == 0.0 or turn.moves is None:
+        return HandPath(xy_m, angle_rad)
+    cable_m = read.mapping.cable.free_length_m or 1.0
+    reach_m = (turns.radius_m or 0.0) + cable_m * follows
+    if turn.count_rad * reach_m > MOST_DRIFT * cable_m:
+        raise capture.error(
+            turn.moves[0],
+            f"{entry.name}: one count moves the {'cable' if follows else 'hand'} by "
+            f"{turn.count_rad * reach_m * 1e3:.2g} mm, limit {MOST_DRIFT * cable_m * 1e3:.2g} mm; "
+            "correct radians_per_unit, or take an encoder with more counts a turn",
+            turns.column,
+        )
+    from_s, to_s = (float(t_s[row]) for row in turn.moves)
+    drift = HandDrift(
+        from_s,
+        to_s,
+        turn_std_rad=float(turn.count_rad / np.sqrt(12.0)),
+        axle_m=turns.axle_m or (0.0, 0.0),
+        clamp_turns=follows,
+    )
+    return HandPath(xy_m, angle_rad, drift)
 
 
 def _integrated(

@@ -43,6 +43,18 @@ def test_likely_motions_drift_where_a_place_was_integrated() -> None:
     assert not any(m.angle_rad.any() for m in others)
 
 
+def test_likely_motions_turn_by_what_an_encoder_does_not_tell() -> None:
+    turn = 0.2 - 5.0 * stroke()
+    arm = Motion(T_S, -0.1 * np.cos(turn), -0.1 * np.sin(turn), turn)
+    drift = HandDrift(0.2, 0.5, turn_std_rad=1e-3)
+    for other in likely_motions(arm, HandErrors(samples=3, drift=drift)):
+        error = other.angle_rad - arm.angle_rad
+        assert np.ptp(error[T_S < 0.2]) == pytest.approx(0.0, abs=1e-12)
+        assert 1e-5 < abs(error[0]) < 4e-3
+        np.testing.assert_allclose(other.x_m, -0.1 * np.cos(turn + error), atol=1e-6)
+        np.testing.assert_allclose(other.y_m, -0.1 * np.sin(turn + error), atol=1e-6)
+
+
 def test_later_motions_are_those_of_a_longer_list(log: Motion) -> None:
     """Another number, other noise; the same number, the same."""
     many = likely_motions(log, HandErrors(samples=5))

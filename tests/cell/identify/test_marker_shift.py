@@ -146,3 +146,15 @@ def test_errors_are_told_beside_the_likeliest_drift(trial):
     beside_m = free.beside_m(predicted_m)
     assert np.sqrt(np.mean(beside_m**2)) == pytest.approx(noise.std_m, rel=0.1)
     assert free.error_m(free(predicted_m[None])[0]) == pytest.approx(beside_m, abs=1e-12)
+
+
+def test_a_turn_about_an_axle_carries_all_markers(trial):
+    drift = HandDrift(0.1, 0.35, turn_std_rad=1e-4, axle_m=(0.1, 0.02))
+    before, _ = carried_m(replace(trial, hand_drift=drift))
+    c, s = np.cos(1e-4), np.sin(1e-4)
+    away = trial.markers.xy_m[0] - [0.1, 0.02]
+    turned = away @ np.array([[c, s], [-s, c]])
+    np.testing.assert_allclose(before[0], turned - away, atol=1e-9)
+    clamp, _ = carried_m(replace(trial, hand_drift=replace(drift, clamp_turns=False)))
+    hand = np.array([trial.grip.x_m[0], trial.grip.y_m[0]])
+    np.testing.assert_allclose(clamp[0], np.tile(drift.turned_m(1e-4, hand), (4, 1)), atol=1e-12)

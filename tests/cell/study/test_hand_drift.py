@@ -51,6 +51,17 @@ def test_the_largest_standard_deviation_is_that_of_the_end():
     assert drift.largest_std_m(T_S, xy_m) == pytest.approx(wanted_m, rel=0.01)
 
 
+def test_an_encoder_s_error_is_constant_at_either_rest():
+    drift = HandDrift(FROM_S, TO_S, turn_std_rad=1e-4, axle_m=(0.1, 0.0))
+    turns = drift.turns_rad(T_S)
+    assert np.all(turns[0, T_S <= FROM_S] == 1e-4)
+    assert np.all(turns[1, T_S >= TO_S] == 1e-4)
+    assert np.all(turns[0, T_S > FROM_S + 0.05] == 0.0)
+    assert not np.any((turns[0] > 0.0) & (turns[1] > 0.0)), "they are independent"
+    moved_m = drift.turned_m(np.array([1e-4]), np.array([[0.0, 0.0]]))
+    np.testing.assert_allclose(moved_m, [[0.0, -1e-5]])  # turns down as it points to the left
+
+
 def test_y_is_independent_of_x():
     shapes = HandDrift(FROM_S, TO_S, (DENSITY, DENSITY)).shapes_m(T_S, grip())
     assert not np.any(shapes[..., 0].any(axis=1) & shapes[..., 1].any(axis=1))

@@ -111,9 +111,24 @@ def test_an_encoder_of_an_axle_is_proposed_and_imported(tmp_path: Path) -> None:
     run(str(mapping))
     t_s, xy_m, angle_rad = hand_of(read_study(folder))
     np.testing.assert_allclose(t_s, m.t_s, atol=1e-9)
-    count_rad = np.pi / COUNTS * 1.01
+    count_rad = 2.0 * np.pi / COUNTS  # half by the encoder, half by its dither
     np.testing.assert_allclose(xy_m, m.hand_m, atol=RADIUS_M * count_rad)
     np.testing.assert_allclose(angle_rad, m.angle_rad, atol=count_rad)
+    drift = read_study(folder).trials[0].hand_drift
+    assert drift is not None
+    assert drift.turn_std_rad == pytest.approx(count_rad / np.sqrt(12.0))
+    assert (drift.from_s, drift.to_s) == pytest.approx((BEGINS_S, BEGINS_S + MOVED_S), abs=0.03)
+    assert (drift.axle_m, drift.clamp_turns) == (AXLE_M, True)
+
+
+def test_too_few_counts_are_refused(tmp_path: Path) -> None:
+    m, turn = on_arm()
+    file = wide(m, {"encoder": np.round(turn * 200 / (2 * np.pi))}, tmp_path / "trial.csv")
+    run(str(file), "-o", str(tmp_path / "s"), *CABLE)
+    turns = {"axle_m": list(AXLE_M), "radius_m": RADIUS_M, "radians_per_unit": 2 * np.pi / 200}
+    filled(tmp_path / "s" / "import.yaml", {f"hand.turns.{k}": v for k, v in turns.items()})
+    said = " ".join(run(str(tmp_path / "s" / "import.yaml"), code=2).split())
+    assert "one count moves the cable by 6.9 mm, limit 2 mm" in said
 
 
 def test_a_clamp_on_its_axle_stays_there_and_turns(tmp_path: Path) -> None:
@@ -128,6 +143,7 @@ def test_a_clamp_on_its_axle_stays_there_and_turns(tmp_path: Path) -> None:
     _, xy_m, angle_rad = hand_of(read_study(tmp_path / "s"))
     assert not xy_m.any()
     np.testing.assert_allclose(angle_rad, turn, atol=1e-9)
+    assert read_study(tmp_path / "s").trials[0].hand_drift is None, "nothing is rounded"
 
 
 def test_an_encoder_of_a_linear_axis_moves_one_coordinate(tmp_path: Path) -> None:
