@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -162,21 +162,29 @@ def test_an_encoder_of_a_linear_axis_moves_one_coordinate(tmp_path: Path) -> Non
     np.testing.assert_allclose(angle_rad, m.angle_rad, atol=1e-9)
 
 
-def proposed(folder: Path, edit: Callable[[np.ndarray], np.ndarray] = lambda a: a) -> Path:
-    """The mapping for an accelerometer's log, to be filled in."""
+@pytest.fixture(scope="module")
+def proposal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of an accelerometer's log, with the mapping as proposed."""
+    folder = tmp_path_factory.mktemp("proposal")
     m, t, acceleration, angle = straight()
-    markers = wide(m, {}, folder / "film.csv")
-    log = sensor_file(folder, t, edit(acceleration), angle)
+    markers, log = wide(m, {}, folder / "film.csv"), sensor_file(folder, t, acceleration, angle)
     said = run(str(markers), "--hand", str(log), "-o", str(folder / "s"), *CABLE)
     assert "it is integrated from acceleration" in said
     assert "give hand.acceleration.starts_at_m" in said
-    return folder / "s" / "import.yaml"
+    assert "starts_at_m: is not known" in run(str(folder / "s" / "import.yaml"), code=2)
+    return folder
 
 
-def test_an_accelerometer_is_proposed_and_integrated(tmp_path: Path) -> None:
-    mapping = proposed(tmp_path)
-    assert "starts_at_m: is not known" in run(str(mapping), code=2)
+@pytest.fixture
+def mapping(proposal: Path, tmp_path: Path) -> Path:
+    """The same, of the test's own, filled in."""
+    shutil.copytree(proposal, tmp_path, dirs_exist_ok=True)
+    mapping = tmp_path / "s" / "import.yaml"
     filled(mapping, {"hand.acceleration.starts_at_m": [0, 0]})
+    return mapping
+
+
+def test_an_accelerometer_is_proposed_and_integrated(mapping: Path, tmp_path: Path) -> None:
     said = run(str(mapping))
     stated = re.search(r"standard deviation is at most ([\d.e-]+) mm", " ".join(said.split()))
     assert stated, said
@@ -194,9 +202,7 @@ def test_an_accelerometer_is_proposed_and_integrated(tmp_path: Path) -> None:
     assert drift.from_s == pytest.approx(BEGINS_S, abs=0.03)
 
 
-def test_where_the_hand_ends_is_met(tmp_path: Path) -> None:
-    mapping = proposed(tmp_path)
-    filled(mapping, {"hand.acceleration.starts_at_m": [0, 0]})
+def test_where_the_hand_ends_is_met(mapping: Path, tmp_path: Path) -> None:
     filled(mapping, {"trials.0.hand_ends_at_m": [0.01, -0.05]})
     run(str(mapping))
     study = read_study(tmp_path / "s")
@@ -217,18 +223,17 @@ def test_where_the_hand_ends_is_met(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_mapping_that_contradicts_the_sensor_is_refused(
-    entries: dict[str, Any], place: str, remedy: str, tmp_path: Path
+    entries: dict[str, Any], place: str, remedy: str, mapping: Path
 ) -> None:
-    mapping = proposed(tmp_path)
-    filled(mapping, {"hand.acceleration.starts_at_m": [0, 0], **entries})
+    filled(mapping, entries)
     said = " ".join(run(str(mapping), code=2).split())
     assert place in said
     assert remedy in said
 
 
-def test_a_sensor_that_is_lost_in_the_motion_is_refused_with_its_line(tmp_path: Path) -> None:
-    mapping = proposed(tmp_path)
-    filled(mapping, {"hand.acceleration.starts_at_m": [0, 0]})
+def test_a_sensor_that_is_lost_in_the_motion_is_refused_with_its_line(
+    mapping: Path, tmp_path: Path
+) -> None:
     log = tmp_path / "sensor.csv"
     lines = log.read_text().splitlines()
     log.write_text("\n".join(lines[:500] + lines[520:]) + "\n")
@@ -246,9 +251,8 @@ def test_a_sensor_that_is_lost_in_the_motion_is_refused_with_its_line(tmp_path: 
     ],
 )
 def test_a_hand_that_is_told_in_no_way_is_refused_with_the_ways(
-    hand: dict[str, Any], remedy: str, tmp_path: Path
+    hand: dict[str, Any], remedy: str, mapping: Path
 ) -> None:
-    mapping = proposed(tmp_path)
     filled(mapping, {"hand": {"angle": {"constant_rad": 0}} | hand})
     assert remedy in " ".join(run(str(mapping), code=2).split())
 
