@@ -49,7 +49,6 @@ _ANGLE = frozenset(
     ("angle", "theta", "winkel", "angulo", "rotation", "rot", "roll", "pitch", "yaw", "orientation",
      "tilt", "heading", "alpha", "phi", "attitude", "neigung")
 )  # fmt: skip
-_OF_KIND = {Kind.TIME: _TIME, Kind.FRAME: _FRAME}
 #: Quantities that are no place.
 _OTHER = frozenset(
     ("velocity", "speed", "vel", "force", "torque", "moment", "residual",
@@ -70,6 +69,7 @@ _ACCELERATION = frozenset(
 _ACCELERATION_ALONG = re.compile(r"(?:a|acc|accel)([xyz])")
 _OF_ACCELERATION = ("m/s^2", "mm/s^2", "g")
 _ENCODER = frozenset(("encoder", "enc", "counts", "ticks", "pulses", "geber", "inkremente"))
+_OF_KIND = {Kind.TIME: _TIME, Kind.FRAME: _FRAME, Kind.ENCODER: _ENCODER}
 _ORDER_OF_ROTATION = {"roll": "x", "pitch": "y", "yaw": "z"}
 
 

@@ -51,7 +51,8 @@ def hand_path(read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: Float
     mapping, hand = read.mapping, read.mapping.hand
     axes = hand.axes or mapping.axes
     scale = hand.metres_per_unit or mapping.metres_per_unit or 1.0
-    angle_rad = clamp_angle_rad(capture, hand.angle, axes)
+    turned = mapping.axes if hand.acceleration is not None else axes  # those are the sensor's own
+    angle_rad = clamp_angle_rad(capture, hand.angle, turned)
     if hand.turns is not None:
         return _turned(read, entry, capture, t_s, angle_rad)
     if hand.acceleration is not None:
@@ -113,6 +114,7 @@ def _integrated(
     mapping = read.mapping
     section = mapping.hand.acceleration
     assert section is not None
+    angle_rad = _between(t_s, angle_rad)
     shown, measured = _shown(read, section, capture)
     known = np.isfinite(shown).all(axis=1) & np.isfinite(angle_rad)
     rows = np.flatnonzero(known)
@@ -145,6 +147,14 @@ def _integrated(
     return HandPath(
         xy_m, angle_rad, found.drift, _note(entry, capture, xy_m, t_s, found.drift, cable_m)
     )
+
+
+def _between(t_s: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Angles (rows,) with those interpolated that were logged less often than acceleration."""
+    known = np.isfinite(angle_rad)
+    if not known.any():
+        return angle_rad
+    return np.interp(t_s, t_s[known], angle_rad[known], left=np.nan, right=np.nan)
 
 
 def _shown(

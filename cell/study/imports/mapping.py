@@ -130,6 +130,7 @@ def read_mapping(path: Path) -> ReadMapping:
         *_axes(document, mapping),
         *hand_problems(document, mapping.hand),
         *_twice(document, mapping),
+        *_of_sensors(document, mapping),
     ]
     if problems:
         raise InputError(problems)
@@ -216,6 +217,22 @@ def _unit(vector: np.ndarray) -> list[float]:
     largest = int(np.argmax(np.abs(vector)))
     nearest[largest] = np.sign(vector[largest]) or 1.0
     return [float(v) for v in nearest]
+
+
+def _of_sensors(document: Document, mapping: Mapping) -> list[Problem]:
+    """Entries of trials that are of no use, or contradict themselves."""
+    problems = []
+    for i, trial in enumerate(mapping.trials):
+        for name in ("hand_starts_at_m", "hand_ends_at_m"):
+            if getattr(trial, name) is not None and mapping.hand.acceleration is None:
+                message = "is only for a hand that is told by its acceleration; remove it"
+                problems.append(document.problem(("trials", i, name), message))
+        drift = trial.hand_drift
+        if drift is not None and drift.to_s <= drift.from_s:
+            message = f"{drift.to_s:g} s is not after from_s, {drift.from_s:g} s; give when the "
+            key: Key = ("trials", i, "hand_drift", "to_s")
+            problems.append(document.problem(key, f"{message}hand rests again"))
+    return problems
 
 
 def _twice(document: Document, mapping: Mapping) -> list[Problem]:

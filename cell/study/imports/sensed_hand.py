@@ -29,23 +29,28 @@ _REST = 20
 
 
 def hand_by_sensor(
-    capture: Capture, inside: Contents, root: Root, of_file: dict[str, Any]
+    capture: Capture,
+    inside: Contents,
+    axes: AxesSection,
+    root: Root,
+    of_file: dict[str, Any],
 ) -> tuple[HandSection, list[Finding]]:
     """The hand's section with null where somebody must fill it in, and why.
 
+    axes     of the markers
     of_file  entries of the section that are of a file of its own
     """
-    plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
     if not inside.encoders:
-        section, findings = _by_acceleration(capture, inside, root)
+        section, findings = _by_acceleration(capture, inside, axes, root)
     elif all(m.unit in METRES for _, m in inside.encoders):
         columns, findings = _linear(inside)
+        plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
         angle, told = clamp_angle(capture, inside, plane, root, None, "")
         unit = METRES[inside.encoders[0][1].unit]
         section = HandSection(columns=columns, axes=plane, metres_per_unit=unit, angle=angle)
         findings += told
     else:
-        section, findings = _turning(capture, inside, root, plane)
+        section, findings = _turning(capture, inside, axes, root)
     section = section.model_copy(update=of_file)
     findings += [
         Finding("hand", f"give {'.'.join(map(str, key))}: {remedy}", Sure.WANTED)
@@ -64,7 +69,7 @@ def _linear(inside: Contents) -> tuple[list[str | None], list[Finding]]:
 
 
 def _turning(
-    capture: Capture, inside: Contents, root: Root, plane: AxesSection
+    capture: Capture, inside: Contents, axes: AxesSection, root: Root
 ) -> tuple[HandSection, list[Finding]]:
     name, said = next((n, m) for n, m in inside.encoders if m.unit not in METRES)
     unit = RADIANS.get(said.unit)
@@ -77,12 +82,12 @@ def _turning(
         )
         findings.append(Finding("hand.angle", sentence, Sure.GUESSED))
         return HandSection(turns=turns, angle=AngleSection(follows=True)), findings
-    angle, told = clamp_angle(capture, inside, plane, root, None, "")
+    angle, told = clamp_angle(capture, inside, axes, root, None, "")
     return HandSection(turns=turns, angle=angle), [*findings, *told]
 
 
 def _by_acceleration(
-    capture: Capture, inside: Contents, root: Root
+    capture: Capture, inside: Contents, axes: AxesSection, root: Root
 ) -> tuple[HandSection, list[Finding]]:
     """Which of the columns is up, by gravity at rest, and their unit."""
     found: tuple[tuple[str, Meaning], ...] = inside.accelerations[:3]
@@ -92,7 +97,7 @@ def _by_acceleration(
     size = float(np.linalg.norm(rest))
     unit, sure, why = _unit(found[0][1].unit, size)
     shows_gravity = unit is None or size * unit > 0.5 * ACCELERATIONS["g"]
-    axes, sentence = _axes(capture, names, rest, shows_gravity)
+    own, sentence = _axes(capture, names, rest, shows_gravity)
     said = f"no place of the hand is in {capture.path.name}: it is integrated from acceleration, "
     findings = [Finding("hand", f"{said}columns {', '.join(names)}; {sentence}", Sure.GUESSED)]
     findings.append(Finding("hand.acceleration", f"acceleration is {why}", sure))
@@ -100,7 +105,7 @@ def _by_acceleration(
         columns=columns, m_per_s2_per_unit=unit, along="clamp", starts_at_m=None
     )
     angle, told = clamp_angle(capture, inside, axes, root, None, "")
-    return HandSection(acceleration=sensor, axes=axes, angle=angle), [*findings, *told]
+    return HandSection(acceleration=sensor, axes=own, angle=angle), [*findings, *told]
 
 
 def _unit(stated: str, size: float) -> tuple[float | None, Sure, str]:

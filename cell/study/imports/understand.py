@@ -211,7 +211,7 @@ def _hand(
     if first.hand is not None:
         return _hand_elsewhere(first.hand, axes, scene, scale)
     if inside.senses_hand:
-        return hand_by_sensor(first.capture, inside, _root_at_rest(scene), {})
+        return hand_by_sensor(first.capture, inside, axes, _root_at_rest(scene), {})
     hand = chosen.hand
     assert hand is not None
     root = _root(scene)
@@ -238,7 +238,7 @@ def _hand_elsewhere(
     of_file = {"text": _text(capture), "time": time}
     named = [p for p in inside.points if p.of_hand] or list(inside.points)
     if not named and inside.senses_hand:
-        section, findings = hand_by_sensor(capture, inside, root, of_file)
+        section, findings = hand_by_sensor(capture, inside, axes, root, of_file)
         return section, [*told, *findings]
     if not named:
         message = (

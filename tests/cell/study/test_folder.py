@@ -276,6 +276,11 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", with_std("[0.001, 0]"), "has 2 values for 3 markers; give one for each, or one"),
     ("study.yaml", with_std("wide"), "study.yaml:12:3: markers.arc_length_std_m"),
     ("study.yaml", swap("-9.81", "-9810"), "give m/s², not mm/s²"),
+    (
+        "study.yaml",
+        swap("equilibrium", "equilibrium\n  hand_drift: {from_s: 0.4, to_s: 0.1}"),
+        "hand_drift.to_s: 0.1 s is not after from_s, 0.4 s",
+    ),
     ("study.yaml", swap("start: equilibrium", "start: straight"), "needs the time of letting go"),
     ("study.yaml", swap("equilibrium", "equilibrium\n  release_s: 0.1"), "only for `start: str"),
     ("study.yaml", swap("start: equilibrium", "start: held"), "needs the time of letting go"),

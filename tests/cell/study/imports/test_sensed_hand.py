@@ -231,6 +231,30 @@ def test_a_mapping_that_contradicts_the_sensor_is_refused(
     assert remedy in said
 
 
+def test_an_angle_may_be_logged_less_often(mapping: Path, tmp_path: Path) -> None:
+    run(str(mapping))
+    whole = hand_of(read_study(tmp_path / "s"))
+    log = tmp_path / "sensor.csv"
+    rows = [line.split(",") for line in log.read_text().splitlines()]
+    for k, row in enumerate(rows[1:-1]):
+        row[3] = row[3] if k % 10 == 0 else ""
+    log.write_text(text(rows))
+    run(str(mapping), "--force")
+    t_s, xy_m, _ = hand_of(read_study(tmp_path / "s"))
+    np.testing.assert_array_equal(t_s[::10], whole[0][::10][: len(t_s[::10])])
+    np.testing.assert_allclose(xy_m[-1], whole[1][-1], atol=2e-5)
+
+
+def test_where_the_hand_ends_is_of_no_use_to_an_encoder(mapping: Path) -> None:
+    turns = {"column": "acc_x [g]", "radians_per_unit": 1, "axle_m": [0, 0], "radius_m": 0}
+    hand = {"turns": turns, "angle": {"follows": True}}
+    drift = {"from_s": 1.0, "to_s": 0.5}
+    filled(mapping, {"hand": hand, "trials.0.hand_ends_at_m": [0, 0], "trials.0.hand_drift": drift})
+    said = " ".join(run(str(mapping), code=2).split())
+    assert "trials[0].hand_ends_at_m: is only for a hand that is told by its acceleration" in said
+    assert "trials[0].hand_drift.to_s: 0.5 s is not after from_s, 1 s" in said
+
+
 def test_a_sensor_that_is_lost_in_the_motion_is_refused_with_its_line(
     mapping: Path, tmp_path: Path
 ) -> None:
@@ -255,6 +279,22 @@ def test_a_hand_that_is_told_in_no_way_is_refused_with_the_ways(
 ) -> None:
     filled(mapping, {"hand": {"angle": {"constant_rad": 0}} | hand})
     assert remedy in " ".join(run(str(mapping), code=2).split())
+
+
+def test_sensors_of_other_things_are_no_hand_s(tmp_path: Path) -> None:
+    """An accelerometer at the tip is not the hand's; where a hand is seen, nor is an encoder."""
+    m, _ = on_arm()
+    still = np.zeros_like(m.t_s)
+    hand = {"hand_x_mm": 1e3 * m.hand_m[:, 0], "hand_y_mm": 1e3 * m.hand_m[:, 1]}
+    for columns, told in (
+        ({"tip_acc_x": still, "tip_acc_y": still}, "'m1', the end of the chain that rests first"),
+        (
+            {"encoder_deg": np.degrees(m.angle_rad), **hand},
+            "the clamp angle is column 'encoder_deg'",
+        ),
+    ):
+        file = wide(m, columns, tmp_path / "trial.csv")
+        assert told in run(str(file), "-o", str(tmp_path / "s"), "--force", *CABLE)
 
 
 def test_without_a_hand_its_sensors_are_asked_for(tmp_path: Path) -> None:
