@@ -101,7 +101,8 @@ class HandDrift:
 
     def largest_std_m(self, t_s: FloatArray, xy_m: FloatArray) -> float:
         """Standard deviation of x or y of a path (T, 2), where it is largest, m."""
-        grip = Motion(t_s, *np.ascontiguousarray(xy_m.T), np.zeros(len(t_s)))
+        x_m, y_m = np.ascontiguousarray(xy_m.T)
+        grip = Motion(t_s, x_m, y_m, np.zeros(len(t_s)))
         variance = np.sum(self.shapes_m(t_s, grip) ** 2, axis=0)
         return float(np.sqrt(variance.max(initial=0.0)))
 
@@ -128,7 +129,7 @@ class HandDrift:
         since_s = np.clip(grid_s - begins_s[:, None], 0.0, None)
         within_s = np.minimum(since_s, step_s)
         place_m = std * within_s * (since_s - 0.5 * within_s)
-        return place_m - place_m.mean(axis=0)
+        return np.asarray(place_m - place_m.mean(axis=0))
 
 
 def _along(errors: FloatArray, known: FloatArray) -> FloatArray:

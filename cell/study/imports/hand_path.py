@@ -163,9 +163,9 @@ def _shown(
     """(rows, 2) specific force along right and up, and which of the two is measured."""
     axes = read.mapping.hand.axes or read.mapping.axes
     unit = section.m_per_s2_per_unit or 1.0
-    right, up = np.isfinite(places_m(capture, section.columns, axes, unit)).any(axis=0)
+    seen = np.isfinite(places_m(capture, section.columns, axes, unit))
     shown = places_m(capture, section.columns, axes, unit, unseen=0.0)
-    return shown, (bool(right), bool(up))
+    return shown, (bool(seen[:, 0].any()), bool(seen[:, 1].any()))
 
 
 def _check_gravity(read: ReadMapping, sensed: Sensed) -> None:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -235,7 +236,7 @@ def _hand_elsewhere(
     inside = contents(capture)
     root = _root_at_rest(scene)
     time, told = time_section(capture, inside, None)
-    of_file = {"text": _text(capture), "time": time}
+    of_file: dict[str, Any] = {"text": _text(capture), "time": time}
     named = [p for p in inside.points if p.of_hand] or list(inside.points)
     if not named and inside.senses_hand:
         section, findings = hand_by_sensor(capture, inside, axes, root, of_file)
