@@ -68,6 +68,13 @@ class Sensed:
         """The usual step of time."""
         return float(np.median(np.diff(self.t_s)))
 
+    @property
+    def digit(self) -> FloatArray:
+        """(2,) smallest step between readings; 0 where nothing is measured."""
+        steps = np.abs(np.diff(self.shown, axis=0))
+        least = np.min(steps, axis=0, initial=np.inf, where=steps > 0.0)
+        return np.where(np.isfinite(least), least, 0.0)
+
     def accelerations(self) -> FloatArray:
         """(T, 2) in the sensor's axes with the sensor's offset, without gravity's part, m/s²."""
         turned = turned_by(-self.angle_rad, np.broadcast_to(self.gravity, self.shown.shape))
@@ -148,12 +155,18 @@ def _rests(sensed: Sensed, inner: FloatArray) -> _Rests | None:
     white = 1.4826 * np.median(np.abs(np.diff(inner, 2, axis=0)), axis=0) / np.sqrt(6.0)
     ends = mean[:rest], mean[-rest:]
     spread = np.minimum(*(np.std(part, axis=0) for part in ends))
-    limit = np.maximum(_MOVES * white / np.sqrt(2 * half + 1), 5.0 * spread) + 1e-6
+    limit = np.maximum(_MOVES * white / np.sqrt(2 * half + 1), 5.0 * spread)
+    limit = np.maximum(limit, 1.01 * sensed.digit) + 1e-6
     away = [np.any(np.abs(mean - np.median(part, axis=0)) > limit, axis=1) for part in ends]
     if not away[0].any() and not away[1].any():
         return None
     begin = int(np.argmax(away[0])) if away[0].any() else count
     end = count - int(np.argmax(away[1][::-1])) if away[1].any() else 0
+    if begin >= end:
+        raise NotIntegrableError(
+            min(begin, count - 1), "differs at rest between the record's begin and its end, with "
+            "no motion in between; let the sensor warm up and fasten it"
+        )  # fmt: skip
     largest = np.abs(mean[begin:end] - np.median(ends[0], axis=0)).max(axis=0, initial=0.0)
     share = float(np.min(limit / np.maximum(largest, limit)))
     margin = 5 + int((_MARGIN + _LATE * share) * max(0, end - begin))
@@ -164,9 +177,9 @@ def _rests(sensed: Sensed, inner: FloatArray) -> _Rests | None:
         if kept < rest:
             at = min(row, count - 1)
             raise NotIntegrableError(
-                at, f"the hand's acceleration changes {kept * step_s:.2g} s from the record's end: "
-                f"there is no rest {where} the motion, limit {rest * step_s:.2g} s; record the "
-                "hand at rest there, for only then its velocity is known"
+                at, f"the acceleration changes {max(kept, 0) * step_s:.2g} s from the end of the "
+                f"record: there is no rest {where} the motion, limit {rest * step_s:.2g} s; record "
+                "the hand at rest there, for only then its velocity is known"
             )  # fmt: skip
     return _Rests(begin - margin, end + margin)
 
@@ -177,18 +190,17 @@ def _check_saturation(sensed: Sensed, rests: _Rests) -> None:
         steps, span = np.abs(np.diff(values)), float(np.ptp(values))
         if not sensed.measured[axis] or span < 1e-6:
             continue
-        digit = float(np.min(steps, initial=np.inf, where=steps > 0.0))
         for extreme in (values.max(), values.min()):
             at = np.flatnonzero(values == extreme)
             runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
             longest = max(runs, key=len)
             within = longest[0] > 0 and longest[-1] < len(values) - 1  # else it may be the rest
             before = steps[longest[0] - 1] if within else 0.0
-            steep = before > max(_SATURATED_STEP * digit, _STEEP * span)
+            steep = before > max(_SATURATED_STEP * sensed.digit[axis], _STEEP * span)
             if len(longest) >= SATURATED_ROWS and steep:
                 raise NotIntegrableError(
                     rests.begin + int(longest[0]),
-                    f"shows {extreme:.6g} m/s², its largest value, in {len(longest)} rows one "
+                    f"shows {extreme:.6g} m/s², an end of its range, in {len(longest)} rows one "
                     f"after the other, limit {SATURATED_ROWS - 1}: the sensor is saturated; move "
                     "the hand more slowly, or take a wider range",
                 )
@@ -218,7 +230,8 @@ def _noise(sensed: Sensed, inner: FloatArray, rests: _Rests) -> FloatArray:
         variance += np.sum((part - part.mean(axis=0)) ** 2, axis=0)
         blocks += size * np.sum((means - means.mean(axis=0)) ** 2, axis=0) / (2 * _BLOCKS - 2)
         sizes += len(part) - 1
-    return np.asarray(np.sqrt(2.0 * sensed.step_s * np.maximum(variance / sizes, blocks)))
+    variance = np.maximum(variance / sizes, sensed.digit**2 / 12.0)
+    return np.asarray(np.sqrt(2.0 * sensed.step_s * np.maximum(variance, blocks)))
 
 
 def _turned_noise(noise: FloatArray, angle_rad: float) -> FloatArray:

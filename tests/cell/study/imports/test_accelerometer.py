@@ -111,6 +111,19 @@ def test_an_axis_that_is_not_measured_does_not_move():
     assert found.drift.noise_m_per_s2_per_rt_hz[1] == 0.0
 
 
+def test_a_sensor_of_few_digits_rests_though_its_last_one_flickers():
+    """Its drift is that of rounding: a digit of 0.04 m/s², 4 mg, hides its noise."""
+    t, path, acceleration, angle = motion((0.06, -0.03), 0.4)
+    shown = sensed(t, acceleration, 0.0 * angle, noise=0.006, offset=(0.018, 0.01))
+    rounded = np.round(shown.shown / 0.04) * 0.04
+    found = integrated(Sensed(t, rounded, (True, True), 0.0 * angle, G), LIMIT_M)
+    assert found.drift is not None
+    assert found.drift.noise_m_per_s2_per_rt_hz[1] >= 0.04 / np.sqrt(12.0) * np.sqrt(2e-3)
+    np.testing.assert_allclose(
+        found.path_m, path, atol=4.0 * found.drift.largest_std_m(t, found.path_m)
+    )
+
+
 def test_a_hand_at_rest_stays():
     t, _, acceleration, angle = motion((0.0, 0.0), 0.4)
     found = integrated(sensed(t, acceleration, angle, noise=0.02), LIMIT_M)
@@ -128,6 +141,7 @@ REFUSED = {
     "no rest after": (lambda s, t: s[:450], "no rest after the motion"),
     "too short": (lambda s, t: s[200:240], "limit 150"),
     "saturated": (lambda s, t: np.clip(s, -11.0, 11.0), "saturated"),
+    "warming up": (lambda s, t: s + np.where(t[:, None] < 0.1, 0.5, 0.0), "motion"),
     "offset": (late, "at rest after the motion"),
     "gain": (lambda s, t: np.where((t[:, None] > 0.35) & (t[:, None] < 0.49), 1.2, 1.0)
              * (s - s[0]) + s[0], "after the motion, where it rests"),
