@@ -190,7 +190,7 @@ def _with_other_hands(
     try:
         return simulate(
             model,
-            [trial.grip, *likely_motions(trial.grip, options.hand)],
+            [trial.grip, *likely_motions(trial.grip, options.hand.of(trial))],
             trial.markers.t_s,
             arc_length_m,
             solver=options.solver,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.clamp import motions_like
 from cell.cable.geometry import Motion
+from cell.study.data import Trial
+from cell.study.hand_drift import HandDrift
 
 FloatArray = NDArray[np.float64]
 
@@ -43,11 +45,17 @@ class HandErrors:
     samples       motions drawn to see what it does to the parameters; 0 = taken as exact
     offset_m      standard deviation of a constant error of the gripping point along x and y
     offset_rad    likewise of the clamp angle
+    drift         error of a place that was integrated; None = it was not
     """
 
     samples: int = 15
     offset_m: float = 0.0
     offset_rad: float = 0.0
+    drift: HandDrift | None = None
+
+    def of(self, trial: Trial) -> HandErrors:
+        """The same for a trial's hand, which may have a drift of its own."""
+        return replace(self, drift=trial.hand_drift)
 
 
 def likely_motions(motion: Motion, errors: HandErrors, first: int = 0) -> list[Motion]:
@@ -69,4 +77,18 @@ def likely_motions(motion: Motion, errors: HandErrors, first: int = 0) -> list[M
             constant = offset * rng.normal()
             noise = spline.noise_std * rng.normal(size=len(value))
             drawn[sample, axis] = value + constant + noise
+    if errors.drift is not None:
+        for sample in range(errors.samples):
+            rng = np.random.default_rng([20260102, first + sample])
+            drawn[sample] += _drifted(motion, errors.drift, rng)
     return motions_like(motion, drawn)
+
+
+def _drifted(motion: Motion, drift: HandDrift, rng: np.random.Generator) -> FloatArray:
+    """(3, T) an error of x, y and angle that the log does not show."""
+    shapes_m, turns_rad = drift.shapes_m(motion.t_s, motion), drift.turns_rad(motion.t_s)
+    place_m = np.einsum("k,ktc->ct", rng.normal(size=len(shapes_m)), shapes_m)
+    turn = rng.normal(size=len(turns_rad)) @ turns_rad
+    hand_m = np.column_stack([motion.x_m, motion.y_m])
+    place_m = place_m + drift.turned_m(turn, hand_m).T
+    return np.vstack([place_m, turn[None] if drift.clamp_turns else 0.0 * turn[None]])

@@ -1,4 +1,4 @@
-"""How markers move with their arc length, where that is uncertain."""
+"""How markers move with their arc length and with their hand, where these are uncertain."""
 
 from __future__ import annotations
 
@@ -59,6 +59,25 @@ def slopes_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
         for marker, tangent in zip(order, tangents, strict=True):
             slopes[:, marker, axes] = np.clip(tangent, -1.0, 1.0)
     return slopes
+
+
+def carried_m(trial: Trial) -> FloatArray | None:
+    """(shapes, T, markers, 2) what the drift of a hand's place does to markers; None = no drift.
+
+    The hand carries the whole cable with it: a drift is slower than a swing.  What it makes the
+    cable swing beside that is found by simulation (`likely_motions`).
+    """
+    drift, markers, grip = trial.hand_drift, trial.markers, trial.grip
+    if drift is None:
+        return None
+    shapes_m = drift.shapes_m(markers.t_s, grip)
+    carried = np.repeat(shapes_m[:, :, None], markers.xy_m.shape[1], axis=2)
+    places_m = np.nan_to_num(markers.xy_m)
+    if not drift.clamp_turns:
+        hand_m = [np.interp(markers.t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)]
+        places_m = np.broadcast_to(np.stack(hand_m, axis=-1)[:, None], places_m.shape)
+    turned = [drift.turned_m(turn[:, None], places_m) for turn in drift.turns_rad(markers.t_s)]
+    return np.concatenate([carried, np.reshape(turned, (-1, *places_m.shape))])
 
 
 def _own_lengths(curve: Callable[[FloatArray, int], FloatArray], knots: FloatArray) -> FloatArray:

@@ -138,17 +138,22 @@ class Whitener:
     A channel (x or y of a marker, or its place across the cable) has an AR(1) error over the
     frames in which it was seen, a white one beside it (then its innovations are those of a Kalman
     filter), plus a constant of known variance, which is integrated out.  So is the place of a
-    marker along the cable, if that is uncertain.
+    marker along the cable, if that is uncertain, and what moves all markers of a trial together.
 
     seen  (T, markers, channels) whether a channel was seen: a marker may show one coordinate only
     """
 
     def __init__(
-        self, markers_m: FloatArray, noise: Noise, shift_m: FloatArray | None = None
+        self,
+        markers_m: FloatArray,
+        noise: Noise,
+        shift_m: FloatArray | None = None,
+        together_m: FloatArray | None = None,
     ) -> None:
         """`markers_m` (T, markers, 2) as measured, nan where not seen.
 
         shift_m  (T, markers, 2) by how much a standard deviation of its arc length moves a marker
+        together_m  (shapes, T, markers, 2) independent movements of all of them, of one each
         """
         self.noise = noise
         finite = np.isfinite(markers_m)
@@ -182,6 +187,12 @@ class Whitener:
         if shift_m is not None:
             self._shift = self._white(-shift_m[None], np.zeros_like(self.measured))[0]
             self._shift_size = np.maximum(np.sum(self._shift**2, axis=(1, 2)), 1e-300)
+        self._together_m, self._together = together_m, None
+        if together_m is not None and len(together_m):
+            white = self._unshifted(self._white(-together_m, np.zeros_like(self.measured)))
+            self._together = white.reshape(len(white), self.rows)
+            _, sizes, self._modes = np.linalg.svd(self._together, full_matrices=False)
+            self._mode_pull = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
 
     def __call__(self, predicted_m: FloatArray) -> FloatArray:
         """White residuals (measured − predicted).
@@ -190,7 +201,7 @@ class Whitener:
         returns      (lanes, rows) ordered marker, channel, frame; 0 where not seen
         """
         out = self._white(predicted_m, self.measured)
-        return self._unshifted(out).reshape(len(predicted_m), self.rows)
+        return self._apart(self._unshifted(out).reshape(len(predicted_m), self.rows))
 
     def _white(self, predicted_m: FloatArray, measured_m: FloatArray) -> FloatArray:
         """(lanes, markers, channels, T) of markers whose arc lengths are certain."""
@@ -222,11 +233,22 @@ class Whitener:
         pull = along * (1.0 - kept) / self._shift_size
         return np.asarray(white - pull[..., None, None] * self._shift)
 
+    def _apart(self, rows: FloatArray) -> FloatArray:
+        """Residuals (lanes, rows) made white for what moves all markers together, as above."""
+        if self._together is None:
+            return rows
+        return np.asarray(rows - (rows @ self._modes.T * self._mode_pull) @ self._modes)
+
     def beside_m(self, predicted_m: FloatArray) -> FloatArray:
         """(T, markers, 2) measured − predicted, nan where not seen, m.
 
-        Where arc lengths are uncertain beside the likeliest ones.
+        Where arc lengths are uncertain, or markers move together, beside the likeliest of both.
         """
+        if self._together is not None and self._together_m is not None:
+            rows = self._unshifted(self._white(predicted_m[None], self.measured)).ravel()
+            gram = np.eye(len(self._together)) + self._together @ self._together.T
+            sizes = np.linalg.solve(gram, self._together @ rows)
+            predicted_m = predicted_m + np.einsum("k,ktmc->tmc", sizes, self._together_m)
         error_m = np.where(self.seen, self.measured - predicted_m, np.nan)
         if self._shift is None or self._shift_m is None:
             return error_m
@@ -246,9 +268,9 @@ class Whitener:
     def error_m(self, white: FloatArray) -> FloatArray:
         """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen.
 
-        Where arc lengths are uncertain beside the likeliest ones.
+        Where arc lengths are uncertain, or markers move together, beside the likeliest of both.
         """
-        fresh = self._unshifted(white.reshape(1, *self._memory.shape))[0]
+        fresh = self._unshifted(self._apart(white[None]).reshape(1, *self._memory.shape))[0]
         along = np.sum(fresh * self._ones, axis=-1)
         back = (1.0 / self._kept - 1.0) / self._size
         fresh = fresh + (back * along)[..., None] * self._ones

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.geometry import Cable, Motion, Start
+from cell.study.hand_drift import HandDrift
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +58,10 @@ class Markers:
 
 @dataclass(frozen=True)
 class Trial:
-    """One motion of the grip and what was seen of the cable meanwhile, on one clock."""
+    """One motion of the grip and what was seen of the cable meanwhile, on one clock.
+
+    hand_drift  error of the grip's place, where it was integrated; None = its log shows all of it
+    """
 
     name: str
     role: Literal["fit", "validate"]
@@ -65,6 +69,7 @@ class Trial:
     grip: Motion
     markers: Markers
     release_s: float | None = None
+    hand_drift: HandDrift | None = None
 
     @property
     def bent(self) -> bool:

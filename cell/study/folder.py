@@ -17,6 +17,7 @@ from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_te
 from cell.study.checks import check_finite, check_times, check_whole
 from cell.study.data import Markers, Source, Study, Trial
 from cell.study.entries import datasheet_of, implausible_entries
+from cell.study.hand_drift import HandDriftSection
 from cell.study.judged import judged
 from cell.study.table import read_table, table_text
 
@@ -73,6 +74,7 @@ class _Trial(_Strict):
     role: Literal["fit", "validate"]
     start: Start
     release_s: _Finite | None = None
+    hand_drift: HandDriftSection | None = None
 
 
 class _Study(_Strict):
@@ -196,13 +198,18 @@ def write_study(study: Study, folder: Path) -> None:
     }
     if study.noise_std_m is not None:
         header["noise_std_m"] = float(study.noise_std_m)
-    header["trials"] = [
-        {"name": t.name, "role": t.role, "start": t.start}
-        | ({} if t.release_s is None else {"release_s": float(t.release_s)})
-        for t in study.trials
-    ]
+    header["trials"] = [_trial_entry(t) for t in study.trials]
     files[folder / "study.yaml"] = yaml_text(header)
     write_all(files)
+
+
+def _trial_entry(trial: Trial) -> dict[str, object]:
+    entry: dict[str, object] = {"name": trial.name, "role": trial.role, "start": trial.start}
+    if trial.release_s is not None:
+        entry["release_s"] = float(trial.release_s)
+    if trial.hand_drift is not None:
+        entry["hand_drift"] = trial.hand_drift.to_plain()
+    return entry
 
 
 def _markers_entry(study: Study) -> dict[str, list[float]]:
@@ -244,6 +251,12 @@ def _implausible(document: Document, header: _Study, datasheet: Cable | None) ->
         if trial.start in ("equilibrium", "moving") and trial.release_s is not None:
             only = "is only for `start: straight` and `held`; remove it or change `start`"
             add((*key, "release_s"), only)
+        drift = trial.hand_drift
+        if drift is not None and drift.to_s <= drift.from_s:
+            message = (
+                f"{drift.to_s:g} s is not after from_s, {drift.from_s:g} s; give when the hand"
+            )
+            add((*key, "hand_drift", "to_s"), f"{message} rests again")
     return problems
 
 
@@ -288,7 +301,8 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
     )
     source = Source(table.path, np.array(table.lines), order)
     markers = Markers(t_s, xy_m[:, order], source)
-    return Trial(trial.name, trial.role, trial.start, motion, markers, trial.release_s)
+    drift = None if trial.hand_drift is None else trial.hand_drift.drift()
+    return Trial(trial.name, trial.role, trial.start, motion, markers, trial.release_s, drift)
 
 
 def thinned(trial: Trial) -> tuple[Trial, int]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cell.cable.geometry import Cable, Motion
 from cell.study.data import FloatArray, Markers, Study, Trial
+from cell.study.hand_drift import HandDrift, HandDriftSection
 
 
 def study_to_plain(study: Study) -> dict[str, Any]:
@@ -28,6 +29,7 @@ def study_to_plain(study: Study) -> dict[str, Any]:
                 "role": trial.role,
                 "start": trial.start,
                 "release_s": trial.release_s,
+                "hand_drift": None if trial.hand_drift is None else trial.hand_drift.to_plain(),
                 "grip": {k: getattr(trial.grip, k) for k in ("t_s", "x_m", "y_m", "angle_rad")},
                 "markers": {"t_s": trial.markers.t_s, "xy_m": trial.markers.xy_m},
             }
@@ -55,6 +57,7 @@ def study_from_plain(data: Mapping[str, Any]) -> Study:
                 Motion(**{k: _array(v) for k, v in t["grip"].items()}),
                 Markers(_array(t["markers"]["t_s"]), _array(t["markers"]["xy_m"])),
                 t["release_s"],
+                _drift(t.get("hand_drift")),
             )
             for t in data["trials"]
         ),
@@ -62,6 +65,11 @@ def study_from_plain(data: Mapping[str, Any]) -> Study:
         data["noise_std_m"],
         arc_length_std_m=None if std_m is None else _array(std_m),
     )
+
+
+def _drift(given: Mapping[str, Any] | None) -> HandDrift | None:
+    """Recordings of earlier versions have none."""
+    return None if given is None else HandDriftSection(**given).drift()
 
 
 def _array(values: Any) -> FloatArray:

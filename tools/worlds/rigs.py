@@ -25,6 +25,7 @@ from tools.worlds.made_studies import (
     random_model,
     stroke,
 )
+from tools.worlds.sensed_hands import arc, by_accelerometer, by_encoder, drift_of, turning
 
 #: How many rigs have a feature.
 SHARES = {"slow": 0.4, "shapes": 0.4, "connector": 0.3, "curved": 0.3, "glitches": 0.4,
@@ -50,6 +51,8 @@ class Rig:
     clocks    per trial the frames' and the log's steps, s; none = `frame_s`, and the log's own
     arc_std_m  standard deviation of the markers' arc lengths, which the study states
     parted    the outer half of the markers is seen by a second camera, of another rate and clock
+    counts    a turn, of an encoder that tells the hand, which is on an arm of `arm_m`; 0 = none is
+    turns_rad  by how much a clamp turns whose motion an accelerometer tells; None = none does
     """
 
     seed: int
@@ -70,6 +73,9 @@ class Rig:
     clocks: tuple[tuple[float, float], ...] = ()
     parted: float = 0.0
     arc_std_m: float = 0.0
+    counts: int = 0
+    arm_m: float = 0.15
+    turns_rad: float | None = None
 
     @staticmethod
     def drawn(seed: int, effect: str) -> Rig:
@@ -104,6 +110,11 @@ class Rig:
                    updates, seen, str(rng.choice(STARTS)), tuple(known), tuple(unsaid))  # fmt: skip
 
     @property
+    def sensed(self) -> bool:
+        """Whether a sensor tells the hand, and no log of its place."""
+        return self.counts > 0 or self.turns_rad is not None
+
+    @property
     def independent(self) -> float:
         """Independent values per value of its noise."""
         in_time = (1.0 - self.colour) / (1.0 + self.colour) / self.updates
@@ -134,6 +145,11 @@ def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> 
         still_s = max(0.2 * slower, 10.0 * frame_s)
         hand = stroke(angle + rig.tilt_rad, (longer * way[0], longer * way[1]), seconds * slower,
                       still_s, 0.9 * slower)  # fmt: skip
+        if rig.counts:
+            hand = arc(hand, rig.arm_m, way)
+        if rig.turns_rad is not None:
+            hand = turning(hand, rig.turns_rad)
+        drift = None if rig.turns_rad is None else drift_of(hand)
         bent = number % 2 == 0 and rig.start != "at rest"
         start = rig.start if bent else "equilibrium"
         if start == "held":
@@ -154,15 +170,21 @@ def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> 
             for rows, markers in views or [(slice(None), slice(None))]:
                 clean = seen[rows, markers]
                 seen[rows, markers] += rig.noise_m * _erring(errors, rig, clean.shape)
-            hand = _logged(errors, rig, hand)
+            hand = hand if rig.sensed else _logged(errors, rig, hand)
         if rig.seen is not None:
             seen[..., 1 - rig.seen] = np.nan
         trials.append(Trial(name, "fit" if role == "fit" else "validate", start, hand,
-                            Markers(t_s, seen), still_s if start == "held" else None))  # fmt: skip
+                            Markers(t_s, seen), still_s if start == "held" else None,
+                            drift))  # fmt: skip
     stated = quiet or {"shapes", "one coordinate"} & set(rig.features)
     std_m = np.full(len(arcs_m), rig.arc_std_m) if rig.arc_std_m else None
-    return Study(f"rig_{rig.seed}", rig.cable, arcs_m, tuple(trials), arc_length_std_m=std_m,
-                 noise_std_m=rig.noise_m if stated else None)  # fmt: skip
+    study = Study(f"rig_{rig.seed}", rig.cable, arcs_m, tuple(trials), arc_length_std_m=std_m,
+                  noise_std_m=rig.noise_m if stated else None)  # fmt: skip
+    if quiet or not rig.sensed:
+        return study
+    if rig.counts:
+        return by_encoder(study, rig.arm_m, rig.counts)
+    return by_accelerometer(study, errors)
 
 
 def _simulated(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify.fit import Lane, predict_lanes
-from cell.identify.marker_shift import slopes_along
+from cell.identify.marker_shift import carried_m, slopes_along
 from cell.identify.noise import Noise, Whitener, still_frames
 from cell.lab.data.noise_model import NoiseModel, noise_model_of, noise_model_of_residuals
 from cell.lab.data.unknown_start import InitialState, initial_state_of
@@ -270,10 +270,12 @@ def whiteners_of(study: Study, noise: Noise) -> dict[str, Whitener]:
     """
     std_m = study.arc_length_std_m
     if std_m is None or not np.any(std_m > 0.0):
-        return {t.name: Whitener(t.markers.xy_m, noise) for t in study.trials}
+        return {t.name: Whitener(t.markers.xy_m, noise, None, carried_m(t)) for t in study.trials}
     each_m = np.sqrt(len(study.trials)) * std_m[:, None]
     return {
-        t.name: Whitener(t.markers.xy_m, noise, each_m * slopes_along(t, study.arc_length_m))
+        t.name: Whitener(
+            t.markers.xy_m, noise, each_m * slopes_along(t, study.arc_length_m), carried_m(t)
+        )
         for t in study.trials
     }
 

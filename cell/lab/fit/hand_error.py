@@ -73,9 +73,9 @@ def hand_error(prepared: PreparedStudy, fit: Fit) -> HandError:
 
 def by_other_hands(prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatArray) -> FloatArray:
     """(motions, rows) change from `here`, a trial's whitened residual, by other hands' motions."""
-    if all(s.noise_std == 0.0 for s in trial.grip.splines):
+    if trial.hand_drift is None and all(s.noise_std == 0.0 for s in trial.grip.splines):
         return np.zeros((MOTIONS, len(here)))
-    motions = likely_motions(trial.grip, HandErrors(MOTIONS))
+    motions = likely_motions(trial.grip, HandErrors(MOTIONS).of(trial))
     others = [replace(trial, name=f"{trial.name}/{i}", grip=m) for i, m in enumerate(motions)]
     initial_states = fit.initial_states.get(trial.name)
     known = {} if initial_states is None else {t.name: initial_states[None] for t in others}

@@ -77,7 +77,7 @@ class World:
             seen_m = np.round(seen_m / step_m) * step_m
         seen_m[lost] = np.nan
         return replace(
-            trial, grip=_logged(trial.grip, number), markers=Markers(trial.markers.t_s, seen_m)
+            trial, grip=_logged(trial, number), markers=Markers(trial.markers.t_s, seen_m)
         )
 
     @property
@@ -146,9 +146,9 @@ def _with(model: CableModel, hidden: ActiveEffect | None) -> CableModel:
     return model if hidden is None else replace(model, effects=(*model.effects, hidden))
 
 
-def _logged(grip: Motion, number: int) -> Motion:
+def _logged(trial: Trial, number: int) -> Motion:
     """A log of the same motion with its noise drawn anew, another than a diagnosis draws."""
-    return likely_motions(grip, HandErrors(1), first=MOTIONS + number)[0]
+    return likely_motions(trial.grip, HandErrors(1).of(trial), first=MOTIONS + number)[0]
 
 
 def _together(prepared: PreparedStudy, fit: Fit) -> FloatArray | None:

@@ -79,8 +79,9 @@ def choose(
     if len(cable) < 2:
         message = (
             "shows one point and no hand; give the hand's place in columns such as hand_x and "
+            "hand_y, its axle's encoder as encoder, or an accelerometer on it as acc_x and acc_y; "
         )
-        raise capture.error(0, f"{message}hand_y, or in a file of its own with --hand")
+        raise capture.error(0, f"{message}here, or in a file of its own with --hand")
     order = _from_end(cable, raw)
     sentence = f"no point is named after a hand: {order[0].name!r}, the end of the chain that "
     findings.append(Finding("hand", f"{sentence}rests first, is the gripping point", Sure.GUESSED))

@@ -18,6 +18,8 @@ class Kind(Enum):
     COORDINATE = "coordinate"
     ANGLE = "angle"
     QUATERNION = "quaternion"
+    ACCELERATION = "acceleration"
+    ENCODER = "encoder"
     OTHER = "other"
 
 
@@ -47,10 +49,9 @@ _ANGLE = frozenset(
     ("angle", "theta", "winkel", "angulo", "rotation", "rot", "roll", "pitch", "yaw", "orientation",
      "tilt", "heading", "alpha", "phi", "attitude", "neigung")
 )  # fmt: skip
-_OF_KIND = {Kind.TIME: _TIME, Kind.FRAME: _FRAME}
 #: Quantities that are no place.
 _OTHER = frozenset(
-    ("velocity", "speed", "vel", "acceleration", "acc", "force", "torque", "moment", "residual",
+    ("velocity", "speed", "vel", "force", "torque", "moment", "residual",
      "residuals", "error", "likelihood", "confidence", "quality", "probability", "visible",
      "valid", "status", "std", "cov", "temperature", "current", "voltage", "cameras")
 )  # fmt: skip
@@ -61,7 +62,14 @@ _FILLER = frozenset(
 )  # fmt: skip
 #: Words with their axis grown onto them.
 _GROWN = re.compile(r"(pos|p|t|coord|q|quat|rot|r)([xyzw])")
-_VELOCITY = re.compile(r"(v|vel|a|acc|f|w|omega)[xyz]")
+_VELOCITY = re.compile(r"(v|vel|f|w|omega)[xyz]")
+_ACCELERATION = frozenset(
+    ("acceleration", "accelerations", "acc", "accel", "accelerometer", "beschleunigung")
+)
+_ACCELERATION_ALONG = re.compile(r"(?:a|acc|accel)([xyz])")
+_OF_ACCELERATION = ("m/s^2", "mm/s^2", "g")
+_ENCODER = frozenset(("encoder", "enc", "counts", "ticks", "pulses", "geber", "inkremente"))
+_OF_KIND = {Kind.TIME: _TIME, Kind.FRAME: _FRAME, Kind.ENCODER: _ENCODER}
 _ORDER_OF_ROTATION = {"roll": "x", "pitch": "y", "yaw": "z"}
 
 
@@ -70,6 +78,8 @@ def meaning(column: Column) -> Meaning:
     bare, within = split_unit(column.name)
     unit = column.unit or within
     words = _words(bare)
+    if (found := _acceleration(words, unit)) is not None:
+        return found
     axis, rest = "", []
     rotation = False
     for word in words:
@@ -94,6 +104,8 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> Kind:
     words = set(rest)
     if words & _OTHER or any(_VELOCITY.fullmatch(w) for w in rest):
         return Kind.OTHER
+    if words & _ENCODER and not words & _FRAME:
+        return Kind.ENCODER
     if words & {"quat", "quaternion"}:
         return Kind.QUATERNION
     if rotation or words & _ANGLE or unit in RADIANS:
@@ -103,6 +115,21 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> Kind:
     if words & _TIME or unit in SECONDS or rest in (["s"], ["ms"], ["sec"], ["seconds"]):
         return Kind.TIME
     return Kind.FRAME if words & _FRAME else Kind.OTHER
+
+
+def _acceleration(words: list[str], unit: str) -> Meaning | None:
+    """What is named after an acceleration, or has its unit; g is one of these only here."""
+    along = [_ACCELERATION_ALONG.fullmatch(w) for w in words]
+    if not (_ACCELERATION & set(words) or any(along) or unit in _OF_ACCELERATION):
+        return None
+    if words[-1:] == ["g"]:
+        words, along, unit = words[:-1], along[:-1], unit or "g"
+    axis = next((found[1] for found in along if found), "")
+    axis = axis or next((w for w in words if w in ("x", "y", "z")), "")
+    rest = [
+        w for w, found in zip(words, along, strict=True) if not found and w not in _ACCELERATION
+    ]
+    return Meaning(Kind.ACCELERATION, " ".join(w for w in rest if w != axis), axis, unit)
 
 
 def _words(name: str) -> list[str]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cell.study.imports.capture import Capture
 from cell.study.imports.column_names import Kind, Meaning, meaning
+from cell.study.imports.units import RADIANS
 
 FloatArray = NDArray[np.float64]
 
@@ -42,6 +43,8 @@ class Contents:
     counts       whether these are numbers of frames
     angles       columns of angles, with what their names say
     quaternions  x, y, z, w of bodies, by name
+    encoders     columns of encoders, with what their names say
+    accelerations  columns of one accelerometer by axis, x first; empty = there is none
     unused       columns that are nothing of these
     """
 
@@ -51,7 +54,15 @@ class Contents:
     points: tuple[Point, ...]
     angles: tuple[tuple[str, Meaning], ...]
     quaternions: tuple[tuple[str, tuple[str, str, str, str]], ...]
+    encoders: tuple[tuple[str, Meaning], ...]
+    accelerations: tuple[tuple[str, Meaning], ...]
     unused: tuple[str, ...]
+
+    @property
+    def senses_hand(self) -> bool:
+        """Whether a sensor of the hand is there, and no place of it."""
+        by_sensor = bool(self.encoders or self.accelerations)
+        return by_sensor and not any(p.of_hand for p in self.points)
 
     def point(self, name: str) -> Point | None:
         """The point of a name."""
@@ -69,7 +80,12 @@ def contents(capture: Capture) -> Contents:
     quaternions = _quaternions(said)
     of_quaternions = {n for _, four in quaternions for n in four}
     angles = tuple((n, m) for n, m in said if m.kind is Kind.ANGLE and n not in of_quaternions)
-    used = {n for p in points for n in p.columns} | {n for n, _ in chosen} | {n for n, _ in angles}
+    encoders = tuple((n, m) for n, m in said if m.kind is Kind.ENCODER)
+    accelerations = _accelerations(said, {p.name for p in points if not p.of_hand})
+    if any(p.of_hand for p in points):  # then an encoder can only tell how it is turned
+        angles += tuple((n, m) for n, m in encoders if m.unit in RADIANS)
+    used = {n for n, _ in encoders + accelerations}
+    used |= {n for p in points for n in p.columns} | {n for n, _ in chosen} | {n for n, _ in angles}
     used |= of_quaternions | {n for n, _ in times + frames}
     return Contents(
         chosen[0][0] if chosen else None,
@@ -78,8 +94,20 @@ def contents(capture: Capture) -> Contents:
         points,
         angles,
         quaternions,
+        encoders,
+        accelerations,
         tuple(n for n, _ in said if n not in used) + tuple(others),
     )
+
+
+def _accelerations(
+    said: list[tuple[str, Meaning]], markers: set[str]
+) -> tuple[tuple[str, Meaning], ...]:
+    """Of the sensor that is named after a hand, else of the first; of markers they are no use."""
+    found = [(n, m) for n, m in said if m.kind is Kind.ACCELERATION and m.group not in markers]
+    groups = list(dict.fromkeys(m.group for _, m in found))
+    chosen = next((g for g in groups if HAND.intersection(g.split())), groups[0] if groups else "")
+    return tuple(sorted(((n, m) for n, m in found if m.group == chosen), key=lambda f: f[1].axis))
 
 
 def _rises(capture: Capture, name: str) -> bool:

@@ -14,8 +14,13 @@ from cell.files.yaml_document import Key
 from cell.study.data import Markers, Source, Study, Trial
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
 from cell.study.imports.capture import Capture, TextForm
-from cell.study.imports.mapping import ReadMapping, TextSection, TimeSection, TrialEntry
-from cell.study.imports.places import angle_towards, clamp_angle_rad, out_of_plane_m, places_m
+from cell.study.imports.hand_path import HandPath, hand_path
+from cell.study.imports.hand_section import (
+    TextSection,
+    TimeSection,
+)
+from cell.study.imports.mapping import Mapping, ReadMapping, TrialEntry
+from cell.study.imports.places import out_of_plane_m, places_m
 from cell.study.imports.quality import Measured, examined
 from cell.study.imports.read import read_capture
 from cell.study.imports.scales import WRONG_UNIT
@@ -48,6 +53,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     """
     mapping = read.mapping
     arcs = np.array([m.arc_length_m for m in mapping.markers], dtype=np.float64)
+    stds = _arc_length_std_m(mapping)
     order = np.argsort(-arcs, kind="stable")
     cable = _cable(read)
     problems: list[Problem] = []
@@ -65,7 +71,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
             found, more = judged(measured.trial, cable, arcs[order], mapping.gravity_m_per_s2)
             told = [*told, *more]
         problems += found
-        notes += told
+        notes += [*measured.notes, *told]
         trials.append(measured.trial)
         if entry.start in ("straight", "held") and entry.release_s is None:
             message = f"is missing; `start: {entry.start}` needs the time of letting go"
@@ -79,6 +85,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         tuple(trials),
         mapping.gravity_m_per_s2,
         mapping.noise_std_m,
+        arc_length_std_m=None if stds is None else stds[order],
     )
     return Imported(study, tuple(notes))
 
@@ -88,11 +95,14 @@ def trials_of(
 ) -> tuple[list[Trial], list[Problem]]:
     """Trials as far as they can be shown, though the mapping lacks entries, and what is wrong.
 
-    Lengths are in the file's unit where the mapping lacks metres_per_unit, and times likewise.
+    Lengths are in the file's unit where the mapping lacks metres_per_unit, and times likewise.  A
+    hand that is not known yet stands still.
     """
-    order = np.arange(len(read.mapping.markers))[
-        ::-1
-    ]  # a proposal has the marker at the hand first
+    # A proposal has the marker at the hand first.
+    order = np.arange(len(read.mapping.markers))[::-1]
+    if read.mapping.hand.unfinished:
+        hand = read.mapping.hand.standing_still()
+        read = ReadMapping(read.mapping.model_copy(update={"hand": hand}), read.document)
     trials: list[Trial] = []
     problems: list[Problem] = []
     for entry in read.mapping.trials:
@@ -107,17 +117,26 @@ def _form(section: TextSection | None) -> TextForm | None:
     return None if section is None else TextForm(section.separator, section.decimal)
 
 
+def _arc_length_std_m(mapping: Mapping) -> FloatArray | None:
+    """(markers,) as the mapping has them, 0 where a place is exact; None = all are."""
+    given = [m.arc_length_std_m for m in mapping.markers]
+    if all(std_m is None for std_m in given):
+        return None
+    return np.array([std_m or 0.0 for std_m in given])
+
+
 def _cable(read: ReadMapping) -> Cable:
     """The datasheet.  Raises InputError: entries of the mapping that no study may have."""
     mapping = read.mapping
     arcs = [m.arc_length_m for m in mapping.markers if m.arc_length_m is not None]
+    stds = _arc_length_std_m(mapping)
     given = mapping.cable.model_dump(exclude_none=True)
     datasheet = datasheet_of(given)
     problems = [
         read.document.problem(_key_of(read, key), message)
         for key, message in implausible_entries(
             given, datasheet, mapping.gravity_m_per_s2, sorted(arcs, reverse=True),
-            mapping.noise_std_m,
+            mapping.noise_std_m, () if stds is None else stds[_tip_first(mapping)].tolist(),
         )
     ]  # fmt: skip
     if problems or datasheet is None:
@@ -125,13 +144,18 @@ def _cable(read: ReadMapping) -> Cable:
     return datasheet
 
 
+def _tip_first(mapping: Mapping) -> NDArray[np.intp]:
+    """Numbers of the markers in the order of a study."""
+    arcs = np.array([m.arc_length_m or 0.0 for m in mapping.markers])
+    return np.argsort(-arcs, kind="stable")
+
+
 def _key_of(read: ReadMapping, key: Key) -> Key:
     """Where the mapping says what a study says elsewhere: arc lengths beside their markers."""
-    if key[:2] != ("markers", "arc_length_m"):
+    if key[0] != "markers" or len(key) < 2:
         return key
-    arcs = [m.arc_length_m or 0.0 for m in read.mapping.markers]
-    number = sorted(range(len(arcs)), key=lambda i: -arcs[i])[int(key[2])]
-    return "markers", number, "arc_length_m"
+    number = int(_tip_first(read.mapping)[int(key[2])]) if len(key) > 2 else 0
+    return "markers", number, key[1]
 
 
 def _measured(
@@ -157,11 +181,12 @@ def _measured(
         raise capture.error(0, f"shows {names} in fewer than 2 rows; give columns with numbers")
     source = Source(capture.path, capture.lines[seen], order, tuple(m.name for m in entries))
     markers = Markers(t_s[seen] - zero_s, xy_m[seen], source)
-    motion = _motion(read, entry, captures, zero_s, markers)
-    trial = Trial(entry.name, entry.role, entry.start, motion, markers, entry.release_s)
+    motion, path = _motion(read, entry, captures, zero_s, markers)
+    drift = path.drift if entry.hand_drift is None else entry.hand_drift.drift()
+    trial = Trial(entry.name, entry.role, entry.start, motion, markers, entry.release_s, drift)
     known = [a[seen] for a in across if a is not None]
     deep = np.stack(known, axis=1) if len(known) == len(across) else None
-    return Measured(trial, capture, seen, deep)
+    return Measured(trial, capture, seen, deep, (path.note,) if path.note else ())
 
 
 def times_s(capture: Capture, section: TimeSection) -> FloatArray:
@@ -192,21 +217,16 @@ def _motion(
     captures: Dictionary[str, Capture],
     zero_s: float,
     markers: Markers,
-) -> Motion:
-    """Pose of the gripping point.  Raises InputError: it is missing somewhere, or on no clock."""
+) -> tuple[Motion, HandPath]:
+    """Pose of the gripping point, and how it is known.
+
+    raises  InputError: it is missing somewhere, or on no clock
+    """
     mapping, hand = read.mapping, read.mapping.hand
     capture = captures[entry.hand_file or entry.file]
-    axes = hand.axes or mapping.axes
-    scale = hand.metres_per_unit or mapping.metres_per_unit or 1.0
     t_s = times_s(capture, hand.time or mapping.time) - zero_s + entry.clock_offset_s
-    if hand.columns is not None:
-        xy_m = places_m(capture, hand.columns, axes, scale, mapping.lost) + hand.origin_m
-    else:
-        xy_m = np.broadcast_to(np.array(hand.fixed_m, dtype=np.float64), (len(t_s), 2))
-    angle_rad = clamp_angle_rad(capture, hand.angle, axes)
-    if angle_rad is None:
-        towards = places_m(capture, hand.angle.towards or (), axes, scale, mapping.lost)
-        angle_rad = angle_towards(xy_m, towards + hand.origin_m, hand.angle.offset_rad)
+    path = hand_path(read, entry, capture, t_s)
+    xy_m, angle_rad = path.xy_m, path.angle_rad
     known = np.isfinite(xy_m).all(axis=1) & np.isfinite(angle_rad)
     if np.count_nonzero(known) < 2:
         raise capture.error(0, "tells the hand's place and angle in fewer than 2 rows", "hand")
@@ -225,12 +245,8 @@ def _motion(
             f"the hand is known from {span[0]:.6g} to {span[-1]:.6g} s, the markers from "
             f"{seen[0]:.6g} to {seen[-1]:.6g} s; give clock_offset_s of the trial",
         )
-    return Motion(
-        np.ascontiguousarray(span),
-        np.ascontiguousarray(xy_m[known, 0]),
-        np.ascontiguousarray(xy_m[known, 1]),
-        np.ascontiguousarray(angle_rad[known]),
-    )
+    values = (span, xy_m[known, 0], xy_m[known, 1], angle_rad[known])
+    return Motion(*(np.ascontiguousarray(v) for v in values)), path
 
 
 def _check_unit(read: ReadMapping, measured: Measured, arcs: FloatArray) -> None:
@@ -241,7 +257,9 @@ def _check_unit(read: ReadMapping, measured: Measured, arcs: FloatArray) -> None
         [np.interp(trial.markers.t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)]
     )
     chain = np.concatenate([trial.markers.xy_m, at_m[:, None]], axis=1)
-    if mapping.hand.origin_m != (0.0, 0.0) or mapping.hand.axes is not None:
+    hand = mapping.hand
+    elsewhere = hand.origin_m != (0.0, 0.0) or hand.axes is not None
+    if elsewhere or hand.turns is not None or hand.acceleration is not None:
         chain = chain[:, :-1]
     steps = np.linalg.norm(np.diff(chain, axis=1), axis=2)
     good = np.isfinite(steps).any(axis=0)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.study.imports.finding import Finding, Sure
-from cell.study.imports.mapping import AxesSection
+from cell.study.imports.hand_section import AxesSection
 from cell.study.imports.shape import bend
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cell.study.imports.capture import Capture
 from cell.study.imports.contents import HAND, Contents, Point
 from cell.study.imports.finding import Finding, Sure
-from cell.study.imports.mapping import BODY_AXES, AngleSection, AxesSection
+from cell.study.imports.hand_section import BODY_AXES, AngleSection, AxesSection
 from cell.study.imports.places import body_axis
 from cell.study.imports.units import RADIANS
 

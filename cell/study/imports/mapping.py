@@ -8,146 +8,97 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cell.cable.geometry import Start
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate
-from cell.study.imports.cells import Decimal
+from cell.study.hand_drift import HandDriftSection
+from cell.study.imports.hand_section import (
+    AxesSection,
+    Columns,
+    Finite,
+    HandSection,
+    Name,
+    Part,
+    Positive,
+    TextSection,
+    TimeSection,
+    hand_problems,
+    wanted_of_hand,
+)
 
 FORMAT: Final = "cable-import/1"
 FILE = "import.yaml"
-
-BodyAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-BODY_AXES: tuple[BodyAxis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
-
-_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-_Name = Annotated[str, Field(min_length=1)]
-_Vector = Annotated[list[_Finite], Field(min_length=2, max_length=3)]
 
 #: By so much the two directions may miss length 1 and a right angle: numbers of three digits.
 NOT_SQUARE = 2e-3
 
 
-class Part(BaseModel):
-    """A section of the file; unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
 class ConnectorSection(Part):
     """A rigid body at the cable's end; without an inertia it is a rod's."""
 
-    mass_kg: _Positive
-    length_m: _Positive
-    inertia_kg_m2: _Positive | None = None
+    mass_kg: Positive
+    length_m: Positive
+    inertia_kg_m2: Positive | None = None
 
 
 class CableSection(Part):
     """The cable; null = to be filled in."""
 
-    free_length_m: _Positive | None = None
-    line_density_kg_per_m: _Positive | None = None
-    width_m: _Positive | None = None
-    thickness_m: _Positive | None = None
-    diameter_m: _Positive | None = None
+    free_length_m: Positive | None = None
+    line_density_kg_per_m: Positive | None = None
+    width_m: Positive | None = None
+    thickness_m: Positive | None = None
+    diameter_m: Positive | None = None
     connector: ConnectorSection | None = None
 
 
-class TextSection(Part):
-    """How tables are written as text."""
-
-    separator: Annotated[str, Field(min_length=1, max_length=1)]
-    decimal: Decimal
-
-
-class TimeSection(Part):
-    """Times of rows; `starts_at_zero`: the first row of a trial is its origin."""
-
-    column: _Name
-    seconds_per_unit: _Positive | None
-    starts_at_zero: bool = False
-
-
-class AxesSection(Part):
-    """Directions of the study's x (right) and y (up), along the columns of a point."""
-
-    right: _Vector
-    up: _Vector
-
-
 class MarkerEntry(Part):
-    """A marker: its columns, two or three (null = not measured), and where on the cable it is."""
+    """A marker: its columns, two or three (null = not measured), and where on the cable it is.
 
-    name: _Name
-    columns: Annotated[list[_Name | None], Field(min_length=2, max_length=3)]
-    arc_length_m: _Finite | None
-
-
-class AngleSection(Part):
-    """The clamp angle: a constant, a column, a direction of a body, or a line between two points.
-
-    constant_rad      it never turns
-    column            of the angle, with `radians_per_unit` (negative: positive means up)
-    quaternion        columns x, y, z, w; `body_axis`: along it the cable leaves the clamp
-    towards           columns of a second point of the hand; the cable leaves in its direction
-    offset_rad        added
+    arc_length_std_m  standard deviation of its arc length; None = it is exact
     """
 
-    constant_rad: _Finite | None = None
-    column: _Name | None = None
-    radians_per_unit: _Finite | None = None
-    quaternion: Annotated[list[_Name], Field(min_length=4, max_length=4)] | None = None
-    body_axis: BodyAxis | None = None
-    towards: Annotated[list[_Name], Field(min_length=2, max_length=3)] | None = None
-    offset_rad: _Finite = 0.0
-
-
-class HandSection(Part):
-    """The gripping point.  What is not given here is as for the markers.
-
-    columns    of the gripping point, or fixed_m: it never moves, in the study's frame
-    origin_m   the hand's origin in the study's frame, where its file has another one
-    """
-
-    columns: Annotated[list[_Name], Field(min_length=2, max_length=3)] | None = None
-    fixed_m: tuple[_Finite, _Finite] | None = None
-    angle: AngleSection
-    text: TextSection | None = None
-    time: TimeSection | None = None
-    metres_per_unit: _Positive | None = None
-    axes: AxesSection | None = None
-    origin_m: tuple[_Finite, _Finite] = (0.0, 0.0)
+    name: Name
+    columns: Columns
+    arc_length_m: Finite | None
+    arc_length_std_m: Finite | None = None
 
 
 class TrialEntry(Part):
     """A trial; file names are relative to the mapping's folder.
 
     clock_offset_s  added to the times of the hand's file
+    hand_starts_at_m, hand_ends_at_m  gripping point before and after its motion, where an
+                    accelerometer tells this: what the integral misses the end by is closed
+    hand_drift      error of the hand's place, as a study states it
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    file: _Name
-    hand_file: _Name | None = None
-    clock_offset_s: _Finite = 0.0
+    file: Name
+    hand_file: Name | None = None
+    clock_offset_s: Finite = 0.0
+    hand_starts_at_m: tuple[Finite, Finite] | None = None
+    hand_ends_at_m: tuple[Finite, Finite] | None = None
+    hand_drift: HandDriftSection | None = None
     role: Literal["fit", "validate"] = "fit"
     start: Start = "equilibrium"
-    release_s: _Finite | None = None
+    release_s: Finite | None = None
 
 
 class Mapping(Part):
     """All of the file."""
 
     format: Literal["cable-import/1"]
-    name: _Name
+    name: Name
     cable: CableSection
-    gravity_m_per_s2: tuple[_Finite, _Finite] = (0.0, -9.81)
-    noise_std_m: _Positive | None = None
+    gravity_m_per_s2: tuple[Finite, Finite] = (0.0, -9.81)
+    noise_std_m: Positive | None = None
     text: TextSection | None = None
     time: TimeSection
-    metres_per_unit: _Positive | None
-    lost: list[_Finite] = []
+    metres_per_unit: Positive | None
+    lost: tuple[Finite, ...] = ()
     axes: AxesSection
     hand: HandSection
     markers: Annotated[list[MarkerEntry], Field(min_length=1)]
@@ -177,8 +128,9 @@ def read_mapping(path: Path) -> ReadMapping:
     problems = [
         *_missing(document, mapping),
         *_axes(document, mapping),
-        *_hand(document, mapping),
+        *hand_problems(document, mapping.hand),
         *_twice(document, mapping),
+        *_of_sensors(document, mapping),
     ]
     if problems:
         raise InputError(problems)
@@ -209,6 +161,10 @@ def _missing(document: Document, mapping: Mapping) -> list[Problem]:
         for key, value, remedy in wanted
         if value is None
     ]
+    problems += [
+        document.problem(key, f"is not known from the file: {remedy}")
+        for key, remedy in wanted_of_hand(mapping.hand)
+    ]
     if cable.diameter_m is None and (cable.width_m is None or cable.thickness_m is None):
         message = "its section is not known from the file: give width_m and thickness_m of a flat "
         problems.append(document.problem(("cable",), f"{message}cable, diameter_m of a round one"))
@@ -225,10 +181,11 @@ def _axes(document: Document, mapping: Mapping) -> list[Problem]:
             [(("markers", i), m.columns) for i, m in enumerate(mapping.markers)],
         )
     ]
-    if mapping.hand.columns is not None:
-        axes = mapping.hand.axes or mapping.axes
-        key: Key = ("axes",) if mapping.hand.axes is None else ("hand", "axes")
-        sections.append((key, axes, [(("hand",), mapping.hand.columns)]))
+    hand = mapping.hand
+    if hand.along_columns is not None:
+        key: Key = ("axes",) if hand.axes is None else ("hand", "axes")
+        place: Key = ("hand", *(["acceleration"] if hand.acceleration is not None else []))
+        sections.append((key, hand.axes or mapping.axes, [(place, hand.along_columns)]))
     for key, axes, points in sections:
         right, up = np.array(axes.right), np.array(axes.up)
         if len(right) != len(up):
@@ -262,28 +219,19 @@ def _unit(vector: np.ndarray) -> list[float]:
     return [float(v) for v in nearest]
 
 
-def _hand(document: Document, mapping: Mapping) -> list[Problem]:
-    """Ways to say one thing, of which exactly one must be given."""
-    hand, angle, problems = mapping.hand, mapping.hand.angle, []
-    if (hand.columns is None) == (hand.fixed_m is None):
-        message = "give columns of the gripping point, or fixed_m if it never moves; one of them"
-        problems.append(document.problem(("hand",), message))
-    ways = {"constant_rad": angle.constant_rad, "column": angle.column,
-            "quaternion": angle.quaternion, "towards": angle.towards}  # fmt: skip
-    given = [name for name, value in ways.items() if value is not None]
-    if len(given) != 1:
-        message = f"{' and '.join(given) or 'nothing'} given; give one of {', '.join(ways)}"
-        problems.append(document.problem(("hand", "angle"), message))
-    elif angle.column is not None and angle.radians_per_unit is None:
-        message = (
-            "is missing; give 0.0174533 for degrees, 1 for radians, negative if up is positive"
-        )
-        problems.append(document.problem(("hand", "angle", "radians_per_unit"), message))
-    elif angle.quaternion is not None and angle.body_axis is None:
-        message = (
-            "is missing; give the axis of the hand along which the cable leaves it, such as +x"
-        )
-        problems.append(document.problem(("hand", "angle", "body_axis"), message))
+def _of_sensors(document: Document, mapping: Mapping) -> list[Problem]:
+    """Entries of trials that are of no use, or contradict themselves."""
+    problems = []
+    for i, trial in enumerate(mapping.trials):
+        for name in ("hand_starts_at_m", "hand_ends_at_m"):
+            if getattr(trial, name) is not None and mapping.hand.acceleration is None:
+                message = "is only for a hand that is told by its acceleration; remove it"
+                problems.append(document.problem(("trials", i, name), message))
+        drift = trial.hand_drift
+        if drift is not None and drift.to_s <= drift.from_s:
+            message = f"{drift.to_s:g} s is not after from_s, {drift.from_s:g} s; give when the "
+            key: Key = ("trials", i, "hand_drift", "to_s")
+            problems.append(document.problem(key, f"{message}hand rests again"))
     return problems
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cell.study.imports.capture import Capture
-from cell.study.imports.mapping import AngleSection, AxesSection
+from cell.study.imports.hand_section import AngleSection, AxesSection
 
 FloatArray = NDArray[np.float64]
 
@@ -20,14 +20,15 @@ def places_m(
     axes: AxesSection,
     metres_per_unit: float,
     lost: Sequence[float] = (),
+    unseen: float = np.nan,
 ) -> FloatArray:
     """(rows, 2) x (right) and y (up) of a point, nan where it is not seen.
 
-    columns  null = this coordinate was not measured
+    columns  null = this coordinate was not measured; it counts as `unseen`
     lost     values that all coordinates have where the point is not seen
     raises   InputError: there is no such column
     """
-    raw = np.full((len(capture.values), len(columns)), np.nan)
+    raw = np.full((len(capture.values), len(columns)), unseen)
     for k, name in enumerate(columns):
         if name is not None:
             raw[:, k] = capture.column(name)
@@ -50,7 +51,7 @@ def out_of_plane_m(
 
 
 def clamp_angle_rad(capture: Capture, angle: AngleSection, axes: AxesSection) -> FloatArray | None:
-    """(rows,) clamp angle; None where it is the line to another point of the hand.
+    """(rows,) clamp angle; None where it is that of a line or of an arm that turns.
 
     0 = level, positive = pointing down; the cable leaves along (−cos, −sin).
     raises  InputError: there is no such column

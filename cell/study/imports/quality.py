@@ -36,12 +36,14 @@ class Measured:
 
     seen      (rows of the file,) rows that show any marker
     across_m  (T, markers) coordinate across the plane; None = the file has two coordinates
+    notes     on how the hand is known, one sentence each
     """
 
     trial: Trial
     capture: Capture
     seen: Flags
     across_m: FloatArray | None
+    notes: tuple[str, ...] = ()
 
     @property
     def source(self) -> Source:

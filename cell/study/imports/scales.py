@@ -9,7 +9,7 @@ from cell.study.entries import MAX_LENGTH_M
 from cell.study.imports.capture import ROW_NUMBER, Capture
 from cell.study.imports.contents import Contents
 from cell.study.imports.finding import Finding, Sure
-from cell.study.imports.mapping import TimeSection
+from cell.study.imports.hand_section import TimeSection
 from cell.study.imports.units import METRES, SECONDS
 
 FloatArray = NDArray[np.float64]

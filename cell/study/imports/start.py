@@ -40,15 +40,22 @@ def start_of(
         [places_m(capture, m.columns, mapping.axes, scale, mapping.lost) for m in mapping.markers],
         axis=1,
     )
-    hand_s, hand_m = _hand(capture, hand, mapping, zero_s)
     begun: dict[str, Any] = {}
     findings: list[Finding] = []
-    if hand is not None:
+    hand_s, hand_m = t_s, np.zeros((len(t_s), 2))
+    known = mapping.hand.turns is None and mapping.hand.acceleration is None
+    if known:
+        hand_s, hand_m = _hand(capture, hand, mapping, zero_s)
+    elif hand is not None:
+        sentence = f"{name}: whether both clocks agree is not known before the hand's path is"
+        findings.append(Finding("clock_offset_s", sentence, Sure.GUESSED))
+    if known and hand is not None:
         begun, findings = _clock(name, (hand_s, hand_m), (t_s, xy_m), mapping)
         hand_s = hand_s + begun.get("clock_offset_s", 0.0)
     seen = np.isfinite(xy_m).any(axis=(1, 2))
     length_m = mapping.cable.free_length_m or 1.0
-    more, told = _start(name, (t_s[seen], xy_m[seen]), (hand_s, hand_m), length_m)
+    of_hand = (hand_s, hand_m) if known else None
+    more, told = _start(name, (t_s[seen], xy_m[seen]), of_hand, length_m)
     return begun | more, [*findings, *told]
 
 
@@ -61,7 +68,8 @@ def _hand(
     if section.columns is None:
         return t_s, np.broadcast_to(np.array(section.fixed_m, dtype=np.float64), (len(t_s), 2))
     scale = section.metres_per_unit or mapping.metres_per_unit or 1.0
-    at_m = places_m(of, section.columns, section.axes or mapping.axes, scale, mapping.lost)
+    axes = section.axes or mapping.axes
+    at_m = places_m(of, section.columns, axes, scale, mapping.lost, unseen=0.0)
     known = np.isfinite(at_m).all(axis=1)
     return t_s[known], at_m[known]
 
@@ -93,15 +101,21 @@ def _clock(
 def _start(
     name: str,
     seen: tuple[FloatArray, FloatArray],
-    hand: tuple[FloatArray, FloatArray],
+    hand: tuple[FloatArray, FloatArray] | None,
     length_m: float,
 ) -> tuple[dict[str, Any], list[Finding]]:
-    """At rest until the hand moves, let go, or in motion from the first row on."""
+    """At rest until the hand moves, let go, or in motion from the first row on.
+
+    hand  None = its path is not known yet
+    """
     t_s, xy_m = seen
     rest = rest_rows(xy_m)
     if rest.stop < FEWEST_REST:
         sentence = f"{name}: the cable moves from the first row on: start moving"
         return {"start": "moving"}, [Finding("trials.start", sentence, Sure.SEEN)]
+    if hand is None:
+        sentence = f"{name}: the cable is at rest at first: start equilibrium"
+        return {"start": "equilibrium"}, [Finding("trials.start", sentence, Sure.GUESSED)]
     away = np.linalg.norm(hand[1] - hand[1][:1], axis=1) > _MOVES * length_m
     moves_s = float(hand[0][np.argmax(away)]) if away.any() else np.inf
     begins_s = float(t_s[rest.stop]) if rest.stop < len(t_s) else np.inf

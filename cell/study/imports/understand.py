@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +18,10 @@ from cell.study.imports.convert import times_s
 from cell.study.imports.directions import find_axes
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_pose import Root, clamp_angle
-from cell.study.imports.mapping import (
-    FORMAT,
-    AxesSection,
-    CableSection,
-    HandSection,
-    Mapping,
-    MarkerEntry,
-    TextSection,
-    TrialEntry,
-)
+from cell.study.imports.hand_section import AxesSection, HandSection, TextSection
+from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.scales import metres_per_unit, time_section
+from cell.study.imports.sensed_hand import hand_by_sensor
 from cell.study.imports.shape import arc_lengths, middle, rest_rows, root_direction
 from cell.study.imports.start import start_of
 
@@ -87,7 +81,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     """Propose a mapping.  Raises InputError: a file has no points or no hand, or is disordered."""
     first = trials[0]
     inside = contents(first.capture)
-    chosen, findings = choose(first.capture, inside, hand_elsewhere=first.hand is not None)
+    elsewhere = first.hand is not None or inside.senses_hand
+    chosen, findings = choose(first.capture, inside, hand_elsewhere=elsewhere)
     time, told = time_section(first.capture, inside, stated.rate_hz)
     findings = [*told, *findings]
     times_s(first.capture, time)  # in disorder nothing below means anything
@@ -110,7 +105,7 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         text=_text(first.capture),
         time=time,
         metres_per_unit=scale,
-        lost=list(chosen.lost),
+        lost=chosen.lost,
         axes=axes,
         hand=hand,
         markers=[
@@ -216,6 +211,8 @@ def _hand(
     """The gripping point and the clamp angle, from the same file or another one."""
     if first.hand is not None:
         return _hand_elsewhere(first.hand, axes, scene, scale)
+    if inside.senses_hand:
+        return hand_by_sensor(first.capture, inside, axes, _root_at_rest(scene), {})
     hand = chosen.hand
     assert hand is not None
     root = _root(scene)
@@ -237,15 +234,23 @@ def _hand_elsewhere(
     capture: Capture, axes: AxesSection, scene: _Scene, scale: float | None
 ) -> tuple[HandSection, list[Finding]]:
     inside = contents(capture)
+    root = _root_at_rest(scene)
+    time, told = time_section(capture, inside, None)
+    of_file: dict[str, Any] = {"text": _text(capture), "time": time}
     named = [p for p in inside.points if p.of_hand] or list(inside.points)
+    if not named and inside.senses_hand:
+        section, findings = hand_by_sensor(capture, inside, axes, root, of_file)
+        return section, [*told, *findings]
     if not named:
-        message = "has no x and y of the hand; name two columns as hand_x and hand_y. Columns: "
+        message = (
+            "has no x and y of the hand; name two columns as hand_x and hand_y, that of its axle's "
+            "encoder as encoder, or those of an accelerometer on it as acc_x and acc_y. Columns: "
+        )
         raise capture.error(0, f"{message}{', '.join(capture.names[:12])}")
     hand: Point = named[0]
     findings = [
         Finding("hand", f"{hand.name!r} of {capture.path.name} is the gripping point", Sure.GUESSED)
     ]
-    time, told = time_section(capture, inside, None)
     same = len(hand.columns) == len(axes.up)
     own = None if same else AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
     if not same:
@@ -255,18 +260,21 @@ def _hand_elsewhere(
     extent = float(np.nanmax(np.abs(at)))
     unit, finding = metres_per_unit({hand.unit}, extent, None) if hand.unit else (scale, None)
     findings += [*told, *([finding] if finding else [])]
-    shape = scene.shape
-    root = Root(np.full(1, np.nan), _angle_of(root_direction(shape)) if len(shape) > 1 else 0.0)
     angle, told = clamp_angle(capture, inside, axes, root, None, hand.name)
     section = HandSection(
         columns=list(hand.columns),
         angle=angle,
-        text=_text(capture),
-        time=time,
         metres_per_unit=unit,
         axes=own,
+        **of_file,
     )
     return section, [*findings, *told]
+
+
+def _root_at_rest(scene: _Scene) -> Root:
+    """The clamp angle as the markers show it at rest, where they have no rows in common with it."""
+    shape = scene.shape
+    return Root(np.full(1, np.nan), _angle_of(root_direction(shape)) if len(shape) > 1 else 0.0)
 
 
 def _root(scene: _Scene) -> Root:

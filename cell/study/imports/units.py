@@ -9,7 +9,7 @@ METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "µm": 1e-6, "in": 0.0254
 SECONDS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60.0}
 RADIANS = {"rad": 1.0, "deg": 0.017453292519943295, "mrad": 1e-3}
 #: What else a row of units may hold; of no use here, but no name of a column either.
-_OTHERS = ("px", "hz", "frames", "m/s", "mm/s", "m/s^2", "mm/s^2", "rad/s", "deg/s", "n", "1")
+_OTHERS = ("px", "hz", "frames", "m/s", "mm/s", "m/s^2", "mm/s^2", "g", "rad/s", "deg/s", "n", "1")
 
 _SPELLED = {
     "um": "µm", "μm": "µm", "us": "µs", "μs": "µs", "°": "deg", "inch": "in", "inches": "in",
@@ -19,6 +19,7 @@ _SPELLED = {
     "millisecond": "ms", "milliseconds": "ms", "usec": "µs", "microseconds": "µs",
     "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "degree": "deg", "degrees": "deg",
     "grad": "deg", "radian": "rad", "radians": "rad", "pixel": "px", "pixels": "px",
+    "m/s2": "m/s^2", "m/s²": "m/s^2", "mm/s2": "mm/s^2", "mm/s²": "mm/s^2",
 }  # fmt: skip
 _KNOWN = {*METRES, *SECONDS, *RADIANS, *_OTHERS}
 #: In brackets at the end, or after a blank, a slash, "in" or an underscore.
@@ -47,6 +48,6 @@ def split_unit(name: str) -> tuple[str, str]:
         return name.strip(), ""
     bare, bracketed, after = found.groups()
     unit = unit_of(bracketed or after or "")
-    if not unit or not bare.strip(" _/") or unit in ("n", "1"):
+    if not unit or not bare.strip(" _/") or unit in ("n", "g", "1"):
         return name.strip(), ""
     return bare.strip().rstrip("_/ ").removesuffix(" in"), unit

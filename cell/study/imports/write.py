@@ -14,17 +14,20 @@ from cell.files.atomic import write_all
 from cell.files.input_error import InputError
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, thinned, write_study
+from cell.study.hand_drift import HandDriftSection
+from cell.study.imports.hand_section import (
+    AngleSection,
+    AxesSection,
+    HandSection,
+    TextSection,
+    TimeSection,
+)
 from cell.study.imports.mapping import (
     FILE,
     FORMAT,
-    AngleSection,
-    AxesSection,
     CableSection,
-    HandSection,
     Mapping,
     MarkerEntry,
-    TextSection,
-    TimeSection,
     TrialEntry,
 )
 from cell.study.imports.proposal import mapping_text
@@ -60,6 +63,8 @@ def write_imported(study: Study, folder: Path) -> Study:
 
 
 def _check_same(study: Study, back: Study) -> None:
+    if _stated(study) != _stated(back):
+        raise NotReadBackError(f"{study.name} does not read back as it was written")
     pairs: list[tuple[FloatArray, FloatArray]] = [(study.arc_length_m, back.arc_length_m)]
     for written, read in zip(study.trials, back.trials, strict=True):
         thin, _ = thinned(written)
@@ -70,6 +75,19 @@ def _check_same(study: Study, back: Study) -> None:
         ]
     if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
         raise NotReadBackError(f"{study.name} does not read back as it was written")
+
+
+def _stated(study: Study) -> tuple[object, ...]:
+    """What a study says beside its arrays of measurements."""
+    std_m = study.arc_length_std_m
+    return (
+        study.name,
+        study.cable,
+        tuple(study.gravity_m_per_s2),
+        study.noise_std_m,
+        None if std_m is None else std_m.tolist(),
+        [(t.name, t.role, t.start, t.release_s, t.hand_drift) for t in study.trials],
+    )
 
 
 def write_wide(study: Study, folder: Path) -> list[Path]:
@@ -114,6 +132,8 @@ def _rows(trial: Trial) -> FloatArray:
 
 def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
     """The mapping of what `write_wide` writes."""
+    std_m = study.arc_length_std_m
+    stds = [None] * len(names) if std_m is None else [float(s) for s in std_m]
     return Mapping(
         format=FORMAT,
         name=study.name,
@@ -129,13 +149,17 @@ def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
             angle=AngleSection(column="hand_angle_rad", radians_per_unit=1.0),
         ),
         markers=[
-            MarkerEntry(name=n, columns=[f"{n}_x_m", f"{n}_y_m"], arc_length_m=float(s))
-            for n, s in zip(names, study.arc_length_m, strict=True)
+            MarkerEntry(
+                name=n, columns=[f"{n}_x_m", f"{n}_y_m"], arc_length_m=float(s), arc_length_std_m=d
+            )
+            for n, s, d in zip(names, study.arc_length_m, stds, strict=True)
         ],
         trials=[
             TrialEntry(
                 name=t.name, file=f"{t.name}.csv", role=t.role, start=t.start,
                 release_s=t.release_s,
+                hand_drift=None if t.hand_drift is None
+                else HandDriftSection(**t.hand_drift.to_plain()),
             )
             for t in study.trials
         ],

@@ -8,9 +8,10 @@ import pytest
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
-from cell.identify.marker_shift import slopes_along
+from cell.identify.marker_shift import carried_m, slopes_along
 from cell.identify.noise import Noise, Whitener
 from cell.study.data import Markers, Trial
+from cell.study.hand_drift import HandDrift
 
 CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
 ARCS_M = np.array([0.095, 0.07, 0.04, 0.0])
@@ -110,3 +111,50 @@ def test_errors_are_told_beside_the_likeliest_shift(trial):
     beside_m = free.beside_m(predicted_m)
     assert np.sqrt(np.mean(beside_m**2)) == pytest.approx(noise.std_m, rel=0.1)
     assert free.error_m(free(predicted_m[None])[0]) == pytest.approx(beside_m, abs=1e-12)
+
+
+DRIFT = HandDrift(0.1, 0.35, (1e-2, 1e-2))
+
+
+def carried(trial: Trial, noise: Noise, std_m: float) -> tuple[Whitener, np.ndarray]:
+    """What whitens for drift and shifts, and the shapes of the drift."""
+    shapes_m = carried_m(replace(trial, hand_drift=DRIFT))
+    assert shapes_m is not None
+    slopes = std_m * slopes_along(trial, ARCS_M)
+    return Whitener(trial.markers.xy_m, noise, slopes, shapes_m), shapes_m
+
+
+@pytest.mark.parametrize("noise", [Noise(1e-4), Noise(1e-4, 0.6, 3e-5, white=0.3)])
+def test_noise_shifts_and_drift_are_white_together(trial, noise):
+    """As by the inverse root of their covariance."""
+    free, shapes_m = carried(trial, noise, STD_M)
+    error_m = 1e-4 * np.random.default_rng(0).normal(size=trial.markers.xy_m.shape)
+    predicted_m = (trial.markers.xy_m - error_m)[None]
+    found, before = free(predicted_m)[0], whitener(trial, noise, STD_M)(predicted_m)[0]
+    moved = whitener(trial, noise, STD_M)(trial.markers.xy_m - shapes_m)
+    covariance = np.eye(len(before)) + moved.T @ moved
+    assert found @ found == pytest.approx(before @ np.linalg.solve(covariance, before), rel=1e-9)
+
+
+def test_errors_are_told_beside_the_likeliest_drift(trial):
+    noise, rng = Noise(1e-5), np.random.default_rng(1)
+    free, shapes_m = carried(trial, noise, 0.0)
+    drift_m = np.einsum("k,ktmc->tmc", rng.normal(size=len(shapes_m)), shapes_m)
+    assert np.abs(drift_m).max() > 5.0 * noise.std_m
+    error_m = noise.std_m * rng.normal(size=drift_m.shape)
+    predicted_m = trial.markers.xy_m - error_m - drift_m
+    beside_m = free.beside_m(predicted_m)
+    assert np.sqrt(np.mean(beside_m**2)) == pytest.approx(noise.std_m, rel=0.1)
+    assert free.error_m(free(predicted_m[None])[0]) == pytest.approx(beside_m, abs=1e-12)
+
+
+def test_a_turn_about_an_axle_carries_all_markers(trial):
+    drift = HandDrift(0.1, 0.35, turn_std_rad=1e-4, axle_m=(0.1, 0.02))
+    before, _ = carried_m(replace(trial, hand_drift=drift))
+    c, s = np.cos(1e-4), np.sin(1e-4)
+    away = trial.markers.xy_m[0] - [0.1, 0.02]
+    turned = away @ np.array([[c, s], [-s, c]])
+    np.testing.assert_allclose(before[0], turned - away, atol=1e-9)
+    clamp, _ = carried_m(replace(trial, hand_drift=replace(drift, clamp_turns=False)))
+    hand = np.array([trial.grip.x_m[0], trial.grip.y_m[0]])
+    np.testing.assert_allclose(clamp[0], np.tile(drift.turned_m(1e-4, hand), (4, 1)), atol=1e-12)

@@ -16,6 +16,7 @@ from cell.cable.geometry import Cable, Connector, Motion
 from cell.files.input_error import InputError
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study, study_folder, write_study
+from cell.study.hand_drift import HandDrift
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 
@@ -59,6 +60,7 @@ def same(a: Study, b: Study) -> None:
             right.start,
             right.release_s,
         )
+        assert left.hand_drift == right.hand_drift
         for field in ("t_s", "x_m", "y_m", "angle_rad"):
             np.testing.assert_array_equal(getattr(left.grip, field), getattr(right.grip, field))
         np.testing.assert_array_equal(left.markers.t_s, right.markers.t_s)
@@ -71,6 +73,18 @@ def connectors(draw: st.DrawFn) -> Connector | None:
         return None
     rod = Connector.rod(draw(st.floats(1e-6, 1.0)), draw(st.floats(1e-3, 0.5)))
     return replace(rod, inertia_kg_m2=rod.inertia_kg_m2 * draw(st.floats(0.1, 2.9)))
+
+
+def drifts() -> st.SearchStrategy[HandDrift | None]:
+    density = st.floats(0.0, 1e-2)
+    return st.none() | st.builds(
+        HandDrift,
+        st.floats(-1.0, 0.0),
+        st.floats(0.1, 1.0),
+        st.tuples(density, density),
+        st.floats(0.0, 0.1),
+        st.booleans(),
+    )
 
 
 @st.composite
@@ -109,6 +123,7 @@ def studies(draw: st.DrawFn) -> Study:
                 ),
                 Markers(np.cumsum(steps), xy_m),
                 draw(st.floats(-1.0, 1.0)) if start == "straight" else None,
+                draw(drifts()),
             )
         )
     return Study(
@@ -261,6 +276,11 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", with_std("[0.001, 0]"), "has 2 values for 3 markers; give one for each, or one"),
     ("study.yaml", with_std("wide"), "study.yaml:12:3: markers.arc_length_std_m"),
     ("study.yaml", swap("-9.81", "-9810"), "give m/s², not mm/s²"),
+    (
+        "study.yaml",
+        swap("equilibrium", "equilibrium\n  hand_drift: {from_s: 0.4, to_s: 0.1}"),
+        "hand_drift.to_s: 0.1 s is not after from_s, 0.4 s",
+    ),
     ("study.yaml", swap("start: equilibrium", "start: straight"), "needs the time of letting go"),
     ("study.yaml", swap("equilibrium", "equilibrium\n  release_s: 0.1"), "only for `start: str"),
     ("study.yaml", swap("start: equilibrium", "start: held"), "needs the time of letting go"),

@@ -109,6 +109,18 @@ def test_a_complete_model_of_a_rig_with_erring_shapes_is_called_complete(seed):
     assert diagnose(fits).diagnosis.verdict == "complete"
 
 
+@pytest.mark.parametrize(("kind", "seed"), [("accelerometer", 1), ("encoder", 10)])
+def test_a_complete_model_of_a_rig_whose_hand_is_sensed_is_called_complete(kind, seed):
+    """Drift of an integrated place and counts at rest were misfit where nothing stated them."""
+    study = rigs.rig_study(KINDS[kind](seed), None)
+    tried = {n: library()[n] for n in ("air_drag", "natural_curvature")}
+    unsaid = tuple(replace(t, hand_drift=None) for t in study.trials)
+    for trials, verdict in ((study.trials, "complete"), (unsaid, "unexplained")):
+        prepared = PreparedStudy.of(replace(study, trials=trials))
+        fits = FitCache(prepared, ParameterSpace.of(study.cable), tried)
+        assert diagnose(fits).diagnosis.verdict == verdict
+
+
 @pytest.mark.parametrize(
     ("seed", "name", "values"),
     [

@@ -39,7 +39,13 @@ def made(seed: int = 1, noise_m: float = 5e-5) -> Made:
     s = np.clip((t - 0.4) / 0.3, 0.0, 1.0)
     stroke = s**3 * (10 - 15 * s + 6 * s**2)
     hand = np.column_stack([0.01 * stroke, -0.05 * stroke])
-    angle = 0.2 + 0.15 * stroke
+    return swinging(t, hand, 0.2 + 0.15 * stroke, seed, noise_m)
+
+
+def swinging(
+    t: np.ndarray, hand: np.ndarray, angle: np.ndarray, seed: int = 1, noise_m: float = 5e-5
+) -> Made:
+    """The cable on any hand that moves from 0.4 to 0.7 s."""
     after = np.clip(t - 0.45, 0.0, None)
     curl = 9.0 - 4.0 * np.exp(-2.0 * after) * np.sin(2 * np.pi * 4.0 * after)
     fine = np.linspace(0.0, LENGTH_M, 501)

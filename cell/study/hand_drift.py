@@ -1,0 +1,138 @@
+"""How far a hand may be from where it is said to be, where its log does not show that.
+
+White noise of acceleration that is integrated twice is smooth, as a motion is.  An encoder at rest
+shows the same count all the time, wherever within it the hand is.  So a study states such errors,
+and what is fitted or claimed allows for them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from cell.cable.geometry import Motion
+
+FloatArray = NDArray[np.float64]
+
+#: Pieces of constant acceleration error over a motion, and shapes that are left out of the error's
+#: variance with less than this share.
+_PIECES, _LEAST = 32, 1e-4
+#: In this share of a motion an encoder's error at rest is no more.
+_GONE = 0.1
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Density = Annotated[float, Field(ge=0.0, le=10.0)]
+
+
+class HandDriftSection(BaseModel):
+    """Entry `hand_drift` of a trial."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    from_s: _Finite
+    to_s: _Finite
+    noise_m_per_s2_per_rt_hz: tuple[_Density, _Density] = (0.0, 0.0)
+    gain_std: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
+    ends_known: bool = False
+    turn_std_rad: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    axle_m: tuple[_Finite, _Finite] = (0.0, 0.0)
+    clamp_turns: bool = True
+
+    def drift(self) -> HandDrift:
+        """As used."""
+        return HandDrift(**self.model_dump())
+
+
+@dataclass(frozen=True)
+class HandDrift:
+    """Error of a hand's place that its log does not show.
+
+    The hand is known to be at rest before `from_s` and after `to_s`.  An error by acceleration
+    grows from 0 in between, its velocity 0 at both ends (zero-velocity update), and stays.  An
+    encoder's is constant at either rest.
+
+    noise_m_per_s2_per_rt_hz  (x, y) one-sided density of the acceleration's white noise, m/s²/√Hz
+    gain_std    standard deviation of the sensor's sensitivity, as a share of it
+    ends_known  the place after the motion is known without error
+    turn_std_rad  standard deviation of the turn about `axle_m` at either rest
+    clamp_turns  whether the clamp turns with the hand's arm
+    """
+
+    from_s: float
+    to_s: float
+    noise_m_per_s2_per_rt_hz: tuple[float, float] = (0.0, 0.0)
+    gain_std: float = 0.0
+    ends_known: bool = False
+    turn_std_rad: float = 0.0
+    axle_m: tuple[float, float] = (0.0, 0.0)
+    clamp_turns: bool = True
+
+    def to_plain(self) -> dict[str, Any]:
+        """As in a study's file: what is not so by default."""
+        section = HandDriftSection(**asdict(self))
+        return section.model_dump(mode="json", exclude_defaults=True)
+
+    def shapes_m(self, t_s: FloatArray, grip: Motion) -> FloatArray:
+        """(shapes, T, 2) independent errors of one standard deviation, of x or y each, m."""
+        found = []
+        for axis, path_m in enumerate((grip.x_m, grip.y_m)):
+            shapes = self._of_axis(t_s, grip.t_s, path_m, self.noise_m_per_s2_per_rt_hz[axis])
+            both = np.zeros((len(shapes), len(t_s), 2))
+            both[..., axis] = shapes
+            found.append(both)
+        return np.concatenate(found)
+
+    def turns_rad(self, t_s: FloatArray) -> FloatArray:
+        """(shapes, T) independent errors of the turn of one standard deviation each, rad."""
+        if self.turn_std_rad == 0.0:
+            return np.zeros((0, len(t_s)))
+        share = (t_s - self.from_s) / max(self.to_s - self.from_s, 1e-9)
+        rests = np.stack([1.0 - share / _GONE, 1.0 - (1.0 - share) / _GONE])
+        return self.turn_std_rad * np.clip(rests, 0.0, 1.0)
+
+    def turned_m(self, turn_rad: FloatArray, places_m: FloatArray) -> FloatArray:
+        """(…, 2) by how much places (…, 2) move if they turn about the axle by small angles (…)."""
+        away = places_m - np.array(self.axle_m)
+        return np.stack([-away[..., 1] * turn_rad, away[..., 0] * turn_rad], axis=-1)
+
+    def largest_std_m(self, t_s: FloatArray, xy_m: FloatArray) -> float:
+        """Standard deviation of x or y of a path (T, 2), where it is largest, m."""
+        x_m, y_m = np.ascontiguousarray(xy_m.T)
+        grip = Motion(t_s, x_m, y_m, np.zeros(len(t_s)))
+        variance = np.sum(self.shapes_m(t_s, grip) ** 2, axis=0)
+        return float(np.sqrt(variance.max(initial=0.0)))
+
+    def _of_axis(
+        self, t_s: FloatArray, log_s: FloatArray, path_m: FloatArray, density: float
+    ) -> FloatArray:
+        """(shapes, T) of one coordinate: principal components of its covariance."""
+        grid_s = np.linspace(self.from_s, self.to_s, 4 * _PIECES + 1)
+        moved_m = np.interp(grid_s, log_s, path_m) - np.interp(self.from_s, log_s, path_m)
+        errors = np.vstack([self._noise_m(grid_s, density), self.gain_std * moved_m])
+        if self.ends_known:
+            errors = errors - _along(errors, errors[:, -1])
+        _, sizes, shapes = np.linalg.svd(errors, full_matrices=False)
+        kept = sizes > np.sqrt(_LEAST) * max(sizes[0], 1e-300)
+        at_s = np.clip(t_s, self.from_s, self.to_s)
+        rows = [np.interp(at_s, grid_s, row) for row in (sizes[:, None] * shapes)[kept]]
+        return np.array(rows).reshape(len(rows), len(t_s))
+
+    def _noise_m(self, grid_s: FloatArray, density: float) -> FloatArray:
+        """(pieces, grid) what each piece's acceleration error does, velocity 0 at the end, m."""
+        step_s = (self.to_s - self.from_s) / _PIECES
+        std = density / np.sqrt(2.0 * step_s)  # of a mean over a piece
+        begins_s = self.from_s + step_s * np.arange(_PIECES)
+        since_s = np.clip(grid_s - begins_s[:, None], 0.0, None)
+        within_s = np.minimum(since_s, step_s)
+        place_m = std * within_s * (since_s - 0.5 * within_s)
+        return np.asarray(place_m - place_m.mean(axis=0))
+
+
+def _along(errors: FloatArray, known: FloatArray) -> FloatArray:
+    """What independent errors (n, …) share with a sum of them (n,) that is known to be 0."""
+    size = float(known @ known)
+    return np.outer(known, known @ errors) / size if size > 0.0 else np.zeros_like(errors)

@@ -1,0 +1,228 @@
+"""Where the hand was: by columns, at rest, by an encoder, or integrated from acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.files.yaml_document import Key
+from cell.study.hand_drift import HandDrift
+from cell.study.imports.accelerometer import REST_ROWS, NotIntegrableError, Sensed, integrated
+from cell.study.imports.capture import Capture
+from cell.study.imports.encoder import place_m, turn_of
+from cell.study.imports.hand_section import AccelerationSection
+from cell.study.imports.mapping import ReadMapping, TrialEntry
+from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
+
+FloatArray = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: Of the cable's length: what each thing that is wrong with an accelerometer may do to the hand's
+#: place, and the standard deviation of it that may be left.
+DRIFT, MOST_DRIFT = 1e-3, 0.02
+#: At rest a sensor shows gravity within this share, in this direction; or none, if it shows no
+#: constant acceleration.
+_AS_GRAVITY, _NONE, _ASIDE_RAD = 0.15, 0.05, 0.1
+#: A path needs no more samples than so many a second.
+_RATE_HZ = 2000.0
+
+
+@dataclass(frozen=True, eq=False)
+class HandPath:
+    """Gripping point (rows, 2), m, and clamp angle (rows,), rad; nan = not known.
+
+    drift  what the place may be wrong by; None = its rows show it
+    """
+
+    xy_m: FloatArray
+    angle_rad: FloatArray
+    drift: HandDrift | None = None
+    note: str = ""
+
+
+def hand_path(read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: FloatArray) -> HandPath:
+    """The hand of a trial.
+
+    capture  with the hand, and t_s (rows,) its times on the study's clock
+    raises   InputError: a column is missing, or acceleration cannot be integrated
+    """
+    mapping, hand = read.mapping, read.mapping.hand
+    axes = hand.axes or mapping.axes
+    scale = hand.metres_per_unit or mapping.metres_per_unit or 1.0
+    turned = mapping.axes if hand.acceleration is not None else axes  # those are the sensor's own
+    angle_rad = clamp_angle_rad(capture, hand.angle, turned)
+    if hand.turns is not None:
+        return _turned(read, entry, capture, t_s, angle_rad)
+    if hand.acceleration is not None:
+        assert angle_rad is not None  # towards and follows are refused
+        return _integrated(read, entry, capture, t_s, angle_rad)
+    if hand.columns is not None:
+        xy_m = places_m(capture, hand.columns, axes, scale, mapping.lost, unseen=0.0)
+        xy_m = xy_m + hand.origin_m
+    else:
+        xy_m = np.broadcast_to(np.array(hand.fixed_m, dtype=np.float64), (len(t_s), 2))
+    if angle_rad is None:
+        towards = places_m(capture, hand.angle.towards or (), axes, scale, mapping.lost)
+        angle_rad = angle_towards(xy_m, towards + hand.origin_m, hand.angle.offset_rad)
+    return HandPath(xy_m, angle_rad)
+
+
+def _turned(
+    read: ReadMapping,
+    entry: TrialEntry,
+    capture: Capture,
+    t_s: FloatArray,
+    angle_rad: FloatArray | None,
+) -> HandPath:
+    """The hand of a trial by its axle's encoder; angle None: the clamp turns with the arm."""
+    hand = read.mapping.hand
+    turns = hand.turns
+    assert turns is not None
+    turn = turn_of(capture, turns)
+    xy_m = place_m(turn.angle_rad, turns)
+    follows = angle_rad is None
+    angle_rad = turn.angle_rad + hand.angle.offset_rad if angle_rad is None else angle_rad
+    if turn.count_rad == 0.0 or turn.moves is None:
+        return HandPath(xy_m, angle_rad)
+    cable_m = read.mapping.cable.free_length_m or 1.0
+    reach_m = (turns.radius_m or 0.0) + cable_m * follows
+    if turn.count_rad * reach_m > MOST_DRIFT * cable_m:
+        raise capture.error(
+            turn.moves[0],
+            f"{entry.name}: one count moves the {'cable' if follows else 'hand'} by "
+            f"{turn.count_rad * reach_m * 1e3:.2g} mm, limit {MOST_DRIFT * cable_m * 1e3:.2g} mm; "
+            "correct radians_per_unit, or take an encoder with more counts a turn",
+            turns.column,
+        )
+    from_s, to_s = (float(t_s[row]) for row in turn.moves)
+    drift = HandDrift(
+        from_s,
+        to_s,
+        turn_std_rad=float(turn.count_rad / np.sqrt(12.0)),
+        axle_m=turns.axle_m or (0.0, 0.0),
+        clamp_turns=follows,
+    )
+    return HandPath(xy_m, angle_rad, drift)
+
+
+def _integrated(
+    read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: FloatArray, angle_rad: FloatArray
+) -> HandPath:
+    """The hand of a trial by its accelerometer."""
+    mapping = read.mapping
+    section = mapping.hand.acceleration
+    assert section is not None
+    angle_rad = _between(t_s, angle_rad)
+    shown, measured = _shown(read, section, capture)
+    known = np.isfinite(shown).all(axis=1) & np.isfinite(angle_rad)
+    rows = np.flatnonzero(known)
+    turns = section.along == "clamp"
+    if len(rows) < 2:
+        raise capture.error(0, "shows acceleration in fewer than 2 rows; give its columns", "hand")
+    sensed = Sensed(
+        t_s[known],
+        shown[known],
+        measured,
+        angle_rad[known] if turns else np.zeros(len(rows)),
+        mapping.gravity_m_per_s2,
+    )
+    _check_gravity(read, sensed)
+    if not all(measured) and np.ptp(sensed.angle_rad) > 1e-3:
+        message = "need both coordinates where the sensor turns with the clamp; name both"
+        raise read.error(("hand", "acceleration", "columns"), message)
+    cable_m = mapping.cable.free_length_m or 1.0
+    begins_m = np.array(entry.hand_starts_at_m or section.starts_at_m or (0.0, 0.0))
+    ends_m = entry.hand_ends_at_m
+    to_m = None if ends_m is None else (ends_m[0] - begins_m[0], ends_m[1] - begins_m[1])
+    try:
+        found = integrated(sensed, DRIFT * cable_m, to_m, section.gain_std)
+    except NotIntegrableError as error:
+        names = " and ".join(c for c in section.columns if c is not None)
+        raise capture.error(int(rows[error.row]), f"{entry.name}: {error}", names) from error
+    step = max(1, int(1.0 / (_RATE_HZ * sensed.step_s)))
+    xy_m = np.full((len(t_s), 2), np.nan)
+    xy_m[rows[::step]] = begins_m + found.path_m[::step]
+    return HandPath(
+        xy_m, angle_rad, found.drift, _note(entry, capture, xy_m, t_s, found.drift, cable_m)
+    )
+
+
+def _between(t_s: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Angles (rows,) with those interpolated that were logged less often than acceleration."""
+    known = np.isfinite(angle_rad)
+    if not known.any():
+        return angle_rad
+    return np.interp(t_s, t_s[known], angle_rad[known], left=np.nan, right=np.nan)
+
+
+def _shown(
+    read: ReadMapping, section: AccelerationSection, capture: Capture
+) -> tuple[FloatArray, tuple[bool, bool]]:
+    """(rows, 2) specific force along right and up, and which of the two is measured."""
+    axes = read.mapping.hand.axes or read.mapping.axes
+    unit = section.m_per_s2_per_unit or 1.0
+    seen = np.isfinite(places_m(capture, section.columns, axes, unit))
+    shown = places_m(capture, section.columns, axes, unit, unseen=0.0)
+    return shown, (bool(seen[:, 0].any()), bool(seen[:, 1].any()))
+
+
+def _check_gravity(read: ReadMapping, sensed: Sensed) -> None:
+    """Raise InputError where what the sensor shows at rest is neither gravity nor nothing."""
+    gravity = float(np.hypot(*sensed.gravity))
+    if not all(sensed.measured) or gravity == 0.0:
+        return
+    rest = sensed.shown[:REST_ROWS].mean(axis=0)
+    size = float(np.hypot(*rest))
+    key: Key = ("hand", "acceleration", "m_per_s2_per_unit")
+    if size < _NONE * gravity:
+        if np.ptp(sensed.angle_rad) > 1e-3:
+            message = f"makes {size:.3g} m/s² at rest: the sensor does not show gravity, and it "
+            raise read.error(key, f"{message}turns; take one that does, or set it up level")
+        return
+    if abs(size - gravity) > _AS_GRAVITY * gravity:
+        message = f"makes {size:.4g} m/s² at rest, limit {gravity:g} m/s² ± {_AS_GRAVITY:.0%}, or "
+        raise read.error(
+            key, f"{message}less than {_NONE * gravity:.2g}; give 9.81 for g, 1 for m/s²"
+        )
+    angle = float(sensed.angle_rad[0])
+    x, y = -np.array(sensed.gravity) / gravity
+    up = np.array([np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x])
+    aside = float(np.arccos(np.clip(rest @ up / size, -1.0, 1.0)))
+    if aside > np.pi - _ASIDE_RAD:
+        message = "makes gravity point up at rest: the sensor shows g − a; give the negative"
+        raise read.error(key, message)
+    if aside > _ASIDE_RAD:
+        raise read.error(
+            ("hand", "acceleration", "columns"),
+            f"show gravity {np.degrees(aside):.3g}° aside at rest, limit "
+            f"{np.degrees(_ASIDE_RAD):.2g}°; correct hand.axes, or offset_rad of hand.angle",
+        )
+
+
+def _note(
+    entry: TrialEntry, capture: Capture, xy_m: FloatArray, t_s: FloatArray,
+    drift: HandDrift | None, cable_m: float,
+) -> str:  # fmt: skip
+    """What is known of an integrated place.  Raises InputError: too little."""
+    if drift is None:
+        return f"{entry.name}: the acceleration shows no motion of the hand"
+    known = np.isfinite(xy_m).all(axis=1)
+    std_m = drift.largest_std_m(t_s[known], xy_m[known])
+    moved_s = drift.to_s - drift.from_s
+    if std_m > MOST_DRIFT * cable_m:
+        raise capture.error(
+            int(np.argmax(t_s >= drift.to_s)),
+            f"{entry.name}: after a motion of {moved_s:.2g} s the place has a standard deviation "
+            f"of {std_m * 1e3:.2g} mm, limit {MOST_DRIFT * cable_m * 1e3:.2g} mm; make the motion "
+            "shorter, give hand_ends_at_m of the trial, or take a sensor with less noise",
+            "hand",
+        )
+    density = max(drift.noise_m_per_s2_per_rt_hz)
+    return (
+        f"{entry.name}: the hand's place is integrated over {moved_s:.2g} s; its standard "
+        f"deviation is at most {std_m * 1e3:.2g} mm, by noise of {density:.2g} m/s²/√Hz"
+        f"{f' and a gain known to {drift.gain_std:.1%}' if drift.gain_std else ''}. "
+        "The study states it, and the lab allows for it"
+    )

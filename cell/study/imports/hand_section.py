@@ -1,0 +1,207 @@
+"""The mapping's section of the hand: its place and its angle, each told in one of several ways."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cell.files.input_error import Problem
+from cell.files.yaml_document import Document, Key
+from cell.study.imports.cells import Decimal
+
+BodyAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+BODY_AXES: tuple[BodyAxis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Name = Annotated[str, Field(min_length=1)]
+Vector = Annotated[list[Finite], Field(min_length=2, max_length=3)]
+Columns = Annotated[list[Name | None], Field(min_length=2, max_length=3)]
+
+#: Entries that say where the hand is; `angle` is told in ways of its own.
+WAYS = ("columns", "fixed_m", "turns", "acceleration")
+
+
+class Part(BaseModel):
+    """A section of the file; unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TextSection(Part):
+    """How tables are written as text."""
+
+    separator: Annotated[str, Field(min_length=1, max_length=1)]
+    decimal: Decimal
+
+
+class TimeSection(Part):
+    """Times of rows; `starts_at_zero`: the first row of a trial is its origin."""
+
+    column: Name
+    seconds_per_unit: Positive | None
+    starts_at_zero: bool = False
+
+
+class AxesSection(Part):
+    """Directions of the study's x (right) and y (up), along the columns of a point."""
+
+    right: Vector
+    up: Vector
+
+
+class TurnsSection(Part):
+    """A hand on an arm that turns about an axle, by its encoder.
+
+    At turn 0 the arm points from the axle to the left, as a cable does at clamp angle 0; positive
+    turns it downwards.
+
+    column            of the encoder, with `radians_per_unit` (negative: positive means up)
+    axle_m            of the axle in the study's frame
+    radius_m          from the axle to the gripping point; 0 = the clamp is on the axle
+    offset_rad        added to the turn
+    """
+
+    column: Name
+    radians_per_unit: Finite | None
+    axle_m: tuple[Finite, Finite] | None
+    radius_m: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None
+    offset_rad: Finite = 0.0
+
+
+class AccelerationSection(Part):
+    """A hand whose place is integrated twice from an accelerometer's specific force (a − g).
+
+    columns            along `axes` of the hand at clamp angle 0; null = it does not move so
+    m_per_s2_per_unit  9.81 for g; negative where the sensor shows g − a
+    along              `clamp`: the sensor turns with the clamp; `study`: it does not
+    starts_at_m        gripping point before the motion, in the study's frame, if a trial does not
+                       state its own
+    gain_std           standard deviation of the sensor's sensitivity, as a share of it
+    """
+
+    columns: Columns
+    m_per_s2_per_unit: Finite | None
+    along: Literal["clamp", "study"]
+    starts_at_m: tuple[Finite, Finite] | None
+    gain_std: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
+
+
+class AngleSection(Part):
+    """The clamp angle: a constant, a column, a direction of a body, or a line between two points.
+
+    constant_rad      it never turns
+    column            of the angle, with `radians_per_unit` (negative: positive means up)
+    quaternion        columns x, y, z, w; `body_axis`: along it the cable leaves the clamp
+    towards           columns of a second point of the hand; the cable leaves in its direction
+    follows           true: the clamp turns with the arm of `turns`; then the cable leaves along it
+    offset_rad        added
+    """
+
+    constant_rad: Finite | None = None
+    column: Name | None = None
+    radians_per_unit: Finite | None = None
+    quaternion: Annotated[list[Name], Field(min_length=4, max_length=4)] | None = None
+    body_axis: BodyAxis | None = None
+    towards: Annotated[list[Name], Field(min_length=2, max_length=3)] | None = None
+    follows: Literal[True] | None = None
+    offset_rad: Finite = 0.0
+
+
+class HandSection(Part):
+    """The gripping point.  What is not given here is as for the markers.
+
+    columns    of the gripping point, null = it stays at its origin along this one; or
+    fixed_m    it never moves, in the study's frame; or
+    turns      it is on an arm that turns about an axle; or
+    acceleration  its place is integrated
+    origin_m   the hand's origin in the study's frame, where its file has another one
+    """
+
+    columns: Columns | None = None
+    fixed_m: tuple[Finite, Finite] | None = None
+    turns: TurnsSection | None = None
+    acceleration: AccelerationSection | None = None
+    angle: AngleSection
+    text: TextSection | None = None
+    time: TimeSection | None = None
+    metres_per_unit: Positive | None = None
+    axes: AxesSection | None = None
+    origin_m: tuple[Finite, Finite] = (0.0, 0.0)
+
+    @property
+    def along_columns(self) -> list[str | None] | None:
+        """Columns that the hand's axes are along; None = there are none."""
+        return self.acceleration.columns if self.acceleration is not None else self.columns
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether entries of its place must be filled in."""
+        return bool(wanted_of_hand(self))
+
+    def standing_still(self) -> HandSection:
+        """The same, fixed, for what can be shown without its path."""
+        still = {"fixed_m": (0.0, 0.0), "angle": AngleSection(constant_rad=0.0)}
+        return self.model_copy(update={**dict.fromkeys(WAYS), **still})
+
+
+def wanted_of_hand(hand: HandSection) -> list[tuple[Key, str]]:
+    """Entries that are left to be filled in, and how they are found out."""
+    entries: list[tuple[Key, Any, str]] = []
+    if (turns := hand.turns) is not None:
+        entries += [
+            (("turns", "radians_per_unit"), turns.radians_per_unit,
+             "give 2π / counts of a turn, 0.0174533 for degrees; negative if up is positive"),
+            (("turns", "axle_m"), turns.axle_m, "measure where the axle is, as [x, y]"),
+            (("turns", "radius_m"), turns.radius_m,
+             "measure from the axle to the gripping point; 0 if the clamp is on the axle"),
+        ]  # fmt: skip
+    if (sensor := hand.acceleration) is not None:
+        entries += [
+            (("acceleration", "m_per_s2_per_unit"), sensor.m_per_s2_per_unit,
+             "give 9.81 for g, 1 for m/s², negative where the sensor shows g − a"),
+            (("acceleration", "starts_at_m"), sensor.starts_at_m,
+             "measure where the gripping point is before it moves, as [x, y]"),
+        ]  # fmt: skip
+    return [(("hand", *key), remedy) for key, value, remedy in entries if value is None]
+
+
+def hand_problems(document: Document, hand: HandSection) -> list[Problem]:
+    """Ways to say one thing, of which exactly one must be given."""
+    angle, problems = hand.angle, []
+    given = [name for name in WAYS if getattr(hand, name) is not None]
+    if len(given) != 1:
+        message = (
+            f"{' and '.join(given) or 'nothing'} given; give one of: columns of the gripping "
+            "point, fixed_m if it never moves, turns by an encoder of its axle, acceleration by "
+            "a sensor on it"
+        )
+        problems.append(document.problem(("hand",), message))
+    elif (columns := hand.along_columns) is not None and not any(columns):
+        key: Key = ("hand", *(["acceleration"] if hand.acceleration else []), "columns")
+        problems.append(document.problem(key, "are all null; name one, or give fixed_m instead"))
+    ways = {"constant_rad": angle.constant_rad, "column": angle.column,
+            "quaternion": angle.quaternion, "towards": angle.towards,
+            "follows": angle.follows}  # fmt: skip
+    told = [name for name, value in ways.items() if value is not None]
+    if len(told) != 1:
+        message = f"{' and '.join(told) or 'nothing'} given; give one of {', '.join(ways)}"
+        problems.append(document.problem(("hand", "angle"), message))
+    elif angle.column is not None and angle.radians_per_unit is None:
+        message = (
+            "is missing; give 0.0174533 for degrees, 1 for radians, negative if up is positive"
+        )
+        problems.append(document.problem(("hand", "angle", "radians_per_unit"), message))
+    elif angle.quaternion is not None and angle.body_axis is None:
+        message = (
+            "is missing; give the axis of the hand along which the cable leaves it, such as +x"
+        )
+        problems.append(document.problem(("hand", "angle", "body_axis"), message))
+    elif angle.follows and hand.turns is None:
+        message = "is only for a hand that `turns`; give constant_rad or column"
+        problems.append(document.problem(("hand", "angle", "follows"), message))
+    elif angle.towards and hand.columns is None and hand.fixed_m is None:
+        message = "is only for a hand with columns or fixed_m; give constant_rad or column"
+        problems.append(document.problem(("hand", "angle", "towards"), message))
+    return problems
