@@ -35,6 +35,7 @@ from cell.lab.report.model_tables import (
 from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
 from cell.lab.report.tables import agreement_table, diagnosis_parts, warning_lines
 from cell.lab.report.wording import agreement_sentence, by_evidence
+from cell.lab.report.wrench_report import wrenches_table
 from cell.lab.strength.compare import Comparison, comparisons_json
 from cell.lab.strength.kept_model import identified
 from cell.lab.verdict.doubts import interrupted_doubt
@@ -113,7 +114,8 @@ class CompareResult(Shown):
         last = self.comparisons[-1]
         several = len(self.comparisons) > 1
         side_by_side = [comparisons_table(self.comparisons)] if several else []
-        tables = comparison_table(last), correlations_table(last)
+        wrenches = wrenches_table(self.comparisons)
+        tables = comparison_table(last), *([wrenches] if wrenches else []), correlations_table(last)
         return (comparison_sentence(self.comparisons), *side_by_side, *tables)
 
     def to_json(self) -> dict[str, Any]:

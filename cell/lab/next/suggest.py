@@ -250,7 +250,7 @@ def _simulated(
 ) -> tuple[FloatArray, FloatArray]:
     """Markers and whole cable of models of one kind on a stroke, (models, times, points, 2), m."""
     motion = stroke.motion()
-    frame_s = float(np.median(np.diff(prepared.study.trials[0].markers.t_s)))
+    frame_s = float(np.median(np.diff(prepared.unjoined.trials[0].markers.t_s)))
     if surroundings.frame_rate_hz is not None:
         frame_s = 1.0 / surroundings.frame_rate_hz
     t_s = np.arange(frame_s, motion.t_s[-1], frame_s)
