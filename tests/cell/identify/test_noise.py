@@ -153,7 +153,7 @@ def sensed(rng, colour=0.6, tare=0.3, gain=1.0):
     The sensor has rows of its own between the marker's.
     """
     t = np.arange(600)
-    clean = np.stack([np.sin(t / k) for k in (9.0, 14.0, 11.0, 17.0, 23.0, 1.0)], 1)
+    clean = np.stack([np.sin(t / k) for k in (30.0, 50.0, 37.0, 60.0, 80.0, 1.0)], 1)
     clean = 1e-2 * clean.reshape(600, 3, 2)
     frames, rows = t % 2 == 0, t % 3 == 0
     measured = clean.copy()
@@ -172,7 +172,8 @@ def sensed(rng, colour=0.6, tare=0.3, gain=1.0):
 
 
 def test_tare_and_gain_of_a_sensor_are_no_error():
-    measured, clean, sensors = sensed(np.random.default_rng(5), gain=1.02)
+    measured, clean, sensors = sensed(np.random.default_rng(5), gain=1.1)
+    sensors = replace(sensors, gain_std=0.1)
     whitener = Whitener(measured, Noise(1e-4), sensors=sensors)
     white = whitener(clean[None])[0]
     assert whitener.count == 2 * 300 + 3 * 200 - 3
