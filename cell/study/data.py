@@ -69,7 +69,7 @@ class Wrench:
 
 
 @dataclass(frozen=True)
-class Sensor:
+class WrenchSensor:
     """The force/torque sensor of a study: what it carries, its axes, its noise if that is stated.
 
     force_std_n, moment_std_nm  standard deviation in one row; None = as the rest shows it
@@ -133,7 +133,7 @@ class Study:
     filmed: bool = False
     pull_m_per_s2: float | None = None
     arc_length_std_m: FloatArray | None = None
-    sensor: Sensor = Sensor()
+    sensor: WrenchSensor = WrenchSensor()
 
     @property
     def scale_m_per_s2(self) -> float:

@@ -15,7 +15,7 @@ from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
 from cell.study.checks import check_finite, check_times, check_whole
-from cell.study.data import Markers, Sensor, Source, Study, Trial
+from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import datasheet_of, implausible_entries
 from cell.study.judged import judged
 from cell.study.table import read_table, table_text
@@ -119,7 +119,7 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
     arc_length_m = np.array(header.markers.arc_length_m)
     order = np.argsort(-arc_length_m)
     std_m = header.markers.arc_length_std_m
-    sensor = Sensor() if header.wrench is None else header.wrench.sensor()
+    sensor = WrenchSensor() if header.wrench is None else header.wrench.sensor()
     trials: list[Trial] = []
     notes: list[str] = []
     for trial in header.trials:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cell.cable.geometry import Cable, Motion
-from cell.study.data import FloatArray, Markers, Sensor, Study, Trial, Wrench
+from cell.study.data import FloatArray, Markers, Study, Trial, Wrench, WrenchSensor
 from cell.study.wrench_file import SensorEntry, sensor_entry
 
 
@@ -35,7 +35,7 @@ def study_to_plain(study: Study) -> dict[str, Any]:
             | ({} if trial.wrench is None else {"wrench": dict(vars(trial.wrench))})
             for trial in study.trials
         ],
-    } | ({} if study.sensor == Sensor() else {"wrench": sensor_entry(study.sensor)})
+    } | ({} if study.sensor == WrenchSensor() else {"wrench": sensor_entry(study.sensor)})
 
 
 def study_from_plain(data: Mapping[str, Any]) -> Study:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from cell.cable.geometry import Motion
 from cell.cable.wrench import Gauge, Tool
 from cell.study.checks import check_times
-from cell.study.data import Sensor, Wrench
+from cell.study.data import Wrench, WrenchSensor
 from cell.study.table import read_table, table_text
 
 COLUMNS = ("force_x_n", "force_y_n", "moment_nm")
@@ -46,24 +46,24 @@ class SensorEntry(_Strict):
     axes: Literal["plane", "hand"] = "plane"
     force_std_n: _Positive | None = None
     moment_std_nm: _Positive | None = None
-    gain_std: Annotated[float, Field(ge=0.0, le=0.5)] = Sensor.gain_std
+    gain_std: Annotated[float, Field(ge=0.0, le=0.5)] = WrenchSensor.gain_std
     tool: ToolEntry | None = None
 
-    def sensor(self) -> Sensor:
+    def sensor(self) -> WrenchSensor:
         """The sensor that it describes."""
         tool = Tool() if self.tool is None else Tool(**self.tool.model_dump())
         gauge = Gauge(tool, self.axes == "hand")
-        return Sensor(gauge, self.force_std_n, self.moment_std_nm, self.gain_std)
+        return WrenchSensor(gauge, self.force_std_n, self.moment_std_nm, self.gain_std)
 
 
-def sensor_entry(sensor: Sensor) -> Mapping[str, Any]:
+def sensor_entry(sensor: WrenchSensor) -> Mapping[str, Any]:
     """The key `wrench` of `study.yaml`, what is usual left out."""
     tool, entry = sensor.gauge.tool, {}
     if sensor.gauge.turns:
         entry["axes"] = "hand"
     stated = {"force_std_n": sensor.force_std_n, "moment_std_nm": sensor.moment_std_nm}
     entry |= {key: float(value) for key, value in stated.items() if value is not None}
-    if sensor.gain_std != Sensor.gain_std:
+    if sensor.gain_std != WrenchSensor.gain_std:
         entry["gain_std"] = float(sensor.gain_std)
     if tool.mass_kg > 0.0:
         entry["tool"] = {**vars(tool), "centre_m": list(tool.centre_m)}

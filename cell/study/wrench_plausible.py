@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.geometry import Cable
-from cell.study.data import Sensor, Trial
+from cell.study.data import Trial, WrenchSensor
 
 FloatArray = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class ForceFactor:
         )
 
 
-def force_factor(trial: Trial, cable: Cable, sensor: Sensor) -> ForceFactor | None:
+def force_factor(trial: Trial, cable: Cable, sensor: WrenchSensor) -> ForceFactor | None:
     """Of a trial's force; None where it is as it should be, or shows too little to tell.
 
     Twice integrated it is mass times the way of the centre of mass, beside a parabola by weight and
@@ -91,7 +91,7 @@ def _factor(t_s: FloatArray, force: FloatArray, way: FloatArray) -> tuple[float,
     return factor, factor**2 * float(left[1] @ left[1]) / power
 
 
-def _way(trial: Trial, cable: Cable, sensor: Sensor) -> FloatArray:
+def _way(trial: Trial, cable: Cable, sensor: WrenchSensor) -> FloatArray:
     """(T, 2) mass times place of all that is moved, at the times of the wrench, kg·m."""
     assert trial.wrench is not None
     t_s, grip, markers = trial.wrench.t_s, trial.grip, trial.markers

@@ -15,7 +15,7 @@ from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
 from cell.cable.wrench import Gauge, Tool
-from cell.study.data import Markers, Sensor, Study, Trial, Wrench
+from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
 from tools.worlds.made_studies import (
     STROKES,
     WORLD,
@@ -66,10 +66,10 @@ class ForceSensor:
         noise = sizes * coloured(rng, values.shape, self.colour)
         return Wrench(t_s, self.gain * values + noise + rng.normal(size=3) * [2.0, 2.0, 0.1])
 
-    def stated(self, quiet: bool) -> Sensor:
+    def stated(self, quiet: bool) -> WrenchSensor:
         """As a study states it: its noise only where there is none to be seen."""
         noise = (self.force_n, self.moment_nm) if quiet else (None, None)
-        return Sensor(Gauge(self.tool), *noise)
+        return WrenchSensor(Gauge(self.tool), *noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> 
     std_m = np.full(len(arcs_m), rig.arc_std_m) if rig.arc_std_m else None
     return Study(f"rig_{rig.seed}", rig.cable, arcs_m, tuple(trials), arc_length_std_m=std_m,
                  noise_std_m=rig.noise_m if stated else None,
-                 sensor=rig.sensor.stated(quiet) if rig.sensor else Sensor())  # fmt: skip
+                 sensor=rig.sensor.stated(quiet) if rig.sensor else WrenchSensor())  # fmt: skip
 
 
 def _simulated(

@@ -100,9 +100,11 @@ class World:
         of_rounding = self._rounded_to_m**2 / 12.0
         if of_rounding > 0.0:  # what is white beside the coloured is the rounding itself
             coloured_m2, white_m2 = max(min(coloured_m2, noise.std_m**2 - of_rounding), 0.0), 0.0
-        fresh = rng.standard_normal((frames, int(np.prod(shape[1:]))))
+        columns = int(np.prod(shape[1:]))  # of planned trials fewer than others have
+        together = columns if self.channels is None else len(self.channels)
+        fresh = rng.standard_normal((frames, together))
         if self.channels is not None:
-            fresh = fresh @ self.channels.T
+            fresh = (fresh @ self.channels.T)[:, :columns]
         ar1 = np.full(shape[1:], noise.ar1)
         if self.prepared.gauges is not None and shape[1] > len(self.study.arc_length_m):
             for point, of_gauge in enumerate(self.prepared.gauges.noises, -AS_POINTS):

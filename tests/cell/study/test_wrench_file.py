@@ -8,14 +8,15 @@ import pytest
 
 from cell.cable.wrench import Gauge, Tool
 from cell.files.input_error import InputError
-from cell.study.data import Sensor, Wrench
+from cell.lab.data.opened_study import open_study
+from cell.study.data import Wrench, WrenchSensor
 from cell.study.folder import read_study, study_as_it_is, write_study
 from cell.study.plain import study_from_plain, study_to_plain
 from cell.study.wrench_facts import wrench_facts
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study
 
-SENSOR = Sensor(Gauge(Tool(0.02, (0.03, -0.01), 1e-5), turns=False), 0.004, None, 0.01)
+SENSOR = WrenchSensor(Gauge(Tool(0.02, (0.03, -0.01), 1e-5), turns=False), 0.004, None, 0.01)
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +151,32 @@ def test_a_tool_that_is_not_stated_is_told(made, tmp_path):
     rig = replace(KINDS["wrench"](0))
     heavy = replace(rig, sensor=replace(rig.sensor, tool=Tool(0.1)))
     study = rig_study(heavy, None)
-    write_study(replace(study, sensor=Sensor()), tmp_path)
+    write_study(replace(study, sensor=WrenchSensor()), tmp_path)
     notes = read_study(tmp_path).notes
     assert any("wrench.tool in study.yaml" in note for note in notes)
+
+
+def test_a_single_wrong_row_is_left_out_and_told(made, tmp_path):
+    first, *rest = made.trials
+    values = first.wrench.values.copy()
+    values[100, 1] += 0.5
+    write_study(replace(made, trials=(replace(first, wrench=replace(first.wrench, values=values)),
+                                      *rest)), tmp_path)  # fmt: skip
+    opened = open_study(tmp_path)
+    (note,) = (n for n in opened.notes if "wrench.csv" in n)
+    assert "line 102, force_y_n by +0.5 N; left out" in note
+    kept = opened.trials[0].wrench.values
+    assert np.argwhere(np.isnan(kept)).tolist() == [[100, 1]]
+
+
+def test_a_sensor_that_slips_often_is_refused(made, tmp_path):
+    first, *rest = made.trials
+    values = first.wrench.values.copy()
+    values[20::30, 2] += 0.05
+    write_study(replace(made, trials=(replace(first, wrench=replace(first.wrench, values=values)),
+                                      *rest)), tmp_path)  # fmt: skip
+    with pytest.raises(InputError, match=r"wrench.csv:22: moment_nm: .*limit 2%"):
+        open_study(tmp_path)
 
 
 def test_facts_of_a_wrench_are_its_rate_noise_and_range(made):

@@ -9,7 +9,7 @@ from cell.cable.model import CableModel
 from cell.lab.data.gauges import _on_frames
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.prepared import PreparedStudy
-from cell.study.data import Sensor, Wrench
+from cell.study.data import Wrench, WrenchSensor
 from tools.worlds.made_studies import random_model
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study
@@ -121,7 +121,7 @@ def test_noise_that_nobody_knows_is_asked_for(study):
     )
     with pytest.raises(NoiseUnknownError, match=r"give wrench\.force_std_n in study\.yaml"):
         PreparedStudy.of(replace(study, trials=moving))
-    stated = Sensor(force_std_n=5e-3, moment_std_nm=2e-4)
+    stated = WrenchSensor(force_std_n=5e-3, moment_std_nm=2e-4)
     gauges = PreparedStudy.of(replace(study, trials=moving, sensor=stated)).gauges
     assert (gauges.force.noise.std_m, gauges.moment.noise.std_m) == (5e-3, 2e-4)
 
