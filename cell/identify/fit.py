@@ -301,10 +301,12 @@ def variance_inflation(
     """
     count = sum(w.count for w in whiteners)
     mean_square = float(white_residual @ white_residual) / max(1, count - parameters)
-    channels, begin = [], 0
+    channels: list[FloatArray] = []
+    begin = 0
     for whitener in whiteners:
         block = white_residual[begin : begin + whitener.rows]
-        channels.append(block.reshape(-1, whitener.frames))
+        grid = block.reshape(-1, whitener.channels, whitener.frames)
+        channels += [g.reshape(-1, g.shape[-1]) for g in whitener.own_rows(grid) if g.size]
         begin += whitener.rows
     time, power = 1.0, sum(float(np.sum(c * c)) for c in channels)
     for lag in range(1, min(c.shape[1] for c in channels) // 2):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,7 +179,7 @@ class Whitener:
         sensors  of the last markers, if these are none; they have two axes
         """
         gauges = () if sensors is None else sensors.noises
-        self.noise, self._gauges = noise, len(gauges)
+        self.noise, self._gauges, self._sensors = noise, len(gauges), sensors
         finite = np.isfinite(markers_m)
         self.frames, markers = finite.shape[:2]
         if noise.across_only:
@@ -194,7 +195,7 @@ class Whitener:
         tares = self.seen[:, markers - len(gauges) :].any(axis=0)
         self.count = int(self.seen.sum()) - int(tares.sum())
         each = [noise] * (markers - len(gauges)) + list(gauges)
-        self._memory, self._weight, self._gain = self._innovations(each, sensors)
+        self._memory, self._weight, self._gain = self._innovations(each)
         # what a constant looks like when white, and which part of a residual along it is taken out
         self._ones = self._weight.copy()
         if any(n.white > 0.0 for n in each):
@@ -225,11 +226,17 @@ class Whitener:
                     shown[seen, marker, axis] = _moving_mean(values - values.mean())
         return shown
 
-    def _innovations(
-        self, each: Sequence[Noise], sensors: Sensors | None
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def own_rows(self, values: NDArray[Any]) -> list[NDArray[Any]]:
+        """Parts of (markers, …, T): those of markers and of sensors, each with its rows alone."""
+        if self._sensors is None:
+            return [values]
+        first = len(values) - self._gauges
+        frames, rows = self._sensors.frames, self._sensors.rows
+        return [values[:first][..., frames], values[first:][..., rows]]
+
+    def _innovations(self, each: Sequence[Noise]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Those of `innovations`, (markers, channels, T), each series in its own rows."""
-        shape = (len(each), self.channels, self.frames)
+        shape, sensors = (len(each), self.channels, self.frames), self._sensors
         if sensors is None:
             noise, series = self.noise, self.seen.reshape(self.frames, -1)
             memory, weight, gain = (

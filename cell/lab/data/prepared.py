@@ -142,9 +142,10 @@ class PreparedStudy:
     def judged_by(self, errors: Sequence[FloatArray]) -> PreparedStudy:
         """The same with the correlations of a stated error as a model's residuals have them.
 
-        errors  per trial (times, channels), m, nan where not seen
+        errors  per trial to be fitted (times, channels), m, nan where not seen
         """
-        places = [e[:, : 2 * len(self.study.arc_length_m)] for e in errors]
+        fitted, columns = self.study.role("fit"), 2 * len(self.study.arc_length_m)
+        places = [self.of_frames(t, e)[:, :columns] for t, e in zip(fitted, errors, strict=True)]
         noise_model = (
             noise_model_of_residuals(self.noise_model, places)
             if self.noise_is_measured

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from cell.cable.model import CableModel
+from cell.identify.fit import variance_inflation
 from cell.lab.data.gauges import _on_frames
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.verdict.smooth_part import _Fast
 from cell.study.data import Wrench, WrenchSensor
 from tools.worlds.made_studies import random_model
 from tools.worlds.rig_kinds import KINDS
@@ -103,6 +105,26 @@ def test_another_noise_of_the_markers_changes_no_residual_of_the_wrench(study, t
     wrench = slice(2 * len(trial.markers.t_s), None)
     np.testing.assert_allclose(one[wrench], two[wrench], rtol=1e-6, atol=1e-9)
     assert changed.gauges.scale[0, 0] == pytest.approx(3e-3 / changed.gauges.force.noise.std_m)
+
+
+def test_rows_between_the_pictures_do_not_hide_a_misfit(study, truth):
+    """Of a sensor as fast as the camera, half a frame beside it: no two rows of one kind touch."""
+
+    def between(t):
+        t_s = t.markers.t_s[:-1] + 0.5 * np.diff(t.markers.t_s)
+        values = [np.interp(t_s, t.wrench.t_s, v) for v in t.wrench.values.T]
+        return replace(t, wrench=Wrench(t_s, np.stack(values, axis=1)))
+
+    prepared = PreparedStudy.of(replace(study, trials=(between(study.trials[0]),)))
+    (trial,), whitener = prepared.study.trials, prepared.whiteners["identify"]
+    assert not np.any(np.isfinite(trial.markers.xy_m).all(axis=(1, 2)))
+    softer = replace(truth, rigidity_n_m2=0.95 * truth.rigidity_n_m2)
+    right, wrong = (prepared.white(trial, prepared.predict(trial, [m]))[0] for m in (truth, softer))
+    assert variance_inflation(right, [whitener], 5) < 3.0
+    assert variance_inflation(wrong, [whitener], 5) > 100.0
+    fast = _Fast.of(whitener, right)
+    assert fast.pairs > 0.9 * whitener.count
+    assert fast.square / fast.values == pytest.approx(1.0, abs=0.3)
 
 
 def test_while_fingers_hold_a_cable_its_wrench_does_not_count(study):

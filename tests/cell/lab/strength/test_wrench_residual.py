@@ -73,6 +73,16 @@ def test_tables_json_and_page_show_it(both):
     assert history(both) is not None
 
 
+def test_residuals_are_written_beside_those_of_the_markers(both, tmp_path):
+    files = CompareResult(both).write_residuals(tmp_path)
+    there = [str(f.relative_to(tmp_path)) for f in files]
+    assert there[:3] == ["softer/identify.csv", "softer/deep.csv", "softer/identify_wrench.csv"]
+    left = np.genfromtxt(files[2], delimiter=",", skip_header=1)
+    wrench = both[0].wrenches[0]
+    np.testing.assert_array_equal(left[:, 0], wrench.t_s)
+    np.testing.assert_array_equal(left[:, 1:], wrench.measured - wrench.predicted)
+
+
 def test_the_overlay_has_measured_and_predicted_and_their_difference(both):
     series = [Series(c.model, c.model, "#123456", c) for c in both]
     figure = wrench_overlay(series, "identify")
