@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.identify.noise import still_frames
+from cell.cable.still import ROUGHLY_STILL, moves_from_s
 from cell.study.data import Trial
 from cell.study.facts import noise_m
 from cell.study.wrench_file import COLUMNS
@@ -47,10 +47,12 @@ def wrench_facts(trial: Trial) -> WrenchFacts | None:
     wrench = trial.wrench
     if wrench is None:
         return None
-    still = still_frames(wrench.t_s, trial.grip, trial.rests_until_s)
+    let_go_s = np.inf if trial.rests_until_s is None else trial.rests_until_s
+    until_s = min(moves_from_s(trial.grip, ROUGHLY_STILL), let_go_s)
+    still = int(np.searchsorted(wrench.t_s, until_s))
     varies = np.full(len(COLUMNS), np.nan)
     seen = np.isfinite(wrench.values).any(axis=0)
     varies[seen] = np.nanmax(wrench.values[:, seen], 0) - np.nanmin(wrench.values[:, seen], 0)
-    noise = np.array([noise_m(series) for series in wrench.values[still].T])
+    noise = np.array([noise_m(series) for series in wrench.values[:still].T])
     rate_hz = 1.0 / float(np.median(np.diff(wrench.t_s)))
-    return WrenchFacts(trial.name, rate_hz, still.stop, noise, varies)
+    return WrenchFacts(trial.name, rate_hz, still, noise, varies)
