@@ -17,9 +17,10 @@ from cell.cable.wrench import Gauge
 from cell.identify import gauss_newton
 from cell.identify.hand import HandErrors, likely_motions
 from cell.identify.identified import Identified
-from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_frames
+from cell.identify.noise import Noise, across, estimate_noise, still_frames
 from cell.identify.parameters import ParameterSpace
 from cell.identify.predicted_frames import PredictedFrames
+from cell.identify.whitener import Whitener
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]

@@ -131,7 +131,7 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
         found, odd = judged(read, cable, arc_length_m[order], header.gravity_m_per_s2)
         problems += found
         notes += odd
-        if factor := force_factor(read, cable, sensor):
+        if factor := force_factor(read, cable, float(arc_length_m.max()), sensor):
             where = folder / trial.name / WRENCH_FILE
             if factor.refused:
                 problems.append(Problem(where, 2, None, factor.column, factor.cause))

@@ -18,6 +18,8 @@ _SHOWN = 0.8
 _TOLD = (0.5, 2.0)
 #: … and refused beyond these.
 _REFUSED = (-1.0 / 3.0, 30.0)
+#: The cable's end is at most so many times as far from the hand as its outermost marker.
+_FARTHER = 4.0
 
 
 @dataclass(frozen=True)
@@ -53,15 +55,20 @@ class ForceFactor:
         )
 
 
-def force_factor(trial: Trial, cable: Cable, sensor: WrenchSensor) -> ForceFactor | None:
+def force_factor(
+    trial: Trial, cable: Cable, outermost_m: float, sensor: WrenchSensor
+) -> ForceFactor | None:
     """Of a trial's force; None where it is as it should be, or shows too little to tell.
 
     Twice integrated it is mass times the way of the centre of mass, beside a parabola by weight and
-    tare.  That centre is roughly in the middle between hand and outermost marker.
+    tare.  That centre is roughly in the middle between the hand and where a straight cable through
+    the outermost marker would end.
+
+    outermost_m  arc length of that marker
     """
     if trial.wrench is None or trial.start != "equilibrium" or sensor.gauge.turns:
         return None
-    t_s, way = trial.wrench.t_s, _way(trial, cable, sensor)
+    t_s, way = trial.wrench.t_s, _way(trial, cable, outermost_m, sensor)
     judged = []
     for axis, column in enumerate(("force_x_n", "force_y_n")):
         force = trial.wrench.values[:, axis]
@@ -91,7 +98,7 @@ def _factor(t_s: FloatArray, force: FloatArray, way: FloatArray) -> tuple[float,
     return factor, factor**2 * float(left[1] @ left[1]) / power
 
 
-def _way(trial: Trial, cable: Cable, sensor: WrenchSensor) -> FloatArray:
+def _way(trial: Trial, cable: Cable, outermost_m: float, sensor: WrenchSensor) -> FloatArray:
     """(T, 2) mass times place of all that is moved, at the times of the wrench, kg·m."""
     assert trial.wrench is not None
     t_s, grip, markers = trial.wrench.t_s, trial.grip, trial.markers
@@ -105,5 +112,6 @@ def _way(trial: Trial, cable: Cable, sensor: WrenchSensor) -> FloatArray:
             outermost[:, axis] = np.where(inside, along, np.nan)
     mass_kg = cable.line_density_kg_per_m * cable.free_length_m
     at_end_kg = cable.connector.mass_kg if cable.connector else 0.0
+    end = hand + (outermost - hand) * min(cable.length_m / max(outermost_m, 1e-9), _FARTHER)
     held = (0.5 * mass_kg + sensor.gauge.tool.mass_kg) * hand
-    return np.asarray(held + (0.5 * mass_kg + at_end_kg) * outermost)
+    return np.asarray(held + (0.5 * mass_kg + at_end_kg) * end)

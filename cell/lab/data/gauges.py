@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.wrench import AS_POINTS, Gauge, as_points
-from cell.identify.noise import Noise, Sensors
+from cell.identify.noise import Noise
+from cell.identify.whitener import Sensors
 from cell.lab.data.noise_model import (
     NoiseModel,
     NoiseUnknownError,

@@ -14,12 +14,14 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.cable.wrench import AS_POINTS, Gauge
 from cell.identify.fit import Lane, predict_lanes
-from cell.identify.noise import Noise, Whitener
+from cell.identify.noise import Noise
+from cell.identify.whitener import Whitener
 from cell.lab.data.gauges import Gauges, scaled, with_gauges, without_gauges
 from cell.lab.data.held_straight import placed
 from cell.lab.data.noise_model import NoiseModel, noise_model_of, noise_model_of_residuals
 from cell.lab.data.unknown_start import InitialState, initial_state_of
 from cell.lab.data.whitening import whiteners_of
+from cell.lab.data.work import SOLVER, Work
 from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -27,44 +29,8 @@ Number = TypeVar("Number", bound=np.generic)
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
-#: Within 4 µm (rms over the markers of a swing) of a converged cable.
-SOLVER = Solver(segments=32, step_s=1e-3)
 #: A model errs if its rms is above the noise by this factor.
 ERRS = 1.1
-
-
-class StoppedError(KeyboardInterrupt):
-    """A computation was stopped before its next simulation, to return the results so far."""
-
-
-@dataclass
-class Work:
-    """Work, counted as seconds of cable motion simulated with `SOLVER`, or its equivalent.
-
-    Whoever waits may stop it from another thread or a signal's handler.
-    """
-
-    simulated_s: float = 0.0
-    stopped: bool = False
-
-    def stop(self) -> None:
-        """Let the next simulation raise StoppedError."""
-        self.stopped = True
-
-    def check(self) -> None:
-        """Raises StoppedError: no more simulations are wanted."""
-        if self.stopped:
-            raise StoppedError
-
-    def add(self, models: int, duration_s: float, solver: Solver) -> None:
-        """Count a batch.  Raises StoppedError: no more are wanted."""
-        self.check()
-        self.simulated_s += models * duration_s * self.cost(solver)
-
-    @staticmethod
-    def cost(solver: Solver) -> float:
-        """What a second of motion costs with a solver, over what it costs with `SOLVER`."""
-        return solver.segments / SOLVER.segments * SOLVER.step_s / solver.step_s
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from cell.identify.marker_shift import slopes_along
-from cell.identify.noise import Noise, Whitener
+from cell.identify.noise import Noise
+from cell.identify.whitener import Whitener
 from cell.lab.data.gauges import Gauges
 from cell.study.data import Study
 

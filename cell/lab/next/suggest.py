@@ -17,7 +17,7 @@ from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.identify.differences import difference_points
 from cell.identify.gaussian import covariance_root, marginal_chi2
-from cell.identify.noise import Whitener
+from cell.identify.whitener import Whitener
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.rival import Rival

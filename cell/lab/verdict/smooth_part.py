@@ -13,7 +13,7 @@ from scipy.special import fdtrc as f_sf
 
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2
-from cell.identify.noise import Whitener
+from cell.identify.whitener import Whitener
 from cell.lab.data.noise_likelihood import MAX_AR1
 from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy, once_per_study

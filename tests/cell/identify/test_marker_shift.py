@@ -9,7 +9,8 @@ from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.identify.marker_shift import slopes_along
-from cell.identify.noise import Noise, Whitener
+from cell.identify.noise import Noise
+from cell.identify.whitener import Whitener
 from cell.study.data import Markers, Trial
 
 CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)

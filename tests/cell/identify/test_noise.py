@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Motion
-from cell.identify.noise import (
-    Noise,
-    Sensors,
-    Whitener,
-    across,
-    estimate_noise,
-    still_frames,
-)
+from cell.identify.noise import Noise, across, estimate_noise, still_frames
+from cell.identify.whitener import Sensors, Whitener
 
 BASE_M = np.stack([np.linspace(-0.1, 0.0, 11), np.linspace(-0.03, 0.0, 11)], axis=-1)
 
