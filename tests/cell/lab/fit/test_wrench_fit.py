@@ -12,6 +12,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.mesh import without_mesh_error
 from cell.lab.fit.starts import cold_start
+from cell.lab.power.hidden import World
 from cell.lab.search.fitted_model import POLISH
 from tools.worlds.made_studies import hidden
 from tools.worlds.rig_kinds import KINDS
@@ -59,3 +60,18 @@ def test_the_tare_of_the_sensor_changes_nothing(study):
     tared = replace(first, wrench=replace(first.wrench, values=shown))
     (_, fit), (_, other) = fitted(study), fitted(replace(study, trials=(tared,)))
     np.testing.assert_allclose(other.q, fit.q, atol=1e-3)
+
+
+def test_a_copy_of_the_study_has_a_wrench_of_the_same_noise_and_colour(study):
+    """Fresh noise on the fitted cable's wrench; it is a study as the one that was measured."""
+    prepared, fit = fitted(study)
+    world = World.of(prepared, fit, None)
+    (copy,), (measured,) = world.copy(1).trials, prepared.measured.trials
+    np.testing.assert_array_equal(copy.wrench.t_s, measured.wrench.t_s)
+    np.testing.assert_array_equal(copy.markers.t_s, measured.markers.t_s)
+    clean = prepared.gauges.of_wrench(world.clean_m["identify"])
+    left = (copy.wrench.values - clean[prepared.gauges.rows["identify"]])[:, :2]
+    noise = prepared.gauges.force.noise
+    assert left.std() == pytest.approx(noise.std_m, rel=0.15)
+    beside = np.mean(left[1:] * left[:-1]) / left.var()
+    assert beside == pytest.approx(noise.ar1, abs=0.15)
