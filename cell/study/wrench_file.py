@@ -58,7 +58,8 @@ class SensorEntry(_Strict):
 
 def sensor_entry(sensor: WrenchSensor) -> Mapping[str, Any]:
     """The key `wrench` of `study.yaml`, what is usual left out."""
-    tool, entry = sensor.gauge.tool, {}
+    tool = sensor.gauge.tool
+    entry: dict[str, Any] = {}
     if sensor.gauge.turns:
         entry["axes"] = "hand"
     stated = {"force_std_n": sensor.force_std_n, "moment_std_nm": sensor.moment_std_nm}

@@ -83,7 +83,7 @@ class Gauges:
 
     def are_in(self, trial: Trial) -> bool:
         """Whether a trial has these points: one that is planned has not."""
-        return trial.markers.xy_m.shape[1] == self.markers + AS_POINTS
+        return bool(trial.markers.xy_m.shape[1] == self.markers + AS_POINTS)
 
     def of_markers(self, name: str, rows: FloatArray) -> FloatArray:
         """(frames, markers, …) of (T, markers + AS_POINTS, …): what is of places."""

@@ -95,8 +95,9 @@ def wrench_overlay(series: Sequence[Series], trial: str) -> go.Figure | None:
         measured = first.measured[thin, i]
         _line(figure, t_s, measured, SEEN, "measured", (row, 1), dots=True, named=row == 1)
         for s, w in found:
-            style = {"width": s.width, "named": row == 1}
-            _line(figure, t_s, w.predicted[thin, i], s.colour, s.name, (row, 1), **style)
+            predicted = w.predicted[thin, i]
+            place = row, 1
+            _line(figure, t_s, predicted, s.colour, s.name, place, width=s.width, named=row == 1)
             error = (w.measured - w.predicted)[thin, i]
             _line(figure, t_s, error, s.colour, s.name, (row, 2), width=1.0)
         band = 2.0 * _MILLI * float(first.noise[i])
