@@ -105,7 +105,7 @@ level: $(VENV)/.dev   ## studies of a hand in a level plane with a load of known
 	$(BIN)/python -m tools.studies.level_study
 
 rig-kinds: $(VENV)/.dev   ## 20 studies of each kind of rig, one effect hidden in each (long)
-	for kind in connector laser long clocks arcs encoder accelerometer; do $(BIN)/python -m tools.studies.rig_study --studies 20 --rig $$kind || exit 1; done
+	for kind in connector laser long clocks arcs encoder accelerometer wrench; do $(BIN)/python -m tools.studies.rig_study --studies 20 --rig $$kind || exit 1; done
 
 breadth: $(VENV)/.dev   ## verdicts over the breadth of what users bring: 350 studies (long; BREADTH=file.csv goes on with a file)
 	$(BIN)/python -m tools.studies.breadth_study $(or $(BREADTH),breadth.csv)

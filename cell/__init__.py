@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     )
     from cell.api.several import TogetherResult, diagnose_together
     from cell.cable.geometry import Cable, Motion
-    from cell.study.data import Markers, Study, Trial
+    from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
     from cell.study.folder import write_study
 
 #: Public names, and where each is: it is imported when it is first used.
@@ -40,7 +40,7 @@ _PLACES = {
         ),
         "cell.api.several": ("TogetherResult", "diagnose_together"),
         "cell.cable.geometry": ("Cable", "Motion"),
-        "cell.study.data": ("Markers", "Study", "Trial"),
+        "cell.study.data": ("Markers", "WrenchSensor", "Study", "Trial", "Wrench"),
         "cell.study.folder": ("write_study",),
     }.items()
     for name in names
@@ -59,6 +59,8 @@ __all__ = [
     "SuggestResult",
     "TogetherResult",
     "Trial",
+    "Wrench",
+    "WrenchSensor",
     "compare",
     "diagnose",
     "diagnose_together",

@@ -35,9 +35,11 @@ from cell.lab.report.model_tables import (
 from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
 from cell.lab.report.tables import agreement_table, diagnosis_parts, warning_lines
 from cell.lab.report.wording import agreement_sentence, by_evidence
+from cell.lab.report.wrench_report import wrenches_table
 from cell.lab.strength.compare import Comparison, comparisons_json
 from cell.lab.strength.kept_model import identified
 from cell.lab.verdict.doubts import interrupted_doubt
+from cell.study.wrench_file import COLUMNS
 
 if TYPE_CHECKING:
     from cell.lab.data.prepared import PreparedStudy
@@ -113,7 +115,8 @@ class CompareResult(Shown):
         last = self.comparisons[-1]
         several = len(self.comparisons) > 1
         side_by_side = [comparisons_table(self.comparisons)] if several else []
-        tables = comparison_table(last), correlations_table(last)
+        wrenches = wrenches_table(self.comparisons)
+        tables = comparison_table(last), *([wrenches] if wrenches else []), correlations_table(last)
         return (comparison_sentence(self.comparisons), *side_by_side, *tables)
 
     def to_json(self) -> dict[str, Any]:
@@ -145,6 +148,9 @@ class CompareResult(Shown):
     def write_residuals(self, folder: Path | str) -> list[Path]:
         """Write residuals as CSV, `MODEL/TRIAL.csv`: t_s, then dx and dy of each marker, m.
 
+        Of a wrench `MODEL/TRIAL_wrench.csv`: t_s, then force x, y, N, and moment, N·m, less the
+        likeliest tare.
+
         returns  the files written
         """
         written = []
@@ -154,12 +160,20 @@ class CompareResult(Shown):
                 heads = ["t_s", *(f"d{axis}{m}_m" for m in range(count) for axis in "xy")]
                 left_m = self.residuals_m(number)[trial.name].reshape(-1, 2 * count)
                 rows = np.column_stack([trial.markers.t_s, left_m])
-                lines = [",".join(heads), *(_csv_row(row) for row in rows)]
                 path = Path(folder) / one.model.replace("/", "_") / f"{trial.name}.csv"
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(path, "\n".join(lines) + "\n")
-                written.append(path)
+                written.append(_write_csv(path, heads, rows))
+            for w in one.wrenches:
+                rows = np.column_stack([w.t_s, w.measured - w.predicted])
+                path = Path(folder) / one.model.replace("/", "_") / f"{w.trial}_wrench.csv"
+                written.append(_write_csv(path, ["t_s", *COLUMNS], rows))
         return written
+
+
+def _write_csv(path: Path, heads: Sequence[str], rows: FloatArray) -> Path:
+    lines = [",".join(heads), *(_csv_row(row) for row in rows)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, "\n".join(lines) + "\n")
+    return path
 
 
 def _csv_row(row: FloatArray) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
@@ -14,6 +14,7 @@ from cell.cable.geometry import Motion, Start
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, LanesError, Solver, threads
 from cell.cable.swing import Grid, Swing, failures
+from cell.cable.wrench import AS_POINTS, Gauge
 
 FloatArray = NDArray[np.float64]
 
@@ -46,7 +47,7 @@ def simulate(
     batch, paths = _lanes(models, motions)
     times = increasing(times_s)
     out = np.empty((len(batch), times.size, np.size(arc_length_m), 2))
-    begin = _Begin.of(start, release_s, bent, len(batch))
+    begin = Beginning.of(start, release_s, bent, len(batch))
     swing = begin.swing(batch, paths, [times] * len(batch), solver)
     _simulate(swing, begin, arc_length_m, out)
     return out
@@ -73,8 +74,34 @@ def simulate_each(
     if len(times) != len(batch):
         raise ValueError(f"times of {len(times)} lanes for {len(batch)}: give one array per lane")
     out = [np.empty((t.size, np.size(arc_length_m), 2)) for t in times]
-    begin = _Begin.of(start, release_s, bent, len(batch))
+    begin = Beginning.of(start, release_s, bent, len(batch))
     swing = begin.swing(batch, paths, times, solver)
+    _simulate(swing, begin, arc_length_m, out, spared=True)
+    return out
+
+
+def simulate_gauged(
+    models: CableModel | Sequence[CableModel],
+    motions: Motion | Sequence[Motion],
+    times_s: Sequence[FloatArray],
+    arc_length_m: FloatArray,
+    gauge: Gauge,
+    *,
+    solver: Solver = DEFAULT_SOLVER,
+    begin: Beginning | None = None,
+) -> list[FloatArray]:
+    """Markers of each lane, as `simulate_each`, and what a sensor at the clamp measures with them.
+
+    begin    of all lanes; None = from rest
+    returns  (times, markers + 2, 2) of each lane: behind the markers the force x, y, N, that clamp
+             and sensor exert on cable and tool, and its moment about the gripping point, N·m, with
+             a 0.  Before a cable is let go its wrench is that of the moment after
+    """
+    batch, paths = _lanes(models, motions)
+    times = [increasing(t) for t in times_s]
+    out = [np.empty((t.size, np.size(arc_length_m) + AS_POINTS, 2)) for t in times]
+    begin = Beginning.of("equilibrium", None, (), len(batch)) if begin is None else begin
+    swing = replace(begin.swing(batch, paths, times, solver), gauge=gauge)
     _simulate(swing, begin, arc_length_m, out, spared=True)
     return out
 
@@ -102,7 +129,7 @@ def increasing(times_s: FloatArray) -> FloatArray:
 
 def _simulate(
     swing: Swing,
-    how: _Begin,
+    how: Beginning,
     arc_length_m: FloatArray,
     out: Sequence[FloatArray] | FloatArray,
     *,
@@ -147,15 +174,17 @@ def _moved(
 
 
 @dataclass(frozen=True)
-class _Begin:
-    """How all lanes of a batch begin; `bent` as in `simulate`."""
+class Beginning:
+    """How all lanes of a batch begin; its fields are as arguments of `simulate`."""
 
     start: Start
     release_s: float | None
     bent: tuple[FloatArray, ...]
 
     @staticmethod
-    def of(start: Start, release_s: float | None, bent: Sequence[FloatArray], lanes: int) -> _Begin:
+    def of(
+        start: Start, release_s: float | None, bent: Sequence[FloatArray], lanes: int
+    ) -> Beginning:
         """Checked.  Raises ValueError: they do not go together."""
         released = start in ("straight", "held")
         if start not in get_args(Start) or released != (release_s is not None):
@@ -167,7 +196,7 @@ class _Begin:
                 f"start = {start!r} with the bends of {len(bent)} of {lanes} lanes: each that is "
                 "held or moving has its own, and no other"
             )
-        return _Begin(start, release_s, tuple(bent))
+        return Beginning(start, release_s, tuple(bent))
 
     def swing(
         self, models: list[CableModel], paths: list[Motion], times_s: list[FloatArray], how: Solver

@@ -181,7 +181,9 @@ def solve(
 ) -> None:
     """Accelerations of all hinges at the collocation time: inward and outward sweep.
 
-    T (≥ 9·LANES,) carries the articulated inertia and bias from body to body.
+    T (≥ 12·LANES,) carries the articulated inertia and bias from body to body.  The last 3·LANES
+    are then what the clamp exerts on the cable: force x, y, N, and moment about the gripping
+    point, N·m.
     """
     widest_vectors()
     for w in range(9 * LANES):
@@ -275,9 +277,17 @@ def solve(
             T[w + 8 * LANES] = ft - ha * inv * bias
     C = B[row * BASE_FIELDS * LANES :]
     for w in range(lanes):
-        T[w] = C[w + BASE_AX * LANES]
-        T[w + LANES] = C[w + BASE_AY * LANES]
-        T[w + 2 * LANES] = C[w + BASE_AA * LANES]
+        ax = C[w + BASE_AX * LANES]
+        ay = C[w + BASE_AY * LANES]
+        aa = C[w + BASE_AA * LANES]
+        gx = T[w + 3 * LANES]
+        gy = T[w + 4 * LANES]
+        T[w + 9 * LANES] = T[w] * ax + T[w + LANES] * ay + gx * aa + T[w + 6 * LANES]
+        T[w + 10 * LANES] = T[w + LANES] * ax + T[w + 2 * LANES] * ay + gy * aa + T[w + 7 * LANES]
+        T[w + 11 * LANES] = gx * ax + gy * ay + T[w + 5 * LANES] * aa + T[w + 8 * LANES]
+        T[w] = ax
+        T[w + LANES] = ay
+        T[w + 2 * LANES] = aa
     for i in range(n + 1):
         R = S[i * BODY :]
         for w in range(lanes):

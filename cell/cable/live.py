@@ -145,6 +145,7 @@ class SwingingCable:
             (*effects, memory, memory_rows, begin_s),
             looks([np.minimum((times_s[~rested] - begin_s) / step_s, steps)] * block.width),
             swung.ravel(),
+            np.empty(0),
         )
         if bad >= 0:
             raise DivergedError([0], begin_s + (bad + 1) * step_s, step_s)

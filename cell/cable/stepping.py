@@ -168,17 +168,20 @@ def integrate(
     effects: Any,
     when: FloatArray,
     out: FloatArray,
+    wrench: FloatArray,
 ) -> int:
     """All steps of a block; bends (rows, n + 1, LANES) into `out`; returns the step that blew up.
 
     step    coefficients of `generalised_alpha`
     passes  Newton passes of a step at most; another only if a hinge's rate has changed its sign
     when    (looks, 4) of `looks`
+    wrench  (steps · 3 · LANES,) is filled with what the clamp exerts on the cable at the steps'
+            collocation times, as `kernel.solve` has it; (0,) = not wanted
     returns −1, or the number of the first step whose bends are not below half a turn each
     """
     widest_vectors()
     forces, moments, params, rows, memory, memory_rows, start = effects
-    T = _aligned(9 * LANES)
+    T = _aligned(12 * LANES)
     h = step[0]
     dq = step[1]
     dv = step[2]
@@ -219,6 +222,10 @@ def integrate(
             solve(S, T, lanes, n, B, j, dv, forced)
             if k + 1 < passes and not turned(S, lanes, n, step):
                 break
+        if wrench.size > 0:
+            W = wrench[3 * j * LANES :]
+            for w in range(3 * LANES):
+                W[w] = T[w + 9 * LANES]
         advance(S, lanes, n, step)
         for e in range(moments.size):
             row = rows[forces.size + e]

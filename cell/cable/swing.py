@@ -23,6 +23,7 @@ from cell.cable.solver import DivergedError, LanesError, Solver, generalised_alp
 from cell.cable.splines import Steps
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, looks, nodes
+from cell.cable.wrench import AXES, Gauge, as_points, at_places
 
 FloatArray = NDArray[np.float64]
 
@@ -34,6 +35,8 @@ class Swing:
     """Model, motion, times and, if it begins bent, the modes of each lane.
 
     moving  whether it moves before it begins too, not held still until then
+    gauge   what measures the wrench at the clamp, if that is wanted: behind the markers of a lane
+            stand `wrench.AS_POINTS` more
     """
 
     models: list[CableModel]
@@ -42,6 +45,7 @@ class Swing:
     solver: Solver
     bent: tuple[FloatArray, ...] = ()
     moving: bool = False
+    gauge: Gauge | None = None
 
     def of(self, lanes: Sequence[int]) -> Swing:
         """The same of some of the lanes, in order; of all of them itself."""
@@ -54,6 +58,7 @@ class Swing:
             self.solver,
             tuple(self.bent[i] for i in lanes if self.bent),
             self.moving,
+            self.gauge,
         )
 
 
@@ -177,12 +182,15 @@ def _run(
         settle(block, first.ravel())
     if swing.bent:
         _bend(block, order, swing.bent, swing.models[0].cable.free_length_m)
-    bends = _integrate(block, grid, hands.at_steps(order, grid.in_equal_steps), times)
+    base = hands.at_steps(order, grid.in_equal_steps)
+    wrench = np.empty(0) if swing.gauge is None else at.vectors(grid.steps, AXES)
+    bends = _integrate(block, grid, base, times, wrench)
     if not len(out):
         return
     place = out[lanes[0] : lanes[0] + len(lanes)]
     alike = all(t is swing.times_s[lanes[0]] for t in times)
     direct = isinstance(place, np.ndarray) and alike and lanes[-1] == lanes[0] + len(lanes) - 1
+    direct = direct and swing.gauge is None
     fresh = (len(lanes), len(bends), len(markers[0]), 2)
     points = place if isinstance(place, np.ndarray) and direct else np.empty(fresh)
     held = hands.at_times(order, times)
@@ -193,13 +201,33 @@ def _run(
             swing.models[lane], swing.times_s[lane], t, there, in_motion=swing.moving
         )
         if seen is not there or not direct:
-            out[lane][:] = seen
+            out[lane][:, : len(markers[0])] = seen
+    if swing.gauge is not None:
+        for k, lane in enumerate(lanes):
+            shown = swing.gauge.measured(
+                wrench[:, :, k], base[:, :, k], swing.models[lane].gravity_m_per_s2
+            )
+            held = at_places(shown, _among(grid, swing.times_s[lane]))
+            out[lane][:, len(markers[0]) :] = as_points(held)
+
+
+def _among(grid: Grid, times_s: FloatArray) -> FloatArray:
+    """(T,) times, counted in steps from the first one's collocation time."""
+    steps = grid.in_equal_steps
+    return np.asarray((times_s - steps.start_s) / steps.step_s - steps.collocation)
 
 
 def _integrate(
-    block: Block, grid: Grid, base: FloatArray, times_s: Sequence[FloatArray]
+    block: Block,
+    grid: Grid,
+    base: FloatArray,
+    times_s: Sequence[FloatArray],
+    wrench: FloatArray,
 ) -> FloatArray:
-    """(times, n + 1, LANES) bends of all lanes at their times.  Raises DivergedError."""
+    """(times, n + 1, LANES) bends of all lanes at their times.  Raises DivergedError.
+
+    wrench  (steps, 3, LANES) to be filled with what holds the cables; (0,) = not wanted
+    """
     solver, n = grid.solver, block.segments
     bends = at.vectors(max(map(len, times_s)), n + 1)
     begun = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND]
@@ -218,6 +246,7 @@ def _integrate(
         block.effects,
         looks(_in_steps(times_s, grid)),
         bends.ravel(),
+        wrench.ravel(),
     )
     if bad >= 0:
         final = begun[:, : len(block.lanes)]

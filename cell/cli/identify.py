@@ -129,7 +129,7 @@ def _one(given: _Identify) -> None:
 
 
 def _all(given: _Identify) -> None:
-    from cell.lab.data.prepared import StoppedError, Work
+    from cell.lab.data.work import StoppedError, Work
     from cell.lab.line.identified_table import identified_table
     from cell.lab.line.identify_all import IdentifiedAll, identify_all
     from cell.lab.line.recordings import packer, recordings_in

@@ -97,6 +97,7 @@ def look_at_study(
 
     from cell.files.page import write_page
     from cell.lab.report.look_page import FACT_NOTE, facts_table, look_page
+    from cell.lab.report.wrench_report import wrench_facts_table
 
     page = out or (Path("look.html") if open_it else None)
     with refusing(page, as_json, force=force), working("look"):
@@ -106,6 +107,8 @@ def look_at_study(
     def printed() -> None:
         if print_result(data, as_json):
             show(facts_table(look), f"{FACT_NOTE}.")
+            if look.wrenches:
+                show(wrench_facts_table(look.wrenches))
             for head, found in (("Odd:", look.odd), ("To be mended:", look.wrong)):
                 show(*([head, *(f"  {s}" for s in found)] if found else []))
             if not look.odd and not look.wrong:
@@ -127,6 +130,7 @@ def _look(folder: Path) -> Look:
     from cell.study.folder import study_as_it_is, study_folder
     from cell.study.imports.quality import slips
     from cell.study.odd import oddities
+    from cell.study.wrench_facts import wrench_facts
 
     study, problems = study_as_it_is(study_folder(folder))
     notes = list(study.notes)
@@ -137,6 +141,7 @@ def _look(folder: Path) -> Look:
         except InputError as error:
             wrong = [str(p) for p in error.problems]
     facts = facts_of(study.trials, study.arc_length_m)
+    wrenches = [w for t in study.trials if (w := wrench_facts(t)) is not None]
     odd = [*notes, *oddities(facts, study.noise_std_m is not None)]
     title = f"A look at {study.name}"
-    return Look(study.name, title, study.trials, facts, {}, wrong, odd)
+    return Look(study.name, title, study.trials, facts, {}, wrong, odd, wrenches)

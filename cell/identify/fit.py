@@ -8,17 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.dynamics import simulate, simulate_each
+from cell.cable.dynamics import Beginning, simulate, simulate_each, simulate_gauged
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver
 from cell.cable.statics import UnsettledError
 from cell.cable.still import moves_from_s
+from cell.cable.wrench import Gauge
 from cell.identify import gauss_newton
 from cell.identify.hand import HandErrors, likely_motions
 from cell.identify.identified import Identified
-from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_frames
+from cell.identify.noise import Noise, across, estimate_noise, still_frames
 from cell.identify.parameters import ParameterSpace
 from cell.identify.predicted_frames import PredictedFrames
+from cell.identify.whitener import Whitener
 from cell.study.data import Markers, Trial
 
 FloatArray = NDArray[np.float64]
@@ -245,24 +247,38 @@ class Lane:
 
 
 def predict_lanes(
-    lanes: Sequence[Lane], arc_length_m: FloatArray, solver: Solver, impossible: float = np.inf
+    lanes: Sequence[Lane],
+    arc_length_m: FloatArray,
+    solver: Solver,
+    impossible: float = np.inf,
+    gauge: Gauge | None = None,
 ) -> list[FloatArray]:
     """(T, markers, 2) per lane: where the markers are, m.  All lanes begin alike.
 
     A lane that cannot be simulated does not spoil the others.
     impossible  value of a lane that cannot be simulated
+    gauge       what measures the wrench: it is behind the markers, as in `simulate_gauged`
     """
     trial = lanes[0].trial
-    found = simulate_each(
-        [lane.model for lane in lanes],
-        [lane.trial.grip for lane in lanes],
-        [lane.times_s for lane in lanes],
-        arc_length_m,
-        solver=solver,
-        start=trial.start,
-        release_s=trial.release_s,
-        bent=[lane.modes for lane in lanes if lane.modes is not None],
-    )
+    models, motions = [lane.model for lane in lanes], [lane.trial.grip for lane in lanes]
+    times = [lane.times_s for lane in lanes]
+    bent = [lane.modes for lane in lanes if lane.modes is not None]
+    if gauge is not None:
+        begin = Beginning.of(trial.start, trial.release_s, bent, len(lanes))
+        found = simulate_gauged(
+            models, motions, times, arc_length_m, gauge, solver=solver, begin=begin
+        )
+    else:
+        found = simulate_each(
+            models,
+            motions,
+            times,
+            arc_length_m,
+            solver=solver,
+            start=trial.start,
+            release_s=trial.release_s,
+            bent=bent,
+        )
     return [np.full_like(p, impossible) if np.isnan(p).all() else p for p in found]
 
 
@@ -286,10 +302,12 @@ def variance_inflation(
     """
     count = sum(w.count for w in whiteners)
     mean_square = float(white_residual @ white_residual) / max(1, count - parameters)
-    channels, begin = [], 0
+    channels: list[FloatArray] = []
+    begin = 0
     for whitener in whiteners:
         block = white_residual[begin : begin + whitener.rows]
-        channels.append(block.reshape(-1, whitener.frames))
+        grid = block.reshape(-1, whitener.channels, whitener.frames)
+        channels += [g.reshape(-1, g.shape[-1]) for g in whitener.own_rows(grid) if g.size]
         begin += whitener.rows
     time, power = 1.0, sum(float(np.sum(c * c)) for c in channels)
     for lag in range(1, min(c.shape[1] for c in channels) // 2):

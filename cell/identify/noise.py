@@ -1,25 +1,20 @@
-"""Measurement noise of markers: its size, its colour, and residuals made white by it."""
+"""Measurement noise of markers: its size and its colour."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.geometry import Motion
 from cell.cable.still import moves_from_s
-from cell.identify.innovations import coloured, innovations, whiten, whiten_constant
 
 FloatArray = NDArray[np.float64]
 
 #: Fewest still frames of a trial from which noise is estimated.
 FEWEST_STILL_FRAMES = 8
-
-#: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
-SLOW_FRAMES, ALONG = 8, 3
 
 _STRONGEST_COLOUR = 0.98
 
@@ -130,163 +125,3 @@ def across(markers_m: FloatArray) -> FloatArray:
     last = np.maximum.accumulate(np.where(known, np.arange(frames)[:, None], 0), axis=0)
     along = along[last, np.arange(markers)]
     return np.stack([-along[..., 1], along[..., 0]], axis=-1)
-
-
-class Whitener:
-    """Turns predicted markers of one trial into white residuals of unit size.
-
-    A channel (x or y of a marker, or its place across the cable) has an AR(1) error over the
-    frames in which it was seen, a white one beside it (then its innovations are those of a Kalman
-    filter), plus a constant of known variance, which is integrated out.  So is the place of a
-    marker along the cable, if that is uncertain, and what moves all markers of a trial together.
-
-    seen  (T, markers, channels) whether a channel was seen: a marker may show one coordinate only
-    """
-
-    def __init__(
-        self,
-        markers_m: FloatArray,
-        noise: Noise,
-        shift_m: FloatArray | None = None,
-        together_m: FloatArray | None = None,
-    ) -> None:
-        """`markers_m` (T, markers, 2) as measured, nan where not seen.
-
-        shift_m  (T, markers, 2) by how much a standard deviation of its arc length moves a marker
-        together_m  (shapes, T, markers, 2) independent movements of all of them, of one each
-        """
-        self.noise = noise
-        finite = np.isfinite(markers_m)
-        self.frames, markers = finite.shape[:2]
-        if noise.across_only:
-            self._axes = np.ascontiguousarray(across(markers_m)[:, :, None])
-            self.seen = np.asarray(finite.all(axis=-1, keepdims=True), dtype=np.bool_)
-            measured = self.seen
-        else:
-            self._axes = np.broadcast_to(np.eye(2), (self.frames, markers, 2, 2)).copy()
-            self.seen = measured = finite
-        self.measured = np.where(measured, markers_m, 0.0)
-        self.channels = self._axes.shape[2]
-        self.rows = markers * self.channels * self.frames
-        self.count = int(self.seen.sum())
-        series = self.seen.reshape(self.frames, -1)
-        self._memory, self._weight, self._gain = (
-            v.reshape(markers, self.channels, self.frames)
-            for v in innovations(series, noise.std_m, noise.ar1, noise.white)
-        )
-        # what a constant looks like when white, and which part of a residual along it is taken out
-        self._ones = self._weight.copy()
-        if noise.white > 0.0:
-            whiten_constant(self._memory, self._weight, self._gain, self._ones)
-        else:
-            self._ones[..., 1:] *= 1.0 - self._memory[..., 1:]
-        size = np.sum(self._ones**2, axis=-1)
-        self._kept = 1.0 / np.sqrt(1.0 + noise.bias_m**2 * size)
-        self._size = np.where(size > 0.0, size, 1.0)
-        self._shift_m, self._shift = shift_m, None
-        if shift_m is not None:
-            self._shift = self._white(-shift_m[None], np.zeros_like(self.measured))[0]
-            self._shift_size = np.maximum(np.sum(self._shift**2, axis=(1, 2)), 1e-300)
-        self._together_m, self._together = together_m, None
-        if together_m is not None and len(together_m):
-            white = self._unshifted(self._white(-together_m, np.zeros_like(self.measured)))
-            self._together = white.reshape(len(white), self.rows)
-            _, sizes, self._modes = np.linalg.svd(self._together, full_matrices=False)
-            self._mode_pull = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
-
-    def __call__(self, predicted_m: FloatArray) -> FloatArray:
-        """White residuals (measured − predicted).
-
-        predicted_m  (lanes, T, markers, 2), m
-        returns      (lanes, rows) ordered marker, channel, frame; 0 where not seen
-        """
-        out = self._white(predicted_m, self.measured)
-        return self._apart(self._unshifted(out).reshape(len(predicted_m), self.rows))
-
-    def _white(self, predicted_m: FloatArray, measured_m: FloatArray) -> FloatArray:
-        """(lanes, markers, channels, T) of markers whose arc lengths are certain."""
-        out = np.empty((len(predicted_m), *self._memory.shape))
-        pull = (1.0 - self._kept) / self._size
-        whiten(
-            predicted_m,
-            measured_m,
-            self._axes,
-            self._memory,
-            self._weight,
-            self._gain,
-            self._ones,
-            pull,
-            out,
-        )
-        return out
-
-    def _unshifted(self, white: FloatArray) -> FloatArray:
-        """Residuals (lanes, markers, channels, T) made white for uncertain arc lengths too.
-
-        Of a vector h of variance 1 beside white noise: (I + h hᵀ)^−½.  A second time it gives what
-        is left beside the likeliest arc lengths.
-        """
-        if self._shift is None:
-            return white
-        along = np.einsum("lmct,mct->lm", white, self._shift)
-        kept = 1.0 / np.sqrt(1.0 + self._shift_size)
-        pull = along * (1.0 - kept) / self._shift_size
-        return np.asarray(white - pull[..., None, None] * self._shift)
-
-    def _apart(self, rows: FloatArray) -> FloatArray:
-        """Residuals (lanes, rows) made white for what moves all markers together, as above."""
-        if self._together is None:
-            return rows
-        return np.asarray(rows - (rows @ self._modes.T * self._mode_pull) @ self._modes)
-
-    def beside_m(self, predicted_m: FloatArray) -> FloatArray:
-        """(T, markers, 2) measured − predicted, nan where not seen, m.
-
-        Where arc lengths are uncertain, or markers move together, beside the likeliest of both.
-        """
-        if self._together is not None and self._together_m is not None:
-            rows = self._unshifted(self._white(predicted_m[None], self.measured)).ravel()
-            gram = np.eye(len(self._together)) + self._together @ self._together.T
-            sizes = np.linalg.solve(gram, self._together @ rows)
-            predicted_m = predicted_m + np.einsum("k,ktmc->tmc", sizes, self._together_m)
-        error_m = np.where(self.seen, self.measured - predicted_m, np.nan)
-        if self._shift is None or self._shift_m is None:
-            return error_m
-        white = self._white(predicted_m[None], self.measured)[0]
-        moved = np.einsum("mct,mct->m", white, self._shift) / (1.0 + self._shift_size)
-        return np.asarray(error_m - moved[:, None] * self._shift_m)
-
-    @cached_property
-    def smooth_modes(self) -> tuple[FloatArray, ...]:
-        """Per channel (markers × frames, modes) orthonormal smooth functions of what was seen.
-
-        Cosines in time and polynomials along the cable span them.  A misfit of a model is there, of
-        noise only a few per cent.
-        """
-        return tuple(_smooth_modes(self.seen[..., c]) for c in range(self.channels))
-
-    def error_m(self, white: FloatArray) -> FloatArray:
-        """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen.
-
-        Where arc lengths are uncertain, or markers move together, beside the likeliest of both.
-        """
-        fresh = self._unshifted(self._apart(white[None]).reshape(1, *self._memory.shape))[0]
-        along = np.sum(fresh * self._ones, axis=-1)
-        back = (1.0 / self._kept - 1.0) / self._size
-        fresh = fresh + (back * along)[..., None] * self._ones
-        error = np.full(self.seen.shape, np.nan)
-        coloured(np.ascontiguousarray(fresh), self._memory, self._weight, self._gain, error)
-        return error
-
-
-def _smooth_modes(seen: NDArray[np.bool_]) -> FloatArray:
-    """(markers × frames, modes) of what was seen (frames, markers) in a channel."""
-    frames, markers = seen.shape
-    slow = max(2, frames // SLOW_FRAMES)
-    in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
-    along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
-    functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
-    functions = functions * seen.T.reshape(-1, 1)
-    values, vectors = np.linalg.eigh(functions.T @ functions)
-    good = values > 1e-9 * max(values[-1], 1e-300)
-    return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.geometry import Cable, Motion, Start
+from cell.cable.wrench import Gauge
 from cell.study.hand_drift import HandDrift
 
 FloatArray = NDArray[np.float64]
@@ -57,10 +58,38 @@ class Markers:
 
 
 @dataclass(frozen=True)
+class Wrench:
+    """What a force/torque sensor at the clamp showed: `t_s` (T,), `values` (T, 3).
+
+    values  force x, y, N, and moment about the gripping point, N·m, that hold cable and tool; less
+            or more by a constant, its tare, that nobody knows; nan where not measured
+    """
+
+    t_s: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class WrenchSensor:
+    """The force/torque sensor of a study: what it carries, its axes, its noise if that is stated.
+
+    force_std_n, moment_std_nm  standard deviation in one row; None = as the rest shows it
+    gain_std  standard deviation of its gain beside 1, and of the cable's mass beside the
+              datasheet's: forces grow with either alike
+    """
+
+    gauge: Gauge = Gauge()  # noqa: RUF009
+    force_std_n: float | None = None
+    moment_std_nm: float | None = None
+    gain_std: float = 0.02
+
+
+@dataclass(frozen=True)
 class Trial:
     """One motion of the grip and what was seen of the cable meanwhile, on one clock.
 
     hand_drift  error of the grip's place, where it was integrated; None = its log shows all of it
+    wrench  what a sensor at the clamp showed, if there was one
     """
 
     name: str
@@ -70,6 +99,7 @@ class Trial:
     markers: Markers
     release_s: float | None = None
     hand_drift: HandDrift | None = None
+    wrench: Wrench | None = None
 
     @property
     def bent(self) -> bool:
@@ -93,6 +123,7 @@ class Study:
     pull_m_per_s2  acceleration as the cable's stiffness, where gravity in the plane is weak;
                   None = gravity is.  See `cell.study.pull`
     arc_length_std_m  (markers,) standard deviation of arc lengths; None = they are exact
+    sensor         of the trials' wrenches, if any has one
     """
 
     name: str
@@ -105,6 +136,7 @@ class Study:
     filmed: bool = False
     pull_m_per_s2: float | None = None
     arc_length_std_m: FloatArray | None = None
+    sensor: WrenchSensor = WrenchSensor()
 
     @property
     def scale_m_per_s2(self) -> float:

@@ -15,11 +15,14 @@ from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
 from cell.study.checks import check_finite, check_times, check_whole
-from cell.study.data import Markers, Source, Study, Trial
+from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import datasheet_of, implausible_entries
 from cell.study.hand_drift import HandDriftSection
 from cell.study.judged import judged
 from cell.study.table import read_table, table_text
+from cell.study.wrench_file import FILE as WRENCH_FILE
+from cell.study.wrench_file import SensorEntry, read_wrench, sensor_entry, wrench_text
+from cell.study.wrench_plausible import force_factor
 
 FloatArray = NDArray[np.float64]
 
@@ -84,6 +87,7 @@ class _Study(_Strict):
     gravity_m_per_s2: tuple[_Finite, _Finite] = (0.0, -9.81)
     markers: _Markers
     noise_std_m: _Positive | None = None
+    wrench: SensorEntry | None = None
     trials: Annotated[list[_Trial], Field(min_length=1, max_length=MAX_TRIALS)]
 
 
@@ -117,6 +121,7 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
     arc_length_m = np.array(header.markers.arc_length_m)
     order = np.argsort(-arc_length_m)
     std_m = header.markers.arc_length_std_m
+    sensor = WrenchSensor() if header.wrench is None else header.wrench.sensor()
     trials: list[Trial] = []
     notes: list[str] = []
     for trial in header.trials:
@@ -128,6 +133,12 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
         found, odd = judged(read, cable, arc_length_m[order], header.gravity_m_per_s2)
         problems += found
         notes += odd
+        if factor := force_factor(read, cable, float(arc_length_m.max()), sensor):
+            where = folder / trial.name / WRENCH_FILE
+            if factor.refused:
+                problems.append(Problem(where, 2, None, factor.column, factor.cause))
+            else:
+                notes.append(f"{where}: {factor.column} {factor.cause}")
         taken, step = thinned(read)
         if step > 1:
             markers = folder / trial.name / "markers.csv"
@@ -138,6 +149,10 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
         trials.append(taken)
     if not trials:
         raise InputError(problems)
+    files = [folder / t.name / WRENCH_FILE for t in header.trials]
+    if header.wrench is not None and not any(f.exists() for f in files):
+        remedy = f"is given, but no trial has a {WRENCH_FILE}; add one, or remove the key"
+        problems.append(document.problem(("wrench",), remedy))
     study = Study(
         name=header.name,
         cable=cable,
@@ -147,6 +162,7 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
         noise_std_m=header.noise_std_m,
         notes=tuple(notes),
         arc_length_std_m=None if std_m is None else np.broadcast_to(std_m, order.shape)[order],
+        sensor=sensor,
     )
     return study, problems
 
@@ -189,6 +205,8 @@ def write_study(study: Study, folder: Path) -> None:
             _marker_columns(len(study.arc_length_m)),
             np.column_stack([markers.t_s, markers.xy_m.reshape(len(markers.t_s), -1)]),
         )
+        if trial.wrench is not None:
+            files[folder / trial.name / WRENCH_FILE] = wrench_text(trial.wrench)
     header: dict[str, object] = {
         "format": FORMAT,
         "name": study.name,
@@ -198,6 +216,8 @@ def write_study(study: Study, folder: Path) -> None:
     }
     if study.noise_std_m is not None:
         header["noise_std_m"] = float(study.noise_std_m)
+    if entry := sensor_entry(study.sensor):
+        header["wrench"] = entry
     header["trials"] = [_trial_entry(t) for t in study.trials]
     files[folder / "study.yaml"] = yaml_text(header)
     write_all(files)
@@ -301,8 +321,12 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
     )
     source = Source(table.path, np.array(table.lines), order)
     markers = Markers(t_s, xy_m[:, order], source)
+    there = folder / WRENCH_FILE
+    wrench = read_wrench(there, motion) if there.exists() else None
     drift = None if trial.hand_drift is None else trial.hand_drift.drift()
-    return Trial(trial.name, trial.role, trial.start, motion, markers, trial.release_s, drift)
+    return Trial(
+        trial.name, trial.role, trial.start, motion, markers, trial.release_s, drift, wrench
+    )
 
 
 def thinned(trial: Trial) -> tuple[Trial, int]:

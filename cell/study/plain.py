@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from cell.cable.geometry import Cable, Motion
-from cell.study.data import FloatArray, Markers, Study, Trial
+from cell.study.data import FloatArray, Markers, Study, Trial, Wrench, WrenchSensor
 from cell.study.hand_drift import HandDrift, HandDriftSection
+from cell.study.wrench_file import SensorEntry, sensor_entry
 
 
 def study_to_plain(study: Study) -> dict[str, Any]:
@@ -33,9 +34,10 @@ def study_to_plain(study: Study) -> dict[str, Any]:
                 "grip": {k: getattr(trial.grip, k) for k in ("t_s", "x_m", "y_m", "angle_rad")},
                 "markers": {"t_s": trial.markers.t_s, "xy_m": trial.markers.xy_m},
             }
+            | ({} if trial.wrench is None else {"wrench": dict(vars(trial.wrench))})
             for trial in study.trials
         ],
-    }
+    } | ({} if study.sensor == WrenchSensor() else {"wrench": sensor_entry(study.sensor)})
 
 
 def study_from_plain(data: Mapping[str, Any]) -> Study:
@@ -58,12 +60,14 @@ def study_from_plain(data: Mapping[str, Any]) -> Study:
                 Markers(_array(t["markers"]["t_s"]), _array(t["markers"]["xy_m"])),
                 t["release_s"],
                 _drift(t.get("hand_drift")),
+                Wrench(**{k: _array(v) for k, v in t["wrench"].items()}) if "wrench" in t else None,
             )
             for t in data["trials"]
         ),
         (float(x_m_per_s2), float(y_m_per_s2)),
         data["noise_std_m"],
         arc_length_std_m=None if std_m is None else _array(std_m),
+        sensor=SensorEntry(**data.get("wrench", {})).sensor(),
     )
 
 

@@ -45,9 +45,10 @@ class Table:
             )
 
 
-def read_table(path: Path, columns: Sequence[str]) -> Table:
+def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> Table:
     """Read the named columns, in this order whatever their order in the file.
 
+    optional  columns that may be missing, and are then not among the table's
     raises  InputError: the file, a column or a cell is missing, unknown or not a number
     """
 
@@ -66,6 +67,7 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
         raise error(1, "", "columns must be separated by commas, with decimal points")
     missing = [name for name in columns if name not in header]
+    columns = [*columns, *(name for name in optional if name in header)]
     unknown = [name for name in header if name not in columns]
     if missing:
         close = difflib.get_close_matches(missing[0], unknown, 1, 0.5)
@@ -75,7 +77,8 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
             f"needed: {_listed(columns)}"
         )  # fmt: skip
     if unknown:
-        raise error(1, unknown[0], f"unknown column; needed: {_listed(columns)}; remove it")
+        also = f"; possible: {_listed(optional)}" if optional else ""
+        raise error(1, unknown[0], f"unknown column; needed: {_listed(columns)}{also}; remove it")
     if len(set(header)) < len(header):
         twice = next(name for name in header if header.count(name) > 1)
         raise error(1, twice, "column given twice; remove one")

@@ -38,7 +38,7 @@ class Chain:
         out = np.empty(0)
         bad = integrate(
             b.state, b.width, self.n, self.base(steps), self.coefficients, b.nonlinear,
-            b.passes, b.effects, looks([out]), out,
+            b.passes, b.effects, looks([out]), out, np.empty(0),
         )  # fmt: skip
         assert bad == -1
 
@@ -50,7 +50,7 @@ class Chain:
         self.fields[:, at.ACCEL_C] = 0.0
         kinematics(b.state, b.width, self.n, rows, 0, False)
         bending(b.state, b.width, self.n, b.nonlinear, 0.0, 0.0)
-        solve(b.state, np.zeros(9 * at.LANES), b.width, self.n, rows, 0, 0.0, False)
+        solve(b.state, np.zeros(12 * at.LANES), b.width, self.n, rows, 0, 0.0, False)
         return self[at.ACCEL_C].copy()
 
     def kinetic(self, bend, rate):
@@ -130,7 +130,7 @@ def swing_links(length, fields, motion, times, step=1e-4):
     out = np.zeros(len(times) * (n + 1) * at.LANES)
     bad = integrate(
         block.state, block.width, n, base, coefficients, False, 2, block.effects,
-        looks([(times - times[0]) / step] * at.LANES), out,
+        looks([(times - times[0]) / step] * at.LANES), out, np.empty(0),
     )  # fmt: skip
     assert bad == -1
     x, y, angle = (s(times) for s in motion.splines)

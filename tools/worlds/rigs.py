@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cell.cable.dynamics import simulate
+from cell.cable.dynamics import simulate, simulate_gauged
 from cell.cable.effects import ActiveEffect, library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
-from cell.study.data import Markers, Study, Trial
+from cell.cable.wrench import Gauge, Tool
+from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
 from tools.worlds.made_studies import (
     STROKES,
     WORLD,
@@ -38,6 +39,40 @@ SLOW_FRAME_S = 1.0 / 30.0
 ERRING_SHAPES = 3
 
 
+@dataclass(frozen=True)
+class ForceSensor:
+    """A sensor under the jaws: its rate, noise and colour, true gain, and the tool that it carries.
+
+    Every trial has a tare of its own, of up to some newtons.
+    """
+
+    rate_hz: float
+    force_n: float
+    moment_nm: float
+    colour: float
+    gain: float
+    tool: Tool
+
+    def shown(
+        self, rng: np.random.Generator, model: CableModel, hand: Motion, quiet: bool
+    ) -> Wrench:
+        """What it shows of a cable from rest; `quiet`: nothing is wrong with it."""
+        t_s = np.arange(rng.uniform(0.0, 1.0 / self.rate_hz), hand.t_s[-1], 1.0 / self.rate_hz)
+        tip_m = np.array([model.cable.length_m])
+        (seen,) = simulate_gauged(model, hand, [t_s], tip_m, Gauge(self.tool), solver=WORLD)
+        values = seen[:, 1:].reshape(len(t_s), -1)[:, :3]
+        if quiet:
+            return Wrench(t_s, values)
+        sizes = np.array([self.force_n, self.force_n, self.moment_nm])
+        noise = sizes * coloured(rng, values.shape, self.colour)
+        return Wrench(t_s, self.gain * values + noise + rng.normal(size=3) * [2.0, 2.0, 0.1])
+
+    def stated(self, quiet: bool) -> WrenchSensor:
+        """As a study states it: its noise only where there is none to be seen."""
+        noise = (self.force_n, self.moment_nm) if quiet else (None, None)
+        return WrenchSensor(Gauge(self.tool), *noise)
+
+
 @dataclass(frozen=True, eq=False)
 class Rig:
     """A rig, its cable and what is wrong with its measurements.
@@ -53,6 +88,7 @@ class Rig:
     parted    the outer half of the markers is seen by a second camera, of another rate and clock
     counts    a turn, of an encoder that tells the hand, which is on an arm of `arm_m`; 0 = none is
     turns_rad  by how much a clamp turns whose motion an accelerometer tells; None = none does
+    sensor    under the jaws, if there is one
     """
 
     seed: int
@@ -76,6 +112,7 @@ class Rig:
     counts: int = 0
     arm_m: float = 0.15
     turns_rad: float | None = None
+    sensor: ForceSensor | None = None
 
     @staticmethod
     def drawn(seed: int, effect: str) -> Rig:
@@ -117,7 +154,8 @@ class Rig:
     @property
     def independent(self) -> float:
         """Independent values per value of its noise."""
-        in_time = (1.0 - self.colour) / (1.0 + self.colour) / self.updates
+        colour = max(self.colour, self.sensor.colour if self.sensor else 0.0)
+        in_time = (1.0 - colour) / (1.0 + colour) / self.updates
         if self.updates == 1:
             return in_time
         return in_time * min(1.0, ERRING_SHAPES / len(self.arc_length_m))
@@ -160,8 +198,10 @@ def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> 
         t_s = np.arange(begin_s, hand.t_s[-1], frame_s)
         of_second = np.arange(begin_s, hand.t_s[-1], rig.parted) if rig.parted else t_s
         t_s = np.union1d(t_s, of_second)
-        seen = _simulated(rng, model, hand, t_s, rig, start, still_s)
+        seen, moved = _simulated(rng, model, hand, t_s, rig, start, still_s), hand
         hand = _at_steps(hand, log_s) if log_s else hand
+        sensor = rig.sensor
+        wrench = None if sensor is None else sensor.shown(errors, model, moved, quiet)
         second, outer = np.isin(t_s, of_second), len(rig.arc_length_m) // 2
         views = [(second, slice(None, outer)), (~second, slice(outer, None))] if rig.parted else []
         for (_, markers), (rows, _) in zip(views, reversed(views), strict=True):
@@ -175,11 +215,12 @@ def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> 
             seen[..., 1 - rig.seen] = np.nan
         trials.append(Trial(name, "fit" if role == "fit" else "validate", start, hand,
                             Markers(t_s, seen), still_s if start == "held" else None,
-                            drift))  # fmt: skip
+                             drift, wrench))  # fmt: skip
     stated = quiet or {"shapes", "one coordinate"} & set(rig.features)
     std_m = np.full(len(arcs_m), rig.arc_std_m) if rig.arc_std_m else None
     study = Study(f"rig_{rig.seed}", rig.cable, arcs_m, tuple(trials), arc_length_std_m=std_m,
-                  noise_std_m=rig.noise_m if stated else None)  # fmt: skip
+                  noise_std_m=rig.noise_m if stated else None,
+                  sensor=rig.sensor.stated(quiet) if rig.sensor else WrenchSensor())  # fmt: skip
     if quiet or not rig.sensed:
         return study
     if rig.counts:

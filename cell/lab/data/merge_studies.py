@@ -141,7 +141,13 @@ def _sheet(study: Study) -> dict[str, FloatArray]:
         "cable": np.array(list(study.cable.numbers.values())),
         "markers.arc_length_m": study.arc_length_m,
         "gravity_m_per_s2": np.array(study.gravity_m_per_s2),
-    }
+        "wrench": np.array([
+            study.sensor.gauge.turns,
+            study.sensor.gauge.tool.mass_kg,
+            *study.sensor.gauge.tool.centre_m,
+            study.sensor.gauge.tool.inertia_kg_m2,
+        ]),
+    }  # fmt: skip
 
 
 def _individuals(cycles: Sequence[_Cycle]) -> Iterator[Problem]:

@@ -13,7 +13,6 @@ from scipy.special import lambertw
 from cell.identify.golden_section import where_least
 from cell.identify.innovations import frames_since
 from cell.identify.noise import Noise
-from cell.study.data import Study
 
 FloatArray = NDArray[np.float64]
 
@@ -213,17 +212,16 @@ def alike(one: Noise, other: Noise) -> bool:
     return bool(max(level, memory) < UNCHANGED)
 
 
-def resolution_m(study: Study) -> float:
-    """Step to which most series of markers are rounded, m; 0 where values do not repeat.
+def resolution_m(measured: Sequence[FloatArray]) -> float:
+    """Step to which most series are rounded, m; 0 where values do not repeat.
 
-    The smallest difference of two values of a series, where some are equal.
+    The smallest difference of two values of a series (frames,), where some are equal.
     """
     steps = []
-    for trial in study.trials:
-        for series in trial.markers.xy_m.reshape(len(trial.markers.t_s), -1).T:
-            seen = series[np.isfinite(series)]
-            values = np.unique(seen)
-            steps.append(float(np.diff(values).min()) if 1 < len(values) < len(seen) else 0.0)
+    for series in measured:
+        seen = series[np.isfinite(series)]
+        values = np.unique(seen)
+        steps.append(float(np.diff(values).min()) if 1 < len(values) < len(seen) else 0.0)
     return float(np.median(steps)) if steps else 0.0
 
 

@@ -141,28 +141,45 @@ def noise_model_of(study: Study) -> NoiseModel:
 
     raises  NoiseUnknownError: no still frames and no stated level
     """
-    blocks = [block for trial in study.trials for block in _still_blocks(trial)]
+    markers = slice(0, len(study.arc_length_m))
+    blocks = [block for trial in study.trials for block in still_blocks(trial, markers)]
+    series = [
+        values
+        for trial in study.trials
+        for values in trial.markers.xy_m[:, markers].reshape(len(trial.markers.t_s), -1).T
+    ]
+    found = noise_model_of_blocks(blocks, series, study.noise_std_m)
+    if found is None:
+        raise NoiseUnknownError(
+            f"study {study.name}: no trial has {MIN_STILL_FRAMES} frames before the hand "
+            "moves, so the camera's noise is unknown; give noise_std_m in study.yaml"
+        )
+    return found
+
+
+def noise_model_of_blocks(
+    blocks: Sequence[Block], series: Sequence[FloatArray], stated: float | None
+) -> NoiseModel | None:
+    """Noise from what is still of series, and their rounding; None if nothing is, and none stated.
+
+    Its level is as stated, if it is.
+    """
     if not blocks:
-        if study.noise_std_m is None:
-            raise NoiseUnknownError(
-                f"study {study.name}: no trial has {MIN_STILL_FRAMES} frames before the hand "
-                "moves, so the camera's noise is unknown; give noise_std_m in study.yaml"
-            )
-        return NoiseModel(Noise(study.noise_std_m), np.inf, coloured=False)
-    rest = Rest.of(blocks, resolution_m(study))
+        return None if stated is None else NoiseModel(Noise(stated), np.inf, coloured=False)
+    rest = Rest.of(blocks, resolution_m(series))
     found, dof = rest.likeliest()
-    if study.noise_std_m is None:
+    if stated is None:
         return NoiseModel(found, dof, rest=rest)
-    return NoiseModel(Noise(study.noise_std_m, found.ar1), np.inf)
+    return NoiseModel(Noise(stated, found.ar1), np.inf)
 
 
-def _still_blocks(trial: Trial) -> list[Block]:
+def still_blocks(trial: Trial, markers: slice) -> list[Block]:
     """Of every coordinate the longest run of frames in which it is seen, equal runs together.
 
     So that a lost frame costs what came before or after it, and not the marker.
     """
     still = still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)
-    series_m = trial.markers.xy_m[still]
+    series_m = trial.markers.xy_m[still, markers]
     series_m = series_m.reshape(len(series_m), 2 * series_m.shape[1])
     seen: NDArray[np.bool_] = np.isfinite(series_m)
     since = frames_since(seen)

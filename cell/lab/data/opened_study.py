@@ -15,6 +15,7 @@ from cell.study.facts import trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.left_out import without_wrong_samples
 from cell.study.pull import WEAK_M_PER_S2, with_pull
+from cell.study.wrench_slips import without_slips
 
 #: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
 SWING = 1.545
@@ -52,7 +53,8 @@ def open_study(folder: Path) -> Study:
     if problems:
         raise InputError(problems)
     told = [note for t in study.trials for note in _left_out(folder / t.name / "grip.csv", t.grip)]
-    return without_wrong_samples(replace(study, notes=(*study.notes, *told)))
+    study = without_slips(replace(study, notes=(*study.notes, *told)), folder)
+    return without_wrong_samples(study)
 
 
 def _left_out(log: Path, grip: Motion) -> list[str]:

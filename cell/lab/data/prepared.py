@@ -12,11 +12,16 @@ from numpy.typing import NDArray
 
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
+from cell.cable.wrench import AS_POINTS, Gauge
 from cell.identify.fit import Lane, predict_lanes
-from cell.identify.marker_shift import carried_m, slopes_along
-from cell.identify.noise import Noise, Whitener, still_frames
+from cell.identify.noise import Noise
+from cell.identify.whitener import Whitener
+from cell.lab.data.gauges import Gauges, scaled, with_gauges, without_gauges
+from cell.lab.data.held_straight import placed
 from cell.lab.data.noise_model import NoiseModel, noise_model_of, noise_model_of_residuals
 from cell.lab.data.unknown_start import InitialState, initial_state_of
+from cell.lab.data.whitening import whiteners_of
+from cell.lab.data.work import SOLVER, Work
 from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -24,50 +29,16 @@ Number = TypeVar("Number", bound=np.generic)
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
-#: Within 4 µm (rms over the markers of a swing) of a converged cable.
-SOLVER = Solver(segments=32, step_s=1e-3)
 #: A model errs if its rms is above the noise by this factor.
 ERRS = 1.1
-
-
-class StoppedError(KeyboardInterrupt):
-    """A computation was stopped before its next simulation, to return the results so far."""
-
-
-@dataclass
-class Work:
-    """Work, counted as seconds of cable motion simulated with `SOLVER`, or its equivalent.
-
-    Whoever waits may stop it from another thread or a signal's handler.
-    """
-
-    simulated_s: float = 0.0
-    stopped: bool = False
-
-    def stop(self) -> None:
-        """Let the next simulation raise StoppedError."""
-        self.stopped = True
-
-    def check(self) -> None:
-        """Raises StoppedError: no more simulations are wanted."""
-        if self.stopped:
-            raise StoppedError
-
-    def add(self, models: int, duration_s: float, solver: Solver) -> None:
-        """Count a batch.  Raises StoppedError: no more are wanted."""
-        self.check()
-        self.simulated_s += models * duration_s * self.cost(solver)
-
-    @staticmethod
-    def cost(solver: Solver) -> float:
-        """What a second of motion costs with a solver, over what it costs with `SOLVER`."""
-        return solver.segments / SOLVER.segments * SOLVER.step_s / solver.step_s
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedStudy:
     """A study, its noise, and what whitens its trials.
 
+    study  its markers; where a sensor has measured the clamp's wrench that is behind them, as
+           further points: see `gauges`
     work   what has been simulated of it
     noise  used for whitening: the measurement's, or larger where an earlier individual's model is
            known to err by more
@@ -77,6 +48,7 @@ class PreparedStudy:
     memo      what `once_per_study` has worked out of it; another study begins with none
     mesh_m    per trial (times, markers, 2) error of the solver's mesh that has been taken out of
               the study's markers, m
+    gauges    how wrenches are told as points; None = there are none
     """
 
     study: Study
@@ -88,6 +60,7 @@ class PreparedStudy:
     slopes: Solver | None = None
     counted: Solver | None = None
     mesh_m: Mapping[str, FloatArray] = field(default_factory=dict)
+    gauges: Gauges | None = None
     memo: dict[tuple[object, ...], Any] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -115,8 +88,12 @@ class PreparedStudy:
             if misfit and misfit.std_m > ERRS * noise_model.noise.std_m
             else noise_model.noise
         )
-        whiteners = whiteners_of(study, noise)
-        return PreparedStudy(study, noise_model, noise, whiteners, solver or SOLVER, work or Work())
+        level_m = noise_model.noise.std_m
+        study, gauges = with_gauges(study, level_m, noise.std_m / level_m)
+        whiteners = whiteners_of(study, noise, gauges)
+        return PreparedStudy(
+            study, noise_model, noise, whiteners, solver or SOLVER, work or Work(), gauges=gauges
+        )
 
     @property
     def noise_is_measured(self) -> bool:
@@ -131,23 +108,59 @@ class PreparedStudy:
     def judged_by(self, errors: Sequence[FloatArray]) -> PreparedStudy:
         """The same with the correlations of a stated error as a model's residuals have them.
 
-        errors  per trial (times, channels), m, nan where not seen
+        errors  per trial to be fitted (times, channels), m, nan where not seen
         """
+        fitted, columns = self.study.role("fit"), 2 * len(self.study.arc_length_m)
+        places = [self.of_frames(t, e)[:, :columns] for t, e in zip(fitted, errors, strict=True)]
         noise_model = (
-            noise_model_of_residuals(self.noise_model, errors)
+            noise_model_of_residuals(self.noise_model, places)
             if self.noise_is_measured
             else self.noise_model
         )
         return self if noise_model == self.noise_model else self.with_noise_model(noise_model)
 
-    def with_noise_model(self, noise_model: NoiseModel) -> PreparedStudy:
-        """The same, whitened for another noise of the measurement."""
-        if noise_model.weighed == self.noise:
+    def with_noise_model(
+        self, noise_model: NoiseModel, of_gauges: tuple[NoiseModel, NoiseModel] | None = None
+    ) -> PreparedStudy:
+        """The same, whitened for another noise of the measurement.
+
+        of_gauges  noise of force and moment, if there are gauges and it is another, too
+        """
+        if noise_model.weighed == self.noise and of_gauges is None:
             return replace(self, noise_model=noise_model)
-        whiteners = whiteners_of(self.study, noise_model.weighed)
+        prepared = self._levelled(noise_model.noise.std_m, of_gauges)
+        whiteners = whiteners_of(prepared.study, noise_model.weighed, prepared.gauges)
         return replace(
-            self, noise_model=noise_model, noise=noise_model.weighed, whiteners=whiteners
+            prepared, noise_model=noise_model, noise=noise_model.weighed, whiteners=whiteners
         )
+
+    def _levelled(
+        self, std_m: float, of_gauges: tuple[NoiseModel, NoiseModel] | None
+    ) -> PreparedStudy:
+        """The same with gauges in the unit of such a noise."""
+        if self.gauges is None:
+            return self
+        force, moment = of_gauges or (self.gauges.force, self.gauges.moment)
+        gauges = replace(self.gauges, std_m=std_m, force=force, moment=moment)
+        factors = gauges.scale / self.gauges.scale
+        mesh_m = {name: error_m.copy() for name, error_m in self.mesh_m.items()}
+        for error_m in mesh_m.values():
+            error_m[:, gauges.markers :] *= factors
+        study = scaled(self.study, gauges, factors)
+        return replace(self, study=study, gauges=gauges, mesh_m=mesh_m)
+
+    @property
+    def unjoined(self) -> Study:
+        """The study with wrenches beside its markers, not among them."""
+        return self.study if self.gauges is None else without_gauges(self.study, self.gauges)
+
+    def of_markers(self, trial: Trial, rows: FloatArray) -> FloatArray:
+        """(frames, markers, …) of (times, all points, …) of a trial: without those of gauges."""
+        return rows if self.gauges is None else self.gauges.of_markers(trial.name, rows)
+
+    def of_frames(self, trial: Trial, rows: FloatArray) -> FloatArray:
+        """(frames, …) of (times, …) of a trial: without the times of a wrench alone."""
+        return rows if self.gauges is None else rows[self.gauges.frames[trial.name]]
 
     @property
     def measured(self) -> Study:
@@ -158,7 +171,7 @@ class PreparedStudy:
             else t
             for t in self.study.trials
         ]
-        return replace(self.study, trials=tuple(trials))
+        return replace(self, study=replace(self.study, trials=tuple(trials))).unjoined
 
     def initial_state(self, trial: Trial) -> InitialState:
         """What is unknown of how a trial begins."""
@@ -195,14 +208,27 @@ class PreparedStudy:
             for number, (model, d) in enumerate(zip(models, late, strict=True)):
                 modes = state.modes(unknown[number]) if state.bent else None
                 lane = Lane(trial, model, times[float(d)], modes)
-                alike.setdefault(_begins(lane), []).append((trial.name, number, lane))
+                key = _begins(lane), self._gauge(trial) is None
+                alike.setdefault(key, []).append((trial.name, number, lane))
         out = {t.name: np.empty((len(models), *t.markers.xy_m.shape)) for t in trials}
         for group in alike.values():
             lanes = [lane for *_, lane in group]
-            predicted = predict_lanes(lanes, self.study.arc_length_m, self.solver, np.nan)
+            gauge = self._gauge(lanes[0].trial)
+            predicted = predict_lanes(lanes, self.study.arc_length_m, self.solver, np.nan, gauge)
             for (name, number, _), points in zip(group, predicted, strict=True):
                 out[name][number] = points
+        if self.gauges is not None:
+            for trial in trials:
+                if self._gauge(trial) is not None:
+                    out[trial.name][:, :, -AS_POINTS:] *= self.gauges.scale
         return [out[t.name] for t in trials]
+
+    def _gauge(self, trial: Trial) -> Gauge | None:
+        """What measures the wrench that is among a trial's points, if it is."""
+        markers = len(self.study.arc_length_m)
+        if self.gauges is None or trial.markers.xy_m.shape[1] == markers:
+            return None
+        return self.gauges.gauge
 
     def on_one_core(self) -> PreparedStudy:
         """The same, simulated without threads of its own: for several fits side by side."""
@@ -260,26 +286,6 @@ class PreparedStudy:
         return sum(self.whiteners[t.name].count for t in trials)
 
 
-def whiteners_of(study: Study, noise: Noise) -> dict[str, Whitener]:
-    """What whitens each trial of a study.
-
-    The whitener of a trial knows nothing of the others, yet a marker's arc length is the same in
-    all n of them.  So each trial may have one of its own, of n times the variance: no combination
-    of trials is then believed more than it may, and what moves a marker alike in all of them as
-    much as one standard deviation allows.
-    """
-    std_m = study.arc_length_std_m
-    if std_m is None or not np.any(std_m > 0.0):
-        return {t.name: Whitener(t.markers.xy_m, noise, None, carried_m(t)) for t in study.trials}
-    each_m = np.sqrt(len(study.trials)) * std_m[:, None]
-    return {
-        t.name: Whitener(
-            t.markers.xy_m, noise, each_m * slopes_along(t, study.arc_length_m), carried_m(t)
-        )
-        for t in study.trials
-    }
-
-
 def once_per_study(
     function: Callable[Concatenate[PreparedStudy, Given], Result],
 ) -> Callable[Concatenate[PreparedStudy, Given], Result]:
@@ -306,30 +312,6 @@ def pooled(prepared: PreparedStudy) -> PreparedStudy:
 def all_fitted(study: Study) -> Study:
     """The study with no trial held out."""
     return replace(study, trials=tuple(replace(t, role="fit") for t in study.trials))
-
-
-def placed(study: Study) -> Study:
-    """The study with markers where they are on cables that are held straight before release.
-
-    There every point's place is known without a model: what the still frames show beside it is how
-    the marker was put on, and is taken off all frames of the trial.
-    """
-    return replace(study, trials=tuple(_placed(t, study.arc_length_m) for t in study.trials))
-
-
-def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
-    t_s, grip = trial.markers.t_s, trial.grip
-    still = still_frames(t_s, grip, trial.release_s)
-    if trial.start != "straight" or still.stop == 0:
-        return trial
-    x, y, angle = (np.interp(t_s[still], grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad))
-    along = np.stack([-np.cos(angle), -np.sin(angle)], axis=-1)
-    straight = np.stack([x, y], axis=-1)[:, None] + arc_length_m[:, None] * along[:, None]
-    beside = trial.markers.xy_m[still] - straight
-    seen = np.isfinite(beside).any(axis=0)
-    offset = np.where(seen, np.nanmean(np.where(seen, beside, 0.0), axis=0), 0.0)
-    at_place = replace(trial.markers, xy_m=trial.markers.xy_m - offset)
-    return replace(trial, markers=at_place)
 
 
 def _begins(lane: Lane) -> object:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from cell.cable.effects.base import Effect
 from cell.cable.solver import threads
 from cell.computer.forks import Forks, forks
-from cell.lab.data.prepared import Work
+from cell.lab.data.work import Work
 
 Given = TypeVar("Given")
 Returned = TypeVar("Returned")

@@ -29,7 +29,8 @@ class Fit:
     initial_states      unknowns of each fit trial's initial state, where it has any
     solution   of the minimiser; its coordinates are q, then these unknowns
     chi2       whitened square residuals; objective adds the prior's
-    rms_m      per coordinate
+    rms_m      per coordinate, forces included, as lengths of as much noise
+    markers_rms_m   of the markers alone
     initial_state_std  of the prior of all these unknowns
     """
 
@@ -40,6 +41,7 @@ class Fit:
     chi2: float
     objective: float
     rms_m: float
+    markers_rms_m: float
     initial_state_std: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -108,7 +110,9 @@ def fit_model(
     errors = [prepared.error_m(t, points[0]) for t, points in zip(trials, predicted, strict=True)]
     chi2 = float(solution.residual @ solution.residual)
     at_first = {name: rows[0] for name, rows in found.items()}
-    return Fit(space, q, at_first, solution, chi2, solution.objective, overall(errors), std)
+    places = [prepared.of_markers(t, e) for t, e in zip(trials, errors, strict=True)]
+    rms_m = overall(errors), overall(places)
+    return Fit(space, q, at_first, solution, chi2, solution.objective, *rms_m, std)
 
 
 def _minimised_in_two(

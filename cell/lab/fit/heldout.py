@@ -25,7 +25,8 @@ FloatArray = NDArray[np.float64]
 class Heldout:
     """A fitted model on trials that it was not fitted to.
 
-    rms_m            per coordinate, over all of them
+    rms_m            per coordinate, over all of them; forces included, as lengths of as much noise
+    markers_rms_m    of the markers alone
     chi2             of the residuals, allowing for what the fit leaves uncertain: about `count`
                      if the model is right
     log_likelihood   of the trials given the fit (natural logarithm, without a common constant)
@@ -33,6 +34,7 @@ class Heldout:
     """
 
     rms_m: float
+    markers_rms_m: float
     chi2: float
     count: int
     log_likelihood: float
@@ -70,14 +72,18 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     if not (np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.by_parameters))):
         return Heldout(
             rms_m=np.inf,
+            markers_rms_m=np.inf,
             chi2=np.inf,
             count=prepared.count(trials),
             log_likelihood=-np.inf,
             predicted_m=rows.predicted_m,
         )
     chi2, log_det = marginal_chi2(rows.residual, rows.spread)
+    errors = [prepared.error_m(t, rows.predicted_m[t.name]) for t in trials]
+    places = [prepared.of_markers(t, e) for t, e in zip(trials, errors, strict=True)]
     return Heldout(
-        rms_m=overall([prepared.error_m(t, rows.predicted_m[t.name]) for t in trials]),
+        rms_m=overall(errors),
+        markers_rms_m=overall(places),
         chi2=chi2,
         count=prepared.count(trials),
         log_likelihood=-0.5 * (chi2 + log_det),

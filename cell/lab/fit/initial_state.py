@@ -44,6 +44,7 @@ def _looked(prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel])
         return initial_states
     early = _early(prepared, trial)
     seen = np.isfinite(early.markers.xy_m)
+    seen[:, len(prepared.study.arc_length_m) :] = False  # what a sensor shows has a tare
     noise_m = max(prepared.noise.std_m, BELIEVED * prepared.study.cable.free_length_m)
     first = int(state.delayed)
     free = np.arange(first, state.count)

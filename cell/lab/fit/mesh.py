@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.solver import Solver
-from cell.lab.data.prepared import PreparedStudy, whiteners_of
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.whitening import whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_state
 
 FloatArray = NDArray[np.float64]
@@ -54,5 +55,5 @@ def without_mesh_error(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
             trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
         shown.append(trial)
     study = replace(prepared.study, trials=tuple(shown))
-    whiteners = whiteners_of(study, prepared.noise)
+    whiteners = whiteners_of(study, prepared.noise, prepared.gauges)
     return replace(prepared, study=study, whiteners=whiteners, mesh_m=moved)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.identify.noise import still_frames
@@ -14,9 +15,15 @@ from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
 from cell.lab.statistics.score import score_test
 
+FloatArray = NDArray[np.float64]
 
-def remainder(prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]) -> Remainder:
+
+def remainders(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> tuple[Remainder, ...]:
     """Of the frames after the rest, to first order, each effect in its likeliest shape.
+
+    Of all markers, and of a wrench's force and moment in their units, if there are any.
 
     Where something is missing its own effect takes most of it out of the residual, whichever it
     is, so that the noise can be told before the effect is.
@@ -37,9 +44,20 @@ def remainder(prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
     errors, trials = [], fit_trials(prepared)
     for trial, white in zip(trials, prepared.by_trial(trials, left).values(), strict=True):
         error = prepared.whiteners[trial.name].error_m(white)
-        error = error.reshape(len(error), -1)
         error[still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)] = np.nan
         errors.append(error)
+    left_over = max(0.0, 1.0 - taken / max(prepared.count(trials), 1))
+    places = [prepared.of_markers(t, e) for t, e in zip(trials, errors, strict=True)]
+    found, gauges = [_remainder(places, left_over)], prepared.gauges
+    if gauges is not None:
+        rows = [gauges.rows[t.name] for t in trials]
+        for point, scale in enumerate(gauges.scale, gauges.markers):
+            own = [e[r, point] / scale for e, r in zip(errors, rows, strict=True)]
+            found.append(_remainder(own, left_over))
+    return tuple(found)
+
+
+def _remainder(errors: Sequence[FloatArray], left_over: float) -> Remainder:
+    """Of per trial (times, …) errors, of whose values such a share is not taken out of them."""
     moving = sum(int(np.isfinite(e).sum()) for e in errors)
-    count = max(prepared.count(trials), 1)
-    return Remainder(tuple(errors), moving * max(0.0, 1.0 - taken / count))
+    return Remainder(tuple(e.reshape(len(e), -1) for e in errors), moving * left_over)

@@ -18,7 +18,9 @@ from cell.identify.fit import variance_inflation
 from cell.identify.noise import across
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import noise_model_of
-from cell.lab.data.prepared import PreparedStudy, Work, whiteners_of
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.whitening import whiteners_of
+from cell.lab.data.work import Work
 from cell.lab.fit.fitting import space_with
 from cell.study.data import Study, Trial
 

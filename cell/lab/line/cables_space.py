@@ -296,4 +296,5 @@ def as_fit(alone: SharedFit) -> Fit:
         chi2=float(alone.chi2_by_cable[0]),
         objective=alone.chi2,
         rms_m=alone.rms_m,
+        markers_rms_m=alone.rms_m,
     )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
-from cell.lab.data.prepared import Work
+from cell.lab.data.work import Work
 from cell.lab.fit.shared import PASSES, SharedFit
 
 FloatArray = NDArray[np.float64]
@@ -23,7 +23,7 @@ SIMULATED = 0.005
 LEAST_PASSES = 6
 #: Effects are one class if their χ², over its inflation, differs by less; as in a diagnosis.
 TIE = 9.0
-#: Motion that may be simulated for a result, s, counted as `prepared.Work` does: three to four
+#: Motion that may be simulated for a result, s, counted as `work.Work` does: three to four
 #: minutes of one core.  The shares of it after which no further own solutions are looked for, no
 #: effect is refitted, none is taken to convergence, and no second effect is looked for.
 MOST_SIMULATED_S = 80_000.0

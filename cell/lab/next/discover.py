@@ -104,7 +104,7 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
             of the file will not do; nothing written
     """
     name = effect_name(out, [e.name for e in fits.space.effects])
-    terms = {t.name: t for t in admissible(_box(fits.prepared.study.role("fit")))}
+    terms = {t.name: t for t in admissible(_box(fits.prepared.unjoined.role("fit")))}
     with tempfile.TemporaryDirectory() as folder:
         tried = _each(terms.values(), Path(folder))
         search = FitCache(fits.prepared, fits.space, tried, fits.progress)

@@ -17,7 +17,7 @@ from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.identify.differences import difference_points
 from cell.identify.gaussian import covariance_root, marginal_chi2
-from cell.identify.noise import Whitener
+from cell.identify.whitener import Whitener
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.rival import Rival
@@ -250,7 +250,7 @@ def _simulated(
 ) -> tuple[FloatArray, FloatArray]:
     """Markers and whole cable of models of one kind on a stroke, (models, times, points, 2), m."""
     motion = stroke.motion()
-    frame_s = float(np.median(np.diff(prepared.study.trials[0].markers.t_s)))
+    frame_s = float(np.median(np.diff(prepared.unjoined.trials[0].markers.t_s)))
     if surroundings.frame_rate_hz is not None:
         frame_s = 1.0 / surroundings.frame_rate_hz
     t_s = np.arange(frame_s, motion.t_s[-1], frame_s)

@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import ActiveEffect
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.cable.wrench import AS_POINTS
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.gaussian import covariance_root
 from cell.identify.hand import HandErrors, likely_motions
-from cell.lab.data.prepared import PreparedStudy, whiteners_of
+from cell.lab.data.gauges import without_gauges
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.whitening import whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_state, errors_m, fit_model
 from cell.lab.fit.hand_error import MOTIONS
 from cell.lab.fit.heldout import heldout_rows
@@ -67,14 +70,16 @@ class World:
         """What would be measured once more; the same for the same number."""
         rng = np.random.default_rng([number, 20261125])
         trials = tuple(self._measured(t, number, rng) for t in self.study.trials)
-        return replace(self.study, trials=trials)
+        study, gauges = replace(self.study, trials=trials), self.prepared.gauges
+        return study if gauges is None else without_gauges(study, gauges)
 
     def _measured(self, trial: Trial, number: int, rng: np.random.Generator) -> Trial:
         clean_m, lost = self.clean_m[trial.name], ~np.isfinite(trial.markers.xy_m)
         seen_m = clean_m + self._errors_m(rng, clean_m.shape)
         step_m = self._rounded_to_m
         if step_m > 0.0:
-            seen_m = np.round(seen_m / step_m) * step_m
+            places = seen_m[:, : len(self.study.arc_length_m)]
+            places[:] = np.round(places / step_m) * step_m
         seen_m[lost] = np.nan
         return replace(
             trial, grip=_logged(trial, number), markers=Markers(trial.markers.t_s, seen_m)
@@ -86,17 +91,27 @@ class World:
         return 0.0 if rest is None else rest.resolution_m
 
     def _errors_m(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-        """Errors of the study's level, colour and white share; rounding adds its own."""
+        """Errors of the study's level, colour and white share; rounding adds its own.
+
+        Those of gauges have the markers' level, as lengths, and a colour of their own.
+        """
         noise, frames = self.prepared.noise_model.noise, shape[0]
         coloured_m2, white_m2 = (1.0 - noise.white) * noise.std_m**2, noise.white * noise.std_m**2
         of_rounding = self._rounded_to_m**2 / 12.0
         if of_rounding > 0.0:  # what is white beside the coloured is the rounding itself
             coloured_m2, white_m2 = max(min(coloured_m2, noise.std_m**2 - of_rounding), 0.0), 0.0
-        fresh = rng.standard_normal((frames, int(np.prod(shape[1:]))))
+        columns = int(np.prod(shape[1:]))  # of planned trials fewer than others have
+        together = columns if self.channels is None else len(self.channels)
+        fresh = rng.standard_normal((frames, together))
         if self.channels is not None:
-            fresh = fresh @ self.channels.T
+            fresh = (fresh @ self.channels.T)[:, :columns]
+        ar1 = np.full(shape[1:], noise.ar1)
+        if self.prepared.gauges is not None and shape[1] > len(self.study.arc_length_m):
+            for point, of_gauge in enumerate(self.prepared.gauges.noises, -AS_POINTS):
+                ar1[point] = of_gauge.ar1
+        ar1 = ar1.ravel()
         for k in range(1, frames):
-            fresh[k] = noise.ar1 * fresh[k - 1] + np.sqrt(1.0 - noise.ar1**2) * fresh[k]
+            fresh[k] = ar1 * fresh[k - 1] + np.sqrt(1.0 - ar1**2) * fresh[k]
         white = rng.standard_normal(fresh.shape)
         return np.asarray(np.sqrt(coloured_m2) * fresh + np.sqrt(white_m2) * white).reshape(shape)
 
@@ -116,7 +131,7 @@ def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArr
             raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
         seen.append(replace(trial, markers=replace(trial.markers, xy_m=places)))
     study = replace(prepared.study, trials=tuple(seen))
-    whiteners = whiteners_of(study, prepared.noise)
+    whiteners = whiteners_of(study, prepared.noise, prepared.gauges)
     quiet = replace(prepared, study=study, whiteners=whiteners, mesh_m={})
     space = replace(fit.space, mean=fit.q)  # the prior pulls whatever is hidden
     found = fit_model(quiet, space, fit.q, fit.initial_states, options=POLISH)

@@ -14,10 +14,11 @@ from cell.cable.solver import Solver, threads
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import NoiseUnknownError
-from cell.lab.data.prepared import PreparedStudy, StoppedError, Work
+from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.results import Diagnosis
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.data.work import StoppedError, Work
 from cell.lab.power.hidden import World
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.statistics.proportion import wilson

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from cell.files.page import Plot, page
 from cell.files.table import TableData
 from cell.lab.report.look_figures import courses, film_strip, swing_figure
+from cell.lab.report.wrench_report import wrench_facts_table, wrench_figure
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts
+from cell.study.wrench_facts import WrenchFacts
 
 FloatArray = NDArray[np.float64]
 
@@ -37,6 +39,7 @@ class Look:
     says   sentences at the top, in groups under their headings
     wrong  what must be mended before a model can be fitted
     odd    what may be wrong
+    wrenches  facts of those trials that have a wrench
     """
 
     name: str
@@ -46,26 +49,29 @@ class Look:
     says: Mapping[str, Sequence[str]] = field(default_factory=dict)
     wrong: Sequence[str] = ()
     odd: Sequence[str] = ()
+    wrenches: Sequence[WrenchFacts] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
+        wrenches = {w.trial: {"wrench": w.to_json()} for w in self.wrenches}
         return {
             "format": "cable-look/1",
             "name": self.name,
             "wrong": list(self.wrong),
             "odd": list(self.odd),
-            "trials": [f.to_json() for f in self.facts],
+            "trials": [f.to_json() | wrenches.get(f.name, {}) for f in self.facts],
         }
 
 
 @dataclass(frozen=True)
 class _TrialPlots:
-    """Pictures of one trial; without a swing there is no spectrum."""
+    """Pictures of one trial; without a swing there is no spectrum, without a sensor no wrench."""
 
     name: str
     strip: Plot
     courses: Plot
     swing: Plot | None
+    wrench: Plot | None
 
     @staticmethod
     def of(trial: Trial, facts: TrialFacts) -> _TrialPlots:
@@ -75,6 +81,7 @@ class _TrialPlots:
             Plot.of(film_strip(trial, facts)),
             Plot.of(courses(trial, facts)),
             None if swing is None else Plot.of(swing),
+            None if trial.wrench is None else Plot.of(wrench_figure(trial.wrench)),
         )
 
 
@@ -95,6 +102,7 @@ def look_page(look: Look) -> str:
         odd=look.odd,
         facts=facts_table(look),
         note=FACT_NOTE,
+        wrenches=wrench_facts_table(look.wrenches) if look.wrenches else None,
         trials=_plots(look),
     )
 

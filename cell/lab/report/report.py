@@ -37,6 +37,7 @@ from cell.lab.report.wording import (
     noise_in_words,
     noise_label,
 )
+from cell.lab.report.wrench_report import wrench_overlay, wrenches_table
 from cell.lab.strength.compare import NOTICEABLE, Comparison
 from cell.lab.strength.profiles import ParameterProfile, profile_sentences
 from cell.lab.strength.trial_residual import TrialResidual
@@ -75,6 +76,7 @@ class _Trial:
     chosen: bool
     overlay: Plot
     maps: Plot
+    wrench: Plot | None
 
 
 def diagnosis_page(
@@ -140,6 +142,7 @@ def comparison_page(comparisons: Sequence[Comparison]) -> str:
         models=_models(comparisons),
         by_trial=Plot.of(by_trial(series)) if several else None,
         left=_where(series),
+        wrenches=wrenches_table(comparisons),
         shown=_trials(ends),
     )
 
@@ -252,7 +255,9 @@ def _trials(series: Sequence[Series]) -> list[_Trial]:
         role = "fitted" if trial.role == "fit" else "held out"
         note = f"{role}, largest error" if i == worst else role
         figures = Plot.of(overlay(series, i)), Plot.of(residual_maps(series, i))
-        found.append(_Trial(trial.name, note, i == worst, *figures))
+        wrench = wrench_overlay(series, trial.name)
+        shown = None if wrench is None else Plot.of(wrench)
+        found.append(_Trial(trial.name, note, i == worst, *figures, shown))
     return found
 
 

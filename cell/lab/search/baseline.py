@@ -18,7 +18,7 @@ from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with
 from cell.lab.fit.mesh import without_mesh_error
-from cell.lab.fit.remainder import remainder
+from cell.lab.fit.remainder import remainders
 from cell.lab.fit.sensitivity import is_shape
 from cell.lab.fit.slopes import with_slopes
 from cell.lab.fit.starts import MOST_GUESSES, cold_start
@@ -121,10 +121,15 @@ class Baseline:
 
     def _with_noise(self, prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
         noise_model = prepared.noise_model
-        if noise_model.rest is None or not prepared.noise_is_measured:
+        gauges = prepared.gauges
+        each = [noise_model, *([] if gauges is None else [gauges.force, gauges.moment])]
+        if all(m.rest is None for m in each) or not prepared.noise_is_measured:
             return prepared
-        left = remainder(prepared, fit, self.others)
-        return prepared.with_noise_model(noise_model_of_all_frames(noise_model, left))
+        left = remainders(prepared, fit, self.others)
+        markers, *of_gauges = map(noise_model_of_all_frames, each, left)
+        if not of_gauges:
+            return prepared.with_noise_model(markers)
+        return prepared.with_noise_model(markers, (of_gauges[0], of_gauges[1]))
 
     def _from_other_starts(self, found: BaselineFit, start: FloatArray, count: int) -> BaselineFit:
         """The best fit of a baseline that cannot fit from its first start; the next is kept, too.

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy, Work
+from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.work import Work
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
 from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr

@@ -44,8 +44,9 @@ class FittedModel:
 
     @property
     def errors(self) -> Errors:
-        """Fitted and held-out error."""
-        return Errors(self.fit.rms_m, self.heldout.rms_m if self.heldout else float("nan"))
+        """Fitted and held-out error of the markers."""
+        held_m = self.heldout.markers_rms_m if self.heldout else float("nan")
+        return Errors(self.fit.markers_rms_m, held_m)
 
     @property
     def chi2(self) -> float:

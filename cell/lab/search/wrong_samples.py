@@ -44,14 +44,17 @@ def without_wrong_samples(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
 
 def _wrong(fits: FitCache) -> dict[str, FloatArray]:
     """Of every trial (times, channels) by how much samples are wrong, m; nan where right."""
-    study, left = fits.prepared.study, residuals_m(fits.prepared, fits.baseline())
+    prepared = fits.prepared
+    study, left = prepared.unjoined, residuals_m(prepared, fits.baseline())
     nothing = {t.name: np.full((len(t.markers.t_s), t.markers.xy_m[0].size), np.nan)
                for t in study.trials}  # fmt: skip
-    return nothing | {
-        t.name: wrong_samples(t.markers.t_s, left[t.name])
-        for t in study.trials
-        if t.name in left and np.any(np.isfinite(left[t.name]))
-    }
+    found = {}
+    for t, joined in zip(study.trials, prepared.study.trials, strict=True):
+        if t.name in left and np.any(np.isfinite(left[t.name])):
+            whole = left[t.name].reshape(joined.markers.xy_m.shape)
+            errors = prepared.of_markers(joined, whole).reshape(len(t.markers.t_s), -1)
+            found[t.name] = wrong_samples(t.markers.t_s, errors)
+    return nothing | found
 
 
 def _with_study(fits: FitCache, study: Study) -> FitCache:

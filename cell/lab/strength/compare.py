@@ -17,6 +17,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import best_initial_state
 from cell.lab.statistics.series import overall
 from cell.lab.strength.trial_residual import TrialResidual, trial_residual, unsimulated_trial
+from cell.lab.strength.wrench_residual import WrenchResidual, wrench_residual
 from cell.study.data import Markers, Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -40,6 +41,7 @@ class Comparison:
     predicted_m  per trial (times, markers, 2)
     cable_m      per trial (times, `DRAWN` points from tip to grip, 2): the whole cable predicted
     where        one per trial, in the study's order
+    wrenches     one per trial in which a wrench was measured, and which can be simulated
     """
 
     study: Study
@@ -52,6 +54,7 @@ class Comparison:
     noise_at_rest_m: float = float("nan")
     model: str = "model"
     effects: tuple[str, ...] = ()
+    wrenches: tuple[WrenchResidual, ...] = ()
 
     @property
     def error_m(self) -> float:
@@ -101,6 +104,10 @@ class Comparison:
             }
             for w in self.where
         ]
+        wrenches = {w.trial: w.to_json() for w in self.wrenches}
+        for trial in trials:
+            if trial["name"] in wrenches:
+                trial["wrench"] = wrenches[trial["name"]]
         content = {
             "format": "cable-comparison/1",
             "noise_m": self.noise_m,
@@ -117,27 +124,31 @@ def compare_model(study: Study, model: CableModel, name: str = "model") -> Compa
     raises  NoiseUnknownError
     """
     prepared = PreparedStudy.of(study)
-    study = prepared.study
-    predicted, cable, found = {}, {}, []
-    for trial in study.trials:
-        initial_states = best_initial_state(prepared, model, trial)
-        points, shapes = everywhere(prepared, trial, [model], initial_states)
-        predicted[trial.name], cable[trial.name] = points[0], shapes[0]
+    study, noise = prepared.unjoined, prepared.noise_model.noise
+    predicted, cable, errors = {}, {}, {}
+    found, wrenches = [], []
+    for trial, joined in zip(study.trials, prepared.study.trials, strict=True):
+        initial_states = best_initial_state(prepared, model, joined)
+        points, shapes = everywhere(prepared, joined, [model], initial_states)
+        places = prepared.of_markers(joined, points[0])
+        predicted[trial.name] = places
+        cable[trial.name] = prepared.of_frames(joined, shapes[0])
         if not np.isfinite(points).all():
-            found.append(unsimulated_trial(trial, study.arc_length_m, prepared.noise_model.noise))
+            found.append(unsimulated_trial(trial, study.arc_length_m, noise))
             continue
         # rows are (markers, axes, times); unseen values are exactly zero there
-        white = prepared.white(trial, points)[0].reshape(-1, 2, len(trial.markers.t_s))
-        white = np.where(np.isfinite(trial.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
-        beside_m = prepared.error_m(trial, points[0])
-        noise = prepared.noise_model.noise
-        found.append(trial_residual(trial, points[0], beside_m, white, study.arc_length_m, noise))
+        white = prepared.white(joined, points)[0].reshape(-1, 2, len(joined.markers.t_s))
+        white = np.where(np.isfinite(joined.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
+        errors[trial.name] = prepared.of_markers(joined, prepared.error_m(joined, points[0]))
+        of_places = errors[trial.name], prepared.of_markers(joined, white)
+        found.append(trial_residual(trial, places, *of_places, study.arc_length_m, noise))
+        wrenches.append(wrench_residual(prepared, joined, points[0], white))
 
     def error(role: str) -> float:
         chosen = [t for t in study.trials if t.role == role]
         if not all(np.isfinite(predicted[t.name]).all() for t in chosen):
             return float("inf")
-        return overall([prepared.error_m(t, predicted[t.name]) for t in chosen])
+        return overall([errors[t.name] for t in chosen])
 
     return Comparison(
         study,
@@ -150,6 +161,7 @@ def compare_model(study: Study, model: CableModel, name: str = "model") -> Compa
         _noise_at_rest_m(prepared),
         name,
         tuple(active.effect.name for active in model.effects),
+        tuple(w for w in wrenches if w is not None),
     )
 
 
@@ -191,16 +203,18 @@ def everywhere(
 ) -> tuple[FloatArray, FloatArray]:
     """Where models put the markers, (models, times, markers, 2), and the cable, (…, `DRAWN`, 2).
 
-    In metres; nan where they cannot be simulated.
+    In metres; nan where they cannot be simulated.  Behind the markers are gauges, if there are any.
     """
     study = prepared.study
     drawn = np.linspace(study.cable.length_m, 0.0, DRAWN)
     arcs = np.unique(np.concatenate([study.arc_length_m, drawn]))[::-1]
     t_s = trial.markers.t_s
-    blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs), 2))))
+    gauges = trial.markers.xy_m.shape[1] - len(study.arc_length_m)
+    blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs) + gauges, 2))))
     finer = replace(prepared, study=replace(study, arc_length_m=arcs))
     points = finer.predict(
         blank, models, None if initial_states is None else np.tile(initial_states, (len(models), 1))
     )
     at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
+    at = np.concatenate([at, np.arange(len(arcs), len(arcs) + gauges)])
     return points[:, :, at], points[:, :, shape]

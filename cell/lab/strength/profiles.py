@@ -78,7 +78,7 @@ def each_profile(
     """
     space = fit.space
     prepared = PreparedStudy.of(
-        prepared.study, misfit=model.noise, solver=prepared.solver, work=prepared.work
+        prepared.unjoined, misfit=model.noise, solver=prepared.solver, work=prepared.work
     )
     problem = problem_of(
         prepared, space, fit_trials(prepared), residual_scale=float(np.sqrt(model.inflation))

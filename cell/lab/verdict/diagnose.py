@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.lab.data.check import worst_verdict
-from cell.lab.data.prepared import PreparedStudy, StoppedError
+from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt, Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.data.work import StoppedError
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cell.identify.gauss_newton import UNSIMULATED
-from cell.lab.data.prepared import StoppedError
 from cell.lab.data.results import Limit
+from cell.lab.data.work import StoppedError
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement

@@ -122,8 +122,8 @@ def removed_share(noise_m: float, before: ResidualSummary, after: ResidualSummar
 
 def peak(prepared: PreparedStudy, candidate: FittedModel) -> Peak:
     """Where a candidate leaves most: in the trial, at the time and at the marker of largest rms."""
-    study = prepared.study
-    errors = residuals_m(prepared, candidate)
+    study = prepared.unjoined
+    errors = _of_places(prepared, residuals_m(prepared, candidate))
     trial = max(errors, key=lambda name: _size(errors[name]))
     times = next(t.markers.t_s for t in study.trials if t.name == trial)
     error = errors[trial]
@@ -137,6 +137,21 @@ def peak(prepared: PreparedStudy, candidate: FittedModel) -> Peak:
         _place(study, errors),
         _frequency(prepared, times, error),
     )
+
+
+def _of_places(
+    prepared: PreparedStudy, errors: Mapping[str, FloatArray]
+) -> Mapping[str, FloatArray]:
+    """Per trial (frames, channels) of the markers alone."""
+    if prepared.gauges is None:
+        return errors
+    found = {}
+    for trial in prepared.study.trials:
+        if trial.name in errors:
+            whole = errors[trial.name].reshape(*trial.markers.xy_m.shape)
+            places = prepared.of_markers(trial, whole)
+            found[trial.name] = places.reshape(len(places), -1)
+    return found
 
 
 def _size(error: FloatArray) -> float:

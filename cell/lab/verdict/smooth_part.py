@@ -13,7 +13,7 @@ from scipy.special import fdtrc as f_sf
 
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2
-from cell.identify.noise import Whitener
+from cell.identify.whitener import Whitener
 from cell.lab.data.noise_likelihood import MAX_AR1
 from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy, once_per_study
@@ -203,14 +203,21 @@ class _Fast:
             series = grid[:, channel]
             fast = series - (modes @ (modes.T @ series.ravel())).reshape(series.shape)
             seen = whitener.seen[..., channel].T
-            both = seen[:, 1:] & seen[:, :-1]
             fast = np.where(seen, fast, 0.0)
             shaped = modes.reshape(*series.shape, -1)
             square += float(np.sum(fast**2))
-            products += float(np.sum(fast[:, 1:] * fast[:, :-1]))
             values += float(seen.sum()) - modes.shape[1]
-            neighbours -= float(np.sum((shaped[:, 1:] * shaped[:, :-1])[both]))
-            pairs += int(both.sum())
+            for own, left, shape in zip(
+                whitener.own_rows(seen),
+                whitener.own_rows(fast),
+                whitener.own_rows(np.moveaxis(shaped, -1, 1)),
+                strict=True,
+            ):
+                both = own[:, 1:] & own[:, :-1]
+                products += float(np.sum(left[:, 1:] * left[:, :-1]))
+                beside = np.moveaxis(shape, 1, -1)
+                neighbours -= float(np.sum((beside[:, 1:] * beside[:, :-1])[both]))
+                pairs += int(both.sum())
         return _Fast(square, products, values, neighbours, pairs)
 
 

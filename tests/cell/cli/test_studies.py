@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from typer.testing import CliRunner
 from cell.cable.geometry import Cable, Motion
 from cell.cli import app
 from cell.lab.report.look_figures import courses, film_strip, swing_figure
-from cell.study.data import Markers, Study, Trial
+from cell.study.data import Markers, Study, Trial, Wrench
 from cell.study.facts import trial_facts
 from cell.study.folder import write_study
 from tests.cell.study.imports.made import ARCS_M, made
@@ -47,6 +48,27 @@ def test_json_says_what_the_table_says(study: Study, tmp_path: Path) -> None:
     assert (data["format"], data["wrong"], data["odd"]) == ("cable-look/1", [], [])
     assert [t["name"] for t in data["trials"]] == ["one", "two"]
     assert data["trials"][0]["frequencies_hz"][0] == pytest.approx(4.0, abs=0.15)
+
+
+def test_a_wrench_is_shown_with_its_noise_and_course(study: Study, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    first, second = study.trials
+    t_s = np.arange(first.grip.t_s[0], first.grip.t_s[-1], 0.002)
+    values = np.column_stack([0.005 * rng.normal(size=len(t_s)), np.full(len(t_s), np.nan),
+                              2e-4 * rng.normal(size=len(t_s))])  # fmt: skip
+    sensed = replace(first, wrench=Wrench(t_s, values))
+    write_study(replace(study, trials=(sensed, second)), tmp_path / "s")
+    page = tmp_path / "look.html"
+    done = CliRunner().invoke(app, ["look", str(tmp_path / "s"), "-o", str(page)])
+    assert done.exit_code == 0, done.output
+    rows = [line.split() for line in done.output.splitlines() if "mN" in line]
+    assert [row[:4] for row in rows] == [["one", "force", "x,", "mN"], ["one", "moment,", "mN·m",
+                                                                        "500"]]  # fmt: skip
+    assert float(rows[0][-1]) == pytest.approx(5.0, rel=0.3)
+    assert page.read_text().count("Wrench at the clamp</h2>") == 2  # table, and one course
+    shown = json.loads(CliRunner().invoke(app, ["look", str(tmp_path / "s"), "--json"]).stdout)
+    assert set(shown["trials"][0]["wrench"]) == {"rate_hz", "still_rows", "force_x_n", "moment_nm"}
+    assert "wrench" not in shown["trials"][1]
 
 
 def test_a_refused_study_is_shown_with_the_reason(study: Study, tmp_path: Path) -> None:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cell.identify.innovations import frames_since
-from cell.identify.noise import Noise, Whitener
+from cell.identify.noise import Noise
+from cell.identify.whitener import Whitener
 
 
 def test_a_lost_frame_counts_and_another_cameras_frame_does_not():

@@ -9,7 +9,8 @@ from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.identify.marker_shift import carried_m, slopes_along
-from cell.identify.noise import Noise, Whitener
+from cell.identify.noise import Noise
+from cell.identify.whitener import Whitener
 from cell.study.data import Markers, Trial
 from cell.study.hand_drift import HandDrift
 

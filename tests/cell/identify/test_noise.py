@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cell.cable.geometry import Motion
-from cell.identify.noise import Noise, Whitener, across, estimate_noise, still_frames
+from cell.identify.noise import Noise, across, estimate_noise, still_frames
+from cell.identify.whitener import Sensors, Whitener
 
 BASE_M = np.stack([np.linspace(-0.1, 0.0, 11), np.linspace(-0.03, 0.0, 11)], axis=-1)
 
@@ -136,3 +139,64 @@ def test_a_white_share_counts_as_independent() -> None:
     assert Noise(1.0, 0.5, white=0.5).effective_fraction == pytest.approx(0.5)
     with pytest.raises(ValueError, match="white"):
         Noise(1.0, 0.5, white=1.0)
+
+
+def sensed(rng, colour=0.6, tare=0.3, gain=1.0):
+    """A marker and a sensor's two points, the last coordinate never seen; what is without error.
+
+    The sensor has rows of its own between the marker's.
+    """
+    t = np.arange(600)
+    clean = np.stack([np.sin(t / k) for k in (30.0, 50.0, 37.0, 60.0, 80.0, 1.0)], 1)
+    clean = 1e-2 * clean.reshape(600, 3, 2)
+    frames, rows = t % 2 == 0, t % 3 == 0
+    measured = clean.copy()
+    measured[:, 1:] *= gain
+    measured[:, 1:] += tare * rng.normal(size=(2, 2))
+    noise = rng.normal(size=(600, 3, 2))
+    for marker, own, c in ((0, frames, 0.0), (1, rows, colour), (2, rows, colour)):
+        series = noise[own, marker]
+        for k in range(1, len(series)):
+            series[k] = c * series[k - 1] + np.sqrt(1.0 - c**2) * series[k]
+        measured[own, marker] += 1e-4 * series
+        measured[~own, marker] = np.nan
+    measured[:, 2, 1] = np.nan
+    noises = (Noise(1e-4, colour, bias_m=1.0),) * 2
+    return measured, clean, Sensors(noises, 0.02, frames, rows)
+
+
+def test_tare_and_gain_of_a_sensor_are_no_error():
+    measured, clean, sensors = sensed(np.random.default_rng(5), gain=1.1)
+    sensors = replace(sensors, gain_std=0.1)
+    whitener = Whitener(measured, Noise(1e-4), sensors=sensors)
+    white = whitener(clean[None])[0]
+    assert whitener.count == 2 * 300 + 3 * 200 - 3
+    assert white @ white / whitener.count == pytest.approx(1.0, abs=0.1)
+    error = whitener.beside_m(clean)
+    np.testing.assert_allclose(whitener.error_m(white)[:, 1:], error[:, 1:])
+    assert np.nanstd(error[:, 1:]) == pytest.approx(1e-4, rel=0.15)
+    assert abs(np.nanmean(error[:, 1:])) < 3e-5
+    certain = Whitener(measured, Noise(1e-4), sensors=replace(sensors, gain_std=0.0))
+    white = certain(clean[None])[0]
+    assert white @ white / whitener.count > 2.0
+
+
+def test_a_sensors_rows_have_the_colour_that_they_have_among_themselves():
+    measured, clean, sensors = sensed(np.random.default_rng(6))
+    whitener = Whitener(measured, Noise(1e-4), sensors=sensors)
+    white = whitener(clean[None])[0].reshape(3, 2, 600)
+    for series in (white[1, 0], white[1, 1], white[2, 0]):
+        own = series[sensors.rows]
+        assert np.mean(own[1:] * own[:-1]) == pytest.approx(0.0, abs=0.2)
+        assert np.all(series[~sensors.rows] == 0.0)
+
+
+def test_smooth_functions_of_a_sensor_are_its_own():
+    """Of each marker by itself, and orthonormal: a misfit of a force is no polynomial of places."""
+    measured, _, sensors = sensed(np.random.default_rng(7))
+    x, y = Whitener(measured, Noise(1e-4), sensors=sensors).smooth_modes
+    for modes in (x, y):
+        np.testing.assert_allclose(modes.T @ modes, np.eye(modes.shape[1]), atol=1e-9)
+    by_marker = (x.reshape(3, 600, -1) ** 2).sum(axis=1) > 1e-12
+    assert np.all(by_marker.sum(axis=0) == 1)
+    assert np.all(y.reshape(3, 600, -1)[2] == 0.0)

@@ -14,8 +14,9 @@ import cell.cli.lab
 from cell.cable.effects import library
 from cell.cli import app
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy, StoppedError
+from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rival import Rival
+from cell.lab.data.work import StoppedError
 from cell.lab.next.suggest import distinguishing_motions
 from cell.lab.next.suggestion import Option
 from cell.lab.next.terms import admissible

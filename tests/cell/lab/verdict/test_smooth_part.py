@@ -7,8 +7,9 @@ import pytest
 
 from cell.cable.effects import library
 from cell.cable.solver import Solver
-from cell.identify.noise import Noise, Whitener
+from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
+from cell.identify.whitener import Whitener
 from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model

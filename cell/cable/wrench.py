@@ -1,0 +1,92 @@
+"""The wrench that a sensor at the clamp measures: what holds the cable, and the tool with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable import layout as at
+
+FloatArray = NDArray[np.float64]
+
+#: Force x, y, and moment.
+AXES = 3
+#: Further points that a wrench is told as: its force, and its moment with a zero.
+AS_POINTS = 2
+
+
+@dataclass(frozen=True)
+class Tool:
+    """What the sensor carries besides the cable: jaws, gripper.
+
+    centre_m       x, y of its centre of mass from the gripping point while the clamp angle is 0
+    inertia_kg_m2  about that centre
+    """
+
+    mass_kg: float = 0.0
+    centre_m: tuple[float, float] = (0.0, 0.0)
+    inertia_kg_m2: float = 0.0
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """A force/torque sensor between hand and jaws.
+
+    turns  its axes turn with the clamp angle, at 0 they are the plane's; else they are the plane's
+    """
+
+    tool: Tool = Tool()
+    turns: bool = False
+
+    def measured(
+        self, cable: FloatArray, base: FloatArray, gravity_m_per_s2: tuple[float, float]
+    ) -> FloatArray:
+        """(steps, 3) force x, y, N, and moment about the gripping point, N·m, as it shows them.
+
+        cable  (steps, 3) the same that the clamp exerts on the cable, in the plane's axes
+        base   (steps, BASE_FIELDS) of the clamp at these times
+        """
+        angle = base[:, at.BASE_ANGLE]
+        cos, sin = np.cos(angle), np.sin(angle)
+        rows = cable + self._held(base, cos, sin, gravity_m_per_s2)
+        if not self.turns:
+            return rows
+        x, y, moment = rows.T
+        return np.column_stack([cos * x + sin * y, cos * y - sin * x, moment])
+
+    def _held(
+        self,
+        base: FloatArray,
+        cos: FloatArray,
+        sin: FloatArray,
+        gravity_m_per_s2: tuple[float, float],
+    ) -> FloatArray:
+        """(steps, 3) what holds the tool, in the plane's axes."""
+        tool, (along, across) = self.tool, self.tool.centre_m
+        x, y = cos * along - sin * across, sin * along + cos * across
+        spin, turn = base[:, at.BASE_SPIN], base[:, at.BASE_AA]
+        gx, gy = gravity_m_per_s2
+        fx = tool.mass_kg * (base[:, at.BASE_AX] - turn * y - spin**2 * x - gx)
+        fy = tool.mass_kg * (base[:, at.BASE_AY] + turn * x - spin**2 * y - gy)
+        return np.column_stack([fx, fy, x * fy - y * fx + tool.inertia_kg_m2 * turn])
+
+
+def at_places(rows: FloatArray, places: FloatArray) -> FloatArray:
+    """(T, k) values at places (T,), counted in rows (rows, k): cubic between them, held outside."""
+    last = len(rows) - 1
+    places = np.clip(places, 0.0, last)
+    k = np.minimum(places.astype(np.int64), max(last - 1, 0))
+    u = (places - k)[:, None]
+    before, after = rows[np.maximum(k - 1, 0)], rows[np.minimum(k + 2, last)]
+    first, second = rows[k], rows[np.minimum(k + 1, last)]
+    m1, m2 = 0.5 * (second - before), 0.5 * (after - first)
+    cubic = 2.0 * (first - second) + m1 + m2
+    bend = 3.0 * (second - first) - 2.0 * m1 - m2
+    return np.asarray(first + u * (m1 + u * (bend + u * cubic)))
+
+
+def as_points(rows: FloatArray) -> FloatArray:
+    """(T, AS_POINTS, 2) of (T, 3): force x, y; moment, 0."""
+    return np.concatenate([rows, np.zeros((len(rows), 1))], axis=1).reshape(-1, AS_POINTS, 2)

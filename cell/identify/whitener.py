@@ -1,0 +1,278 @@
+"""Residuals of one trial made white: noise, uncertain arc lengths, a hand's drift, tares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.identify.innovations import coloured, innovations, whiten, whiten_constant
+from cell.identify.noise import Noise, across
+
+FloatArray = NDArray[np.float64]
+
+#: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
+SLOW_FRAMES, ALONG = 8, 3
+
+#: What a sensor shows is the mean of so many rows.
+SHOWN_ROWS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """The last markers of a trial are none: what a sensor shows, as lengths.
+
+    noises    of each of them, its bias that of a tare
+    gain_std  standard deviation of the factor by which all that it shows is too large, beside 1
+    frames    (T,) whether a row is one of the markers', rows: whether it is one of the sensor's
+    """
+
+    noises: tuple[Noise, ...]
+    gain_std: float
+    frames: NDArray[np.bool_]
+    rows: NDArray[np.bool_]
+
+
+class Whitener:
+    """Turns predicted markers of one trial into white residuals of unit size.
+
+    A channel (x or y of a marker, or its place across the cable) has an AR(1) error over the
+    frames in which it was seen, a white one beside it (then its innovations are those of a Kalman
+    filter), plus a constant of known variance, which is integrated out.  So is the place of a
+    marker along the cable, if that is uncertain, and what moves all markers of a trial together.
+
+    The last markers may be those of a sensor, which have a noise of their own
+    (`cell.lab.data.gauges`).  Their constant is a tare, of which nothing is known, and no error; a
+    factor that all of them share, their gain, is uncertain too.
+
+    seen  (T, markers, channels) whether a channel was seen: a marker may show one coordinate only
+    """
+
+    def __init__(
+        self,
+        markers_m: FloatArray,
+        noise: Noise,
+        shift_m: FloatArray | None = None,
+        together_m: FloatArray | None = None,
+        sensors: Sensors | None = None,
+    ) -> None:
+        """`markers_m` (T, markers, 2) as measured, nan where not seen.
+
+        shift_m  (T, markers, 2) by how much a standard deviation of its arc length moves a marker
+        together_m  (shapes, T, markers, 2) independent movements of all of them, of one each
+        sensors  of the last markers, if these are none; they have two axes
+        """
+        gauges = () if sensors is None else sensors.noises
+        self.noise, self._gauges, self._sensors = noise, len(gauges), sensors
+        finite = np.isfinite(markers_m)
+        self.frames, markers = finite.shape[:2]
+        if noise.across_only:
+            self._axes = np.ascontiguousarray(across(markers_m)[:, :, None])
+            self.seen = np.asarray(finite.all(axis=-1, keepdims=True), dtype=np.bool_)
+            measured = self.seen
+        else:
+            self._axes = np.broadcast_to(np.eye(2), (self.frames, markers, 2, 2)).copy()
+            self.seen = measured = finite
+        self.measured = np.where(measured, markers_m, 0.0)
+        self.channels = self._axes.shape[2]
+        self.rows = markers * self.channels * self.frames
+        tares = self.seen[:, markers - len(gauges) :].any(axis=0)
+        self.count = int(self.seen.sum()) - int(tares.sum())
+        each = [noise] * (markers - len(gauges)) + list(gauges)
+        self._memory, self._weight, self._gain = self._innovations(each)
+        # what a constant looks like when white, and which part of a residual along it is taken out
+        self._ones = self._weight.copy()
+        if any(n.white > 0.0 for n in each):
+            whiten_constant(self._memory, self._weight, self._gain, self._ones)
+        else:
+            self._ones[..., 1:] *= 1.0 - self._memory[..., 1:]
+        size = np.sum(self._ones**2, axis=-1)
+        bias_m = np.array([n.bias_m for n in each])[:, None]
+        self._kept = 1.0 / np.sqrt(1.0 + bias_m**2 * size)
+        self._size = np.where(size > 0.0, size, 1.0)
+        self._shift_m, self._shift = shift_m, None
+        if shift_m is not None:
+            self._shift = self._white(-shift_m[None], np.zeros_like(self.measured))[0]
+            self._shift_size = np.maximum(np.sum(self._shift**2, axis=(1, 2)), 1e-300)
+        self._gain_change: FloatArray | None = None
+        if sensors is not None and sensors.gain_std > 0.0:
+            change_m = sensors.gain_std * self._shown_by(sensors)
+            self._gain_change = self._white(-change_m[None], np.zeros_like(self.measured))[0]
+        self._together_m, self._together = together_m, None
+        if together_m is not None and len(together_m):
+            white = self._unshifted(self._white(-together_m, np.zeros_like(self.measured)))
+            self._together = white.reshape(len(white), self.rows)
+            _, sizes, self._modes = np.linalg.svd(self._together, full_matrices=False)
+            self._mode_pull = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
+
+    def _shown_by(self, sensors: Sensors) -> FloatArray:
+        """(T, markers, 2) what the sensor shows, with little of its noise; 0 at places."""
+        shown = np.zeros_like(self.measured)
+        for marker in range(-self._gauges, 0):
+            for axis in range(2):
+                seen = self.seen[:, marker, axis] & sensors.rows
+                if seen.any():
+                    values = self.measured[seen, marker, axis]
+                    shown[seen, marker, axis] = _moving_mean(values - values.mean())
+        return shown
+
+    def own_rows(self, values: NDArray[Any]) -> list[NDArray[Any]]:
+        """Parts of (markers, …, T): those of markers and of sensors, each with its rows alone."""
+        if self._sensors is None:
+            return [values]
+        first = len(values) - self._gauges
+        frames, rows = self._sensors.frames, self._sensors.rows
+        return [values[:first][..., frames], values[first:][..., rows]]
+
+    def _innovations(self, each: Sequence[Noise]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Those of `innovations`, (markers, channels, T), each series in its own rows."""
+        shape, sensors = (len(each), self.channels, self.frames), self._sensors
+        if sensors is None:
+            noise, series = self.noise, self.seen.reshape(self.frames, -1)
+            memory, weight, gain = (
+                v.reshape(shape) for v in innovations(series, noise.std_m, noise.ar1, noise.white)
+            )
+            return memory, weight, gain
+        memory, weight, gain = np.zeros(shape), np.zeros(shape), np.ones(shape)
+        for marker, noise in enumerate(each):
+            own = sensors.frames if marker < len(each) - self._gauges else sensors.rows
+            found = innovations(self.seen[own, marker], noise.std_m, noise.ar1, noise.white)
+            for whole, part in zip((memory, weight, gain), found, strict=True):
+                whole[marker][:, own] = part
+        return memory, weight, gain
+
+    def __call__(self, predicted_m: FloatArray) -> FloatArray:
+        """White residuals (measured − predicted).
+
+        predicted_m  (lanes, T, markers, 2), m
+        returns      (lanes, rows) ordered marker, channel, frame; 0 where not seen
+        """
+        out = self._white(predicted_m, self.measured)
+        return self._uncarried(self._unshifted(out).reshape(len(predicted_m), self.rows))
+
+    def _white(self, predicted_m: FloatArray, measured_m: FloatArray) -> FloatArray:
+        """(lanes, markers, channels, T) of markers whose arc lengths are certain."""
+        out = np.empty((len(predicted_m), *self._memory.shape))
+        pull = (1.0 - self._kept) / self._size
+        whiten(
+            predicted_m,
+            measured_m,
+            self._axes,
+            self._memory,
+            self._weight,
+            self._gain,
+            self._ones,
+            pull,
+            out,
+        )
+        return out
+
+    def _unshifted(self, white: FloatArray) -> FloatArray:
+        """Residuals (lanes, markers, channels, T) made white for uncertain arc lengths too.
+
+        Of a vector h of variance 1 beside white noise: (I + h hᵀ)^−½.  A second time it gives what
+        is left beside the likeliest arc lengths.  The same of a sensor's gain.
+        """
+        if self._gain_change is not None:
+            change = self._gain_change
+            size = max(float(np.sum(change**2)), 1e-300)
+            share = np.einsum("lmct,mct->l", white, change) * (1.0 - (1.0 + size) ** -0.5) / size
+            white = white - share[:, None, None, None] * change
+        if self._shift is None:
+            return white
+        along = np.einsum("lmct,mct->lm", white, self._shift)
+        kept = 1.0 / np.sqrt(1.0 + self._shift_size)
+        pull = along * (1.0 - kept) / self._shift_size
+        return np.asarray(white - pull[..., None, None] * self._shift)
+
+    def _uncarried(self, rows: FloatArray) -> FloatArray:
+        """Residuals (lanes, rows) made white for what moves all markers together, as above."""
+        if self._together is None:
+            return rows
+        return np.asarray(rows - (rows @ self._modes.T * self._mode_pull) @ self._modes)
+
+    def beside_m(self, predicted_m: FloatArray) -> FloatArray:
+        """(T, markers, 2) measured − predicted, nan where not seen, m.
+
+        Where arc lengths are uncertain, or markers move together, beside the likeliest of both; of
+        a sensor beside tare and gain.
+        """
+        if self._together is not None and self._together_m is not None:
+            rows = self._unshifted(self._white(predicted_m[None], self.measured)).ravel()
+            gram = np.eye(len(self._together)) + self._together @ self._together.T
+            sizes = np.linalg.solve(gram, self._together @ rows)
+            predicted_m = predicted_m + np.einsum("k,ktmc->tmc", sizes, self._together_m)
+        error_m = np.where(self.seen, self.measured - predicted_m, np.nan)
+        if self._gauges:
+            white = self(predicted_m[None])
+            error_m[:, -self._gauges :] = self.error_m(white)[:, -self._gauges :]
+        if self._shift is None or self._shift_m is None:
+            return error_m
+        white = self._white(predicted_m[None], self.measured)[0]
+        moved = np.einsum("mct,mct->m", white, self._shift) / (1.0 + self._shift_size)
+        return np.asarray(error_m - moved[:, None] * self._shift_m)
+
+    @cached_property
+    def smooth_modes(self) -> tuple[FloatArray, ...]:
+        """Per channel (markers × frames, modes) orthonormal smooth functions of what was seen.
+
+        Cosines in time and polynomials along the cable span them.  A misfit of a model is there, of
+        noise only a few per cent.
+        """
+        first = self.seen.shape[1] - self._gauges
+        return tuple(_smooth_modes(self.seen[..., c], first) for c in range(self.channels))
+
+    def error_m(self, white: FloatArray) -> FloatArray:
+        """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen.
+
+        Where arc lengths are uncertain, or markers move together, beside the likeliest of both; of
+        a sensor beside tare and gain.
+        """
+        fresh = self._unshifted(self._uncarried(white[None]).reshape(1, *self._memory.shape))[0]
+        along = np.sum(fresh * self._ones, axis=-1)
+        back = (1.0 / self._kept - 1.0) / self._size
+        back[len(back) - self._gauges :] = 0.0
+        fresh = fresh + (back * along)[..., None] * self._ones
+        error = np.full(self.seen.shape, np.nan)
+        coloured(np.ascontiguousarray(fresh), self._memory, self._weight, self._gain, error)
+        return error
+
+
+def _smooth_modes(seen: NDArray[np.bool_], first: int) -> FloatArray:
+    """(markers × frames, modes) of what was seen (frames, markers) in a channel.
+
+    first  marker of those that are gauges: each of them is by itself
+    """
+    parts = [seen[:, :first], *(seen[:, i : i + 1] for i in range(first, seen.shape[1]))]
+    if len(parts) > 1:
+        return _apart([_smooth_modes(part, part.shape[1]) for part in parts])
+    frames, markers = seen.shape
+    slow = max(2, frames // SLOW_FRAMES)
+    in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
+    along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
+    functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
+    functions = functions * seen.T.reshape(-1, 1)
+    values, vectors = np.linalg.eigh(functions.T @ functions)
+    good = values > 1e-9 * max(values[-1], 1e-300)
+    return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))
+
+
+def _moving_mean(values: FloatArray) -> FloatArray:
+    """(n,) means over `SHOWN_ROWS` neighbours, fewer at the ends."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    rows, half = np.arange(len(values)), SHOWN_ROWS // 2
+    first, last = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(values))
+    return np.asarray((total[last] - total[first]) / (last - first))
+
+
+def _apart(blocks: Sequence[FloatArray]) -> FloatArray:
+    """The block-diagonal matrix of some."""
+    rows, columns = np.cumsum([b.shape for b in blocks], axis=0).T
+    whole = np.zeros((rows[-1], columns[-1]))
+    for block, row, column in zip(blocks, rows, columns, strict=True):
+        whole[row - block.shape[0] : row, column - block.shape[1] : column] = block
+    return whole

@@ -1,0 +1,39 @@
+"""What whitens the trials of a study: noise, arc lengths, a hand's drift, tares of gauges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cell.identify.marker_shift import carried_m, slopes_along
+from cell.identify.noise import Noise
+from cell.identify.whitener import Whitener
+from cell.lab.data.gauges import Gauges
+from cell.study.data import Study
+
+
+def whiteners_of(study: Study, noise: Noise, gauges: Gauges | None = None) -> dict[str, Whitener]:
+    """What whitens each trial of a study.
+
+    The whitener of a trial knows nothing of the others, yet a marker's arc length is the same in
+    all n of them.  So each trial may have one of its own, of n times the variance: no combination
+    of trials is then believed more than it may, and what moves a marker alike in all of them as
+    much as one standard deviation allows.  The same holds of a sensor's gain.
+    """
+    std_m, markers = study.arc_length_std_m, len(study.arc_length_m)
+    uncertain = std_m is not None and bool(np.any(std_m > 0.0))
+    whiteners = {}
+    for t in study.trials:
+        # what a sensor shows stands beside the markers, and neither shifts nor is carried
+        beside = ((0, t.markers.xy_m.shape[1] - markers), (0, 0))
+        places = replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m[:, :markers]))
+        shift_m, carried = None, carried_m(places)
+        if std_m is not None and uncertain:
+            each_m = np.sqrt(len(study.trials)) * std_m[:, None]
+            shift_m = np.pad(each_m * slopes_along(places, study.arc_length_m), ((0, 0), *beside))
+        if carried is not None:
+            carried = np.pad(carried, ((0, 0), (0, 0), *beside))
+        sensors = None if gauges is None else gauges.sensors(t)
+        whiteners[t.name] = Whitener(t.markers.xy_m, noise, shift_m, carried, sensors)
+    return whiteners

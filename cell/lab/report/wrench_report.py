@@ -1,0 +1,139 @@
+"""Tables and figures of a wrench: as measured, and beside those of models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from cell.files.figure_style import NOISE, SEEN, laid_out, listed
+from cell.files.table import TableData
+from cell.lab.report.series import Series
+from cell.lab.report.wording import chance
+from cell.lab.strength.compare import Comparison
+from cell.lab.strength.wrench_residual import WrenchResidual
+from cell.study.data import Wrench
+from cell.study.wrench_facts import WrenchFacts
+
+FloatArray = NDArray[np.float64]
+
+#: In the order of the columns of `wrench.csv`.
+NAMES = ("force x", "force y", "moment")
+UNITS = ("mN", "mN", "mN·m")
+_MILLI = 1e3
+#: Points of a line that are drawn: more are not seen.
+_MOST_POINTS = 1500
+#: Pixels of a panel's height, and of what is around them.
+_PANEL_PX, _AROUND_PX = 190, 90
+
+
+def wrench_facts_table(facts: Sequence[WrenchFacts]) -> TableData:
+    """A row for every trial and what was measured."""
+    rows = [
+        [
+            f.trial,
+            f"{name}, {unit}",
+            f"{f.rate_hz:.4g}",
+            str(f.still),
+            f"{_MILLI * f.varies[i]:.3g}",
+            f"{_MILLI * f.noise[i]:.2g}" if np.isfinite(f.noise[i]) else "–",
+        ]
+        for f in facts
+        for i, (name, unit) in enumerate(zip(NAMES, UNITS, strict=True))
+        if np.isfinite(f.varies[i])
+    ]
+    heads = ("trial", "at the clamp", "per s", "still", "varies by", "noise")
+    return TableData("Wrench at the clamp", heads, rows, range(2, len(heads)))
+
+
+def wrench_figure(wrench: Wrench) -> go.Figure:
+    """What was measured, against time."""
+    there = np.flatnonzero(np.isfinite(wrench.values).any(axis=0))
+    titles = [f"{NAMES[i]}, {UNITS[i]}" for i in there]
+    figure = make_subplots(len(there), 1, shared_xaxes=True, subplot_titles=titles)
+    thin = slice(None, None, max(1, len(wrench.t_s) // _MOST_POINTS))
+    for row, i in enumerate(there, 1):
+        _line(figure, wrench.t_s[thin], wrench.values[thin, i], SEEN, "measured", (row, 1))
+    figure.update_xaxes(title="s", row=len(there), col=1)
+    return laid_out(figure, _AROUND_PX + _PANEL_PX * len(there))
+
+
+def wrenches_table(comparisons: Sequence[Comparison]) -> TableData | None:
+    """Errors of models' wrenches by trial; None where none was measured.
+
+    What is beyond noise, and whether it has a pattern, is the last model's.
+    """
+    last = comparisons[-1]
+    rows = []
+    for w in last.wrenches:
+        each = [_of(c, w.trial) for c in comparisons]
+        for i in np.flatnonzero(np.isfinite(w.rms)):
+            errors = ["–" if e is None else _shown(e.rms[i]) for e in each]
+            beyond = _shown(w.beyond_noise[i]), chance(w.p_values[i])
+            rows.append([w.trial, f"{NAMES[i]}, {UNITS[i]}", _shown(w.noise[i]), *errors, *beyond])
+    names = ["error"] if len(comparisons) == 1 else [c.model for c in comparisons]
+    heads = ["trial", "at the clamp", "noise", *names, "beyond noise", "p (white)"]
+    title = "Error of the wrench, rms, less its tare"
+    return TableData(title, heads, rows, range(2, len(heads))) if rows else None
+
+
+def wrench_overlay(series: Sequence[Series], trial: str) -> go.Figure | None:
+    """Wrench measured and predicted, and its error, against time; None if there is none."""
+    found = [(s, w) for s in series if (w := _of(s.comparison, trial)) is not None]
+    if not found:
+        return None
+    first = found[0][1]
+    there = np.flatnonzero(np.isfinite(first.rms))
+    titles = [f"{NAMES[i]}{of}, {UNITS[i]}" for i in there for of in ("", ": error")]
+    figure = make_subplots(len(there), 2, shared_xaxes=True, subplot_titles=titles)
+    thin = slice(None, None, max(1, len(first.t_s) // _MOST_POINTS))
+    t_s = first.t_s[thin]
+    for row, i in enumerate(there, 1):
+        measured = first.measured[thin, i]
+        _line(figure, t_s, measured, SEEN, "measured", (row, 1), dots=True, named=row == 1)
+        for s, w in found:
+            predicted = w.predicted[thin, i]
+            place = row, 1
+            _line(figure, t_s, predicted, s.colour, s.name, place, width=s.width, named=row == 1)
+            error = (w.measured - w.predicted)[thin, i]
+            _line(figure, t_s, error, s.colour, s.name, (row, 2), width=1.0)
+        band = 2.0 * _MILLI * float(first.noise[i])
+        figure.add_hrect(
+            y0=-band, y1=band, fillcolor=NOISE, opacity=0.2, layer="below", line_width=0,
+            row=row, col=2,
+        )  # fmt: skip
+    figure.update_xaxes(title="s", row=len(there))
+    return laid_out(figure, _AROUND_PX + _PANEL_PX * len(there))
+
+
+def _of(comparison: Comparison, trial: str) -> WrenchResidual | None:
+    return next((w for w in comparison.wrenches if w.trial == trial), None)
+
+
+def _shown(value: float) -> str:
+    """A force or moment in a table, in thousandths."""
+    return f"{_MILLI * value:.3g}"
+
+
+def _line(
+    figure: go.Figure,
+    t_s: FloatArray,
+    values: FloatArray,
+    colour: str,
+    name: str,
+    place: tuple[int, int],
+    *,
+    width: float = 1.0,
+    dots: bool = False,
+    named: bool = False,
+) -> None:
+    look = {"marker": {"size": 3, "color": colour}}
+    if not dots:
+        look = {"line": {"width": width, "color": colour}}
+    figure.add_scatter(
+        x=listed(t_s, 4), y=listed(_MILLI * values, 3), mode="markers" if dots else "lines",
+        name=name, legendgroup=name, showlegend=named, **look, row=place[0], col=place[1],
+    )  # fmt: skip
