@@ -56,7 +56,7 @@ def wrench_figure(wrench: Wrench) -> go.Figure:
     figure = make_subplots(len(there), 1, shared_xaxes=True, subplot_titles=titles)
     thin = slice(None, None, max(1, len(wrench.t_s) // _MOST_POINTS))
     for row, i in enumerate(there, 1):
-        _line(figure, wrench.t_s[thin], wrench.values[thin, i], SEEN, "measured", (row, 1))
+        _line(figure, wrench.t_s[thin], wrench.values[thin, i], ("measured", SEEN), (row, 1))
     figure.update_xaxes(title="s", row=len(there), col=1)
     return laid_out(figure, _AROUND_PX + _PANEL_PX * len(there))
 
@@ -93,13 +93,13 @@ def wrench_overlay(series: Sequence[Series], trial: str) -> go.Figure | None:
     t_s = first.t_s[thin]
     for row, i in enumerate(there, 1):
         measured = first.measured[thin, i]
-        _line(figure, t_s, measured, SEEN, "measured", (row, 1), dots=True, named=row == 1)
+        _line(figure, t_s, measured, ("measured", SEEN), (row, 1), dots=True, named=row == 1)
         for s, w in found:
             predicted = w.predicted[thin, i]
             place = row, 1
-            _line(figure, t_s, predicted, s.colour, s.name, place, width=s.width, named=row == 1)
+            _line(figure, t_s, predicted, (s.name, s.colour), place, width=s.width, named=row == 1)
             error = (w.measured - w.predicted)[thin, i]
-            _line(figure, t_s, error, s.colour, s.name, (row, 2), width=1.0)
+            _line(figure, t_s, error, (s.name, s.colour), (row, 2), width=1.0)
         band = 2.0 * _MILLI * float(first.noise[i])
         figure.add_hrect(
             y0=-band, y1=band, fillcolor=NOISE, opacity=0.2, layer="below", line_width=0,
@@ -122,14 +122,19 @@ def _line(
     figure: go.Figure,
     t_s: FloatArray,
     values: FloatArray,
-    colour: str,
-    name: str,
+    of: tuple[str, str],
     place: tuple[int, int],
     *,
     width: float = 1.0,
     dots: bool = False,
     named: bool = False,
 ) -> None:
+    """A line, or dots, in a panel.
+
+    of     its name and colour
+    place  row and column
+    """
+    name, colour = of
     look = {"marker": {"size": 3, "color": colour}}
     if not dots:
         look = {"line": {"width": width, "color": colour}}
