@@ -161,17 +161,24 @@ class LivePage:
         until(lambda: self.text("state") == state)
 
 
-def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
-    browser: Any, started: Started, config: Path, tmp_path: Path
-) -> None:
-    runs, port = tmp_path / "runs", free_port()
+def live(browser: Any, started: Started, config: Path, runs: Path) -> tuple[LivePage, Client, int]:
+    """The live page of a cell that waits, which has taken control; the cell; the page's port."""
+    port = free_port()
     started("run", "-c", config, "--cycles", "forever", "--out", runs)
     started("serve", "-c", config, "--runs", runs, "--port", port)
     until(lambda: answers(port))
     browser.get(f"http://127.0.0.1:{port}/")
-    page, cell = LivePage(browser), Client(runs)
+    page = LivePage(browser)
     page.reaches("Idle")
     page.click("take")
+    return page, Client(runs), port
+
+
+def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
+    browser: Any, started: Started, config: Path, tmp_path: Path
+) -> None:
+    runs = tmp_path / "runs"
+    page, cell, port = live(browser, started, config, runs)
     until(lambda: page.text("control") == "You have control.")
     for number in (1, 2, 3):
         page.type("part", f"{PART}{number}")
@@ -216,15 +223,8 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
 def test_a_missed_cable_is_told_and_the_next_one_is_inserted(
     browser: Any, started: Started, config: Path, tmp_path: Path
 ) -> None:
-    runs, port = tmp_path / "runs", free_port()
     windy = changed(config, tmp_path / "windy.yaml", WINDY)
-    started("run", "-c", windy, "--cycles", "forever", "--out", runs)
-    started("serve", "-c", windy, "--runs", runs, "--port", port)
-    until(lambda: answers(port))
-    browser.get(f"http://127.0.0.1:{port}/")
-    page, cell = LivePage(browser), Client(runs)
-    page.reaches("Idle")
-    page.click("take")
+    page, cell, port = live(browser, started, windy, tmp_path / "runs")
     why = {"rejected": "probability", "missed": "the tip missed", "inserted": ""}
     for outcome in why:
         page.click("start")
