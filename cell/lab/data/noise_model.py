@@ -14,6 +14,7 @@ from cell.lab.data.noise_likelihood import (
     ALLOWED,
     AR1_GRID,
     MAX_AR1,
+    TOLD,
     Block,
     Remainder,
     Rest,
@@ -77,6 +78,11 @@ class NoiseModel:
             return 0
         known, wanted = (np.log(r) + 1.0 / r - 1.0 for r in (allowed, KNOWN_WITHIN))
         return int(10 * np.ceil(0.1 * self.rest.frames * max(known / wanted, 1.0)))
+
+    def differs_from(self, other: NoiseModel) -> bool:
+        """Whether this noise makes another's level unlikely (95 %), by a likelihood ratio."""
+        ratio = (other.noise.std_m / self.noise.std_m) ** 2
+        return not self.stated and bool(self.dof * (ratio - 1.0 - np.log(ratio)) > TOLD)
 
     @property
     def weighed(self) -> Noise:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,9 @@ FloatArray = NDArray[np.float64]
 #: fall with the square of both: what it still errs by is this share of the difference.
 FINER = 2
 LEFT = 1.0 / (FINER**2 - 1.0)
+#: An error that moves no parameter by more than this share of its standard deviation changes no
+#: answer.
+NOTICEABLE = 0.5
 
 
 def finer(prepared: PreparedStudy) -> PreparedStudy:
@@ -32,12 +36,11 @@ def finer(prepared: PreparedStudy) -> PreparedStudy:
     )
 
 
-def without_mesh_error(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
-    """The study less what a converged mesh would show beside the solver's, by a fitted model.
+def mesh_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
+    """What the solver's mesh errs by in a fitted model, less what has been taken out already.
 
-    A mesh's error moves little with the parameters, so that one fit tells it for all: without it
-    an effect that resembles it (`grip_slip`) is found in long records of a long or soft cable.
-    source  deferred correction with Richardson's extrapolation (Stetter 1978, Numer. Math. 29, 425)
+    By trial (times, markers, 2), m, of those that can be simulated on both meshes.
+    source  Richardson's extrapolation
     """
     trials = prepared.study.trials
     initial_states = {
@@ -46,14 +49,42 @@ def without_mesh_error(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
     }
     here = prepared.predict_all(trials, [fit.model], initial_states)
     there = finer(prepared).predict_all(trials, [fit.model], initial_states)
-    moved, shown = dict(prepared.mesh_m), []
+    found = {}
     for trial, coarse, fine in zip(trials, here, there, strict=True):
         error_m = (1.0 + LEFT) * (fine[0] - coarse[0])
         if np.all(np.isfinite(error_m)):
-            seen = trial.markers.xy_m + moved.get(trial.name, 0.0) - error_m
-            moved[trial.name] = error_m
+            found[trial.name] = error_m - prepared.mesh_m.get(trial.name, 0.0)
+    return found
+
+
+def matters(prepared: PreparedStudy, error_m: Mapping[str, FloatArray]) -> bool:
+    """Whether such an error would move some parameter by a noticeable part of its deviation.
+
+    Whitened it is a vector: along no direction does it move the residuals by more than its length.
+    """
+    square = 0.0
+    for trial in prepared.study.trials:
+        if (moved := error_m.get(trial.name)) is not None:
+            both = prepared.white(trial, np.stack([moved, np.zeros_like(moved)]))
+            square += float(np.sum((both[0] - both[1]) ** 2))
+    return square > NOTICEABLE**2
+
+
+def without_mesh_error(prepared: PreparedStudy, error_m: Mapping[str, FloatArray]) -> PreparedStudy:
+    """The study less what a converged mesh would show beside the solver's.
+
+    A mesh's error moves little with the parameters, so that one fit tells it for all: without it
+    an effect that resembles it (`grip_slip`) is found in long records of a long or soft cable.
+    error_m  of `mesh_error_m`
+    source   deferred correction (Stetter 1978, Numer. Math. 29, 425)
+    """
+    shown = []
+    for trial in prepared.study.trials:
+        if (moved := error_m.get(trial.name)) is not None:
+            seen = trial.markers.xy_m - moved
             trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
         shown.append(trial)
     study = replace(prepared.study, trials=tuple(shown))
     whiteners = whiteners_of(study, prepared.noise, prepared.gauges)
-    return replace(prepared, study=study, whiteners=whiteners, mesh_m=moved)
+    taken = {n: e + prepared.mesh_m.get(n, 0.0) for n, e in error_m.items()}
+    return replace(prepared, study=study, whiteners=whiteners, mesh_m={**prepared.mesh_m, **taken})

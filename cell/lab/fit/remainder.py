@@ -10,12 +10,31 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.identify.noise import still_frames
 from cell.lab.data.noise_likelihood import Remainder
+from cell.lab.data.noise_model import noise_model_of_all_frames
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
 from cell.lab.statistics.score import score_test
 
 FloatArray = NDArray[np.float64]
+
+
+def with_noise_beside(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> PreparedStudy:
+    """The study with the noise that all frames tell beside a model, within what the rest allows.
+
+    effects  that may be missing: what they explain is not taken for noise
+    """
+    gauges = prepared.gauges
+    each = [prepared.noise_model, *([] if gauges is None else [gauges.force, gauges.moment])]
+    if all(m.rest is None for m in each) or not prepared.noise_is_measured:
+        return prepared
+    left = remainders(prepared, fit, effects)
+    markers, *of_gauges = map(noise_model_of_all_frames, each, left)
+    if not of_gauges:
+        return prepared.with_noise_model(markers)
+    return prepared.with_noise_model(markers, (of_gauges[0], of_gauges[1]))
 
 
 def remainders(

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.noise_model import noise_model_of_all_frames
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with
-from cell.lab.fit.mesh import without_mesh_error
-from cell.lab.fit.remainder import remainders
+from cell.lab.fit.mesh import mesh_error_m, without_mesh_error
+from cell.lab.fit.remainder import with_noise_beside
 from cell.lab.fit.sensitivity import is_shape
 from cell.lab.fit.slopes import with_slopes
 from cell.lab.fit.starts import MOST_GUESSES, cold_start
@@ -56,7 +55,7 @@ class Baseline:
     from_prior  an earlier individual's model is known, so that no other shapes are tried
     added       its fit from where a search comes that adds effects of which nothing is known; None
                 if there are none
-    mesh_known  the mesh's error has been taken out already, by a model that was found
+    settled     noise and the mesh's error are known already, beside a model that was found
     """
 
     space: ParameterSpace
@@ -64,7 +63,7 @@ class Baseline:
     start: FloatArray | None = None
     from_prior: bool = False
     added: Callable[[PreparedStudy], Fit | None] | None = None
-    mesh_known: bool = False
+    settled: bool = False
     progress: Progress = no_progress
 
     def fitted_to(self, prepared: PreparedStudy) -> BaselineFit:
@@ -108,28 +107,16 @@ class Baseline:
         And without its mesh's error, if it explains the study: one that does not has another.
         As it was where it cannot be simulated once more.
         """
-        if self.mesh_known:
+        if self.settled:
             return found
-        fit, prepared = found.fit, self._with_noise(found.prepared, found.fit)
+        fit, prepared = found.fit, with_noise_beside(found.prepared, found.fit, self.others)
         if fit.rms_m <= ERRS * prepared.expected.std_m:
-            prepared = without_mesh_error(prepared, fit)
+            prepared = without_mesh_error(prepared, mesh_error_m(prepared, fit))
         try:
             again = fit_model(prepared, self.space, fit.q, fit.initial_states, options=POLISH)
         except UNSIMULATED:
             return found
         return replace(found, prepared=prepared, fit=again)
-
-    def _with_noise(self, prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
-        noise_model = prepared.noise_model
-        gauges = prepared.gauges
-        each = [noise_model, *([] if gauges is None else [gauges.force, gauges.moment])]
-        if all(m.rest is None for m in each) or not prepared.noise_is_measured:
-            return prepared
-        left = remainders(prepared, fit, self.others)
-        markers, *of_gauges = map(noise_model_of_all_frames, each, left)
-        if not of_gauges:
-            return prepared.with_noise_model(markers)
-        return prepared.with_noise_model(markers, (of_gauges[0], of_gauges[1]))
 
     def _from_other_starts(self, found: BaselineFit, start: FloatArray, count: int) -> BaselineFit:
         """The best fit of a baseline that cannot fit from its first start; the next is kept, too.

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.work import Work
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
 from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr
-from cell.lab.fit.mesh import without_mesh_error
+from cell.lab.fit.mesh import matters, mesh_error_m, without_mesh_error
+from cell.lab.fit.remainder import with_noise_beside
 from cell.lab.fit.starts import cold_start, taken_from
 from cell.lab.search.baseline import Baseline, BaselineFit
 from cell.lab.search.extension import Extension, by_effect
@@ -57,7 +58,7 @@ class FitCache:
     begin     where the baseline's fit begins; None = it is looked for
     sought    effects of `space` of which nothing is known: they are looked for as if the model
               lacked them where a fit from their typical size leaves more than the noise
-    settled   the mesh's error has been taken out by a model that was found
+    settled   noise and the mesh's error are those beside a model that was found
     """
 
     given: PreparedStudy
@@ -109,16 +110,28 @@ class FitCache:
             models[key] = weighed(found.prepared, self.space.effects, found.fit)
         return models[key]
 
-    def without_mesh_of(self, found: FittedModel) -> FitCache | None:
-        """The study without the mesh's error by a model that was found, nothing fitted to it yet.
+    def beside(self, found: FittedModel) -> FitCache | None:
+        """The study with the noise and mesh error beside a found model, nothing fitted to it yet.
 
-        The baseline's own, which imitated what was missing, was another.  Noise stays as it is.
-        returns  None if that was done, or where the baseline's has not been taken out
+        Those beside the baseline, which imitated what was missing or could not fit, were others.
+        returns  None if that was done, if neither changes noticeably, or if no model has explained
+                 the study yet
         """
-        if self.settled or not self.prepared.mesh_m:
+        before = self.prepared
+        if self.settled or not (self.explained_by(found) or before.mesh_m):
             return None
-        settled = without_mesh_error(self.prepared, found.fit)
+        others = [e for name, e in self.library.items() if name not in found.names]
+        prepared = with_noise_beside(before, found.fit, others)
+        error_m = mesh_error_m(prepared, found.fit)
+        another = prepared.noise_model.differs_from(before.noise_model)
+        if not (another or matters(prepared, error_m)):
+            return None
+        settled = without_mesh_error(prepared, error_m)
         return replace(self, given=settled, settled=True, _memory=_Memory())
+
+    def explained_by(self, model: FittedModel) -> bool:
+        """Whether a model leaves so little that the rest may be noise and the mesh's error."""
+        return model.fit.rms_m <= ERRS * self.prepared.expected.std_m
 
     @property
     def second(self) -> Fit | None:

@@ -100,12 +100,11 @@ def _examined(searches: list[FitCache], rules: Rules) -> Examination:
         return _unsearched(fits, base, rules, "unexplained", no_model_doubt())
     screened = fits.screened(base)
     singles = fits.fit_extended(base, fits.shortlist(base, rules.max_refits))
-    current, cut_short = searched(fits, base, len(screened), rules)
-    again = None if current is base else fits.without_mesh_of(current)
-    if again is not None:
-        searches.append(again)
+    found = searched(fits, base, len(screened), rules)
+    if found.again is not None:
+        searches.append(found.again)
         return _examined(searches, rules)
-    return _concluded(fits, current, singles, cut_short, rules)
+    return _concluded(fits, found.model, singles, found.cut_short, rules)
 
 
 def _concluded(

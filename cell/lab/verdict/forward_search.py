@@ -117,10 +117,23 @@ class ConfirmedEffects:
         )
 
 
-def searched(
-    fits: FitCache, base: FittedModel, library: int, rules: Rules
-) -> tuple[FittedModel, bool]:
-    """The baseline with the effects that are believed; whether the search was cut short."""
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """Where a search ended.
+
+    model      the baseline with the effects that are believed
+    cut_short  its limit of work has ended it
+    again      the study as it shows beside that model, to be searched anew: what the mesh errs by
+               would be taken for another effect, and noise that is wrong for a misfit
+    """
+
+    model: FittedModel
+    cut_short: bool = False
+    again: FitCache | None = None
+
+
+def searched(fits: FitCache, base: FittedModel, library: int, rules: Rules) -> Searched:
+    """The search for effects that are believed, until it ends or must begin anew."""
     space, criterion = StudySpace(fits, rules.max_refits), ConfirmedEffects(fits, library, rules)
 
     def in_time() -> bool:
@@ -138,13 +151,17 @@ def searched(
         return [better]
 
     for step, (current,) in enumerate(levels(base, space.extended, kept)):
+        explained = current is not base and fits.explained_by(current)
+        if explained and (again := fits.beside(current)) is not None:
+            return Searched(current, again=again)
         if step == rules.most_named or Evidence(fits, base, current, rules).below_stated:
             break
         if _cannot_succeed(fits, current, rules, rules.small_share):
             break
         if current is not base and not in_time():  # beside the baseline all were refitted already
-            return current, True
-    return current, False
+            return Searched(current, cut_short=True)
+    unasked = current is not base and not fits.explained_by(current)
+    return Searched(current, again=fits.beside(current) if unasked else None)
 
 
 def _cannot_succeed(fits: FitCache, current: FittedModel, rules: Rules, most_left: float) -> bool:

@@ -12,7 +12,7 @@ from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_trials
-from cell.lab.fit.mesh import without_mesh_error
+from cell.lab.fit.mesh import matters, mesh_error_m, without_mesh_error
 from cell.lab.fit.systematic_error import systematic_error
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
@@ -58,8 +58,11 @@ def test_once_taken_out_little_of_it_is_left():
     trial, moved = raw.study.trials[0].markers, clean.study.trials[0].markers
     shift_m = float(np.sqrt(np.mean((trial.xy_m - moved.xy_m) ** 2)))
     assert 3e-5 < shift_m < 3e-3
-    again = without_mesh_error(clean, fit).study.trials[0].markers
+    rest_m = mesh_error_m(clean, fit)
+    again = without_mesh_error(clean, rest_m).study.trials[0].markers
     assert np.sqrt(np.mean((again.xy_m - moved.xy_m) ** 2)) < 0.1 * shift_m
+    assert matters(raw, mesh_error_m(raw, fit))
+    assert not matters(clean, {name: 1e-3 * error for name, error in rest_m.items()})
 
 
 def test_a_complete_model_of_a_soft_cable_lacks_nothing():

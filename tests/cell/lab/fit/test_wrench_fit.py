@@ -10,7 +10,7 @@ from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
-from cell.lab.fit.mesh import without_mesh_error
+from cell.lab.fit.mesh import mesh_error_m, without_mesh_error
 from cell.lab.fit.starts import cold_start
 from cell.lab.power.hidden import World
 from cell.lab.search.fitted_model import POLISH
@@ -33,7 +33,7 @@ def fitted(study):
     space = ParameterSpace.of(study.cable, effects=(library()["tip_mass"],))
     prepared = PreparedStudy.of(study, solver=COARSE)
     fit = fit_model(prepared, space, cold_start(prepared, space), options=POLISH)
-    prepared = without_mesh_error(prepared, fit)
+    prepared = without_mesh_error(prepared, mesh_error_m(prepared, fit))
     return prepared, fit_model(prepared, space, fit.q, options=POLISH)
 
 
