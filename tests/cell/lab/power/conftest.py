@@ -11,19 +11,14 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.power.linear_study import LinearStudy
 from cell.lab.search.fit_cache import FitCache
-from tests.cell.lab.conftest import STROKES
 
 #: Few effects, so that a diagnosis is quick: alike, unlike and not smooth.
 NAMES = ("air_drag", "linear_air_drag", "tip_mass", "natural_curvature", "grip_angle")
 
 
-#: Two trials fitted to and one held out.
-SHORT = (STROKES[0], STROKES[1], STROKES[3])
-
-
 @pytest.fixture(scope="session")
 def fitted(make_study):
-    study = make_study(seed=21, strokes=SHORT)
+    study = make_study(seed=21)
     lost = study.trials[0].markers.xy_m.copy()
     lost[40:44, 2] = float("nan")
     first = replace(study.trials[0], markers=replace(study.trials[0].markers, xy_m=lost))

@@ -16,7 +16,6 @@ from cell.lab.power.recovery import Outcome, Recovery, judged, recover
 from cell.lab.power.study_power import power_of
 from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
 from cell.lab.search.fit_cache import FitCache
-from tests.cell.lab.power.conftest import SHORT
 
 
 def asked(given):
@@ -49,7 +48,7 @@ def test_a_larger_effect_is_likelier_found_and_hardly_any_is_not(fitted, linear,
 
 def test_with_less_noise_a_smaller_one_is_found(fitted, linear, smallest, make_study):
     quiet = FitCache(
-        PreparedStudy.of(make_study(seed=21, noise_m=3e-5, strokes=SHORT)), fitted.space, fitted.library
+        PreparedStudy.of(make_study(seed=21, noise_m=3e-5)), fitted.space, fitted.library
     )
     (effect,) = power_of(quiet, [asked("air_drag")]).effects
     assert effect.forecast.smallest == pytest.approx(0.3 * smallest, rel=0.25)
