@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests hardware bench figures learn pages coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills plant mouths holds flights endings words clean help jaw-plate picture docs
+.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills plant mouths holds flights endings words clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -54,8 +54,17 @@ compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests b
 	@$(BIN)/pytest -q --collect-only > /dev/null || true  # what is wrong the tests say themselves
 
 tests: $(VENV)/.dev
-	$(BIN)/pytest -n 3 --dist worksteal -m 'not real_time'  # one more than cores: many tests wait
-	$(BIN)/pytest -m real_time tests/end_to_end --ignore tests/end_to_end/test_fault_trials.py  # in real time: alone
+	$(MAKE) --no-print-directory -j 2 tests-real-time tests-computing
+	$(BIN)/pytest -n 3 --dist worksteal -m 'not real_time' --ignore $(COMPUTING)  # one more than cores: many tests wait
+
+# Tests in real time leave half of the processor's time; what only computes takes no more than that.
+COMPUTING := tests/cell/lab
+
+tests-real-time: $(VENV)/.dev
+	$(BIN)/pytest -m real_time tests/end_to_end --ignore tests/end_to_end/test_fault_trials.py
+
+tests-computing: $(VENV)/.dev
+	$(BIN)/pytest -n 2 --dist worksteal --spare-time $(COMPUTING)
 
 hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file; they move
 	@test -n "$(CONFIG)" || { echo "error: say which cell: make hardware CONFIG=config/line3.yaml"; exit 2; }
@@ -157,6 +166,7 @@ kills: $(VENV)/.dev   ## 100 cells killed at random moments: what `cell recover`
 $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; none found on PATH (set PYTHON=/path/to/python3.11)"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --upgrade pip  # that of Python 3.11 takes twice as long
 
 $(VENV)/.user: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check -e .

@@ -80,12 +80,17 @@ def _numerator(step: float) -> FloatArray:
 
 def _decaying_sum(values: FloatArray, decay: float) -> FloatArray:
     """(n,) y with y_k = decay y_(k−1) + values_k; block by block, as there is no such function."""
-    size = 64
-    blocks = np.pad(values, (0, -len(values) % size)).reshape(-1, size)
-    order = np.arange(size)
-    since = order[:, None] - order
-    within = blocks @ np.where(since >= 0, decay ** np.maximum(since, 0), 0.0).T
-    later = decay ** (order + 1.0)
+    shares, later = _decay(decay)
+    blocks = np.pad(values, (0, -len(values) % len(later))).reshape(-1, len(later))
+    within = blocks @ shares
     for before, block in pairwise(within):
         block += later * before[-1]
     return np.asarray(within.ravel()[: len(values)], dtype=np.float64)
+
+
+@lru_cache(maxsize=16)
+def _decay(decay: float) -> tuple[FloatArray, FloatArray]:
+    """(64, 64) what each value of a block adds to each sum, (64,) what the last sum before adds."""
+    order = np.arange(64)
+    since = order[:, None] - order
+    return np.where(since >= 0, decay ** np.maximum(since, 0), 0.0).T, decay ** (order + 1.0)

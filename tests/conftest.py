@@ -109,6 +109,11 @@ def at_rest() -> Callable[..., np.ndarray]:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--spare-time",
+        action="store_true",
+        help="take only the processor's time that no other process wants",
+    )
     group = parser.getgroup("devices that are really there")
     group.addoption(
         "--hardware",
@@ -128,8 +133,18 @@ def _hear_signals() -> None:
             signal.signal(number, usual)
 
 
+def _give_way() -> None:
+    """From now on this process and those that it starts run when a processor would be idle."""
+    if hasattr(os, "SCHED_IDLE"):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    else:
+        os.nice(19)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     _hear_signals()
+    if config.getoption("--spare-time"):
+        _give_way()
     if config.getoption("--hardware") != (config.getoption("--config") is not None):
         raise pytest.UsageError("--hardware and --config FILE go together")
 

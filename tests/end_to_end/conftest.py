@@ -22,7 +22,7 @@ CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 EMULATED = CONFIG.parent / "emulated.yaml"
 
 _QUICK = [
-    ("frame_rate_hz: 200.0", "frame_rate_hz: 100.0"),
+    ("frame_rate_hz: 200.0", "frame_rate_hz: 60.0"),
     ("hold_s: 1.0", "hold_s: 0.4"),
     ("step_m: 0.002", "step_m: 0.004"),
 ]
@@ -37,8 +37,12 @@ _SMALL = [
 ]
 
 
+#: Of `_QUICK`, where the noise that is left decides.
+_MORE_FRAMES = ("frame_rate_hz: 60.0", "frame_rate_hz: 100.0")
+
 #: A world in which a few good chances are wrong.
 WINDY = [
+    _MORE_FRAMES,
     ("effects: {}", "effects: {draught: {wind_x_m_per_s: 1.6, wind_y_m_per_s: 1.6}}"),
     ("gripper:\n", "choice: {min_probability: 0.3}\n\ngripper:\n"),
 ]
@@ -85,6 +89,12 @@ def sharp_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def quick_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("config") / "quick.yaml"
     return unrecorded(changed(CONFIG, path, [*_QUICK, *_SMALL]))
+
+
+@pytest.fixture(scope="session")
+def dense_config(quick_config: Path) -> Path:
+    """More frames, for tests in which the noise that they leave decides."""
+    return changed(quick_config, quick_config.with_name("dense.yaml"), [_MORE_FRAMES])
 
 
 @pytest.fixture(scope="session")

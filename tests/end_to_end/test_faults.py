@@ -113,7 +113,7 @@ DEVICE_FAULTS = [
     ("grasp", "gripper", GripperFaults(misses=True), "nothing between the jaws"),
     ("grasp", "gripper", GripperFaults(jams=True), "did not come to rest"),
     ("lower", "camera", CameraFaults(missing_frames=frozenset({20})), "was due"),
-    ("hold_and_capture", "camera", CameraFaults(frozen_from=60), "the camera is frozen"),
+    ("hold_and_capture", "camera", CameraFaults(frozen_from=40), "the camera is frozen"),
     ("hold_and_capture", "camera", CameraFaults(late_from=10, late_s=1.0), "s late, allowed"),
 ]
 

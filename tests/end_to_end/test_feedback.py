@@ -21,7 +21,7 @@ from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run import correcting
 from cell.run.machine import Event
-from cell.settings import Settings
+from cell.settings import Settings, load_settings
 from drivers.interfaces import Trajectory, revised_too_late
 from drivers.sim.arm import SimArm
 
@@ -68,11 +68,12 @@ def test_without_feedback_nothing_is_said_of_it(live: Live) -> None:
 
 @pytest.mark.parametrize("rise_m", [0.002, -0.002])
 def test_a_change_in_flight_moves_the_tip_as_foretold(
-    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch, rise_m: float
+    live: Live, dense_config: Path, monkeypatch: pytest.MonkeyPatch, rise_m: float
 ) -> None:
-    plain = live().cell.run_cycle(1)
+    dense = load_settings(dense_config)
+    plain = live(settings=dense).cell.run_cycle(1)
     monkeypatch.setattr(decide, "best_tail", one_change(rise_m))
-    result = live(settings=seeing(quick)).cell.run_cycle(1)
+    result = live(settings=seeing(dense)).cell.run_cycle(1)
     assert result.corrections is not None and len(result.corrections) == 1
     assert result.corrections[0].rise_m == rise_m
     assert result.measured_miss_m is not None and plain.measured_miss_m is not None
@@ -83,7 +84,7 @@ def test_a_change_in_flight_moves_the_tip_as_foretold(
     assert study is not None
     executed = study.trials[-1].grip  # what the arm did is in the record, not what was chosen first
     assert executed.y_m[-1] == pytest.approx(
-        quick.motion.home.y_m - quick.motion.lower_m - (result.offset_m or 0.0) + rise_m, abs=3e-4
+        dense.motion.home.y_m - dense.motion.lower_m - (result.offset_m or 0.0) + rise_m, abs=3e-4
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ from .test_web import Started, answers, free_port, until
 browser = test_web.browser
 started = test_web.started
 
+FEW = Path(__file__).with_name("few_effects")
 _HIDDEN = 1.5e-3
 #: Of `WINDY`.
 WIND = {"draught.wind_x_m_per_s": 1.6, "draught.wind_y_m_per_s": 1.6}
@@ -149,6 +151,12 @@ class LabPage:
 
 
 @pytest.fixture
+def few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes that are started try few effects; see there."""
+    monkeypatch.setenv("PYTHONPATH", str(FEW), prepend=os.pathsep)
+
+
+@pytest.fixture
 def config(tmp_path: Path) -> Path:
     return Path(shutil.copy(CONFIG, tmp_path / "cell.yaml"))
 
@@ -225,7 +233,7 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
 
 
 def test_what_recorded_cycles_lack_is_learned_promoted_and_undone(
-    browser: Any, started: Started, quick_config: Path, tmp_path: Path
+    few_effects: None, browser: Any, started: Started, quick_config: Path, tmp_path: Path
 ) -> None:
     config, runs = changed(quick_config, tmp_path / "windy.yaml", WINDY), tmp_path / "runs"
     words = ["run", "-c", str(config), "--cycles", "3", "--out", str(runs)]

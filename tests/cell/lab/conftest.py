@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,6 +42,10 @@ STROKES = (
     Stroke("deep", "validate", 0.0, 0.0, -0.08, 0.35),
 )
 
+#: What nearly every test needs; the others name `LONG`.
+FEW_STROKES = (STROKES[0], STROKES[1], STROKES[3])
+LONG: dict[str, Any] = {"strokes": STROKES, "hold_s": 0.5}
+
 
 def coloured(rng: np.random.Generator, shape: tuple[int, ...], ar1: float) -> np.ndarray:
     noise = rng.normal(size=shape)
@@ -57,8 +62,8 @@ def make_study() -> MakeStudy:
         seed: int = 0,
         noise_m: float = 1e-4,
         ar1: float = 0.3,
-        strokes: Sequence[Stroke] = STROKES,
-        hold_s: float = 0.5,
+        strokes: Sequence[Stroke] = FEW_STROKES,
+        hold_s: float = 0.4,
     ) -> Study:
         rng = np.random.default_rng(seed)
         rigidity = 2.5e-5 * np.exp(rng.uniform(-0.2, 0.2, 4))

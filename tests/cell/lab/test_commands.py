@@ -83,8 +83,8 @@ def test_study_gathers_cycles(folder, tmp_path):
     done = run(app, ["study", str(cycle), str(folder), "-o", str(out)])
     assert done.exit_code == 0, done.output
     trials = read_study(out).trials
-    assert len(trials) == 8
-    assert [t.role for t in trials[4:]] == ["validate"] * 4
+    assert len(trials) == 6
+    assert [t.role for t in trials[3:]] == ["validate"] * 3
 
 
 def broken(folder, tmp_path, change):

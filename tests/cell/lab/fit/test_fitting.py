@@ -12,6 +12,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.starts import cold_start
+from tests.cell.lab.conftest import LONG
 
 
 def test_a_held_out_trial_that_the_model_cannot_follow_is_impossible_not_nan(make_study):
@@ -31,7 +32,7 @@ def test_a_held_out_trial_that_the_model_cannot_follow_is_impossible_not_nan(mak
 
 
 def test_a_long_way_gone_coarsely_ends_where_a_fine_one_does(make_study, monkeypatch):
-    study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=8)
+    study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=8, **LONG)
     prepared, space = PreparedStudy.of(study), ParameterSpace.of(study.cable)
     start = cold_start(prepared, space)
     fine = fit_model(prepared, space, start)

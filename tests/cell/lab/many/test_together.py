@@ -20,10 +20,9 @@ from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.progress import no_progress
 from cell.study.data import Markers, Study
 from cell.study.folder import write_study
-from tests.cell.lab.conftest import FEW_EFFECTS, STROKES
+from tests.cell.lab.conftest import FEW_EFFECTS
 
 GRAMS = library()["tip_mass"].active(mass_kg=2.5e-5)
-FEW = (STROKES[0], STROKES[1], STROKES[3])
 TRIED = {n: library()[n] for n in FEW_EFFECTS}
 
 
@@ -35,7 +34,7 @@ def together(studies: Sequence[Study | Path]) -> TogetherResult:
 @pytest.fixture
 def batch(make_study):
     def make(each: Sequence[Sequence[ActiveEffect]], seed: int = 40) -> list[Study]:
-        studies = [make_study(e, seed=seed + i, strokes=FEW) for i, e in enumerate(each)]
+        studies = [make_study(e, seed=seed + i) for i, e in enumerate(each)]
         return [replace(s, name=f"cable_{i}") for i, s in enumerate(studies)]
 
     return make

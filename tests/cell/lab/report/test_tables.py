@@ -111,7 +111,7 @@ def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_b
     said = sentence(Diagnosis(shown.noise_m, small, "complete"), shown, shown)
     assert "within the stated error of the measurement (0.02 mm)" in said
     assert "camera noise at rest is 0.002 mm" in said
-    assert f"in {shown.patterns()} of 4 trials it has a pattern" in said
+    assert f"in {shown.patterns()} of 3 trials it has a pattern" in said
     assert "camera noise (0.02" not in said
     words = {left_in_words(w, shown) for w in shown.where}
     assert words <= {"noise", "a pattern within the stated error"}

@@ -21,6 +21,7 @@ from cell.lab.strength.limits import limits
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.limits_and_agreement import with_limits
 from cell.study.data import Markers
+from tests.cell.lab.conftest import LONG, STROKES
 from tools.worlds import made_studies
 
 KNOWN = library()
@@ -35,7 +36,7 @@ def baseline(study):
 
 @pytest.fixture(scope="module")
 def fitted(make_study):
-    return baseline(make_study([], seed=21, hold_s=0.8))
+    return baseline(make_study([], seed=21, strokes=STROKES, hold_s=0.8))
 
 
 def _at_rest(trial):
@@ -131,7 +132,7 @@ def test_a_strong_effect_that_bends_what_the_others_do_does_not_lower_its_limit(
 
 def test_where_trials_disagree_on_an_effect_its_limits_are_wider(make_study):
     """One of five is turned by 1 mrad: as much as all of them might be."""
-    study = make_study([], seed=21)
+    study = make_study([], seed=21, **LONG)
     turned = study.trials[3]
     c, s = np.cos(1e-3), np.sin(1e-3)
     xy_m = turned.markers.xy_m @ np.array([[c, s], [-s, c]])

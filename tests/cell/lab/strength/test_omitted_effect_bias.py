@@ -9,6 +9,7 @@ from cell.lab.data.named_effects import EffectSelection
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict.doubts import lacking_doubt
+from tests.cell.lab.conftest import LONG
 
 KNOWN = library()
 FEW = ("air_drag", "tip_mass", "added_mass", "camera_scale", "draught")
@@ -49,7 +50,7 @@ def test_an_effect_that_nobody_knows_leaves_wider_intervals_too(dragged):
 
 
 def test_a_complete_model_is_as_sure_as_noise_lets_it_be(make_study):
-    study = make_study([], seed=6)
+    study = make_study([], seed=6, **LONG)
     model, alone = fitted(study), fitted(study, offered=())
     assert model.lacks == ()
     assert model.covariance == pytest.approx(alone.covariance, rel=1e-3)

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 from cell.cli import app
 from cell.lab.fit.individual_model import read_model
 from cell.study.folder import write_study
+from tests.cell.lab.conftest import STROKES
 
 run = CliRunner().invoke
 
@@ -15,7 +16,7 @@ run = CliRunner().invoke
 @pytest.fixture(scope="module")
 def profiled(make_study, tmp_path_factory):
     folder = tmp_path_factory.mktemp("profiled")
-    write_study(make_study(seed=2), folder / "study")
+    write_study(make_study(seed=2, strokes=(STROKES[0], STROKES[3])), folder / "study")
     model, page = folder / "model.json", folder / "page.html"
     done = run(app, ["fit", str(folder / "study"), "--effect", "bending_hysteresis",
                      "-o", str(model), "--profile", str(page)])  # fmt: skip

@@ -16,6 +16,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.trial_agreement import agreement
 from cell.study.data import Markers
 from cell.study.folder import write_study
+from tests.cell.lab.conftest import LONG
 
 LATENCY = library()["camera_latency"]
 
@@ -28,7 +29,7 @@ def agreement_of(study):
 
 @pytest.fixture(scope="module")
 def study(make_study):
-    return make_study([LATENCY.active(delay_s=0.004)], seed=31)
+    return make_study([LATENCY.active(delay_s=0.004)], seed=31, **LONG)
 
 
 def test_trials_of_one_cable_agree_each_about_the_truth(study):

@@ -20,6 +20,7 @@ from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.forward_search import with_ties
 from cell.lab.verdict.limits_and_agreement import with_agreement
 from cell.study.folder import read_study
+from tests.cell.lab.conftest import LONG
 
 SCHEMA = {
     "type": "object",
@@ -112,7 +113,7 @@ def test_a_complete_model_is_called_complete(make_study):
 
 def test_a_hidden_effect_is_named_measured_and_removed(make_study):
     drag = library()["air_drag"].active(drag_coefficient=2.0)
-    fits = explore(make_study([drag], seed=6))
+    fits = explore(make_study([drag], seed=6, **LONG))
     found = with_agreement(diagnose(fits)).diagnosis
     assert found.verdict == "missing"
     assert [f.effect for f in found.missing] == ["air_drag"]

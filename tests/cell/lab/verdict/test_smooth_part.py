@@ -25,6 +25,7 @@ from cell.lab.verdict.smooth_part import (
 )
 from cell.lab.verdict.specification import parameter_constancy_of
 from cell.study.data import Markers
+from tests.cell.lab.conftest import LONG
 
 
 def coloured(rng, shape, colour):
@@ -61,7 +62,7 @@ def test_a_right_models_smooth_residual_is_noise(make_study, seed, colour, lost)
 
 def test_a_wrong_models_smooth_residual_is_not_though_all_of_it_may_be(make_study):
     mass = library()["tip_mass"].active(mass_kg=1.2e-5)
-    prepared, fit = fitted(make_study([mass], seed=8, noise_m=2e-4))
+    prepared, fit = fitted(make_study([mass], seed=8, noise_m=2e-4, **LONG))
     weighed = heldout(prepared, fit)
     assert weighed.chi2 < 1.1 * weighed.count
     assert smooth_part(prepared, fit).excess > 0.4
