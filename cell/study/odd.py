@@ -48,6 +48,8 @@ def _of_trial(facts: TrialFacts, stated_noise: bool) -> list[str]:
     found = []
     if facts.moves_s is None and facts.start == "equilibrium":
         found.append("the hand never moves, and the cable is not let go; record a motion")
+        if facts.spectrum is None or not facts.spectrum.peaks_hz:
+            return found  # and what a swing should be is of no interest
     if facts.rest_frames < _STILL and facts.start != "moving" and not stated_noise:
         found.append(
             f"{facts.rest_frames} frames show the cable at rest; record {_STILL} or more before "

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.cable.geometry import Motion
+from cell.cable.still import STILL, moves_from_s
 from cell.files.input_error import InputError, Problem
 from cell.identify.noise import still_frames
 from cell.study.data import Study, Trial
@@ -104,6 +105,12 @@ def _too_short(study: Study, trial: Trial) -> str | None:
     period_s = 2.0 * np.pi * np.sqrt(droop_m / (SWING * gravity_m_per_s2))
     if moving_s >= period_s:
         return None
+    if trial.start == "equilibrium" and not np.isfinite(moves_from_s(trial.grip)):
+        return (
+            f"is the last of {len(t_s)} rows in which the hand moves by less than "
+            f"{STILL.position_m * 1e3:g} mm, and the cable is not let go: record a motion; give "
+            "`start: held` with release_s if it was let go; or remove the trial"
+        )
     return (
         f"ends {moving_s:.3f} s after the motion begins, one swing of this cable takes about "
         f"{period_s:.2f} s; record longer or remove the trial"

@@ -43,6 +43,20 @@ def test_what_is_too_short_tells_no_frequency() -> None:
     assert swing_spectrum(t_s, np.zeros((10, 2)), 0.0) is None
 
 
+def test_what_a_camera_s_noise_shows_is_no_swing() -> None:
+    """A cable at rest was said to swing at 34 Hz, and at 20 Hz in the next trial."""
+    t_s = np.arange(0.0, 1.4, 0.01)
+    for seed in range(20):
+        tip_m = np.random.default_rng(seed).normal(0.0, 1e-4, (len(t_s), 2))
+        found = swing_spectrum(t_s, tip_m, 0.0, noise_m=1e-4)
+        assert found is not None
+        assert found.peaks_hz == ()
+        swing = 4e-4 * np.exp(-2.0 * t_s) * np.sin(2.0 * np.pi * 4.0 * t_s)
+        found = swing_spectrum(t_s, tip_m + swing[:, None], 0.0, noise_m=1e-4)
+        assert found is not None
+        assert found.peaks_hz[0] == pytest.approx(4.0, abs=0.3)
+
+
 def test_noise_is_that_of_the_frames_at_rest() -> None:
     values = np.random.default_rng(0).normal(0.0, 1e-4, (400, 5, 2))
     assert noise_m(values) == pytest.approx(1e-4, rel=0.05)
