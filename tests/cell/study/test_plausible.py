@@ -216,6 +216,18 @@ def test_a_marker_that_stays_exactly_in_place_is_refused_as_lost(
     assert f"up to line {lines[1]}, while the cable moves by" in str(caught.value)
 
 
+def test_a_hand_in_millimetres_is_told_so(swung: Study, tmp_path: Path) -> None:
+    """Its clock was said to be off, for it had moved by much more than the cable at once."""
+    grip = swung.trials[0].grip
+    grip = replace(grip, x_m=1e3 * grip.x_m, y_m=1e3 * (grip.y_m - 0.2))
+    markers_m = swung.trials[0].markers.xy_m - np.array([0.3, 0.2])
+    grip = replace(grip, x_m=grip.x_m - grip.x_m[0])
+    write_study(with_trial(swung, grip=grip, xy_m=markers_m), tmp_path)
+    with pytest.raises(InputError, match="give metres, not millimetres") as caught:
+        read_study(tmp_path)
+    assert "a/grip.csv:2: x_m, y_m: the hand's places are up to 50 m apart" in str(caught.value)
+
+
 def test_a_marker_that_is_rounded_to_pixels_is_not_lost(swung: Study) -> None:
     xy_m = np.round(swung.trials[0].markers.xy_m, 3)
     (trial,) = with_trial(swung, xy_m=xy_m).trials
