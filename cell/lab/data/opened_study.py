@@ -12,9 +12,10 @@ from cell.cable.still import STILL, moves_from_s
 from cell.files.input_error import InputError, Problem
 from cell.identify.noise import still_frames
 from cell.study.data import Study, Trial
-from cell.study.facts import trial_facts
+from cell.study.facts import facts_of, trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.left_out import without_wrong_samples
+from cell.study.odd import stated_oddly
 from cell.study.pull import WEAK_M_PER_S2, with_pull
 from cell.study.wrench_slips import without_slips
 
@@ -54,6 +55,9 @@ def open_study(folder: Path) -> Study:
     if problems:
         raise InputError(problems)
     told = [note for t in study.trials for note in _left_out(folder / t.name / "grip.csv", t.grip)]
+    facts = facts_of(study.trials, study.arc_length_m)
+    stated = None if study.filmed else stated_oddly(facts, study.noise_std_m)
+    told += [] if stated is None else [f"{folder / 'study.yaml'}: {stated}"]
     study = without_slips(replace(study, notes=(*study.notes, *told)), folder)
     return without_wrong_samples(study)
 

@@ -10,7 +10,7 @@ import pytest
 from cell.cable.geometry import Motion
 from cell.study.data import Markers, Trial
 from cell.study.facts import noise_m, swing_spectrum, trial_facts
-from cell.study.odd import oddities
+from cell.study.odd import oddities, stated_oddly
 from tests.cell.study.imports.made import ARCS_M, RATE_HZ, made
 
 
@@ -81,7 +81,7 @@ def test_a_good_trial_has_nothing_odd_and_each_lack_is_told() -> None:
     trial = a_trial()
 
     def told(changed: Trial) -> str:
-        return " ".join(oddities([trial_facts(changed, ARCS_M[::-1])], stated_noise=False))
+        return " ".join(oddities([trial_facts(changed, ARCS_M[::-1])], noise_std_m=None))
 
     def rows(trial: Trial, chosen: slice) -> Trial:
         markers = trial.markers
@@ -112,5 +112,16 @@ def test_trials_of_two_cables_are_told_and_of_one_not() -> None:
         markers=Markers(slow, trial.markers.xy_m),
     )
     facts = [trial_facts(t, ARCS_M[::-1]) for t in (trial, other, replace(trial, name="again"))]
-    assert "are they of one cable" in " ".join(oddities(facts[:2], stated_noise=False))
-    assert not oddities([facts[0], facts[2]], stated_noise=False)
+    assert "are they of one cable" in " ".join(oddities(facts[:2], noise_std_m=None))
+    assert not oddities([facts[0], facts[2]], noise_std_m=None)
+
+
+def test_a_noise_that_is_stated_beside_that_at_rest_is_told() -> None:
+    """With 10 mm stated for 0.1 mm every model was called complete."""
+    facts = [trial_facts(a_trial(noise=1e-4), ARCS_M[::-1])]
+    for stated_m in (None, 1e-4, 1e-3):
+        assert stated_oddly(facts, stated_m) is None, stated_m
+    told = str(stated_oddly(facts, 0.01))
+    assert told.startswith("noise_std_m states 10 mm, the frames at rest show 0.096 mm: hides")
+    assert "no model can be as right" in str(stated_oddly(facts, 1e-9))
+    assert told in oddities(facts, 0.01)
