@@ -142,6 +142,6 @@ def _look(folder: Path) -> Look:
             wrong = [str(p) for p in error.problems]
     facts = facts_of(study.trials, study.arc_length_m)
     wrenches = [w for t in study.trials if (w := wrench_facts(t)) is not None]
-    odd = [*notes, *oddities(facts, study.noise_std_m is not None)]
+    odd = [*notes, *oddities(facts, study.noise_std_m)]
     title = f"A look at {study.name}"
     return Look(study.name, title, study.trials, facts, {}, wrong, odd, wrenches)

@@ -229,7 +229,7 @@ def still_noise(
         stills.append(markers)
     estimate = estimate_noise(stills)
     if estimate is None or estimate[0] == 0.0:
-        raise FitError("the noise cannot be estimated: too few still frames; give it")
+        raise FitError("the noise cannot be estimated: too few still frames")
     return Noise(*estimate, bias_m, across_only)
 
 

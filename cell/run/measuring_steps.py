@@ -13,6 +13,7 @@ from cell.run.station import Station
 from cell.run.steps import KEEP_EVERY_HELD, move_to
 from cell.run.trials import held_trial
 from cell.run.waiting import wait_until
+from cell.vision.recording import why_unseen
 
 #: Share of a measuring motion's frames in which the cable must be seen.
 LEAST_SEEN = 0.8
@@ -35,9 +36,10 @@ def measure(motion: Measuring, station: Station, findings: Findings) -> Findings
     seen = sum(s.seen for s in held.sightings)
     if seen >= LEAST_SEEN * len(held.sightings):
         return findings
+    why = why_unseen(held.sightings, station.task.vision.free_length_m)
     return findings.reject(
         f"the cable is seen in {seen} of {len(held.sightings)} frames, needs "
-        f"{LEAST_SEEN:.0%}; keep the motion inside the picture"
+        f"{LEAST_SEEN:.0%}; keep the motion inside the picture; {why}"
     )
 
 

@@ -19,7 +19,7 @@ from cell.cable.geometry import Motion
 from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.computer.memory import freeze_loaded_objects
-from cell.identify.individual import CableRejectedError
+from cell.identify.individual import CableRejectedError, Reason
 from cell.identify.individual import identify as identify_cable
 from cell.plan.choose import choose as choose_offset
 from cell.plan.passage import measured_passage
@@ -38,6 +38,7 @@ from cell.run.trials import executed_trial, held_trial
 from cell.run.waiting import AHEAD_S, POLL_S, await_rest, check_arm, rest_timeout_s, wait_until
 from cell.run.warm_up import warm_up as warm_up_engine
 from cell.run.warm_up import warm_up_vision
+from cell.vision.recording import why_unseen
 from drivers.interfaces import (
     ArmMode,
     DeviceError,
@@ -307,7 +308,10 @@ def identify(station: Station, findings: Findings) -> Findings:
             options=task.identification,
         )
     except CableRejectedError as error:
-        return findings.reject(str(error))
+        if error.reason is not Reason.UNSEEN_FRAMES:
+            return findings.reject(str(error))
+        why = why_unseen(required(findings.held).sightings, task.vision.free_length_m)
+        return findings.reject(f"{error}; {why}")
     return replace(findings, identified=identified)
 
 

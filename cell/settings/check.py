@@ -9,12 +9,10 @@ import numpy as np
 from cell.cable.geometry import Cable
 from cell.files.input_error import Problem, did_you_mean
 from cell.files.yaml_document import Document, Key
+from cell.settings.check_film import film_problems
 from cell.settings.check_plant import plant_problems
 from cell.settings.devices import OpenCvCamera, SerialGripper, UrArm
 from cell.settings.model import Settings
-
-#: Frames of a swing; one is identified from some hundred.
-MAX_FRAMES = 5_000
 
 #: Where an emulated camera may stream from.
 STREAM = re.compile(r"tcp://(127(?:\.\d{1,3}){3}):(\d{1,5})")
@@ -39,6 +37,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_hand_within_limits(document, settings),
         *_brisker_than_limits(document, settings),
         *_devices(document, settings),
+        *film_problems(document, settings),
         *_emulated(document, settings),
         *_calibration(document, settings),
         *_hidden_effects(document, settings),
@@ -144,25 +143,6 @@ def _devices(document: Document, settings: Settings) -> list[Problem]:
                 (real, "kind"),
                 "a real device cannot act in the simulated world; "
                 "make all three `sim`, or none of them",
-            )
-        )
-    motion = settings.motion
-    filmed_s = motion.still_s + motion.lower_s + motion.hold_s
-    if filmed_s * settings.camera.frame_rate_hz > MAX_FRAMES:
-        problems.append(
-            document.problem(
-                ("motion", "hold_s"),
-                f"{motion.hold_s:g} s at {settings.camera.frame_rate_hz:g} Hz makes "
-                f"{filmed_s * settings.camera.frame_rate_hz:.0f} frames of a swing, limit "
-                f"{MAX_FRAMES}; hold for a shorter time or film at a lower rate",
-            )
-        )
-    exposure_s = getattr(settings.camera, "exposure_s", None) or 0.0
-    if exposure_s > 1.0 / settings.camera.frame_rate_hz:
-        problems.append(
-            document.problem(
-                ("camera", "exposure_s"),
-                f"{exposure_s:g} s is longer than a frame at {settings.camera.frame_rate_hz:g} Hz",
             )
         )
     if settings.arm.kind == "ur":

@@ -73,8 +73,9 @@ def gap(poses: FloatArray) -> Gap | None:
 
 def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None:
     """That a cable at rest begins to move long before or after its hand; None if it does not."""
-    t_s = trial.markers.t_s
-    series_m = trial.markers.xy_m.reshape(len(t_s), -1)
+    any_seen = np.isfinite(trial.markers.xy_m).any(axis=(1, 2))
+    t_s = trial.markers.t_s[any_seen]
+    series_m = trial.markers.xy_m[any_seen].reshape(len(t_s), -1)
     halves = np.isfinite(series_m[: _REST // 2]), np.isfinite(series_m[_REST // 2 : _REST])
     series_m = series_m[:, halves[0].any(axis=0) & halves[1].any(axis=0)]
     if trial.start != "equilibrium" or len(t_s) < 2 * _REST or not series_m.size:
@@ -85,7 +86,8 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     moved_m = np.nanmedian(halves_m[1], axis=0) - np.nanmedian(halves_m[0], axis=0)
     if np.nan_to_num(np.abs(moved_m)).max() > away_m:
         return None  # the film begins in a swing
-    cable_s = _begins(t_s, np.nan_to_num(np.abs(beside_m)).max(axis=1) > away_m)
+    reach_m = np.nan_to_num(np.abs(_as_last_seen(beside_m))).max(axis=1)
+    cable_s = _begins(t_s, reach_m > away_m)
     hand_s = _hand_begins(trial, away_m, -np.inf)
     if cable_s is None or hand_s is None or cable_s <= t_s[_REST - 1]:
         return None
@@ -117,6 +119,16 @@ def _pace_s(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> float | None
     if spectrum is None or not spectrum.peaks_hz:
         return None
     return 1.0 / (2.0 * np.pi * min(spectrum.peaks_hz))
+
+
+def _as_last_seen(series_m: FloatArray) -> FloatArray:
+    """Values (T, coordinates), each that is lost as it was seen last; nan before it was seen.
+
+    Cameras that take turns see no marker in every row.
+    """
+    rows = np.where(np.isfinite(series_m), np.arange(len(series_m))[:, None], 0)
+    last = np.maximum.accumulate(rows, axis=0)
+    return np.asarray(np.take_along_axis(series_m, last, axis=0), dtype=np.float64)
 
 
 def _noise_m(series_m: FloatArray) -> float:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import reprlib
+import unicodedata
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import AfterValidator
 
 from cell.cable.geometry import Cable, Connector
 from cell.files.yaml_document import Key
@@ -21,6 +25,22 @@ MAX_ARC_STD_FRACTION = 0.02
 
 #: Where in the description a complaint belongs, and what it says.
 Complaint = tuple[Key, str]
+
+
+def _trial_name(name: str) -> str:
+    """A name that a folder may have on any computer.  Raises ValueError."""
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", name):
+        return name
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    plain = re.sub(r"[^A-Za-z0-9_.-]+", "_", plain).strip("_.-")[:100] or "trial_1"
+    raise ValueError(
+        f"{reprlib.repr(name)} names a folder: it must begin with a letter A to Z or a digit, "
+        "and hold only these, '_', '.' and '-', 100 at most; "
+        f"write {plain!r}, and rename the folder"
+    )
+
+
+TrialName = Annotated[str, AfterValidator(_trial_name)]
 
 
 def datasheet_of(cable: Mapping[str, Any]) -> Cable | None:

@@ -21,6 +21,8 @@ _FINER = 8
 #: Frequencies are told whose amplitude is this share of the largest, at most so many, and so many
 #: resolutions apart: nearer ones are side lobes of one.
 _SHARE, MOST_FREQUENCIES, _APART = 0.1, 3, 2.0
+#: A record of white noise shows a peak with this probability.
+_BY_CHANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,8 @@ def trial_facts(trial: Trial, arc_length_m: FloatArray) -> TrialFacts:
     moves = _moves_s(trial)
     rest = int(np.searchsorted(t_s, min(moves[0] if moves else np.inf, _let_go(trial))))
     rest = 0 if trial.start == "moving" else rest
-    tip = _tip(xy_m, arc_length_m)
+    tip, still_noise_m = _tip(xy_m, arc_length_m), noise_m(xy_m[:rest])
+    swings_s = max(moves[1] if moves else -np.inf, _swings_from(trial))
     return TrialFacts(
         trial.name,
         trial.role,
@@ -101,11 +104,11 @@ def trial_facts(trial: Trial, arc_length_m: FloatArray) -> TrialFacts:
         float(np.ptp(grip.angle_rad)),
         moves,
         rest,
-        noise_m(xy_m[:rest]),
+        still_noise_m,
         tip,
         _reach(xy_m[:, tip]),
         _seen(xy_m),
-        swing_spectrum(t_s, xy_m[:, tip], max(moves[1] if moves else -np.inf, _swings_from(trial))),
+        swing_spectrum(t_s, xy_m[:, tip], swings_s, still_noise_m),
     )
 
 
@@ -125,10 +128,13 @@ def noise_m(still_m: FloatArray) -> float:
     return 1.4826 * float(np.nanmedian(bends))
 
 
-def swing_spectrum(t_s: FloatArray, tip_m: FloatArray, from_s: float) -> Spectrum | None:
+def swing_spectrum(
+    t_s: FloatArray, tip_m: FloatArray, from_s: float, noise_m: float = np.nan
+) -> Spectrum | None:
     """Spectrum of a point's free swing along its main direction; None if it is too short.
 
-    tip_m  (T, 2), nan = not seen
+    tip_m    (T, 2), nan = not seen
+    noise_m  of one coordinate; what white noise shows is no peak; nan = unknown
     """
     seen = np.isfinite(tip_m).any(axis=0)
     good = (t_s >= from_s) & np.isfinite(tip_m[:, seen]).all(axis=1)
@@ -147,8 +153,17 @@ def swing_spectrum(t_s: FloatArray, tip_m: FloatArray, from_s: float) -> Spectru
     step_s = (at_s[-1] - at_s[0]) / (count - 1)
     frequency = np.fft.rfftfreq(_FINER * count, step_s)
     resolution = 1.0 / float(at_s[-1] - at_s[0])
+    chance_m = np.nan_to_num(noise_m) * _by_chance(window)
     peaks = _peaks(frequency, amplitude, FEWEST_SWINGS * resolution)
+    if amplitude.max() <= chance_m:
+        peaks = ()
     return Spectrum(frequency, amplitude, peaks, resolution)
+
+
+def _by_chance(window: FloatArray) -> float:
+    """Amplitude that white noise of size 1 reaches at no frequency, but with `_BY_CHANCE`."""
+    mean_square = 4.0 * np.sum(window**2) / np.sum(window) ** 2
+    return float(np.sqrt(mean_square * np.log(len(window) / 2 / _BY_CHANCE)))
 
 
 def _peaks(frequency: FloatArray, amplitude: FloatArray, lowest_hz: float) -> tuple[float, ...]:

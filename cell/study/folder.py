@@ -16,7 +16,7 @@ from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
 from cell.study.checks import check_finite, check_times, check_whole
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
-from cell.study.entries import datasheet_of, implausible_entries
+from cell.study.entries import TrialName, datasheet_of, implausible_entries
 from cell.study.hand_drift import HandDriftSection
 from cell.study.judged import judged
 from cell.study.table import read_table, table_text
@@ -73,7 +73,7 @@ class _Markers(_Strict):
 
 
 class _Trial(_Strict):
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    name: TrialName
     role: Literal["fit", "validate"]
     start: Start
     release_s: _Finite | None = None

@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 #: A marker cannot be farther from the hand than the cable is long; half as far again leaves
 #: room for noise, a slipping grip and a clock that is off, and none for millimetres.
 FARTHEST = 1.5
+#: A hand that moves so many times as far as its markers is given in another unit.
+OTHER_UNIT = 30.0
 
 
 def judged(
@@ -60,6 +62,14 @@ def _far_away(
     far = np.hypot(away_m[..., 0], away_m[..., 1]) > FARTHEST * cable.length_m
     if not far.any():
         return None
+    reach_m, hand_m = _reach_m(markers.xy_m[:, far.any(axis=0)]), _reach_m(at_m)
+    if hand_m > OTHER_UNIT * max(reach_m, cable.length_m):
+        file = source.file.with_name("grip.csv")
+        message = (
+            f"the hand's places are up to {hand_m:.3g} m apart, those of the markers "
+            f"{reach_m:.3g} m; give metres, not millimetres"
+        )
+        return Problem(file, 2, None, "x_m, y_m", message)
     shifted = clocks_differ(trial, cable, gravity_m_per_s2)
     if shifted is not None:
         line = int(source.lines[shifted.row])
@@ -75,3 +85,9 @@ def _far_away(
         f"({FARTHEST:g} free lengths) from the gripping point; "
         "give metres, in the frame of grip.csv",
     )
+
+
+def _reach_m(xy_m: FloatArray) -> float:
+    """How far apart places (…, 2) are along either axis, what was seen of them."""
+    axes = [v[np.isfinite(v)] for v in xy_m.reshape(-1, 2).T]
+    return max(float(np.ptp(v)) if v.size else 0.0 for v in axes)

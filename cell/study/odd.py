@@ -21,21 +21,40 @@ _SEEN, _UNEVEN = 0.9, 0.05
 _FREQUENCY = 0.15
 #: Trials that are named in a sentence.
 NAMED = 3
+#: Stated noise over that from frame to frame at rest: less cannot be, for that is a part of it;
+#: more may be, as of a camera that filters or a lens that is not straightened, but not by so much.
+_STATED = (1.0 / 3.0, 20.0)
 #: A tip that moves by less than so many times the noise shows nothing.
 _OF_NOISE = 20.0
 
 
-def oddities(facts: Sequence[TrialFacts], stated_noise: bool) -> list[str]:
+def oddities(facts: Sequence[TrialFacts], noise_std_m: float | None) -> list[str]:
     """What should be better, of every trial and of all together.
 
-    stated_noise  whether the study states its noise
+    noise_std_m  that the study states; None = it states none
     """
     of_trials: dict[str, list[str]] = {}
     for f in facts:
-        for sentence in _of_trial(f, stated_noise):
+        for sentence in _of_trial(f, noise_std_m is not None):
             of_trials.setdefault(sentence, []).append(f.name)
     found = [f"{_listed(names)}: {sentence}" for sentence, names in of_trials.items()]
-    return [*found, *_between(facts)]
+    stated = stated_oddly(facts, noise_std_m)
+    return [*found, *([] if stated is None else [stated]), *_between(facts)]
+
+
+def stated_oddly(facts: Sequence[TrialFacts], noise_std_m: float | None) -> str | None:
+    """That the noise of a study is stated much larger, or smaller, than it is at rest."""
+    seen_m = [f.noise_m for f in facts if np.isfinite(f.noise_m) and f.noise_m > 0.0]
+    if noise_std_m is None or not seen_m:
+        return None
+    at_rest_m = float(np.median(seen_m))
+    if _STATED[0] * at_rest_m <= noise_std_m <= _STATED[1] * at_rest_m:
+        return None
+    what = "hides what the model lacks" if noise_std_m > at_rest_m else "no model can be as right"
+    return (
+        f"noise_std_m states {noise_std_m * 1e3:.2g} mm, the frames at rest show "
+        f"{at_rest_m * 1e3:.2g} mm: {what}; correct it, or leave it out"
+    )
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -48,6 +67,8 @@ def _of_trial(facts: TrialFacts, stated_noise: bool) -> list[str]:
     found = []
     if facts.moves_s is None and facts.start == "equilibrium":
         found.append("the hand never moves, and the cable is not let go; record a motion")
+        if facts.spectrum is None or not facts.spectrum.peaks_hz:
+            return found  # and what a swing should be is of no interest
     if facts.rest_frames < _STILL and facts.start != "moving" and not stated_noise:
         found.append(
             f"{facts.rest_frames} frames show the cable at rest; record {_STILL} or more before "

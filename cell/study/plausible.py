@@ -15,6 +15,7 @@ from cell.cable.geometry import Cable
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
 from cell.study.clocks import Offset, offset
 from cell.study.data import Trial
+from cell.study.frozen import frozen
 from cell.study.pull import WEAK_M_PER_S2
 
 FloatArray = NDArray[np.float64]
@@ -68,6 +69,8 @@ def impossible(
     length_m = cable.length_m
     if held := _both_ends_held(trial, arc_length_m, length_m):
         return Impossible(0, held)
+    if stays := _frozen(trial, arc_length_m, length_m):
+        return stays
     if found := _too_far(arcs, length_m, from_grip):
         return found if shifted is None else Impossible(_row(trial, shifted), _ahead(shifted))
     at_rest = from_grip[_at_rest(trial)]
@@ -147,6 +150,21 @@ def _both_ends_held(trial: Trial, arc_length_m: FloatArray, free_length_m: float
         f"the marker at arc length {arc_length_m[tip]:g} m stays within {spread[tip] * 1e3:.2g} mm "
         f"while {what} by {most_m * 1e3:.3g} mm: both ends of this cable are held, and only a "
         "cable with a free tip can be modelled; let the tip go"
+    )
+
+
+def _frozen(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> Impossible | None:
+    """That a marker was lost, and its place went on to be written."""
+    found = frozen(trial, arc_length_m, free_length_m)
+    if found is None:
+        return None
+    markers = trial.markers
+    x_m, y_m = markers.xy_m[found.first, found.marker]
+    return Impossible(
+        found.first,
+        f"the marker at arc length {arc_length_m[found.marker]:g} m stays at ({x_m:g}, {y_m:g}) m "
+        f"up to line {markers.line(found.last)}, while the cable moves by "
+        f"{found.moved_m * 1e3:.3g} mm: it was lost; leave its values empty there",
     )
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.vision.sighting import Sighting
+from cell.vision.sighting import Sighting, Unseen
 
 FloatArray = NDArray[np.float64]
 
@@ -33,3 +34,22 @@ def steady_nodes(sightings: Sequence[Sighting]) -> FloatArray:
     share = np.linspace(1.0, 0.0, nodes_m.shape[1])
     steady: FloatArray = nodes_m + (longer_m[:, None] * share)[..., None] * along
     return steady
+
+
+def why_unseen(sightings: Sequence[Sighting], free_length_m: float) -> str:
+    """Why pictures gave no nodes, with their numbers, the most frequent first; '' if all did.
+
+    free_length_m  that the cable should have
+    """
+    counts = Counter(s.unseen for s in sightings if s.unseen is not None).most_common()
+    if not counts:
+        return ""
+    found = ", ".join(f"{why.value.replace('_', ' ')} in {count}" for why, count in counts)
+    measured_m = [s.length_m for s in sightings if s.unseen is Unseen.WRONG_LENGTH]
+    measured_m = [m for m in measured_m if np.isfinite(m)]
+    if counts[0][0] is not Unseen.WRONG_LENGTH or not measured_m:
+        return found
+    return (
+        f"{found}; the line seen is {np.median(measured_m) * 1e3:.1f} mm long, the cable "
+        f"{free_length_m * 1e3:.1f} mm"
+    )

@@ -155,7 +155,9 @@ def test_a_cable_that_goes_out_of_sight_is_put_aside_and_the_next_one_inserted(
         it.twins.camera.faults = CameraFaults()
 
     it = live({"lower": cover, "release": uncover}, cycles=2)
-    check_put_aside(it, it.cell.run_cycle(1), quick, "unseen frames: the cable is seen in")
+    result = it.cell.run_cycle(1)
+    check_put_aside(it, result, quick, "unseen frames: the cable is seen in")
+    assert result.reason is not None and result.reason.endswith("; empty in 45")
     assert it.cell.run_cycle(2).outcome is Outcome.INSERTED
 
 

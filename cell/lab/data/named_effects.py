@@ -106,5 +106,7 @@ def effect_named(given: str) -> type[Effect]:
     if given not in known:
         close = difflib.get_close_matches(given, known, 1, 0.5)
         hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
-        raise ValueError(f"--effect {given}: no such effect; {hint}; your own as its file.py")
+        raise ValueError(
+            f"--effect or --known {given}: no such effect; {hint}; your own as its file.py"
+        )
     return known[given]

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from cell.cable.geometry import Motion
+from cell.cable.still import STILL, moves_from_s
 from cell.files.input_error import InputError, Problem
 from cell.identify.noise import still_frames
 from cell.study.data import Study, Trial
-from cell.study.facts import trial_facts
+from cell.study.facts import facts_of, trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.left_out import without_wrong_samples
+from cell.study.odd import stated_oddly
 from cell.study.pull import WEAK_M_PER_S2, with_pull
 from cell.study.wrench_slips import without_slips
 
@@ -53,6 +55,9 @@ def open_study(folder: Path) -> Study:
     if problems:
         raise InputError(problems)
     told = [note for t in study.trials for note in _left_out(folder / t.name / "grip.csv", t.grip)]
+    facts = facts_of(study.trials, study.arc_length_m)
+    stated = None if study.filmed else stated_oddly(facts, study.noise_std_m)
+    told += [] if stated is None else [f"{folder / 'study.yaml'}: {stated}"]
     study = without_slips(replace(study, notes=(*study.notes, *told)), folder)
     return without_wrong_samples(study)
 
@@ -104,6 +109,12 @@ def _too_short(study: Study, trial: Trial) -> str | None:
     period_s = 2.0 * np.pi * np.sqrt(droop_m / (SWING * gravity_m_per_s2))
     if moving_s >= period_s:
         return None
+    if trial.start == "equilibrium" and not np.isfinite(moves_from_s(trial.grip)):
+        return (
+            f"is the last of {len(t_s)} rows in which the hand moves by less than "
+            f"{STILL.position_m * 1e3:g} mm, and the cable is not let go: record a motion; give "
+            "`start: held` with release_s if it was let go; or remove the trial"
+        )
     return (
         f"ends {moving_s:.3f} s after the motion begins, one swing of this cable takes about "
         f"{period_s:.2f} s; record longer or remove the trial"

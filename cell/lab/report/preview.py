@@ -46,7 +46,7 @@ def preview_of(files: Sequence[Files], understood: Understanding, mapping_file: 
     arcs = [m.arc_length_m for m in read.mapping.markers]
     tip_first = np.array([np.nan if a is None else a for a in arcs[::-1]], dtype=np.float64)
     facts = facts_of(trials, tip_first)
-    odd = [*notes, *oddities(facts, read.mapping.noise_std_m is not None)]
+    odd = [*notes, *oddities(facts, read.mapping.noise_std_m)]
     wrong = [str(p) for p in problems]
     title = f"Preview of {read.mapping.name}: nothing is written yet"
     return Look(

@@ -231,11 +231,13 @@ def _slow_level(noise_model: NoiseModel, parts: Sequence[_Fast]) -> tuple[float,
         sum(getattr(p, f.name) for p in parts) for f in fields(_Fast)
     )
     level = square / values
-    off = (products - neighbours * level) / (level * pairs)
+    off = (products - neighbours * level) / (level * max(pairs, 1))
     alike = noise_model.effective_fraction
     ar1 = (1.0 - alike) / (1.0 + alike)
     slow = level * ((1.0 - ar1) / (1.0 - min(ar1 + off, MAX_AR1))) ** 2
-    dof = values / (1.0 + 2.0 / noise_model.effective_fraction)
+    # Few pairs, as of cameras that take turns, tell little of how alike neighbours are.
+    told = min(1.0, 2.0 * pairs / values)
+    dof = told * values / (1.0 + 2.0 / noise_model.effective_fraction)
     of_both = dof + noise_model.slow_dof
     return (dof * slow + noise_model.slow_dof) / of_both, of_both
 

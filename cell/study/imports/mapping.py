@@ -13,6 +13,7 @@ from pydantic import Field
 from cell.cable.geometry import Start
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate
+from cell.study.entries import TrialName
 from cell.study.hand_drift import HandDriftSection
 from cell.study.imports.hand_section import (
     AxesSection,
@@ -75,7 +76,7 @@ class TrialEntry(Part):
     hand_drift      error of the hand's place, as a study states it
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    name: TrialName
     file: Name
     hand_file: Name | None = None
     clock_offset_s: Finite = 0.0

@@ -171,6 +171,12 @@ MISTAKES = [
     ("free_length_m: 0.100", "free_length_m: true", "should be a valid number (got True)"),
     ("hold_s: 1.0", "hold_s: 1e6", "motion.hold_s: input should be less than or equal to 30"),
     ("hold_s: 1.0", "hold_s: 29", "motion.hold_s: 29 s at 200 Hz makes 5900 frames"),
+    (
+        "frame_rate_hz: 200.0",
+        "frame_rate_hz: 30.0",
+        "motion.still_s: 0.2 s at 30 Hz makes 6 frames of the cable at rest; its noise is known "
+        "from 8 or more, and without them every cable is rejected: give 0.27 s or more",
+    ),
     ("y_m: [-0.111, -0.101]", "y_m: [-0.1110001, -0.111]", "less than the cable's thickness"),
     ("x_m: [-0.135, -0.130]", "x_m: [-0.1300001, -0.130]", "[-0.1300001, -0.13] is 1e-07 m wide"),
     ("x_m: [-0.06, 0.02]", "x_m: [-60, 20]", "limits.x_m[0]: input should be greater than or"),

@@ -10,7 +10,7 @@ import pytest
 from cell.cable.geometry import Motion
 from cell.study.data import Markers, Trial
 from cell.study.facts import noise_m, swing_spectrum, trial_facts
-from cell.study.odd import oddities
+from cell.study.odd import oddities, stated_oddly
 from tests.cell.study.imports.made import ARCS_M, RATE_HZ, made
 
 
@@ -43,6 +43,20 @@ def test_what_is_too_short_tells_no_frequency() -> None:
     assert swing_spectrum(t_s, np.zeros((10, 2)), 0.0) is None
 
 
+def test_what_a_camera_s_noise_shows_is_no_swing() -> None:
+    """A cable at rest was said to swing at 34 Hz, and at 20 Hz in the next trial."""
+    t_s = np.arange(0.0, 1.4, 0.01)
+    for seed in range(20):
+        tip_m = np.random.default_rng(seed).normal(0.0, 1e-4, (len(t_s), 2))
+        found = swing_spectrum(t_s, tip_m, 0.0, noise_m=1e-4)
+        assert found is not None
+        assert found.peaks_hz == ()
+        swing = 4e-4 * np.exp(-2.0 * t_s) * np.sin(2.0 * np.pi * 4.0 * t_s)
+        found = swing_spectrum(t_s, tip_m + swing[:, None], 0.0, noise_m=1e-4)
+        assert found is not None
+        assert found.peaks_hz[0] == pytest.approx(4.0, abs=0.3)
+
+
 def test_noise_is_that_of_the_frames_at_rest() -> None:
     values = np.random.default_rng(0).normal(0.0, 1e-4, (400, 5, 2))
     assert noise_m(values) == pytest.approx(1e-4, rel=0.05)
@@ -67,7 +81,7 @@ def test_a_good_trial_has_nothing_odd_and_each_lack_is_told() -> None:
     trial = a_trial()
 
     def told(changed: Trial) -> str:
-        return " ".join(oddities([trial_facts(changed, ARCS_M[::-1])], stated_noise=False))
+        return " ".join(oddities([trial_facts(changed, ARCS_M[::-1])], noise_std_m=None))
 
     def rows(trial: Trial, chosen: slice) -> Trial:
         markers = trial.markers
@@ -98,5 +112,16 @@ def test_trials_of_two_cables_are_told_and_of_one_not() -> None:
         markers=Markers(slow, trial.markers.xy_m),
     )
     facts = [trial_facts(t, ARCS_M[::-1]) for t in (trial, other, replace(trial, name="again"))]
-    assert "are they of one cable" in " ".join(oddities(facts[:2], stated_noise=False))
-    assert not oddities([facts[0], facts[2]], stated_noise=False)
+    assert "are they of one cable" in " ".join(oddities(facts[:2], noise_std_m=None))
+    assert not oddities([facts[0], facts[2]], noise_std_m=None)
+
+
+def test_a_noise_that_is_stated_beside_that_at_rest_is_told() -> None:
+    """With 10 mm stated for 0.1 mm every model was called complete."""
+    facts = [trial_facts(a_trial(noise=1e-4), ARCS_M[::-1])]
+    for stated_m in (None, 1e-4, 1e-3):
+        assert stated_oddly(facts, stated_m) is None, stated_m
+    told = str(stated_oddly(facts, 0.01))
+    assert told.startswith("noise_std_m states 10 mm, the frames at rest show 0.096 mm: hides")
+    assert "no model can be as right" in str(stated_oddly(facts, 1e-9))
+    assert told in oddities(facts, 0.01)

@@ -286,6 +286,11 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("start: equilibrium", "start: held"), "needs the time of letting go"),
     ("study.yaml", swap("equilibrium", "moving\n  release_s: 0.1"), "only for `start: straight`"),
     ("study.yaml", swap("name: identify", "name: ../identify"), "trials[0].name: "),
+    (
+        "study.yaml",
+        swap("name: identify", "name: Prüfung 1"),
+        "write 'Prufung_1', and rename the folder",
+    ),
     ("study.yaml", swap("cable:", "\tcable:"), "is not YAML"),
     ("study.yaml", swap("name: identify", "name: other"), "other/grip.csv:1:1: cannot be read"),
     ("identify/grip.csv", swap("angle_rad", "angle_deg"), "grip.csv:1: column angle_rad is miss"),

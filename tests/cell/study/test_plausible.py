@@ -17,8 +17,10 @@ from cell.files.input_error import InputError
 from cell.study.clocks import offset
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import MAX_FRAMES, read_study, write_study
+from cell.study.frozen import frozen
 
 Change = Callable[[Study], Study]
+Lines = tuple[int, int]
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +178,60 @@ def test_clocks_that_differ_are_told_with_line_and_size(
     # The hand, and the cable with it, is a few millimetres away at 0.26 s.
     assert t_s[line - 2] == pytest.approx(0.26 + late_s, abs=0.03)
     assert ("subtract this" if late_s > 0 else "add 0.5 s to t_s of markers.csv") in said
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_rows_in_which_nothing_is_seen_are_no_rest(swung: Study, shared: bool) -> None:
+    """Every second row was empty, or two cameras took turns: clocks were said to differ by 1 s."""
+    xy_m = swung.trials[0].markers.xy_m.copy()
+    xy_m[::2, ::2] = np.nan
+    xy_m[1::2, 1::2] = np.nan
+    if not shared:
+        xy_m[::2] = np.nan
+    (trial,) = with_trial(swung, xy_m=xy_m).trials
+    assert offset(trial, swung.cable, 9.81) is None
+    (late,) = with_trial(swung, xy_m=xy_m, t_s=trial.markers.t_s + 0.5).trials
+    found = offset(late, swung.cable, 9.81)
+    assert found is not None
+    assert found.late_s == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("rows", "place", "lines"),
+    [
+        (slice(60, 110), None, (62, 111)),  # a tracker goes on to write where it saw a marker last
+        (slice(None), (0.0, 0.0), (2, 241)),  # or zeros
+    ],
+)
+def test_a_marker_that_stays_exactly_in_place_is_refused_as_lost(
+    swung: Study, tmp_path: Path, rows: slice, place: tuple[float, float] | None, lines: Lines
+) -> None:
+    def stays(xy_m: np.ndarray) -> None:
+        xy_m[rows, 2] = xy_m[rows, 2][0] if place is None else np.add(place, [0.3, 0.2])
+
+    write_study(changed(swung, stays), tmp_path)
+    with pytest.raises(InputError, match="leave its values empty there") as caught:
+        read_study(tmp_path)
+    assert f"markers.csv:{lines[0]}: the marker at arc length 0.06 m stays" in str(caught.value)
+    assert f"up to line {lines[1]}, while the cable moves by" in str(caught.value)
+
+
+def test_a_hand_in_millimetres_is_told_so(swung: Study, tmp_path: Path) -> None:
+    """Its clock was said to be off, for it had moved by much more than the cable at once."""
+    grip = swung.trials[0].grip
+    grip = replace(grip, x_m=1e3 * grip.x_m, y_m=1e3 * (grip.y_m - 0.2))
+    markers_m = swung.trials[0].markers.xy_m - np.array([0.3, 0.2])
+    grip = replace(grip, x_m=grip.x_m - grip.x_m[0])
+    write_study(with_trial(swung, grip=grip, xy_m=markers_m), tmp_path)
+    with pytest.raises(InputError, match="give metres, not millimetres") as caught:
+        read_study(tmp_path)
+    assert "a/grip.csv:2: x_m, y_m: the hand's places are up to 50 m apart" in str(caught.value)
+
+
+def test_a_marker_that_is_rounded_to_pixels_is_not_lost(swung: Study) -> None:
+    xy_m = np.round(swung.trials[0].markers.xy_m, 3)
+    (trial,) = with_trial(swung, xy_m=xy_m).trials
+    assert frozen(trial, swung.arc_length_m, swung.cable.length_m) is None
 
 
 def test_y_downwards_is_doubted(swung: Study, tmp_path: Path) -> None:

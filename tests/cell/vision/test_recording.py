@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cell.vision.recording import steady_nodes
+from cell.vision.recording import steady_nodes, why_unseen
 from cell.vision.sighting import Sighting, Unseen
 
 
@@ -29,3 +29,13 @@ def test_unseen_frames_stay_unseen_and_other_lengths_as_they_are() -> None:
     np.testing.assert_array_equal(steady[2], longer.nodes_m)
     assert np.isnan(steady[3]).all() and np.isfinite(steady[:3]).all()
     assert np.isnan(steady_nodes([sighting(0.1, Unseen.NO_CABLE)])).all()
+
+
+def test_why_a_cable_was_not_seen_is_said_with_numbers() -> None:
+    seen, dark = sighting(0.1), sighting(float("nan"), Unseen.EMPTY)
+    longer = sighting(0.11, Unseen.WRONG_LENGTH)
+    assert why_unseen([seen, seen], 0.1) == ""
+    assert why_unseen([seen, dark, longer, dark], 0.1) == "empty in 2, wrong length in 1"
+    assert why_unseen([longer, longer, dark], 0.1) == (
+        "wrong length in 2, empty in 1; the line seen is 110.0 mm long, the cable 100.0 mm"
+    )

@@ -94,6 +94,15 @@ def test_another_individual_is_told_by_how_it_hangs(record, measured):
     assert "another individual" in message
 
 
+def test_one_study_is_written_as_tables_whatever_hangs_in_it(record, measured, tmp_path):
+    """Its trials were compared as if they were cycles to be merged."""
+    first, second, *others = measured[0].trials
+    xy_m = second.markers.xy_m + np.array([0.0, 0.003])
+    second = replace(second, grip=first.grip, markers=replace(second.markers, xy_m=xy_m))
+    study = replace(measured[0], trials=(first, second, *others))
+    assert len(merge_studies([record("first", study=study)], "x").trials) == 4
+
+
 def test_a_marker_that_is_never_seen_at_rest_tells_nothing(record, measured):
     def blind(trial):
         xy_m = trial.markers.xy_m.copy()

@@ -114,6 +114,17 @@ def test_the_level_of_slow_noise_is_seen_in_the_fast(told, lost):
     assert np.mean(seen**2) == pytest.approx(level, rel=0.2)
 
 
+def test_noise_of_markers_seen_in_every_second_frame_has_the_level_of_its_rest():
+    """Cameras that take turns see no marker in two frames in a row: a division by zero."""
+    noise_m = 1e-4 * np.random.default_rng(7).normal(size=(200, 4, 2))
+    noise_m[::2, ::2] = noise_m[1::2, 1::2] = np.nan
+    noise = Noise(1e-4, 0.0)
+    whitener, rest = Whitener(noise_m, noise), NoiseModel(noise, 1e-3)
+    fast = _Fast.of(whitener, whitener(np.zeros((1, *noise_m.shape)))[0])
+    assert fast.pairs == 0
+    assert _slow_level(rest, [fast]) == (1.0, rest.slow_dof)
+
+
 @pytest.mark.parametrize(("angle_rad", "noise_m"), [(0.012, 1e-4), (0.02, 2e-4)])
 def test_what_a_clamp_askew_leaves_beside_natural_curvature_is_told_from_noise(
     make_study, angle_rad, noise_m
