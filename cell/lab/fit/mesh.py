@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cell.cable.solver import Solver
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.whitening import whiteners_of
+from cell.lab.data.whitening import arcs_are_uncertain, whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_state
 
 FloatArray = NDArray[np.float64]
@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 #: fall with the square of both: what it still errs by is this share of the difference.
 FINER = 2
 LEFT = 1.0 / (FINER**2 - 1.0)
+#: Of a difference by which a marker's place changes with its arc length, as a share of the cable.
+SLOPE_STEP = 0.005
 
 
 def finer(prepared: PreparedStudy) -> PreparedStudy:
@@ -55,5 +57,32 @@ def without_mesh_error(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
             trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
         shown.append(trial)
     study = replace(prepared.study, trials=tuple(shown))
-    whiteners = whiteners_of(study, prepared.noise, prepared.gauges)
-    return replace(prepared, study=study, whiteners=whiteners, mesh_m=moved)
+    lines = _lines(prepared, fit, initial_states) if arcs_are_uncertain(study) else {}
+    whiteners = whiteners_of(study, prepared.noise, prepared.gauges, lines)
+    return replace(prepared, study=study, whiteners=whiteners, mesh_m=moved, lines=lines)
+
+
+def _lines(
+    prepared: PreparedStudy, fit: Fit, initial_states: dict[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Per trial (times, markers, 2) change of a model's markers by a metre of arc length.
+
+    What is measured of it errs with the markers that it is to explain: in long records that alone
+    looks like a cable of another length.
+    """
+    study, trials = prepared.study, prepared.study.trials
+    arcs_m, step_m = study.arc_length_m, SLOPE_STEP * study.cable.length_m
+    ends_m = [np.clip(arcs_m + d, 0.0, study.cable.length_m) for d in (-step_m, step_m)]
+    below, above = (
+        replace(prepared, study=replace(study, arc_length_m=at_m)).predict_all(
+            trials, [fit.model], initial_states
+        )
+        for at_m in ends_m
+    )
+    found = {}
+    for trial, low, high in zip(trials, below, above, strict=True):
+        moved = (high - low)[0, :, : len(arcs_m)] / (ends_m[1] - ends_m[0])[:, None]
+        seen = np.isfinite(trial.markers.xy_m[:, : len(arcs_m)]).any(axis=0)
+        if np.all(np.isfinite(moved)):
+            found[trial.name] = np.where(seen, moved, 0.0)
+    return found

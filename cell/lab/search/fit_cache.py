@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.whitening import arcs_are_uncertain
 from cell.lab.data.work import Work
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
 from cell.lab.fit.hand_error import HandError, hand_error
@@ -112,10 +113,14 @@ class FitCache:
     def without_mesh_of(self, found: FittedModel) -> FitCache | None:
         """The study without the mesh's error by a model that was found, nothing fitted to it yet.
 
-        The baseline's own, which imitated what was missing, was another.  Noise stays as it is.
+        The baseline's own, which imitated what was missing, was another.  So was the line along
+        which it moves a marker whose arc length is uncertain.  Noise stays as it is.
         returns  None if that was done, or where the baseline's has not been taken out
         """
-        if self.settled or not self.prepared.mesh_m:
+        prepared = self.prepared
+        explains = found.fit.rms_m <= ERRS * prepared.expected.std_m
+        shifted = explains and arcs_are_uncertain(prepared.study)
+        if self.settled or not (prepared.mesh_m or shifted):
             return None
         settled = without_mesh_error(self.prepared, found.fit)
         return replace(self, given=settled, settled=True, _memory=_Memory())
