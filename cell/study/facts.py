@@ -51,6 +51,7 @@ class TrialFacts:
     tip_m         how far apart the tip's places are
     seen          share of values that were seen, of the coordinates that are seen at all
     spectrum      of the tip; None = too short
+    sensors       by which more is told than by a log and markers: see `sensors_of`
     """
 
     name: str
@@ -70,6 +71,7 @@ class TrialFacts:
     tip_m: float
     seen: float
     spectrum: Spectrum | None
+    sensors: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; the spectrum by its frequencies."""
@@ -109,6 +111,22 @@ def trial_facts(trial: Trial, arc_length_m: FloatArray) -> TrialFacts:
         _reach(xy_m[:, tip]),
         _seen(xy_m),
         swing_spectrum(t_s, xy_m[:, tip], swings_s, still_noise_m),
+        sensors_of(trial),
+    )
+
+
+def sensors_of(trial: Trial) -> tuple[str, ...]:
+    """What a trial states of sensors: of the hand's place with an error of its own, of a wrench."""
+    drift = trial.hand_drift
+    hand = () if drift is None else (f"hand by {drift.sensor}",)
+    return hand if trial.wrench is None else (*hand, "wrench")
+
+
+def sensors_in_words(trials: Sequence[Trial]) -> str:
+    """The same of several trials, with how many state it; empty if none does."""
+    said = [sensor for trial in trials for sensor in sensors_of(trial)]
+    return ", ".join(
+        f"{sensor} ({said.count(sensor)} of {len(trials)} trials)" for sensor in dict.fromkeys(said)
     )
 
 

@@ -71,6 +71,11 @@ class HandDrift:
     axle_m: tuple[float, float] = (0.0, 0.0)
     clamp_turns: bool = True
 
+    @property
+    def sensor(self) -> str:
+        """What tells where the hand is."""
+        return "encoder" if self.turn_std_rad > 0.0 else "accelerometer"
+
     def to_plain(self) -> dict[str, Any]:
         """As in a study's file: what is not so by default."""
         section = HandDriftSection(**asdict(self))

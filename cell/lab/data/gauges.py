@@ -81,6 +81,11 @@ class Gauges:
         name = trial.name
         return Sensors(self.noises, self.gain_std, self.frames[name], self.rows[name])
 
+    def planned(self, frames: int) -> Sensors:
+        """The same of a motion that is not recorded yet, with a row of the wrench in each frame."""
+        every = np.ones(frames, dtype=np.bool_)
+        return Sensors(self.noises, self.gain_std, every, every)
+
     def are_in(self, trial: Trial) -> bool:
         """Whether a trial has these points: one that is planned has not."""
         return bool(trial.markers.xy_m.shape[1] == self.markers + AS_POINTS)

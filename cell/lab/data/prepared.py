@@ -48,6 +48,8 @@ class PreparedStudy:
     memo      what `once_per_study` has worked out of it; another study begins with none
     mesh_m    per trial (times, markers, 2) error of the solver's mesh that has been taken out of
               the study's markers, m
+    lines     per trial (times, markers, 2) how a model's markers move with their arc lengths; empty
+              where these are certain, and where no model is known to explain the study
     gauges    how wrenches are told as points; None = there are none
     """
 
@@ -60,6 +62,7 @@ class PreparedStudy:
     slopes: Solver | None = None
     counted: Solver | None = None
     mesh_m: Mapping[str, FloatArray] = field(default_factory=dict)
+    lines: Mapping[str, FloatArray] = field(default_factory=dict)
     gauges: Gauges | None = None
     memo: dict[tuple[object, ...], Any] = field(default_factory=dict, init=False, repr=False)
 
@@ -129,10 +132,9 @@ class PreparedStudy:
         if noise_model.weighed == self.noise and of_gauges is None:
             return replace(self, noise_model=noise_model)
         prepared = self._levelled(noise_model.noise.std_m, of_gauges)
-        whiteners = whiteners_of(prepared.study, noise_model.weighed, prepared.gauges)
-        return replace(
-            prepared, noise_model=noise_model, noise=noise_model.weighed, whiteners=whiteners
-        )
+        weighed, gauges = noise_model.weighed, prepared.gauges
+        whiteners = whiteners_of(prepared.study, weighed, gauges, self.lines)
+        return replace(prepared, noise_model=noise_model, noise=weighed, whiteners=whiteners)
 
     def _levelled(
         self, std_m: float, of_gauges: tuple[NoiseModel, NoiseModel] | None

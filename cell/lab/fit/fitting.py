@@ -50,6 +50,11 @@ class Fit:
         return self.space.model(self.q)
 
     @property
+    def promised_objective(self) -> float:
+        """Where the objective would end, were the model linear where the fit was left."""
+        return self.objective - (0.0 if self.solution.settled else self.solution.promised)
+
+    @property
     def widening(self) -> float:
         """Factor by which the residuals widen variances, at least 1."""
         return max(1.0, self.chi2 / max(1, int(np.count_nonzero(self.solution.residual))))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.cable.solver import Solver
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.whitening import whiteners_of
+from cell.lab.data.whitening import arcs_are_uncertain, whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_state
 
 FloatArray = NDArray[np.float64]
@@ -22,6 +22,8 @@ LEFT = 1.0 / (FINER**2 - 1.0)
 #: An error that moves no parameter by more than this share of its standard deviation changes no
 #: answer.
 NOTICEABLE = 0.5
+#: Of a difference by which a marker's place changes with its arc length, as a share of the cable.
+SLOPE_STEP = 0.005
 
 
 def finer(prepared: PreparedStudy) -> PreparedStudy:
@@ -43,10 +45,7 @@ def mesh_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
     source  Richardson's extrapolation
     """
     trials = prepared.study.trials
-    initial_states = {
-        t.name: fit.initial_states.get(t.name, best_initial_state(prepared, fit.model, t))[None]
-        for t in trials
-    }
+    initial_states = _initial_states(prepared, fit)
     here = prepared.predict_all(trials, [fit.model], initial_states)
     there = finer(prepared).predict_all(trials, [fit.model], initial_states)
     found = {}
@@ -70,7 +69,9 @@ def matters(prepared: PreparedStudy, error_m: Mapping[str, FloatArray]) -> bool:
     return square > NOTICEABLE**2
 
 
-def without_mesh_error(prepared: PreparedStudy, error_m: Mapping[str, FloatArray]) -> PreparedStudy:
+def without_mesh_error(
+    prepared: PreparedStudy, fit: Fit, error_m: Mapping[str, FloatArray]
+) -> PreparedStudy:
     """The study less what a converged mesh would show beside the solver's.
 
     A mesh's error moves little with the parameters, so that one fit tells it for all: without it
@@ -85,6 +86,40 @@ def without_mesh_error(prepared: PreparedStudy, error_m: Mapping[str, FloatArray
             trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
         shown.append(trial)
     study = replace(prepared.study, trials=tuple(shown))
-    whiteners = whiteners_of(study, prepared.noise, prepared.gauges)
+    lines = _lines(prepared, fit) if arcs_are_uncertain(study) else {}
+    whiteners = whiteners_of(study, prepared.noise, prepared.gauges, lines)
     taken = {n: e + prepared.mesh_m.get(n, 0.0) for n, e in error_m.items()}
-    return replace(prepared, study=study, whiteners=whiteners, mesh_m={**prepared.mesh_m, **taken})
+    mesh_m = {**prepared.mesh_m, **taken}
+    return replace(prepared, study=study, whiteners=whiteners, mesh_m=mesh_m, lines=lines)
+
+
+def _initial_states(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
+    """By trial (1, unknowns): how each begins, as fitted or as is likeliest."""
+    return {
+        t.name: fit.initial_states.get(t.name, best_initial_state(prepared, fit.model, t))[None]
+        for t in prepared.study.trials
+    }
+
+
+def _lines(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
+    """Per trial (times, markers, 2) change of a model's markers by a metre of arc length.
+
+    What is measured of it errs with the markers that it is to explain: in long records that alone
+    looks like a cable of another length.
+    """
+    study, trials = prepared.study, prepared.study.trials
+    arcs_m, step_m = study.arc_length_m, SLOPE_STEP * study.cable.length_m
+    ends_m = [np.clip(arcs_m + d, 0.0, study.cable.length_m) for d in (-step_m, step_m)]
+    below, above = (
+        replace(prepared, study=replace(study, arc_length_m=at_m)).predict_all(
+            trials, [fit.model], _initial_states(prepared, fit)
+        )
+        for at_m in ends_m
+    )
+    found = {}
+    for trial, low, high in zip(trials, below, above, strict=True):
+        moved = (high - low)[0, :, : len(arcs_m)] / (ends_m[1] - ends_m[0])[:, None]
+        seen = np.isfinite(trial.markers.xy_m[:, : len(arcs_m)]).any(axis=0)
+        if np.all(np.isfinite(moved)):
+            found[trial.name] = np.where(seen, moved, 0.0)
+    return found

@@ -15,6 +15,7 @@ from scipy.special import ndtr as normal_cdf
 
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.cable.wrench import AS_POINTS
 from cell.identify.differences import difference_points
 from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.whitener import Whitener
@@ -248,7 +249,7 @@ def _rest_low_m(
 def _simulated(
     prepared: PreparedStudy, models: list[CableModel], stroke: Stroke, surroundings: Surroundings
 ) -> tuple[FloatArray, FloatArray]:
-    """Markers and whole cable of models of one kind on a stroke, (models, times, points, 2), m."""
+    """Markers, wrench and cable of models on a stroke, (models, times, points, 2), m."""
     motion = stroke.motion()
     frame_s = float(np.median(np.diff(prepared.unjoined.trials[0].markers.t_s)))
     if surroundings.frame_rate_hz is not None:
@@ -259,7 +260,20 @@ def _simulated(
 
 
 def _blank(prepared: PreparedStudy, t_s: FloatArray) -> Markers:
-    return Markers(t_s, np.zeros((len(t_s), len(prepared.study.arc_length_m), 2)))
+    """What will be seen: all markers, and behind them the wrench of a study that has one."""
+    gauges = 0 if prepared.gauges is None else AS_POINTS
+    xy_m = np.zeros((len(t_s), len(prepared.study.arc_length_m) + gauges, 2))
+    if gauges:
+        xy_m[:, -1, -1] = np.nan  # the moment has one axis
+    return Markers(t_s, xy_m)
+
+
+def _whitener(prepared: PreparedStudy, frames: int) -> Whitener:
+    """Of a motion that is not recorded yet."""
+    gauges = prepared.gauges
+    sensors = None if gauges is None else gauges.planned(frames)
+    seen_m = _blank(prepared, np.arange(float(frames))).xy_m
+    return Whitener(seen_m, prepared.noise, sensors=sensors)
 
 
 def _open(
@@ -267,15 +281,15 @@ def _open(
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
     """What a candidate predicts, and how far the trials so far leave that open.
 
-    returns  (whitened markers (rows,), their open directions (rows, parameters)); the cable and its
-             standard deviation, (times, points, 2), m
+    returns  (whitened markers and wrench (rows,), their open directions (rows, parameters)); the
+             cable and its standard deviation, (times, points, 2), m
     """
     space, q = candidate.space, candidate.q
     step = space.difference_steps(q)
     lanes = [space.model(row) for row in difference_points(q, step)]
     markers, cable = _simulated(prepared, lanes, stroke, surroundings)
     root = covariance_root(candidate.covariance)
-    rows = Whitener(np.zeros(markers.shape[1:]), prepared.noise)(markers)
+    rows = _whitener(prepared, markers.shape[1])(markers)
     open_rows = ((rows[1:] - rows[0]).T / step) @ root
     moves = np.tensordot(root.T / step, cable[1:] - cable[0], axes=1)
     return (rows[0], open_rows), cable[0], np.sqrt(np.sum(moves**2, axis=0))

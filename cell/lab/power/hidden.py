@@ -131,7 +131,7 @@ def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArr
             raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
         seen.append(replace(trial, markers=replace(trial.markers, xy_m=places)))
     study = replace(prepared.study, trials=tuple(seen))
-    whiteners = whiteners_of(study, prepared.noise, prepared.gauges)
+    whiteners = whiteners_of(study, prepared.noise, prepared.gauges, prepared.lines)
     quiet = replace(prepared, study=study, whiteners=whiteners, mesh_m={})
     space = replace(fit.space, mean=fit.q)  # the prior pulls whatever is hidden
     found = fit_model(quiet, space, fit.q, fit.initial_states, options=POLISH)

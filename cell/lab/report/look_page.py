@@ -21,8 +21,8 @@ from cell.study.wrench_facts import WrenchFacts
 FloatArray = NDArray[np.float64]
 
 FACT_HEADS = (
-    "trial", "role, start", "frames", "per s", "still", "hand, mm", "hand, °", "tip, mm", "seen, %",
-    "noise, mm", "swings at, Hz",
+    "trial", "role, start, sensors", "frames", "per s", "still", "hand, mm", "hand, °", "tip, mm",
+    "seen, %", "noise, mm", "swings at, Hz",
 )  # fmt: skip
 FACT_NOTE = (
     "Still: frames before anything moves. Hand and tip: how far apart their places are, and by how "
@@ -119,7 +119,7 @@ def facts_table(look: Look) -> TableData:
     rows = [
         [
             f.name,
-            f"{f.role}, {f.start}",
+            ", ".join((f.role, f.start, *f.sensors)),
             str(f.frames),
             f"{f.rate_hz:.4g}",
             str(f.rest_frames),

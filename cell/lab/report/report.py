@@ -41,6 +41,7 @@ from cell.lab.report.wrench_report import wrench_overlay, wrenches_table
 from cell.lab.strength.compare import NOTICEABLE, Comparison
 from cell.lab.strength.profiles import ParameterProfile, profile_sentences
 from cell.lab.strength.trial_residual import TrialResidual
+from cell.study.facts import sensors_in_words
 
 #: Signals that a residual goes with, listed if the correlation is at least this.
 LEAST_CORRELATION = 0.2
@@ -214,11 +215,12 @@ def _names(diagnosis: Diagnosis) -> str:
 def _facts(comparison: Comparison) -> str:
     study = comparison.study
     markers = len(study.arc_length_m)
+    said = sensors_in_words(study.trials)
     counts = f"{len(study.role('fit'))} fitted, {len(study.role('validate'))} held out"
     return (
         f"{len(study.trials)} trials ({counts}), {markers} "
         f"marker{'s' * (markers > 1)} on {study.cable.free_length_m * 1e3:.0f} mm of cable; "
-        f"{noise_in_words(comparison)}. Errors are rms per coordinate."
+        f"{noise_in_words(comparison)}{said and f'; {said}'}. Errors are rms per coordinate."
     )
 
 

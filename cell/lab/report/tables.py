@@ -40,6 +40,7 @@ from cell.lab.report.wording import (
     why_not_told,
 )
 from cell.lab.strength.compare import Comparison
+from cell.study.facts import sensors_in_words
 
 #: Said where no check failed: the search was stopped.
 NOT_WHY = "These motions cannot show why."
@@ -185,10 +186,12 @@ def diagnosis_parts(
     comparisons  of the baseline, and last of the model with everything found
     """
     agreement = diagnosis.agreement
+    sensors = sensors_in_words(comparisons[0].study.trials)
     return [
         sentence(diagnosis, comparisons[0], comparisons[-1]),
         verdict_line(diagnosis),
         *warning_lines(diagnosis.warnings),
+        *([f"The study states: {sensors}."] if sensors else []),
         *([agreement_sentence(agreement)] if agreement else []),
         waterfall_table(diagnosis),
         *evidence_tables(diagnosis),

@@ -111,7 +111,7 @@ class Baseline:
             return found
         fit, prepared = found.fit, with_noise_beside(found.prepared, found.fit, self.others)
         if fit.rms_m <= ERRS * prepared.expected.std_m:
-            prepared = without_mesh_error(prepared, mesh_error_m(prepared, fit))
+            prepared = without_mesh_error(prepared, fit, mesh_error_m(prepared, fit))
         try:
             again = fit_model(prepared, self.space, fit.q, fit.initial_states, options=POLISH)
         except UNSIMULATED:

@@ -16,7 +16,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, extended, fit_model, fit_trials, residuals, space_with
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.starts import each_once, is_new, scaled, typical
-from cell.lab.search.fitted_model import POLISH, FittedModel, weighed
+from cell.lab.search.fitted_model import POLISH, FittedModel, penalty_of, weighed
 from cell.lab.search.screen import MOST_SHAPES, ScreenedEffect
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +70,7 @@ class Extension:
         if not fits:
             return None
         # From a wrong place a force may follow the fitted motions best, and none beyond them.
-        tried = fits if placed else [min(fits, key=lambda f: f.objective)]
+        tried = fits if placed else [self._lowest(fits, effect, options)]
         return min((weighed(self.prepared, effects, fit) for fit in tried), key=lambda c: c.chi2)
 
     def _starts(
@@ -120,6 +120,28 @@ class Extension:
                     fit_model(alone, space, q, initial_states, options=options, from_far=True)
                 )
         return found
+
+    def _lowest(self, fits: Sequence[Fit], effect: type[Effect], options: Options) -> Fit:
+        """The fit that ends lowest, of fits from several starts.
+
+        One that is on its way is no worse than one that has arrived.  So those are taken on that
+        promise to end below all others, and low enough for the effect to pay.
+        """
+        lowest = min(fits, key=lambda f: f.objective)
+        if len(fits) == 1 or lowest.objective > options.above[0]:  # given up
+            return lowest
+        pays = self.base.fit.objective - penalty_of(self.prepared, [effect])
+        coming = [f for f in fits if f.promised_objective < min(lowest.objective, pays)]
+        if all(f is lowest for f in coming):
+            return lowest
+        return min([lowest, *map(self._taken_on, coming)], key=lambda f: f.objective)
+
+    def _taken_on(self, fit: Fit) -> Fit:
+        """A fit taken to convergence; as it is where it cannot be simulated."""
+        with contextlib.suppress(*UNSIMULATED):
+            alone = self.prepared.on_one_core()
+            return fit_model(alone, fit.space, fit.q, fit.initial_states, options=POLISH)
+        return fit
 
     def _places(self, space: ParameterSpace, starts: Sequence[FloatArray]) -> list[FloatArray]:
         """Where tempered fits from all starts lead to, the best of them.

@@ -15,6 +15,7 @@ from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.whitening import arcs_are_uncertain
 from cell.lab.data.work import Work
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
 from cell.lab.fit.hand_error import HandError, hand_error
@@ -114,6 +115,7 @@ class FitCache:
         """The study with the noise and mesh error beside a found model, nothing fitted to it yet.
 
         Those beside the baseline, which imitated what was missing or could not fit, were others.
+        So was the line along which it moves a marker whose arc length is uncertain.
         returns  None if that was done, if neither changes noticeably, or if no model has explained
                  the study yet
         """
@@ -124,9 +126,9 @@ class FitCache:
         prepared = with_noise_beside(before, found.fit, others)
         error_m = mesh_error_m(prepared, found.fit)
         another = prepared.noise_model.differs_from(before.noise_model)
-        if not (another or matters(prepared, error_m)):
+        if not (another or matters(prepared, error_m) or arcs_are_uncertain(prepared.study)):
             return None
-        settled = without_mesh_error(prepared, error_m)
+        settled = without_mesh_error(prepared, found.fit, error_m)
         return replace(self, given=settled, settled=True, _memory=_Memory())
 
     def explained_by(self, model: FittedModel) -> bool:

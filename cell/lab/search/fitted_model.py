@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,10 +68,15 @@ class Gain:
 def weighed(prepared: PreparedStudy, effects: tuple[type[Effect], ...], fit: Fit) -> FittedModel:
     """A fit with its error on the held-out trials and its evidence."""
     held = heldout(prepared.on_one_core(), fit)
+    penalty = penalty_of(prepared, effects)
+    return FittedModel(effects, fit, held, evidence=-0.5 * (fit.objective + penalty))
+
+
+def penalty_of(prepared: PreparedStudy, effects: Sequence[type[Effect]]) -> float:
+    """BIC's penalty for effects of a model: from such a fall of χ² on they pay."""
     count = prepared.count(fit_trials(prepared))
     extra = sum(p.fitted for e in effects for p in e.parameters)
-    penalty = -delta_bic(0.0, extra, count, prepared.noise_model.effective_fraction)
-    return FittedModel(effects, fit, held, evidence=-0.5 * (fit.objective + penalty))
+    return -delta_bic(0.0, extra, count, prepared.noise_model.effective_fraction)
 
 
 def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, FloatArray]:

@@ -179,6 +179,8 @@ def _measured(
     if np.count_nonzero(seen) < 2:
         names = ", ".join(m.name for m in entries)
         raise capture.error(0, f"shows {names} in fewer than 2 rows; give columns with numbers")
+    if mapping.frames is not None:
+        seen |= np.nan_to_num(capture.column(mapping.frames)) != 0.0
     source = Source(capture.path, capture.lines[seen], order, tuple(m.name for m in entries))
     markers = Markers(t_s[seen] - zero_s, xy_m[seen], source)
     motion, path = _motion(read, entry, captures, zero_s, markers)

@@ -89,7 +89,10 @@ class TrialEntry(Part):
 
 
 class Mapping(Part):
-    """All of the file."""
+    """All of the file.
+
+    frames  column that is not 0 in the rows of frames; None = these are rows that show a marker
+    """
 
     format: Literal["cable-import/1"]
     name: Name
@@ -98,6 +101,7 @@ class Mapping(Part):
     noise_std_m: Positive | None = None
     text: TextSection | None = None
     time: TimeSection
+    frames: Name | None = None
     metres_per_unit: Positive | None
     lost: tuple[Finite, ...] = ()
     axes: AxesSection

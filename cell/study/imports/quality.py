@@ -34,7 +34,7 @@ HELD_ROWS, HELD_JUMP = 3, 2.0
 class Measured:
     """A trial, and the file that its markers come from.
 
-    seen      (rows of the file,) rows that show any marker
+    seen      (rows of the file,) rows of frames
     across_m  (T, markers) coordinate across the plane; None = the file has two coordinates
     notes     on how the hand is known, one sentence each
     """

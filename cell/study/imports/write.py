@@ -36,6 +36,7 @@ from cell.study.table import table_text
 FloatArray = NDArray[np.float64]
 
 _POSE = ("t_s", "x_m", "y_m", "angle_rad")
+_FRAME = "frame"
 
 
 class NotReadBackError(RuntimeError):
@@ -93,16 +94,22 @@ def _stated(study: Study) -> tuple[object, ...]:
 def write_wide(study: Study, folder: Path) -> list[Path]:
     """Write every trial as one wide table, and a mapping that imports them to the same study.
 
-    A row for every time of hand or markers; empty where nothing was measured at it.
+    A row for every time of hand or markers; empty where nothing was measured at it.  Where frames
+    show no marker, a column tells which rows are frames.
 
     raises  OSError: it cannot be written; nothing has changed
     """
     names = _marker_names(len(study.arc_length_m))
+    frames = [_FRAME] if any(_shows_none(t).any() for t in study.trials) else []
     files: dict[Path, str | bytes] = {
-        folder / f"{trial.name}.csv": table_text(_columns(names), _rows(trial))
+        folder / f"{trial.name}.csv": table_text(
+            [*_columns(names), *frames], _rows(trial)[:, : 4 + 2 * len(names) + len(frames)]
+        )
         for trial in study.trials
     }
     mapping = _mapping_of(study, names)
+    if frames:
+        mapping = mapping.model_copy(update={"frames": _FRAME})
     files[folder / FILE] = mapping_text(mapping, (), f"cell import {FILE}")
     write_all(files)
     return list(files)
@@ -118,15 +125,22 @@ def _columns(names: Sequence[str]) -> list[str]:
     return ["time_s", "hand_x_m", "hand_y_m", "hand_angle_rad", *places]
 
 
+def _shows_none(trial: Trial) -> NDArray[np.bool_]:
+    """(T,) frames in which no marker was seen."""
+    return np.asarray(~np.isfinite(trial.markers.xy_m).any(axis=(1, 2)))
+
+
 def _rows(trial: Trial) -> FloatArray:
+    """(times, columns) of hand and markers, and last whether a row is a frame."""
     grip, markers = trial.grip, trial.markers
     times = np.union1d(grip.t_s, markers.t_s)
-    rows = np.full((len(times), 4 + 2 * markers.xy_m.shape[1]), np.nan)
+    rows = np.full((len(times), 5 + 2 * markers.xy_m.shape[1]), np.nan)
     rows[:, 0] = times
     poses = np.column_stack([grip.x_m, grip.y_m, grip.angle_rad])
     rows[np.searchsorted(times, grip.t_s), 1:4] = poses
     seen = markers.xy_m.reshape(len(markers.t_s), -1)
-    rows[np.searchsorted(times, markers.t_s), 4:] = seen
+    rows[np.searchsorted(times, markers.t_s), 4:-1] = seen
+    rows[:, -1] = np.isin(times, markers.t_s)
     return rows
 
 

@@ -69,6 +69,8 @@ def test_a_wrench_is_shown_with_its_noise_and_course(study: Study, tmp_path: Pat
     shown = json.loads(CliRunner().invoke(app, ["look", str(tmp_path / "s"), "--json"]).stdout)
     assert set(shown["trials"][0]["wrench"]) == {"rate_hz", "still_rows", "force_x_n", "moment_nm"}
     assert "wrench" not in shown["trials"][1]
+    assert [t["sensors"] for t in shown["trials"]] == [["wrench"], []]
+    assert "fit, equilibrium, wrench" in page.read_text()
 
 
 def test_a_refused_study_is_shown_with_the_reason(study: Study, tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Motion
-from cell.study.data import Markers, Trial
-from cell.study.facts import noise_m, swing_spectrum, trial_facts
+from cell.study.data import Markers, Trial, Wrench
+from cell.study.facts import noise_m, sensors_in_words, swing_spectrum, trial_facts
+from cell.study.hand_drift import HandDrift
 from cell.study.odd import oddities, stated_oddly
 from tests.cell.study.imports.made import ARCS_M, RATE_HZ, made
 
@@ -75,6 +76,18 @@ def test_facts_are_those_that_the_trial_was_made_of() -> None:
     assert (facts.tip, facts.seen, facts.irregular) == (0, 1.0, 0.0)
     assert facts.spectrum is not None
     assert facts.spectrum.peaks_hz[0] == pytest.approx(4.0, abs=0.15)
+
+
+def test_sensors_beside_markers_and_log_are_told() -> None:
+    trial = a_trial()
+    integrated = replace(trial, hand_drift=HandDrift(0.3, 0.8, (1e-3, 1e-3)))
+    turned = replace(trial, hand_drift=HandDrift(0.3, 0.8, turn_std_rad=1e-5))
+    pulled = replace(integrated, wrench=Wrench(np.zeros(2), np.zeros((2, 3))))
+    assert trial_facts(turned, ARCS_M[::-1]).sensors == ("hand by encoder",)
+    assert sensors_in_words([trial, integrated, pulled]) == (
+        "hand by accelerometer (2 of 3 trials), wrench (1 of 3 trials)"
+    )
+    assert sensors_in_words([trial]) == ""
 
 
 def test_a_good_trial_has_nothing_odd_and_each_lack_is_told() -> None:

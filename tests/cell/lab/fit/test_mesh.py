@@ -16,7 +16,10 @@ from cell.lab.fit.mesh import matters, mesh_error_m, without_mesh_error
 from cell.lab.fit.systematic_error import systematic_error
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
+from cell.lab.verdict.specification import of_effects
 from cell.study.data import Markers, Study, Trial
+from tools.worlds.rig_kinds import KINDS
+from tools.worlds.rigs import rig_study
 
 #: Soft and long, so that 32 segments err by a third of what the camera does.
 CABLE = Cable(1.0, 0.02, 0.012, 0.001)
@@ -59,7 +62,7 @@ def test_once_taken_out_little_of_it_is_left():
     shift_m = float(np.sqrt(np.mean((trial.xy_m - moved.xy_m) ** 2)))
     assert 3e-5 < shift_m < 3e-3
     rest_m = mesh_error_m(clean, fit)
-    again = without_mesh_error(clean, rest_m).study.trials[0].markers
+    again = without_mesh_error(clean, fit, rest_m).study.trials[0].markers
     assert np.sqrt(np.mean((again.xy_m - moved.xy_m) ** 2)) < 0.1 * shift_m
     assert matters(raw, mesh_error_m(raw, fit))
     assert not matters(clean, {name: 1e-3 * error for name, error in rest_m.items()})
@@ -74,3 +77,15 @@ def test_a_complete_model_of_a_soft_cable_lacks_nothing():
     found = diagnose(FitCache(PreparedStudy.of(made), space, effects)).diagnosis
     assert found.verdict == "complete"
     assert found.missing == ()
+
+
+def test_markers_of_uncertain_arc_length_move_along_the_line_of_the_model():
+    """Along the measured line, which errs as the markers do, a complete study had a grip_slip."""
+    made = rig_study(KINDS["arcs"](102), None)
+    slip = library()["grip_slip"]
+    fits = FitCache(PreparedStudy.of(made), ParameterSpace.of(made.cable), {slip.name: slip})
+    fit, prepared = fits.baseline().fit, fits.prepared
+    for slopes in prepared.lines.values():  # of a cable that does not stretch
+        np.testing.assert_allclose(np.linalg.norm(slopes, axis=2), 1.0, atol=2e-3)
+    ((asked, _),) = of_effects(prepared, fit, [slip]).values()
+    assert asked.chi2 < 6.0

@@ -33,7 +33,7 @@ def fitted(study):
     space = ParameterSpace.of(study.cable, effects=(library()["tip_mass"],))
     prepared = PreparedStudy.of(study, solver=COARSE)
     fit = fit_model(prepared, space, cold_start(prepared, space), options=POLISH)
-    prepared = without_mesh_error(prepared, mesh_error_m(prepared, fit))
+    prepared = without_mesh_error(prepared, fit, mesh_error_m(prepared, fit))
     return prepared, fit_model(prepared, space, fit.q, options=POLISH)
 
 

@@ -11,12 +11,14 @@ from scipy import stats
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.rival import Rival
 from cell.lab.next.motion_file import load_motion
 from cell.lab.next.strokes import Stroke, strokes
-from cell.lab.next.suggest import DECIDED, _separation, suggest_motion
+from cell.lab.next.suggest import DECIDED, _open, _separation, suggest_motion
 from cell.lab.next.suggestion import Option, Suggestion, write_motion
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
@@ -25,6 +27,8 @@ from cell.settings import load_settings
 from cell.settings.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m
 from cell.settings.translate import cable_of
 from drivers.guard import ArmLimits, check_path
+from tools.worlds.rig_kinds import KINDS
+from tools.worlds.rigs import rig_study
 
 FAKE = Path(__file__).parents[4] / "config" / "fake.yaml"
 
@@ -227,3 +231,26 @@ def test_the_power_promised_is_kept(size):
         gain = log_likelihood(y, 0 * apart, open_first) - log_likelihood(y, apart, open_second)
         decided += 2.0 * gain > DECIDED
     assert decided / tries > promised - 3.0 * np.sqrt(promised * (1 - promised) / tries)
+
+
+def test_a_motion_counts_with_the_wrench_that_the_study_has():
+    """A mass at the tip pulls at the clamp; what a tare can imitate of it does not count."""
+    study = rig_study(KINDS["wrench"](4), None)
+    study = replace(study, trials=study.trials[:1])
+    bare = replace(study, trials=tuple(replace(t, wrench=None) for t in study.trials))
+    space = ParameterSpace.of(study.cable, effects=(library()["tip_mass"],))
+    light, heavy = space.natural(space.mean), space.natural(space.mean)
+    heavy[space.names.index("tip_mass.mass_kg")] = 1e-3
+    rivals = [
+        Rival(name, space, space.coordinates(values), 1e-6 * np.eye(len(light)))
+        for name, values in (("light", light), ("heavy", heavy))
+    ]
+    box, coarse = Surroundings(), Solver(segments=20, step_s=2e-3, threads=1)
+
+    def apart(measured, stroke):
+        prepared = PreparedStudy.of(measured, solver=coarse)
+        return _separation(*(_open(prepared, rival, stroke, box)[0] for rival in rivals))
+
+    swing, rest = Stroke(0.0, 0.0, -0.1, 0.4), Stroke(0.0, 0.0, -1e-9, 0.4)
+    assert apart(study, swing) > 1.1 * apart(bare, swing)
+    assert apart(study, rest) == pytest.approx(apart(bare, rest), rel=1e-3)

@@ -13,11 +13,12 @@ from cell.lab.data.results import Diagnosis, Doubt, Errors, MissingEffect
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.discover import Discovery
 from cell.lab.report.model_tables import discovery_sentence
-from cell.lab.report.tables import sentence, steps_text, verdict_line
+from cell.lab.report.tables import diagnosis_parts, sentence, steps_text, verdict_line
 from cell.lab.report.wording import apart, left_in_words, noise_in_words
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.strength.compare import compare_model
 from cell.lab.verdict.checks import CHECKS
+from cell.study.hand_drift import HandDrift
 
 
 def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):
@@ -116,6 +117,12 @@ def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_b
     words = {left_in_words(w, shown) for w in shown.where}
     assert words <= {"noise", "a pattern within the stated error"}
     assert "as stated (camera noise at rest 0.002 mm)" in noise_in_words(shown)
+    # what the study states of sensors is told beside the verdict
+    first, *rest = study.trials
+    first = replace(first, hand_drift=HandDrift(0.1, 0.4, (1e-3, 1e-3)))
+    sensed = replace(shown, study=replace(study, trials=(first, *rest)))
+    parts = diagnosis_parts(Diagnosis(shown.noise_m, small, "complete"), [sensed], ())
+    assert "The study states: hand by accelerometer (1 of 4 trials)." in parts
 
 
 @pytest.mark.parametrize(

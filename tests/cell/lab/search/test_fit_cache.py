@@ -49,7 +49,8 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     judged = []
 
     def fit_model(*args, **options):
-        return SimpleNamespace(objective=next(objectives), solution=SimpleNamespace(settled=True))
+        objective, solution = next(objectives), SimpleNamespace(settled=True)
+        return SimpleNamespace(objective=objective, promised_objective=objective, solution=solution)
 
     def weigh(prepared, effects, fit):
         judged.append(fit.objective)
@@ -63,6 +64,34 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     (candidate,) = fits.fit_extended(base, [effect])
     assert candidate.fit.objective == kept
     assert judged == (list(HELD_OUT) if name == "point" else [kept])
+
+
+@pytest.mark.parametrize(("promised", "kept"), [(20.0, 50.0), (120.0, 100.0)])
+def test_a_fit_on_its_way_is_taken_on_before_it_is_compared_with_one_that_has_arrived(
+    promised, kept, make_study, monkeypatch
+):
+    """A giving grip was lost so: its fit was near the noise, and another had arrived far above."""
+    effect = library()["tip_mass"]
+    study = make_study(seed=2)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    base = fits.baseline()
+    fits.screened(base)
+
+    def fit_model(_, space, start, *args, **options):
+        objective, ends = {1: (100.0, 100.0), 2: (150.0, promised), 3: (50.0, 50.0)}[start]
+        return SimpleNamespace(
+            objective=objective, promised_objective=ends, space=space, q=3, initial_states={}
+        )
+
+    monkeypatch.setattr(extension, "fit_model", fit_model)
+    monkeypatch.setattr(Extension, "_least_misfit", lambda *args: [1, 2])
+    monkeypatch.setattr(
+        extension, "weighed", lambda _, effects, fit: FittedModel(effects, fit, None, 0.0)
+    )
+    found = Extension(fits.prepared, base, (base.fit.q,)).by(
+        effect, fits.screened(base), extension.POLISH
+    )
+    assert found.fit.objective == kept
 
 
 def test_what_models_are_selected_by_does_not_depend_on_held_out_trials(make_study):

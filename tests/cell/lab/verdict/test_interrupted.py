@@ -78,7 +78,8 @@ def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, mon
 
     fits = replace(before, progress=progress)
     monkeypatch.setattr(
-        "cell.lab.search.fit_cache.without_mesh_error", lambda prepared, fit: prepared
+        "cell.lab.search.fit_cache.without_mesh_error",
+        lambda prepared, fit, error_m: prepared,
     )
     found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"

@@ -51,3 +51,16 @@ def test_markers_whose_arc_length_is_exact_need_not_say_so(tmp_path: Path) -> No
     assert "arc_length_std_m" not in (tmp_path / FILE).read_text()
     read = read_mapping(tmp_path / FILE)
     same(study_of(read, read_captures(read)).study, study)
+
+
+def test_a_frame_in_which_no_marker_was_seen_comes_back(tmp_path: Path) -> None:
+    study = a_study()
+    first, second = study.trials
+    lost_m = second.markers.xy_m.copy()
+    lost_m[[0, 7, -1]] = np.nan  # the hand's log has times of its own
+    hand = replace(second.grip, t_s=second.grip.t_s - 1e-3)  # and here those of the frames
+    second = replace(second, grip=hand, markers=Markers(second.markers.t_s, lost_m))
+    study = replace(study, trials=(first, second))
+    write_wide(study, tmp_path)
+    read = read_mapping(tmp_path / FILE)
+    same(study_of(read, read_captures(read)).study, study)
