@@ -59,7 +59,8 @@ class FitCache:
     begin     where the baseline's fit begins; None = it is looked for
     sought    effects of `space` of which nothing is known: they are looked for as if the model
               lacked them where a fit from their typical size leaves more than the noise
-    settled   noise and the mesh's error are those beside a model that was found
+    found     a model beside which noise and the mesh's error are known already; it is fitted again,
+              so that a search cannot miss it
     """
 
     given: PreparedStudy
@@ -69,7 +70,7 @@ class FitCache:
     prior_q: FloatArray | None = None
     begin: FloatArray | None = None
     sought: tuple[type[Effect], ...] = ()
-    settled: bool = False
+    found: FittedModel | None = None
     _memory: _Memory = field(default_factory=_Memory)
 
     @property
@@ -97,7 +98,7 @@ class FitCache:
                 self.begin,
                 self.prior_q is not None,
                 added,
-                self.settled,
+                self.found is not None,
                 self.progress,
             ).fitted_to(self.given)
             memory.second = memory.baseline.second
@@ -109,7 +110,18 @@ class FitCache:
         if key not in models:
             found = self._baseline_fit()
             models[key] = weighed(found.prepared, self.space.effects, found.fit)
+            self._fit_found_again()
         return models[key]
+
+    def _fit_found_again(self) -> None:
+        """The model that was found, fitted to the study as it shows beside it."""
+        if self.found is not None:
+            before, prepared = self.found.fit, self.prepared
+            with contextlib.suppress(*UNSIMULATED):
+                states = before.initial_states
+                fit = fit_model(prepared, before.space, before.q, states, options=POLISH)
+                found = weighed(prepared, self.found.effects, fit)
+                self._memory.models[found.names] = found
 
     def beside(self, found: FittedModel) -> FitCache | None:
         """The study with the noise and mesh error beside a found model, nothing fitted to it yet.
@@ -120,7 +132,7 @@ class FitCache:
                  the study yet
         """
         before = self.prepared
-        if self.settled or not (self.explained_by(found) or before.mesh_m):
+        if self.found is not None or not (self.explained_by(found) or before.mesh_m):
             return None
         others = [e for name, e in self.library.items() if name not in found.names]
         prepared = with_noise_beside(before, found.fit, others)
@@ -129,7 +141,7 @@ class FitCache:
         if not (another or matters(prepared, error_m) or arcs_are_uncertain(prepared.study)):
             return None
         settled = without_mesh_error(prepared, found.fit, error_m)
-        return replace(self, given=settled, settled=True, _memory=_Memory())
+        return replace(self, given=settled, found=found, _memory=_Memory())
 
     def explained_by(self, model: FittedModel) -> bool:
         """Whether a model leaves so little that the rest may be noise and the mesh's error."""
@@ -197,10 +209,11 @@ class FitCache:
         return screens[base.names]
 
     def shortlist(self, base: FittedModel, best: int) -> list[type[Effect]]:
-        """The `best` of the screen, and what it may misjudge: all effects that are not smooth."""
+        """The `best` of the screen, and what it may misjudge: what is not smooth, what was found."""
         ranked = sorted(self.screened(base), key=lambda s: (s.score.p_value, -s.score.statistic))
-        rough = [s.effect for s in ranked[best:] if not s.effect.smooth]
-        return [s.effect for s in ranked[:best]] + rough
+        known = () if self.found is None else self.found.names
+        more = [s.effect for s in ranked[best:] if not s.effect.smooth or s.effect.name in known]
+        return [s.effect for s in ranked[:best]] + more
 
     def fit_extended(self, base: FittedModel, effects: Sequence[type[Effect]]) -> list[FittedModel]:
         """The model with each of the effects added to it, side by side on all cores.
