@@ -185,6 +185,8 @@ def validate(document: Document, model: type[Model]) -> Model:
     except ValidationError as error:
         told = error.errors()[: 5 * MAX_PROBLEMS]
         schema = model.model_json_schema()
+        if (other := _of_another_kind(document, schema)) is not None:
+            raise InputError([other]) from error
         problems = [_problem(document, details, schema) for details in told]
         # A mistyped key is one mistake, not an unknown key and a missing one.
         meant = {
@@ -201,6 +203,21 @@ def validate(document: Document, model: type[Model]) -> Model:
             left = error.error_count() - MAX_PROBLEMS
             problems[MAX_PROBLEMS:] = [document.problem((), f"and {left} more; mend these first")]
         raise InputError(problems) from error
+
+
+def _of_another_kind(document: Document, schema: dict[str, Any]) -> Problem | None:
+    """That a file is of another format than is asked for: its keys are no mistakes then."""
+    wanted = schema.get("properties", {}).get("format", {}).get("const")
+    given = document.data.get("format")
+    unknown = [k for k in document.data if k not in schema.get("properties", {})]
+    if given is not None and given != wanted:
+        what = "settings of a cell" if wanted is None else f"a file of `format: {wanted}`"
+        return document.problem(("format",), f"is {reprlib.repr(given)}; give {what}")
+    if wanted is not None and given is None and len(unknown) > 1:
+        named = ", ".join(str(k)[:MAX_KEY] for k in unknown[:3])
+        message = f"is no file of `format: {wanted}`, and has {named}, which that does not know"
+        return document.problem((), f"{message}; give such a file")
+    return None
 
 
 def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) -> Problem:

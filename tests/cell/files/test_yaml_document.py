@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
@@ -110,3 +110,31 @@ def test_what_is_written_is_read_back_in_its_order(tmp_path: Path) -> None:
     read = read_yaml(path).data
     assert read == data
     assert list(read) == list(data)
+
+
+class Titled(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    format: Literal["titled/1"]
+    name: str
+
+
+@pytest.mark.parametrize(
+    ("text", "model", "says"),
+    [
+        ("cable: 1\ncamera: 2\n", Titled, ":1:1: is no file of `format: titled/1`, and has cable,"),
+        ("name: a\nformat: small/1\n", Titled, ":2:1: format: is 'small/1'; give a file of `form"),
+        ("format: titled/1\nname: a\n", Small, ":1:1: format: is 'titled/1'; give settings of a"),
+        ("name: a\n", Titled, ":1:1: format: is missing; add it"),
+    ],
+)
+def test_a_file_of_another_kind_is_one_mistake(
+    tmp_path: Path, text: str, model: type[BaseModel], says: str
+) -> None:
+    """Settings given as a motion were told key by key, twelve lines of them."""
+    file = tmp_path / "a.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError) as caught:
+        validate(read_yaml(file), model)
+    (problem,) = caught.value.problems
+    assert says in str(problem)
