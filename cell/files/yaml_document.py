@@ -37,6 +37,17 @@ MAX_KEY = 120
 
 MISSING = "is missing; add it"
 
+#: What is said of kinds of mistakes in place of words of JSON.
+_IN_YAML = {
+    "model_type": "must hold entries, `key: value`",
+    "model_attributes_type": "must hold entries, `key: value`",
+    "dict_type": "must hold entries, `key: value`",
+    "list_type": "must be a list, [a, b, …]",
+    "tuple_type": "must be a list, [a, b, …]",
+    "string_type": "must be a text; write it in quotes",
+    "bool_type": "must be true or false",
+}
+
 #: Ending of a key, how many of the smaller unit make one, what to say.
 _SMALLER_UNITS = (
     ("_kg_per_m", 1e3, "give kg/m, not g/m"),
@@ -257,7 +268,7 @@ def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) 
     if kind in ("less_than", "less_than_equal") and isinstance(value, int | float):
         limit = float(context["le"] if "le" in context else context["lt"])
         hint = _mistaken_unit(str(key[-1]), value, limit)
-    message = details["msg"][0].lower() + details["msg"][1:]
+    message = _IN_YAML.get(kind, details["msg"][0].lower() + details["msg"][1:])
     if isinstance(value, float) and not math.isfinite(value):
         message, hint = "must be a finite number", "; give one"
     return document.problem(key, f"{message}{shown and f' (got{shown[2:]})'}{hint}")

@@ -14,9 +14,14 @@ from cell.files.input_error import InputError
 from cell.files.yaml_document import MAX_BYTES, MAX_PROBLEMS, read_yaml, validate, yaml_text
 
 
+class Inside(BaseModel):
+    name: str = ""
+
+
 class Small(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
+    inside: Inside = Inside()
     size_m: Annotated[float, Field(gt=0.0, le=10.0)] = 1.0
     count: int = 1
     pair: tuple[float, float] = (0.0, 1.0)
@@ -47,6 +52,9 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("x" * (MAX_BYTES + 1), "limit 0.2 MB"),
         ("size_m: true", "size_m: input should be a valid number (got True)"),
         ("size_m: '1'", "size_m: input should be a valid number (got '1')"),
+        ("pair: 1", "pair: must be a list, [a, b, …] (got 1)"),
+        ("pair: {a: 1}", "pair: must be a list, [a, b, …]"),
+        ("inside: [1]", "inside: must hold entries, `key: value`"),
         ("count: 1.5", "count: input should be a valid integer"),
         ("size_m: " + "9" * 5000, "size_m: cannot be read as a value"),
         ("size_m: " + "9" * 4000, "size_m: input should be"),
