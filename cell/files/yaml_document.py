@@ -37,6 +37,17 @@ MAX_KEY = 120
 
 MISSING = "is missing; add it"
 
+#: What is said of kinds of mistakes in place of words of JSON.
+_IN_YAML = {
+    "model_type": "must hold entries, `key: value`",
+    "model_attributes_type": "must hold entries, `key: value`",
+    "dict_type": "must hold entries, `key: value`",
+    "list_type": "must be a list, [a, b, …]",
+    "tuple_type": "must be a list, [a, b, …]",
+    "string_type": "must be a text; write it in quotes",
+    "bool_type": "must be true or false",
+}
+
 #: Ending of a key, how many of the smaller unit make one, what to say.
 _SMALLER_UNITS = (
     ("_kg_per_m", 1e3, "give kg/m, not g/m"),
@@ -185,6 +196,8 @@ def validate(document: Document, model: type[Model]) -> Model:
     except ValidationError as error:
         told = error.errors()[: 5 * MAX_PROBLEMS]
         schema = model.model_json_schema()
+        if (other := _of_another_kind(document, schema)) is not None:
+            raise InputError([other]) from error
         problems = [_problem(document, details, schema) for details in told]
         # A mistyped key is one mistake, not an unknown key and a missing one.
         meant = {
@@ -201,6 +214,21 @@ def validate(document: Document, model: type[Model]) -> Model:
             left = error.error_count() - MAX_PROBLEMS
             problems[MAX_PROBLEMS:] = [document.problem((), f"and {left} more; mend these first")]
         raise InputError(problems) from error
+
+
+def _of_another_kind(document: Document, schema: dict[str, Any]) -> Problem | None:
+    """That a file is of another format than is asked for: its keys are no mistakes then."""
+    wanted = schema.get("properties", {}).get("format", {}).get("const")
+    given = document.data.get("format")
+    unknown = [k for k in document.data if k not in schema.get("properties", {})]
+    if given is not None and given != wanted:
+        what = "settings of a cell" if wanted is None else f"a file of `format: {wanted}`"
+        return document.problem(("format",), f"is {reprlib.repr(given)}; give {what}")
+    if wanted is not None and given is None and len(unknown) > 1:
+        named = ", ".join(str(k)[:MAX_KEY] for k in unknown[:3])
+        message = f"is no file of `format: {wanted}`, and has {named}, which that does not know"
+        return document.problem((), f"{message}; give such a file")
+    return None
 
 
 def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) -> Problem:
@@ -240,7 +268,7 @@ def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) 
     if kind in ("less_than", "less_than_equal") and isinstance(value, int | float):
         limit = float(context["le"] if "le" in context else context["lt"])
         hint = _mistaken_unit(str(key[-1]), value, limit)
-    message = details["msg"][0].lower() + details["msg"][1:]
+    message = _IN_YAML.get(kind, details["msg"][0].lower() + details["msg"][1:])
     if isinstance(value, float) and not math.isfinite(value):
         message, hint = "must be a finite number", "; give one"
     return document.problem(key, f"{message}{shown and f' (got{shown[2:]})'}{hint}")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import re
+import reprlib
 from datetime import time
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -52,6 +54,9 @@ def times_of_day(times: tuple[str, ...]) -> tuple[str, ...]:
     """The times themselves, HH:MM.  Raises ValueError: one is none, or they are not in order."""
     if not times:
         raise ValueError("give at least one time, such as 00:00")
+    for text in times:
+        if re.fullmatch(r"([01]\d|2[0-3]):[0-5]\d(:[0-5]\d)?", text) is None:
+            raise ValueError(f"{reprlib.repr(text)} is no time of a day; write it as '06:00'")
     parsed = [time.fromisoformat(t) for t in times]
     if any(a >= b for a, b in itertools.pairwise(parsed)):
         raise ValueError(f"{', '.join(times)} are not in order; give every time of a day once")

@@ -47,9 +47,12 @@ def frozen(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> Froz
 
 
 def _stays(xy_m: FloatArray) -> list[tuple[int, int]]:
-    """First and last row of runs of a point (T, 2) in which it stays; rows without it are none."""
-    seen = np.flatnonzero(np.isfinite(xy_m).any(axis=1))
-    steps_m = np.nan_to_num(np.abs(np.diff(xy_m[seen], axis=0)))
+    """First and last row of runs of a point (T, 2) in which it stays; rows without it are none.
+
+    One coordinate alone may stay, rounded, while the cable moves along the other.
+    """
+    seen = np.flatnonzero(np.isfinite(xy_m).all(axis=1))
+    steps_m = np.abs(np.diff(xy_m[seen], axis=0))
     same = np.concatenate([[False], steps_m.max(axis=1) <= SAME_M, [False]])
     edges = np.flatnonzero(np.diff(same.astype(int)))
     runs = zip(edges[::2], edges[1::2], strict=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
@@ -14,9 +14,14 @@ from cell.files.input_error import InputError
 from cell.files.yaml_document import MAX_BYTES, MAX_PROBLEMS, read_yaml, validate, yaml_text
 
 
+class Inside(BaseModel):
+    name: str = ""
+
+
 class Small(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
+    inside: Inside = Inside()
     size_m: Annotated[float, Field(gt=0.0, le=10.0)] = 1.0
     count: int = 1
     pair: tuple[float, float] = (0.0, 1.0)
@@ -47,6 +52,9 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("x" * (MAX_BYTES + 1), "limit 0.2 MB"),
         ("size_m: true", "size_m: input should be a valid number (got True)"),
         ("size_m: '1'", "size_m: input should be a valid number (got '1')"),
+        ("pair: 1", "pair: must be a list, [a, b, …] (got 1)"),
+        ("pair: {a: 1}", "pair: must be a list, [a, b, …]"),
+        ("inside: [1]", "inside: must hold entries, `key: value`"),
         ("count: 1.5", "count: input should be a valid integer"),
         ("size_m: " + "9" * 5000, "size_m: cannot be read as a value"),
         ("size_m: " + "9" * 4000, "size_m: input should be"),
@@ -110,3 +118,31 @@ def test_what_is_written_is_read_back_in_its_order(tmp_path: Path) -> None:
     read = read_yaml(path).data
     assert read == data
     assert list(read) == list(data)
+
+
+class Titled(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    format: Literal["titled/1"]
+    name: str
+
+
+@pytest.mark.parametrize(
+    ("text", "model", "says"),
+    [
+        ("cable: 1\ncamera: 2\n", Titled, ":1:1: is no file of `format: titled/1`, and has cable,"),
+        ("name: a\nformat: small/1\n", Titled, ":2:1: format: is 'small/1'; give a file of `form"),
+        ("format: titled/1\nname: a\n", Small, ":1:1: format: is 'titled/1'; give settings of a"),
+        ("name: a\n", Titled, ":1:1: format: is missing; add it"),
+    ],
+)
+def test_a_file_of_another_kind_is_one_mistake(
+    tmp_path: Path, text: str, model: type[BaseModel], says: str
+) -> None:
+    """Settings given as a motion were told key by key, twelve lines of them."""
+    file = tmp_path / "a.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError) as caught:
+        validate(read_yaml(file), model)
+    (problem,) = caught.value.problems
+    assert says in str(problem)

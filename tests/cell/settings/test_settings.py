@@ -177,6 +177,16 @@ MISTAKES = [
         "motion.still_s: 0.2 s at 30 Hz makes 6 frames of the cable at rest; its noise is known "
         "from 8 or more, and without them every cable is rejected: give 0.27 s or more",
     ),
+    (
+        "gripper:\n",
+        "ledger:\n  shifts: ['06:00', 'noon']\ngripper:\n",
+        "'noon' is no time of a day",
+    ),
+    (
+        "gripper:\n",
+        "ledger:\n  shifts: ['06:00', '14:00+01:00']\ngripper:\n",
+        "'14:00+01:00' is no time of a day; write it as '06:00'",
+    ),
     ("y_m: [-0.111, -0.101]", "y_m: [-0.1110001, -0.111]", "less than the cable's thickness"),
     ("x_m: [-0.135, -0.130]", "x_m: [-0.1300001, -0.130]", "[-0.1300001, -0.13] is 1e-07 m wide"),
     ("x_m: [-0.06, 0.02]", "x_m: [-60, 20]", "limits.x_m[0]: input should be greater than or"),

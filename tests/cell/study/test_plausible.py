@@ -232,6 +232,9 @@ def test_a_marker_that_is_rounded_to_pixels_is_not_lost(swung: Study) -> None:
     xy_m = np.round(swung.trials[0].markers.xy_m, 3)
     (trial,) = with_trial(swung, xy_m=xy_m).trials
     assert frozen(trial, swung.arc_length_m, swung.cable.length_m) is None
+    xy_m[:, 2, 0], xy_m[:, 2, 1] = 0.25, np.nan  # a laser sees one coordinate, which may stay
+    (trial,) = with_trial(swung, xy_m=xy_m).trials
+    assert frozen(trial, swung.arc_length_m, swung.cable.length_m) is None
 
 
 def test_y_downwards_is_doubted(swung: Study, tmp_path: Path) -> None:
