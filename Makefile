@@ -55,7 +55,7 @@ compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests b
 
 tests: $(VENV)/.dev
 	$(MAKE) --no-print-directory -j 2 tests-real-time tests-computing
-	$(BIN)/pytest -n 3 --dist worksteal -m 'not real_time' --ignore $(COMPUTING)  # one more than cores: many tests wait
+	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time' --ignore $(COMPUTING)  # more than cores: many tests wait
 
 # Tests in real time leave half of the processor's time; what only computes takes no more than that.
 COMPUTING := tests/cell/lab
