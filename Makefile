@@ -166,7 +166,7 @@ kills: $(VENV)/.dev   ## 100 cells killed at random moments: what `cell recover`
 $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; none found on PATH (set PYTHON=/path/to/python3.11)"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --upgrade pip  # that of Python 3.11 takes twice as long
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --upgrade pip || true  # that of Python 3.11 takes twice as long
 
 $(VENV)/.user: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check -e .
