@@ -93,4 +93,5 @@ def _decay(decay: float) -> tuple[FloatArray, FloatArray]:
     """(64, 64) what each value of a block adds to each sum, (64,) what the last sum before adds."""
     order = np.arange(64)
     since = order[:, None] - order
-    return np.where(since >= 0, decay ** np.maximum(since, 0), 0.0).T, decay ** (order + 1.0)
+    later: FloatArray = np.asarray(decay ** (order + 1.0), dtype=np.float64)
+    return np.where(since >= 0, decay ** np.maximum(since, 0), 0.0).T, later

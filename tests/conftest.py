@@ -155,9 +155,24 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def _longest_first(items: list[pytest.Item]) -> None:
+    """Pages of docs and tests in a browser take up to a minute: all would wait for a late one.
+
+    Of `pytest -n` each process begins with a part of the tests: the first one with the docs, the
+    last one with the browser's.
+    """
+    kinds: dict[str, list[pytest.Item]] = {"docs": [], "browser": [], "": []}
+    for item in items:
+        browser = item.path.match("end_to_end/test_web*.py")
+        kinds["docs" if "docs" in item.path.parts else "browser" if browser else ""].append(item)
+    last = len(items) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    ordered = kinds["docs"] + kinds[""]
+    at = len(items) - last
+    items[:] = ordered[:at] + kinds["browser"] + ordered[at:]
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    # a page of docs takes up to a minute: begun last, all other processes would wait for it
-    items.sort(key=lambda item: "docs" not in item.path.parts)
+    _longest_first(items)
     if not config.getoption("--hardware"):
         for item in items:
             room = item.path.relative_to(Path(__file__).parent).as_posix()

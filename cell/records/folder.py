@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ class Record:
 
     def settings(self, settings: Mapping[str, Any]) -> None:
         """Settings as resolved."""
-        self._write("settings.yaml", yaml_text(settings))
+        self._write("settings.yaml", _yaml_of(json.dumps(settings)))
 
     def study(self, study: Study) -> None:
         """Write the trials so far as a study; replaces an earlier one."""
@@ -141,6 +142,12 @@ class LaterRecord(Record):
 
     def _write(self, name: str, content: str | bytes) -> None:
         """Nothing has a place yet."""
+
+
+@lru_cache(maxsize=8)
+def _yaml_of(settings: str) -> str:
+    """Settings in JSON as YAML; those of a product stay the same from cycle to cycle."""
+    return yaml_text(json.loads(settings))
 
 
 def acknowledge_record(folder: Path, by: str, note: str) -> None:
