@@ -16,6 +16,8 @@ SAME_M = 1e-7
 #: It stays in so many rows, of the outer part of the cable, while the hand or another marker moves
 #: by this share of the free length: a cable that is held at its clamp moves there by 1 % of it.
 ROWS, OUTER, MOVES = 6, 0.3, 0.1
+#: Steps of rounded values, of which one that only turns goes no more from row to row.
+STEPS = 3.0
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class Frozen:
 def frozen(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> Frozen | None:
     """A marker that stays exactly in place while the cable moves; None if there is none.
 
+    A rounded one that turns stays, too, but then moves on by a step and not by several.
     arc_length_m  (markers,) from the gripping point, as in `trial.markers`
     """
     t_s, xy_m = trial.markers.t_s, trial.markers.xy_m
@@ -41,7 +44,9 @@ def frozen(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> Froz
         for first, last in _stays(xy_m[:, marker]):
             rows = points_m[first : last + 1]
             moved_m = max(_reach_m(rows[:, other]) for other in range(rows.shape[1]))
-            if moved_m > MOVES * free_length_m:
+            several_m = STEPS * _step_m(xy_m[:, marker])
+            jumps = _jump_m(xy_m[:, marker], first, last) > several_m
+            if jumps and moved_m > max(MOVES * free_length_m, several_m):
                 return Frozen(int(marker), first, last, moved_m)
     return None
 
@@ -57,6 +62,25 @@ def _stays(xy_m: FloatArray) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(same.astype(int)))
     runs = zip(edges[::2], edges[1::2], strict=True)
     return [(int(seen[a]), int(seen[b])) for a, b in runs if b - a + 1 >= ROWS]
+
+
+def _step_m(xy_m: FloatArray) -> float:
+    """Smallest difference of two values of a point's coordinates (T, 2): their step, if rounded."""
+    steps = [np.diff(np.unique(v[np.isfinite(v)])) for v in xy_m.T]
+    return float(min((s.min() for s in steps if s.size), default=0.0))
+
+
+def _jump_m(xy_m: FloatArray, first: int, last: int) -> float:
+    """How far a point (T, 2) comes from before some rows, or goes after them; inf if it never does.
+
+    Along one coordinate.
+    """
+    seen = np.flatnonzero(np.isfinite(xy_m).all(axis=1))
+    if last == seen[-1]:
+        return np.inf
+    before = seen[max(np.searchsorted(seen, first) - 1, 0)]
+    after = seen[np.searchsorted(seen, last) + 1]
+    return float(np.abs(xy_m[[before, after]] - xy_m[[first, last]]).max())
 
 
 def _reach_m(xy_m: FloatArray) -> float:

@@ -209,7 +209,7 @@ class FitCache:
         return screens[base.names]
 
     def shortlist(self, base: FittedModel, best: int) -> list[type[Effect]]:
-        """The `best` of the screen, and what it may misjudge: what is not smooth, what was found."""
+        """The `best` of the screen, and what it may misjudge: the rough, and the found."""
         ranked = sorted(self.screened(base), key=lambda s: (s.score.p_value, -s.score.statistic))
         known = () if self.found is None else self.found.names
         more = [s.effect for s in ranked[best:] if not s.effect.smooth or s.effect.name in known]

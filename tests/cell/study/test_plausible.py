@@ -237,6 +237,18 @@ def test_a_marker_that_is_rounded_to_pixels_is_not_lost(swung: Study) -> None:
     assert frozen(trial, swung.arc_length_m, swung.cable.length_m) is None
 
 
+def test_a_marker_that_turns_is_not_lost_though_it_is_rounded(swung: Study) -> None:
+    """One step of 1.5 mm is more than a marker moves in some frames while the hand moves on."""
+    trial, step_m = swung.trials[0], 0.0015
+    xy_m = step_m * np.round(trial.markers.xy_m / step_m)
+    (rounded,) = with_trial(swung, xy_m=xy_m).trials
+    assert frozen(rounded, swung.arc_length_m, swung.cable.length_m) is None
+    xy_m[80:100, 2] = 0.0
+    (lost,) = with_trial(swung, xy_m=xy_m).trials
+    found = frozen(lost, swung.arc_length_m, swung.cable.length_m)
+    assert found is not None and (found.first, found.last) == (80, 99)
+
+
 def test_y_downwards_is_doubted(swung: Study, tmp_path: Path) -> None:
     """A naturally curved cable may rise, so this alone is no reason to refuse a study."""
     write_study(y_down(swung), tmp_path)
