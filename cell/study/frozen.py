@@ -78,8 +78,8 @@ def _jump_m(xy_m: FloatArray, first: int, last: int) -> float:
     seen = np.flatnonzero(np.isfinite(xy_m).all(axis=1))
     if last == seen[-1]:
         return np.inf
-    before = seen[max(np.searchsorted(seen, first) - 1, 0)]
-    after = seen[np.searchsorted(seen, last) + 1]
+    before = int(seen[max(int(np.searchsorted(seen, first)) - 1, 0)])
+    after = int(seen[int(np.searchsorted(seen, last)) + 1])
     return float(np.abs(xy_m[[before, after]] - xy_m[[first, last]]).max())
 
 
