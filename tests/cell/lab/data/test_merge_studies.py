@@ -100,7 +100,7 @@ def test_one_study_is_written_as_tables_whatever_hangs_in_it(record, measured, t
     xy_m = second.markers.xy_m + np.array([0.0, 0.003])
     second = replace(second, grip=first.grip, markers=replace(second.markers, xy_m=xy_m))
     study = replace(measured[0], trials=(first, second, *others))
-    assert len(merge_studies([record("first", study=study)], "x").trials) == 4
+    assert len(merge_studies([record("first", study=study)], "x").trials) == len(study.trials)
 
 
 def test_a_marker_that_is_never_seen_at_rest_tells_nothing(record, measured):

@@ -122,7 +122,7 @@ def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_b
     first = replace(first, hand_drift=HandDrift(0.1, 0.4, (1e-3, 1e-3)))
     sensed = replace(shown, study=replace(study, trials=(first, *rest)))
     parts = diagnosis_parts(Diagnosis(shown.noise_m, small, "complete"), [sensed], ())
-    assert "The study states: hand by accelerometer (1 of 4 trials)." in parts
+    assert "The study states: hand by accelerometer (1 of 3 trials)." in parts
 
 
 @pytest.mark.parametrize(
