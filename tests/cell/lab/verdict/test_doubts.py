@@ -43,7 +43,7 @@ def test_a_fit_that_cannot_be_right_says_so_in_its_first_line(loaded, tmp_path):
     trials = []
     for trial in loaded.trials:
         xy_m = np.roll(trial.markers.xy_m[:, :1], 110, axis=0)
-        creeps_m = 1e-6 * np.arange(110.0)[:, None, None]  # exactly still it would be one that is lost
+        creeps_m = 1e-6 * np.arange(110.0)[:, None, None]  # exactly still: one that is lost
         xy_m[:110] = trial.markers.xy_m[0, :1] + creeps_m
         trial = replace(trial, start="moving")
         trials.append(replace(trial, markers=Markers(trial.markers.t_s, xy_m)))
