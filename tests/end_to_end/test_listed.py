@@ -16,6 +16,7 @@ import pytest
 import cell
 from cell.build import build_cell
 from cell.records.ledger.entry import Entry
+from cell.records.ledger.error import LedgerError
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.ledger.outbox import outbox_of
 from cell.records.past_cycles import UNFINISHED
@@ -26,6 +27,14 @@ from cell.settings import Settings
 from .conftest import run
 
 CELL = [sys.executable, "-m", "cell"]
+
+
+def is_begun(place: Path) -> bool:
+    """Whether a run has listed a cycle: its ledger has tables then."""
+    try:
+        return place.with_suffix(".sqlite").exists() and bool(listed(place))
+    except LedgerError:
+        return False
 
 
 def listed(place: Path, wanted: Wanted | None = None):
@@ -125,10 +134,9 @@ def test_a_killed_run_is_never_listed_as_finished(quick_config: Path, tmp_path: 
     command = [*CELL, "run", "--config", str(paced), "--cycles", "5", "--out", str(runs)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         end_s = time.monotonic() + 60.0
-        while not any(runs.glob("*/state.json")) or not runs.with_suffix(".sqlite").exists():
+        while not any(runs.glob("*/state.json")) or not is_begun(runs):
             assert time.monotonic() < end_s
             time.sleep(0.05)
-        time.sleep(1.0)
         process.kill()
     (cycle,) = listed(runs)
     assert cycle.outcome == UNFINISHED
