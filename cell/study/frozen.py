@@ -33,7 +33,7 @@ class Frozen:
 def frozen(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> Frozen | None:
     """A marker that stays exactly in place while the cable moves; None if there is none.
 
-    A rounded one that turns stays, too, but then moves on by a step and not by several.
+    Rounded values of a marker that changes direction may stay, too; then they go on by one step.
     arc_length_m  (markers,) from the gripping point, as in `trial.markers`
     """
     t_s, xy_m = trial.markers.t_s, trial.markers.xy_m
