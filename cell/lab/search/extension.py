@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.fit.fitting import Fit, extended, fit_model, fit_trials, residuals, space_with
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.starts import each_once, is_new, scaled, typical
@@ -29,6 +29,8 @@ PLACES = 2
 #: A refit that explains less than this share of what the screen promises is in a wrong minimum, if
 #: there are other shapes to start from.
 KEPT = 0.5
+#: Passes after which a fit that is taken on has to be the lowest, as it promised.
+SOON_PASSES = 5
 #: Passes of a fit that looks for a place.
 SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
 
@@ -125,22 +127,27 @@ class Extension:
         """The fit that ends lowest, of fits from several starts.
 
         One that is on its way is no worse than one that has arrived.  So those are taken on that
-        promise to end below all others, and low enough for the effect to pay.
+        promise to end below all others, low enough for the effect to pay and to explain the study.
         """
         lowest = min(fits, key=lambda f: f.objective)
         if len(fits) == 1 or lowest.objective > options.above[0]:  # given up
             return lowest
         pays = self.base.fit.objective - penalty_of(self.prepared, [effect])
-        coming = [f for f in fits if f.promised_objective < min(lowest.objective, pays)]
+        noise = ERRS**2 * self.prepared.count(fit_trials(self.prepared))
+        limit = min(lowest.objective, pays, noise)
+        coming = [f for f in fits if f.promised_objective < limit]
         if all(f is lowest for f in coming):
             return lowest
-        return min([lowest, *map(self._taken_on, coming)], key=lambda f: f.objective)
+        for fit in sorted(coming, key=lambda f: f.promised_objective):
+            lowest = min(lowest, self._taken_on(fit, lowest.objective), key=lambda f: f.objective)
+        return lowest
 
-    def _taken_on(self, fit: Fit) -> Fit:
-        """A fit taken to convergence; as it is where it cannot be simulated."""
+    def _taken_on(self, fit: Fit, lowest: float) -> Fit:
+        """A fit taken to convergence, if it soon is the lowest; where that cannot be, as it is."""
+        options = replace(POLISH, above=(lowest, SOON_PASSES))
         with contextlib.suppress(*UNSIMULATED):
             alone = self.prepared.on_one_core()
-            return fit_model(alone, fit.space, fit.q, fit.initial_states, options=POLISH)
+            return fit_model(alone, fit.space, fit.q, fit.initial_states, options=options)
         return fit
 
     def _places(self, space: ParameterSpace, starts: Sequence[FloatArray]) -> list[FloatArray]:
@@ -173,21 +180,14 @@ def _guesses(screens: Sequence[ScreenedEffect]) -> list[FloatArray]:
     return [start for screened in screens for start in screened.starts]
 
 
-def polished(prepared: PreparedStudy, model: FittedModel) -> FittedModel:
-    """The model taken to convergence, or as near as it comes.
+def continued(prepared: PreparedStudy, model: FittedModel, options: Options) -> FittedModel:
+    """The model fitted from where it is, to the study as it is now.
 
-    One that ended where the cable can hardly be simulated stays there.
+    raises  UnsimulatedError
     """
-    with contextlib.suppress(*UNSIMULATED):
-        fit = fit_model(
-            prepared.on_one_core(),
-            model.fit.space,
-            model.fit.q,
-            model.fit.initial_states,
-            options=POLISH,
-        )
-        return weighed(prepared, model.effects, fit)
-    return model
+    fit, alone = model.fit, prepared.on_one_core()
+    again = fit_model(alone, fit.space, fit.q, fit.initial_states, options=options)
+    return weighed(prepared, model.effects, again)
 
 
 def by_effect(found: Sequence[ScreenedEffect]) -> Mapping[str, list[ScreenedEffect]]:

@@ -24,7 +24,7 @@ from cell.lab.fit.mesh import matters, mesh_error_m, without_mesh_error
 from cell.lab.fit.remainder import with_noise_beside
 from cell.lab.fit.starts import cold_start, taken_from
 from cell.lab.search.baseline import Baseline, BaselineFit
-from cell.lab.search.extension import Extension, by_effect
+from cell.lab.search.extension import Extension, by_effect, continued
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, Gain, gained, weighed
 from cell.lab.search.refits import Refits
 from cell.lab.search.screen import ScreenedEffect, screen
@@ -59,8 +59,8 @@ class FitCache:
     begin     where the baseline's fit begins; None = it is looked for
     sought    effects of `space` of which nothing is known: they are looked for as if the model
               lacked them where a fit from their typical size leaves more than the noise
-    found     a model beside which noise and the mesh's error are known already; it is fitted again,
-              so that a search cannot miss it
+    found     a model beside which noise and the mesh's error are known already
+    earlier   models of the search that ended there, by their effects: where fits begin
     """
 
     given: PreparedStudy
@@ -71,6 +71,7 @@ class FitCache:
     begin: FloatArray | None = None
     sought: tuple[type[Effect], ...] = ()
     found: FittedModel | None = None
+    earlier: Mapping[frozenset[str], FittedModel] = field(default_factory=dict)
     _memory: _Memory = field(default_factory=_Memory)
 
     @property
@@ -116,11 +117,8 @@ class FitCache:
     def _fit_found_again(self) -> None:
         """The model that was found, fitted to the study as it shows beside it."""
         if self.found is not None:
-            before, prepared = self.found.fit, self.prepared
             with contextlib.suppress(*UNSIMULATED):
-                states = before.initial_states
-                fit = fit_model(prepared, before.space, before.q, states, options=POLISH)
-                found = weighed(prepared, self.found.effects, fit)
+                found = continued(self.prepared, self.found, POLISH)
                 self._memory.models[found.names] = found
 
     def beside(self, found: FittedModel) -> FitCache | None:
@@ -141,7 +139,10 @@ class FitCache:
         if not (another or matters(prepared, error_m) or arcs_are_uncertain(prepared.study)):
             return None
         settled = without_mesh_error(prepared, found.fit, error_m)
-        return replace(self, given=settled, found=found, _memory=_Memory())
+        begin, earlier = self.baseline().fit.q, dict(self._memory.models)
+        return replace(
+            self, given=settled, begin=begin, found=found, earlier=earlier, _memory=_Memory()
+        )
 
     def explained_by(self, model: FittedModel) -> bool:
         """Whether a model leaves so little that the rest may be noise and the mesh's error."""
@@ -221,12 +222,14 @@ class FitCache:
         An effect with which the cable cannot be simulated from any start is left out.
         """
         memory = self._memory
-        screens = by_effect([*self.screened(base), *_screened_from_other_fits(self, base, effects)])
+        unknown = [e for e in effects if frozenset({*base.names, e.name}) not in self.earlier]
+        screens = by_effect([*self.screened(base), *_screened_from_other_fits(self, base, unknown)])
         offered = (*self.library.values(), *base.effects, *effects)
         return Refits(
             _extension(self, base),
             screens,
             offered,
+            self.earlier,
             memory.models,
             memory.polished,
             self.progress,
@@ -288,7 +291,7 @@ def _screened_from_other_fits(
 
     Where the best baseline has been bent to imitate an effect, its slopes mislead.
     """
-    if base is not fits.baseline():
+    if base is not fits.baseline() or not effects:
         return []
     found = [] if fits._tempered is None else screen(fits.prepared, fits._tempered, effects)
     if fits.prior_q is not None:

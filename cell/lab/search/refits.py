@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.cable.effects.base import Effect
-from cell.identify.gauss_newton import Options
+from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.lab.data.progress import Progress
 from cell.lab.data.side_by_side import side_by_side
 from cell.lab.fit.sensitivity import shapes_of
-from cell.lab.search.extension import Extension, polished
+from cell.lab.search.extension import Extension, continued
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel
 from cell.lab.search.screen import ScreenedEffect
 
@@ -42,6 +43,7 @@ class Refits:
 
     screens   by effect
     offered   effects that what is fitted may have
+    earlier   models of an earlier search, as `models`: fits begin there
     models    by their effects' names: what is known; results are added to it
     polished  those that gain nothing by being taken on; added to, too
     """
@@ -49,6 +51,7 @@ class Refits:
     extension: Extension
     screens: Mapping[str, Sequence[ScreenedEffect]]
     offered: Sequence[type[Effect]]
+    earlier: Mapping[frozenset[str], FittedModel]
     models: dict[frozenset[str], FittedModel]
     polished: set[frozenset[str]]
     progress: Progress
@@ -60,10 +63,16 @@ class Refits:
         done = itertools.count(len(effects) - len(unknown) + 1)
 
         def refitted(job: _Refit) -> FittedModel | None:
+            if known := self.earlier.get(self._key(job.effect)):
+                at_once = replace(job.options, above=(job.options.above[0], 1))
+                with contextlib.suppress(*UNSIMULATED):
+                    return continued(prepared, known, at_once)
             return self.extension.by(job.effect, self.screens[job.effect.name], job.options)
 
         def taken_on(model: FittedModel) -> FittedModel:
-            return polished(prepared, model)
+            with contextlib.suppress(*UNSIMULATED):  # it ended where hardly anything is simulated
+                return continued(prepared, model, POLISH)
+            return model
 
         def was_fitted(job: _Refit, model: FittedModel | None) -> None:
             if model is not None:

@@ -86,6 +86,7 @@ def noise_was_seen(prepared: PreparedStudy) -> bool:
     return prepared.noise_is_measured and not prepared.noise_model.stated
 
 
+@once_per_study
 def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     """The same of a converged mesh, and beside what the log of the hand may be wrong by.
 
