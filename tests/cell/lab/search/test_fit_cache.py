@@ -19,7 +19,7 @@ from cell.lab.fit.fitting import space_with
 from cell.lab.next.term_source import effect_source
 from cell.lab.next.terms import admissible
 from cell.lab.search import extension, fit_cache
-from cell.lab.search.extension import Extension, polished
+from cell.lab.search.extension import Extension
 from cell.lab.search.fit_cache import FitCache, rebased
 from cell.lab.search.fitted_model import FittedModel, weighed
 from cell.lab.search.refits import Refits
@@ -251,16 +251,20 @@ def test_candidates_of_another_process_have_the_effects_of_this_one(make_study, 
 
 def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_study, monkeypatch):
     """Taken on from there it could not begin, and the whole search ended."""
-    study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    study, load = make_study(seed=2), library()["tip_mass"]
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {load.name: load})
     base = fits.baseline()
+    (model,) = fits.fit_extended(base, [load])
+    on_its_way = replace(model.fit.solution, settled=False)
+    model = replace(model, fit=replace(model.fit, solution=on_its_way))
+    fits._memory.models[model.names] = model
 
     def impossible(*args, **options):
         raise UnsimulatedError("the model cannot be simulated at the start of the fit")
 
     monkeypatch.setattr(fit_cache, "fit_model", impossible)
     monkeypatch.setattr(extension, "fit_model", impossible)
-    assert polished(fits.prepared, base) is base
+    assert fits.fit_extended(base, [load]) == [model]
     assert rebased(fits, base.fit.q, 0.0) is fits
 
 
@@ -307,6 +311,6 @@ def test_a_refit_is_far_above_the_best_if_it_misses_much_of_what_the_best_brings
     base = SimpleNamespace(names=frozenset(), fit=SimpleNamespace(objective=before))
     best = SimpleNamespace(fit=SimpleNamespace(objective=1e3))
     known = {frozenset({lag.name}): best}
-    refits = Refits(SimpleNamespace(base=base), {}, (), known, set(), no_progress)
+    refits = Refits(SimpleNamespace(base=base), {}, (), {}, known, set(), no_progress)
     assert refits._far([lag]) == pytest.approx(far)
     assert refits._far([]) == np.inf

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from cell.cable.effects import library
+from cell.lab.data import side_by_side
 from cell.lab.data.named_effects import EffectSelection
+from cell.lab.search.extension import Extension
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from tools.worlds.breadth_world import World, hypercube
@@ -20,12 +22,21 @@ from tools.worlds.breadth_world import World, hypercube
         (57, "draught", "grip_slip"),
     ],
 )
-def test_a_strong_effect_is_found_alone(number, name, beside):
+def test_a_strong_effect_is_found_alone(number, name, beside, monkeypatch):
     world = World.of(hypercube(200, 901)[number], 9)
     _, clean, _ = world.showing(library()[name])
     study = world.study(clean, 9)
     offered = {n: library()[n] for n in (name, beside)}
+    begun, by = [], Extension.by
+
+    def counted(extension, effect, screens, options):
+        begun.append((extension.base.names, effect.name))
+        return by(extension, effect, screens, options)
+
+    monkeypatch.setattr(Extension, "by", counted)
+    monkeypatch.setattr(side_by_side, "threads", lambda: 1)
     found = diagnose(fit_cache_of(study, EffectSelection((), offered)))
     assert [m.effect for m in found.diagnosis.missing] == [name]
     true_m = world.conditions.noise_m * (1.0 + world.conditions.pixel**2 / 12.0) ** 0.5
     assert found.diagnosis.noise_m == pytest.approx(true_m, rel=0.03)
+    assert len(set(begun)) == len(begun) > 0, "the second search goes on from the first's fits"
