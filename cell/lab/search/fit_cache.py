@@ -34,6 +34,10 @@ FloatArray = NDArray[np.float64]
 
 #: Two fits of the same effects are different minima if one is so much likelier (logarithm).
 LIKELIER = 0.1
+#: Beside a model that explains the study no effect is refitted that chance makes as likely: of 615
+#: refits of 61 studies the score test was wrong by a factor of 6 at most, and found none below 0.02
+#: of the 326 beyond it.
+BY_CHANCE = 0.1
 
 
 @dataclass(eq=False)
@@ -210,11 +214,16 @@ class FitCache:
         return screens[base.names]
 
     def shortlist(self, base: FittedModel, best: int) -> list[type[Effect]]:
-        """The `best` of the screen, and what it may misjudge: the rough, and the found."""
+        """The `best` of the screen, and what it may misjudge: the rough, and the found.
+
+        Beside a model that explains the study a refit gains no more than its screen says.
+        """
         ranked = sorted(self.screened(base), key=lambda s: (s.score.p_value, -s.score.statistic))
+        most = BY_CHANCE if self.explained_by(base) else 1.0
+        likely = [s.effect for s in ranked if s.score.p_value <= most][:best]
         known = () if self.found is None else self.found.names
-        more = [s.effect for s in ranked[best:] if not s.effect.smooth or s.effect.name in known]
-        return [s.effect for s in ranked[:best]] + more
+        more = [s.effect for s in ranked if not s.effect.smooth or s.effect.name in known]
+        return [*likely, *(e for e in more if e not in likely)]
 
     def fit_extended(self, base: FittedModel, effects: Sequence[type[Effect]]) -> list[FittedModel]:
         """The model with each of the effects added to it, side by side on all cores.
