@@ -219,7 +219,8 @@ class FitCache:
         Beside a model that explains the study a refit gains no more than its screen says.
         """
         ranked = sorted(self.screened(base), key=lambda s: (s.score.p_value, -s.score.statistic))
-        most = BY_CHANCE if self.explained_by(base) else 1.0
+        explained = self.prepared.noise_is_measured and self.explained_by(base)
+        most = BY_CHANCE if explained else 1.0
         likely = [s.effect for s in ranked if s.score.p_value <= most][:best]
         known = () if self.found is None else self.found.names
         more = [s.effect for s in ranked if not s.effect.smooth or s.effect.name in known]
