@@ -56,7 +56,7 @@ WATCHED = (
 class _Commands(typer.core.TyperGroup):
     """All commands; Ctrl-C in one that has no answer to it is told, and ends it with 130."""
 
-    def invoke(self, ctx: typer.Context) -> Any:
+    def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
