@@ -1,5 +1,19 @@
-"""`python -m cell`: the same as the command `cell`."""
+"""`python -m cell`, and the command `cell`: whenever Ctrl-C comes, one line and 130."""
 
-from cell.cli import main
+import signal
+import sys
 
-main()
+
+def main() -> None:
+    """Entry point of the console script."""
+    try:
+        from cell.cli import main as command  # takes a while, in which one may change one's mind
+
+        command()
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise SystemExit(128 + signal.SIGINT) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -10,9 +10,10 @@ import os
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from cell.cli import (
     acknowledge,
@@ -51,8 +52,21 @@ WATCHED = (
     *("check", "effects", "promote", "export"),
 )
 
+
+class _Commands(typer.core.TyperGroup):
+    """All commands; Ctrl-C in one that has no answer to it is told, and ends it with 130."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            raise
+
+
 app = typer.Typer(
     name="cell",
+    cls=_Commands,
     help="Grips bendable cables, identifies each from pictures of its swing, and inserts it.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

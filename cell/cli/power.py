@@ -42,15 +42,15 @@ class _Power:
         ),
     ]
     verify: Annotated[
-        int,
+        int | None,
         typer.Option(
             "--verify",
             help="Hide the effect in so many copies of the study, diagnose each, and print what "
             "was found beside the forecast.",
-            min=0,
+            min=1,
             max=10_000,
         ),
-    ] = 0
+    ] = None
     motion: Annotated[
         list[Path] | None,
         typer.Option(
@@ -86,7 +86,9 @@ def power(given: _Power) -> None:
             fits = planned(fits, given.motion or [])
             config = given.config if given.verify else None  # no cluster is asked for nothing
             with workers(given.workers, config) as executor:
-                found = power_of(fits, asked, given.verify, progress=progress, executor=executor)
+                found = power_of(
+                    fits, asked, given.verify or 0, progress=progress, executor=executor
+                )
     result = PowerResult(found)
     data = result.to_json()
 

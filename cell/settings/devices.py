@@ -18,7 +18,7 @@ class SimulatedArm(Section):
     """Poses told and measured per second."""
     lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.03
     """How late it follows."""
-    noise_m: NotNegative = 10e-6
+    noise_m: Annotated[float, Field(ge=0.0, le=1e-3)] = 10e-6
     """Standard deviation of a measured coordinate."""
 
 

@@ -112,6 +112,13 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
     raises  InputError: no trial can be read
     """
     document = read_yaml(folder / "study.yaml")
+    given = document.data if isinstance(document.data, dict) else {"markers": None}
+    if "markers" not in given and [*folder.glob(f"*/{WRENCH_FILE}")]:
+        message = (
+            "is missing: a wrench alone does not show where the cable is; track one point of the "
+            "cable at least, such as its tip, and give its arc_length_m and its markers.csv"
+        )
+        raise InputError([document.problem(("markers",), message)])
     header = validate(document, _Study)
     cable = datasheet_of(header.cable.model_dump(exclude_none=True))
     problems = _implausible(document, header, cable)
@@ -300,6 +307,13 @@ def read_grip(path: Path) -> Motion:
 def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.intp]) -> Trial:
     motion = read_grip(folder / "grip.csv")
     count = len(header.markers.arc_length_m)
+    there = folder / WRENCH_FILE
+    if there.exists() and not (folder / "markers.csv").exists():
+        message = (
+            "is missing: a wrench alone does not show where the cable is; track one point of the "
+            f"cable at least, such as its tip, and give {', '.join(_marker_columns(count)[:3])}"
+        )
+        raise InputError.at(folder / "markers.csv", message)
     table = read_table(folder / "markers.csv", _marker_columns(count))
     check_times(table)
     t_s = table.values[:, 0]
@@ -321,7 +335,6 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
     )
     source = Source(table.path, np.array(table.lines), order)
     markers = Markers(t_s, xy_m[:, order], source)
-    there = folder / WRENCH_FILE
     wrench = read_wrench(there, motion) if there.exists() else None
     drift = None if trial.hand_drift is None else trial.hand_drift.drift()
     return Trial(

@@ -48,58 +48,35 @@ class Table:
 def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> Table:
     """Read the named columns, in this order whatever their order in the file.
 
+    Columns without a name in which nothing stands, as a spreadsheet writes them, are left out.
+
     optional  columns that may be missing, and are then not among the table's
     raises  InputError: the file, a column or a cell is missing, unknown or not a number
     """
-
-    def error(line: int, column: str, message: str) -> InputError:
-        return InputError([Problem(path, line, None, column, message)])
-
     text = read_text(path, MAX_BYTES)
     rows_given = text.count("\n")
     if rows_given > MAX_ROWS:
-        raise error(
-            MAX_ROWS, "", f"has {rows_given} rows, limit {MAX_ROWS}; cut it to the motion and the "
-            "swing after it, a few seconds, or leave out rows: 200 a second are plenty"
-        )  # fmt: skip
+        message = (
+            f"has {rows_given} rows, limit {MAX_ROWS}; cut it to the motion and the swing after "
+            "it, a few seconds, or leave out rows: 200 a second are plenty"
+        )
+        raise _error(path, MAX_ROWS, "", message)
     reader = _cells(path, text)
-    header = [name.strip() for name in next(reader, (1, []))[1]]
-    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise error(1, "", "columns must be separated by commas, with decimal points")
-    missing = [name for name in columns if name not in header]
-    columns = [*columns, *(name for name in optional if name in header)]
-    unknown = [name for name in header if name not in columns]
-    if missing:
-        close = difflib.get_close_matches(missing[0], unknown, 1, 0.5)
-        hint = f"; is {close[0]!r} meant for it?" if close else ""
-        raise error(
-            1, "", f"column {missing[0]} is missing ({len(missing)} in all){hint}; "
-            f"needed: {_listed(columns)}"
-        )  # fmt: skip
-    if unknown:
-        also = f"; possible: {_listed(optional)}" if optional else ""
-        raise error(1, unknown[0], f"unknown column; needed: {_listed(columns)}{also}; remove it")
-    if len(set(header)) < len(header):
-        twice = next(name for name in header if header.count(name) > 1)
-        raise error(1, twice, "column given twice; remove one")
-
+    given = [name.strip() for name in next(reader, (1, []))[1]]
+    header = [name for name in given if name]
+    columns = _all_columns(path, header, columns, optional)
     rows: list[list[float]] = []
     lines: list[int] = []
     for line, cells in reader:
         if not any(cell.strip() for cell in cells):
             continue
-        if len(cells) != len(header):
-            raise error(
-                line,
-                "",
-                f"has {len(cells)} cells, the header has {len(header)}; give one for each name, "
-                "1.5 and not 1,5 as a number",
-            )
+        cells = _named(path, line, cells, given)
         try:
             rows.append([float(cell) if cell.strip() else np.nan for cell in cells])
         except ValueError:
             bad = next(i for i, cell in enumerate(cells) if not _is_number(cell))
-            raise error(
+            raise _error(
+                path,
                 line,
                 header[bad],
                 f"{reprlib.repr(cells[bad])} is not a number; give one, or nan or nothing where "
@@ -113,6 +90,59 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
         ~np.isinf(ordered), lambda _: "is not finite; give nan or nothing where nothing was seen"
     )
     return table
+
+
+def _error(path: Path, line: int, column: str, message: str) -> InputError:
+    return InputError([Problem(path, line, None, column, message)])
+
+
+def _all_columns(
+    path: Path, header: Sequence[str], columns: Sequence[str], optional: Sequence[str]
+) -> list[str]:
+    """The wanted columns, and those of the optional ones that are there.
+
+    raises  InputError: one is missing, unknown or given twice
+    """
+    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+        raise _error(path, 1, "", "columns must be separated by commas, with decimal points")
+    missing = [name for name in columns if name not in header]
+    columns = [*columns, *(name for name in optional if name in header)]
+    unknown = [name for name in header if name not in columns]
+    if missing:
+        close = difflib.get_close_matches(missing[0], unknown, 1, 0.5)
+        hint = f"; is {close[0]!r} meant for it?" if close else ""
+        raise _error(
+            path, 1, "", f"column {missing[0]} is missing ({len(missing)} in all){hint}; "
+            f"needed: {_listed(columns)}"
+        )  # fmt: skip
+    if unknown:
+        also = f"; possible: {_listed(optional)}" if optional else ""
+        message = f"unknown column; needed: {_listed(columns)}{also}; remove it"
+        raise _error(path, 1, unknown[0], message)
+    if len(set(header)) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise _error(path, 1, twice, "column given twice; remove one")
+    return columns
+
+
+def _named(path: Path, line: int, cells: Sequence[str], given: Sequence[str]) -> list[str]:
+    """Cells of a line that have a name in the header.
+
+    raises  InputError: there are too few, or something stands where no name is
+    """
+    if any(cell.strip() for cell in cells[len(given) :]) or any(given[len(cells) :]):
+        raise _error(
+            path,
+            line,
+            "",
+            f"has {len(cells)} cells, the header has {len(given)}; give one for each name, "
+            "1.5 and not 1,5 as a number",
+        )
+    for i, (name, cell) in enumerate(zip(given, cells, strict=False)):
+        if not name and cell.strip():
+            message = f"has no name, yet {reprlib.repr(cell)} stands in it; empty it or name it"
+            raise _error(path, line, f"column {i + 1}", message)
+    return [cell for name, cell in zip(given, cells, strict=False) if name]
 
 
 def table_text(columns: Sequence[str], values: FloatArray) -> str:

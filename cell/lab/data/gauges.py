@@ -81,10 +81,19 @@ class Gauges:
         name = trial.name
         return Sensors(self.noises, self.gain_std, self.frames[name], self.rows[name])
 
-    def planned(self, frames: int) -> Sensors:
-        """The same of a motion that is not recorded yet, with a row of the wrench in each frame."""
-        every = np.ones(frames, dtype=np.bool_)
-        return Sensors(self.noises, self.gain_std, every, every)
+    def with_planned(
+        self, trials: Sequence[Trial], gain_std: float
+    ) -> tuple[tuple[Trial, ...], Gauges]:
+        """Trials that are not recorded yet with their wrenches among the markers, and where."""
+        joined = [_joined(t) for t in trials]
+        frames, rows = ({t.name: part[i] for t, *part in joined} for i in (0, 1))
+        known = replace(
+            self,
+            frames={**self.frames, **frames},
+            rows={**self.rows, **rows},
+            gain_std=gain_std,
+        )
+        return tuple(t for t, *_ in joined), known
 
     def are_in(self, trial: Trial) -> bool:
         """Whether a trial has these points: one that is planned has not."""

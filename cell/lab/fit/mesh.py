@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.whitening import arcs_are_uncertain, whiteners_of
@@ -86,7 +87,8 @@ def without_mesh_error(
             trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
         shown.append(trial)
     study = replace(prepared.study, trials=tuple(shown))
-    lines = _lines(prepared, fit) if arcs_are_uncertain(study) else {}
+    states = _initial_states(prepared, fit)
+    lines = lines_of(prepared, fit.model, states) if arcs_are_uncertain(study) else {}
     whiteners = whiteners_of(study, prepared.noise, prepared.gauges, lines)
     taken = {n: e + prepared.mesh_m.get(n, 0.0) for n, e in error_m.items()}
     mesh_m = {**prepared.mesh_m, **taken}
@@ -101,18 +103,21 @@ def _initial_states(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
     }
 
 
-def _lines(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
+def lines_of(
+    prepared: PreparedStudy, model: CableModel, initial_states: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
     """Per trial (times, markers, 2) change of a model's markers by a metre of arc length.
 
     What is measured of it errs with the markers that it is to explain: in long records that alone
     looks like a cable of another length.
+    initial_states  by trial (1, unknowns); as noted where it is missing
     """
     study, trials = prepared.study, prepared.study.trials
     arcs_m, step_m = study.arc_length_m, SLOPE_STEP * study.cable.length_m
     ends_m = [np.clip(arcs_m + d, 0.0, study.cable.length_m) for d in (-step_m, step_m)]
     below, above = (
         replace(prepared, study=replace(study, arc_length_m=at_m)).predict_all(
-            trials, [fit.model], _initial_states(prepared, fit)
+            trials, [model], initial_states
         )
         for at_m in ends_m
     )

@@ -18,10 +18,11 @@ from cell.identify.fit import variance_inflation
 from cell.identify.noise import across
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import noise_model_of
-from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.whitening import whiteners_of
+from cell.lab.data.prepared import ERRS, PreparedStudy
+from cell.lab.data.whitening import arcs_are_uncertain, whiteners_of
 from cell.lab.data.work import Work
 from cell.lab.fit.fitting import space_with
+from cell.lab.fit.mesh import lines_of
 from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
@@ -39,6 +40,24 @@ def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
     noise = replace(noise_model.noise, bias_m=BIAS_M)
     whiteners = whiteners_of(study, noise)
     return PreparedStudy(study, noise_model, noise, whiteners, SOLVER, work or Work())
+
+
+def along_lines(fit: SharedFit) -> list[PreparedStudy] | None:
+    """The cables, whose markers of uncertain arc length move along the line of a fitted model.
+
+    Where that explains them: else the line as measured is nearer to the true one.
+    returns  None if no cable has such markers and moves otherwise yet, or they are not explained
+    """
+    if fit.rms_m > ERRS * float(np.mean([c.noise.std_m for c in fit.cables])):
+        return None
+    found, changed = [], False
+    for i, cable in enumerate(fit.cables):
+        if not cable.lines and arcs_are_uncertain(cable.study):
+            lines = lines_of(cable, fit.model(i), {})
+            whiteners = whiteners_of(cable.study, cable.noise, cable.gauges, lines)
+            cable, changed = replace(cable, whiteners=whiteners, lines=lines), True
+        found.append(cable)
+    return found if changed else None
 
 
 def simulated_s(cable: PreparedStudy) -> float:
@@ -88,6 +107,22 @@ class SharedFit:
         noise_m = float(np.mean([c.noise.std_m for c in self.cables]))
         return noise_m * float(np.sqrt(self.chi2_by_cable.sum() / count))
 
+    def model(self, i: int) -> CableModel:
+        """Of a cable."""
+        q = self.space.mean.copy()
+        q[: self.own], q[self.common] = self.q[i], self.theta
+        return self.space.model(q)
+
+    @property
+    def end_std_m(self) -> float:
+        """By how much an end may be seen along its cable beside where it is: rms of all, m.
+
+        The marker there may have an uncertain arc length, beside what pictures do.
+        """
+        stds = [c.study.arc_length_std_m for c in self.cables]
+        squares = [0.0 if s is None else float(s[0]) ** 2 for s in stds]
+        return float(np.sqrt(BIAS_M**2 + np.mean(squares)))
+
     @cached_property
     def end_seen_beyond_m(self) -> FloatArray:
         """(cables,) how far along it a cable's end is seen from where the fit has it, mean of all
@@ -95,9 +130,7 @@ class SharedFit:
         """
         found = np.empty(len(self.cables))
         for i, cable in enumerate(self.cables):
-            q = self.space.mean.copy()
-            q[: self.own], q[self.common] = self.q[i], self.theta
-            predicted = cable.predict_all(cable.study.trials, [self.space.model(q)])
+            predicted = cable.predict_all(cable.study.trials, [self.model(i)])
             away = [
                 np.sum((trial.markers.xy_m[:, 0] - points[0, :, 0]) * along_end(trial), axis=1)
                 for trial, points in zip(cable.study.trials, predicted, strict=True)

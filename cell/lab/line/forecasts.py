@@ -156,7 +156,7 @@ def _forecast(
                 found.model,
                 trial.grip,
                 trial.markers.t_s,
-                np.array([cable.length_m]),
+                cycle.study.arc_length_m[:1],
                 solver=options.fit.solver,
             )[0, :, 0]
             for trial in (first, later)

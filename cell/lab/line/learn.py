@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,23 +11,24 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
 from cell.cable.solver import threads
-from cell.identify.identified import Identified
-from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
+from cell.identify.individual import IdentifyOptions
+from cell.identify.parameters import ParameterSpace
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.fitting import space_with
-from cell.lab.fit.shared import BIAS_M, SharedFit, Spread, fit_shared, prepared_cycle
+from cell.lab.fit.shared import SharedFit, Spread, along_lines, fit_shared, prepared_cycle
 from cell.lab.line.cables_space import SECOND, CablesSpace, Progress, on_all
 from cell.lab.line.effect_fit import Budget, EffectFit, is_tied
+from cell.lab.line.learned_cables import identified_cables, learned_from
 from cell.lab.search.stepwise import levels
 from cell.workers.executor import Executor
 from cell.workers.here import this_computer
 
 FloatArray = NDArray[np.float64]
 
-#: Cables that the library is tried on; and that a model is then fitted to, at most.
-TRIED_ON, FITTED_TO = 4, 12
+#: Cables that the library is tried on, at most.
+TRIED_ON = 4
 #: Effects that are added one after another, at most.
 MOST_EFFECTS = 2
 #: A model is complete for the line if it misses by no more than this above the noise, m.
@@ -113,88 +113,83 @@ def learn(
     """
     budget = Budget() if budget is None else budget
     executor = this_computer(min(threads(), len(cycles))) if executor is None else executor
-    usable = _identified(cycles, cable, options, progress, budget, executor)
-    chosen = _chosen(usable, budget)
-    prepared = [prepared_cycle(cycle.whole, budget.work) for cycle, _ in chosen]
-    plausible = np.array([found.mean for _, found in chosen])
-    base = options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2)
-    progress("fitting the present model")
-    alone = [fit_shared([p], base, plausible[i : i + 1]) for i, p in enumerate(prepared)]
-    few = prepared[:TRIED_ON]
-    others = [e for e in library.values() if e not in base.effects]
-    baseline = fit_shared(prepared, base, np.vstack([a.q for a in alone]))
-    names = tuple(c for c, _ in chosen)
-    none = result = LearningResult(names, baseline, (), None, (), (), ())
-    known(none)
-    if not negligible(baseline):
-        search = CablesSpace(tuple(few), base, plausible[:TRIED_ON], len(others), budget, progress)
-        space = _LearningSpace(search, alone[:TRIED_ON], prepared, plausible, others)
-        for step, (result,) in enumerate(levels(none, space.extended, space.kept)):
-            enough = result.best is not None and negligible(result.best.fit)
-            if enough or step == min(MOST_EFFECTS, len(others)):
-                break
-            if step:
-                known(result)
+    usable = identified_cables(cycles, cable, options, progress, budget, executor)
+    chosen = learned_from(usable, budget)
+    line = _Line(
+        tuple(c for c, _ in chosen),
+        options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2),
+        np.array([found.mean for _, found in chosen]),
+        tuple(library.values()),
+        budget,
+        progress,
+        known,
+    )
+    result = line.learned([prepared_cycle(cycle.whole, budget.work) for cycle, _ in chosen])
     return replace(result, left_out=tuple(budget.left_out))
 
 
-@dataclass(frozen=True)
-class _IdentifiedBy:
-    """A cycle's cable as its hold shows it, or why it cannot be identified."""
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """Cables that are learned from, and what is tried on them.
 
-    cable: Cable
-    options: IdentifyOptions
-
-    def __call__(self, cycle: RecordedCycle) -> Identified | str:
-        trial = cycle.held or cycle.study.trials[0]
-        try:
-            return identify(trial, cycle.study.arc_length_m, self.cable, options=self.options)
-        except CableRejectedError as error:
-            return str(error)
-
-
-def _identified(
-    cycles: Sequence[RecordedCycle],
-    cable: Cable,
-    options: IdentifyOptions,
-    progress: Progress,
-    budget: Budget,
-    executor: Executor,
-) -> list[tuple[RecordedCycle, Identified]]:
-    """Cycles with what each says of its own cable; what says nothing is left out, and told."""
-    usable = []
-    progress(f"identifying {len(cycles)} cables")
-    with closing(executor.map(_IdentifiedBy(cable, options), cycles)) as results:
-        for cycle, result in zip(cycles, results, strict=True):
-            found = result.value
-            if isinstance(found, str):
-                budget.left_out.append(f"{cycle.name}: it cannot be identified, {found}")
-                continue
-            progress(f"identified {cycle.name}")
-            usable.append((cycle, found))
-    if not usable:
-        raise ValueError("none of these cables could be identified: nothing can be learned")
-    return usable
-
-
-def _chosen(
-    usable: Sequence[tuple[RecordedCycle, Identified]], budget: Budget
-) -> list[tuple[RecordedCycle, Identified]]:
-    """Those that are learned from.
-
-    What was measured to tell effects apart comes first, then executions, which are judged by; of
-    these, those that the model misses most tell most.
+    base       parameters of one cable by the present model
+    plausible  (cables, own) each cable as its hold shows it
     """
 
-    def rank(pair: tuple[RecordedCycle, Identified]) -> tuple[bool, bool, float]:
-        cycle, found = pair
-        return cycle.held is not None, cycle.executed is None, -found.model_error_m
+    cycles: tuple[RecordedCycle, ...]
+    base: ParameterSpace
+    plausible: FloatArray
+    library: tuple[type[Effect], ...]
+    budget: Budget
+    progress: Progress
+    known: Callable[[LearningResult], None]
 
-    ranked = sorted(usable, key=rank)
-    if more := ranked[FITTED_TO:]:
-        named = ", ".join(sorted(cycle.name for cycle, _ in more))
-        budget.left_out.append(f"{named}: {FITTED_TO} cables are learned from at most")
-    return ranked[:FITTED_TO]
+    def learned(self, prepared: Sequence[PreparedStudy]) -> LearningResult:
+        """The effects that the present model lacks."""
+        alone, baseline = self._fitted(prepared)
+        if (moving := along_lines(baseline)) is not None:
+            alone, baseline = self._fitted(moving)
+        none = result = self._none(baseline)
+        self.known(none)
+        if negligible(baseline):
+            return none
+        space = self._space(alone, baseline)
+        for step, (result,) in enumerate(levels(none, space.extended, space.kept)):
+            result = self._along_its_lines(result)
+            enough = result.best is not None and negligible(result.best.fit)
+            if enough or step == min(MOST_EFFECTS, len(space.others)):
+                break
+            if step:
+                self.known(result)
+        return result
+
+    def _none(self, baseline: SharedFit) -> LearningResult:
+        return LearningResult(self.cycles, baseline, (), None, (), (), ())
+
+    def _space(self, alone: Sequence[SharedFit], baseline: SharedFit) -> _LearningSpace:
+        others = [e for e in self.library if e not in self.base.effects]
+        few, plausible = baseline.cables[:TRIED_ON], self.plausible[:TRIED_ON]
+        search = CablesSpace(few, self.base, plausible, len(others), self.budget, self.progress)
+        return _LearningSpace(search, alone[:TRIED_ON], baseline.cables, self.plausible, others)
+
+    def _along_its_lines(self, result: LearningResult) -> LearningResult:
+        """The result of one effect, fitted again where markers move along the line of its model."""
+        if result.best is None or result.simpler is not None:
+            return result
+        if (moving := along_lines(result.best.fit)) is None:
+            return result
+        alone, baseline = self._fitted(moving)
+        tried = [result.best, *result.ranking[1:]]
+        again = self._space(alone, baseline).fitted_to_all(self._none(baseline), tried)
+        return replace(again, tied=result.tied, ranking=result.ranking)
+
+    def _fitted(self, prepared: Sequence[PreparedStudy]) -> tuple[list[SharedFit], SharedFit]:
+        """The present model fitted to each cable, and to all."""
+        self.progress("fitting the present model")
+        alone = [
+            fit_shared([p], self.base, self.plausible[i : i + 1]) for i, p in enumerate(prepared)
+        ]
+        return alone, fit_shared(prepared, self.base, np.vstack([a.q for a in alone]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +236,7 @@ class _LearningSpace:
         """
         if not tried or tried[0].p_value >= SIGNIFICANCE:
             return []
-        found = self._result(result, tried)
+        found = self.fitted_to_all(result, tried)
         if result.best is None:
             return [found]
         single = self.search.last_alone(self.alone, tried[0])
@@ -251,9 +246,9 @@ class _LearningSpace:
             result, best=None, ranking=(), tied=(), spread=(), cycle_evidence=(), simpler=None
         )
         # what is as good as it beside the first is as good without
-        return [replace(self._result(none, [single]), tied=found.tied)]
+        return [replace(self.fitted_to_all(none, [single]), tied=found.tied)]
 
-    def _result(self, before: LearningResult, tried: Sequence[EffectFit]) -> LearningResult:
+    def fitted_to_all(self, before: LearningResult, tried: Sequence[EffectFit]) -> LearningResult:
         """The result with the best of these, fitted to all cables."""
         search = self.search
         simpler = before.baseline if before.best is None else before.best.fit
@@ -290,13 +285,13 @@ def negligible(fit: SharedFit) -> bool:
     noise_m = float(np.mean([c.noise.std_m for c in fit.cables]))
     if fit.rms_m**2 - noise_m**2 >= NEGLIGIBLE_M**2:
         return False
-    return ends_seen_beyond(fit) < CHANCE * BIAS_M
+    return ends_seen_beyond(fit) < CHANCE
 
 
 def ends_seen_beyond(fit: SharedFit) -> float:
-    """How far along them all cables' ends are seen from where a model has them, m.
+    """How far along them all cables' ends are seen from where a model has them, on average.
 
-    The mean, times the root of their number: as uncertain as of a single cable.
+    In standard deviations of that average.
     """
     beyond_m = fit.end_seen_beyond_m
-    return abs(float(beyond_m.mean())) * float(np.sqrt(len(beyond_m)))
+    return abs(float(beyond_m.mean())) * float(np.sqrt(len(beyond_m))) / fit.end_std_m

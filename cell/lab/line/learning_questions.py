@@ -12,7 +12,7 @@ from cell.cable.effects.base import Effect
 from cell.lab.data.check import Reading
 from cell.lab.data.noise_model import KNOWN_WITHIN
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.fit.shared import BIAS_M, SharedFit, Spread
+from cell.lab.fit.shared import SharedFit, Spread
 from cell.lab.line.effect_fit import EffectFit
 from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.learn import CHANCE, LearningResult, ends_seen_beyond
@@ -97,7 +97,7 @@ def error_ratio(evidence: LineEvidence) -> Reading | None:
 
 def ends_beyond(evidence: LineEvidence) -> Reading | None:
     """How far along them ends are seen from where the model has them, in standard deviations."""
-    return Reading(ends_seen_beyond(evidence.fit) / BIAS_M)
+    return Reading(ends_seen_beyond(evidence.fit))
 
 
 def most_tied(evidence: LineEvidence) -> Reading | None:

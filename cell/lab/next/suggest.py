@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,14 @@ from scipy.special import ndtr as normal_cdf
 
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
-from cell.cable.wrench import AS_POINTS
 from cell.identify.differences import difference_points
 from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.whitener import Whitener
+from cell.lab.data.planned_trials import planned_trials
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.rival import Rival
+from cell.lab.data.whitening import whiteners_of
 from cell.lab.next.strokes import TURN_RAD, Stroke, strokes
 from cell.lab.next.suggestion import Option, Suggestion
 from cell.lab.search.fitted_model import FittedModel
@@ -180,13 +182,16 @@ def _weighed(
 ) -> Option | str:
     """A stroke from where it is safe, and what it tells; or what it is refused for."""
     # The likeliest cable shows quickly where the stroke could begin, if anywhere.
-    cable = _simulated(prepared, [candidates[0].model], stroke, surroundings)[1]
+    known, trial = _trial(prepared, stroke, surroundings)
+    (shown,), cable = everywhere(known, trial, [candidates[0].model])
     start = _start(stroke, cable, np.zeros_like(cable), surroundings, rest_low_m)
     if isinstance(start, str):
         return start
+    whitener = _whitener(known, trial, shown)
+    trial = replace(trial, grip=start.motion())
     views, cables, spreads = [], [], []
     for candidate in candidates:
-        view, cable, spread = _open(prepared, candidate, start, surroundings)
+        view, cable, spread = _open(known, candidate, trial, whitener)
         views.append(view)
         cables.append(cable)
         spreads.append(SURELY * spread + MODEL_ERROR_M)
@@ -238,7 +243,8 @@ def _rest_low_m(
     for angle in np.linspace(home, angle_rad, steps):
         t_s = np.array([0.0, 0.05, 0.1])
         motion = Motion(t_s, 0 * t_s, 0 * t_s, np.full(3, angle))
-        trial = Trial("rest", "validate", "equilibrium", motion, _blank(prepared, t_s))
+        blank = Markers(t_s, np.zeros((len(t_s), len(prepared.study.arc_length_m), 2)))
+        trial = Trial("rest", "validate", "equilibrium", motion, blank)
         for model in models:
             low = min(
                 low, float(np.nan_to_num(everywhere(prepared, trial, [model])[1][..., 0]).min())
@@ -246,38 +252,30 @@ def _rest_low_m(
     return low - MODEL_ERROR_M
 
 
-def _simulated(
-    prepared: PreparedStudy, models: list[CableModel], stroke: Stroke, surroundings: Surroundings
-) -> tuple[FloatArray, FloatArray]:
-    """Markers, wrench and cable of models on a stroke, (models, times, points, 2), m."""
-    motion = stroke.motion()
-    frame_s = float(np.median(np.diff(prepared.unjoined.trials[0].markers.t_s)))
-    if surroundings.frame_rate_hz is not None:
-        frame_s = 1.0 / surroundings.frame_rate_hz
-    t_s = np.arange(frame_s, motion.t_s[-1], frame_s)
-    trial = Trial("stroke", "validate", "equilibrium", motion, _blank(prepared, t_s))
-    return everywhere(prepared, trial, models)
+def _trial(
+    prepared: PreparedStudy, stroke: Stroke, surroundings: Surroundings
+) -> tuple[PreparedStudy, Trial]:
+    """A stroke as a trial that is not recorded yet, and the study that knows of it."""
+    rate_hz = surroundings.frame_rate_hz
+    frame_s = None if rate_hz is None else 1.0 / rate_hz
+    known, (trial,) = planned_trials(prepared, [("stroke", stroke.motion())], frame_s)
+    return known, trial
 
 
-def _blank(prepared: PreparedStudy, t_s: FloatArray) -> Markers:
-    """What will be seen: all markers, and behind them the wrench of a study that has one."""
-    gauges = 0 if prepared.gauges is None else AS_POINTS
-    xy_m = np.zeros((len(t_s), len(prepared.study.arc_length_m) + gauges, 2))
-    if gauges:
-        xy_m[:, -1, -1] = np.nan  # the moment has one axis
-    return Markers(t_s, xy_m)
+def _whitener(prepared: PreparedStudy, trial: Trial, shown_m: FloatArray) -> Whitener:
+    """Of a trial that is not recorded yet.
 
-
-def _whitener(prepared: PreparedStudy, frames: int) -> Whitener:
-    """Of a motion that is not recorded yet."""
-    gauges = prepared.gauges
-    sensors = None if gauges is None else gauges.planned(frames)
-    seen_m = _blank(prepared, np.arange(float(frames))).xy_m
-    return Whitener(seen_m, prepared.noise, sensors=sensors)
+    shown_m  (times, points, 2) what it will show by and large: where arc lengths move the markers,
+             and what a gain changes of a wrench
+    """
+    xy_m = np.where(np.isfinite(trial.markers.xy_m), shown_m, np.nan)
+    shown = replace(trial, markers=replace(trial.markers, xy_m=xy_m))
+    study = replace(prepared.study, trials=(shown,))
+    return whiteners_of(study, prepared.noise, prepared.gauges)[trial.name]
 
 
 def _open(
-    prepared: PreparedStudy, candidate: Rival, stroke: Stroke, surroundings: Surroundings
+    prepared: PreparedStudy, candidate: Rival, trial: Trial, whitener: Whitener
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
     """What a candidate predicts, and how far the trials so far leave that open.
 
@@ -287,9 +285,9 @@ def _open(
     space, q = candidate.space, candidate.q
     step = space.difference_steps(q)
     lanes = [space.model(row) for row in difference_points(q, step)]
-    markers, cable = _simulated(prepared, lanes, stroke, surroundings)
+    markers, cable = everywhere(prepared, trial, lanes)
     root = covariance_root(candidate.covariance)
-    rows = _whitener(prepared, markers.shape[1])(markers)
+    rows = whitener(markers)
     open_rows = ((rows[1:] - rows[0]).T / step) @ root
     moves = np.tensordot(root.T / step, cable[1:] - cable[0], axes=1)
     return (rows[0], open_rows), cable[0], np.sqrt(np.sum(moves**2, axis=0))

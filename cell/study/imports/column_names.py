@@ -55,6 +55,9 @@ _OTHER = frozenset(
      "residuals", "error", "likelihood", "confidence", "quality", "probability", "visible",
      "valid", "status", "std", "cov", "temperature", "current", "voltage", "cameras")
 )  # fmt: skip
+#: Of a force or moment.
+_WRENCH = re.compile(r"force|torque|moment|[fmt][xyz]?|kraft")
+_OF_WRENCH = frozenset(("n", "nm", "n·m", "n*m", "n m", "mn", "mnm"))
 #: Words that say what kind of number a coordinate is, not of which point.
 _FILLER = frozenset(
     ("pos", "position", "coord", "coordinate", "coordinates", "trans", "translation", "location",
@@ -71,6 +74,15 @@ _OF_ACCELERATION = ("m/s^2", "mm/s^2", "g")
 _ENCODER = frozenset(("encoder", "enc", "counts", "ticks", "pulses", "geber", "inkremente"))
 _OF_KIND = {Kind.TIME: _TIME, Kind.FRAME: _FRAME, Kind.ENCODER: _ENCODER}
 _ORDER_OF_ROTATION = {"roll": "x", "pitch": "y", "yaw": "z"}
+
+
+def is_of_wrench(name: str) -> bool:
+    """Whether a column seems to hold a force or a moment."""
+    bare, unit = split_unit(name)
+    words = _words(bare)
+    of_unit = unit.lower() in _OF_WRENCH or (words and words[-1] in _OF_WRENCH)
+    named = any(_WRENCH.fullmatch(word) for word in words)
+    return named and bool(of_unit or {"force", "torque", "moment"} & set(words))
 
 
 def meaning(column: Column) -> Meaning:

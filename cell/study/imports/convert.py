@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cell.cable.geometry import Cable, Motion
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Key
-from cell.study.data import Markers, Source, Study, Trial
+from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
 from cell.study.imports.capture import Capture, TextForm
 from cell.study.imports.hand_path import HandPath, hand_path
@@ -86,6 +86,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         mapping.gravity_m_per_s2,
         mapping.noise_std_m,
         arc_length_std_m=None if stds is None else stds[order],
+        sensor=WrenchSensor() if mapping.wrench is None else mapping.wrench.sensor(),
     )
     return Imported(study, tuple(notes))
 
@@ -185,7 +186,10 @@ def _measured(
     markers = Markers(t_s[seen] - zero_s, xy_m[seen], source)
     motion, path = _motion(read, entry, captures, zero_s, markers)
     drift = path.drift if entry.hand_drift is None else entry.hand_drift.drift()
-    trial = Trial(entry.name, entry.role, entry.start, motion, markers, entry.release_s, drift)
+    wrench = None if mapping.wrench is None else mapping.wrench.wrench(capture, t_s - zero_s)
+    trial = Trial(
+        entry.name, entry.role, entry.start, motion, markers, entry.release_s, drift, wrench
+    )
     known = [a[seen] for a in across if a is not None]
     deep = np.stack(known, axis=1) if len(known) == len(across) else None
     return Measured(trial, capture, seen, deep, (path.note,) if path.note else ())

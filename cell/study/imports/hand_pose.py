@@ -24,6 +24,8 @@ _TURNS = 0.05
 _SIGN, _QUARTER, _UNIT = 0.02, 0.3, 0.05
 #: The cable's root and a right reading agree at rest within this, rad; else an offset is needed.
 _AGREES = 0.35
+#: The same of a root that only the line to a single marker shows: a cable droops.
+_DROOPS = 1.0
 
 
 @dataclass(frozen=True)
@@ -32,10 +34,17 @@ class Root:
 
     angle_rad  (rows,) of the markers' file, rough while it moves
     rest_rad   at rest
+    is_line    it is that of the line to the only marker, from which a drooping cable departs
     """
 
     angle_rad: FloatArray
     rest_rad: float
+    is_line: bool = False
+
+    @property
+    def agrees_rad(self) -> float:
+        """The root and a right reading agree at rest within this."""
+        return _DROOPS if self.is_line else _AGREES
 
 
 def clamp_angle(
@@ -66,6 +75,8 @@ def clamp_angle(
         f"no angle of the hand is in the file: it is taken as constant, {np.degrees(angle):.2f}°, "
         "as the markers show at rest"
     )
+    if root.is_line:
+        sentence += "; that is the line to the only marker, from which a cable droops: measure it"
     return AngleSection(constant_rad=angle), [Finding("hand.angle", sentence, Sure.GUESSED)]
 
 
@@ -74,7 +85,7 @@ def _of_line(
 ) -> tuple[AngleSection, list[Finding]]:
     """The line between two points of the hand, along the cable or against it."""
     offset = _wrapped(root.rest_rad - shown_rad)
-    offset = 0.0 if abs(offset) < _AGREES else offset
+    offset = 0.0 if abs(offset) < root.agrees_rad else offset
     if abs(abs(offset) - np.pi) < _AGREES:
         offset = float(np.pi)
     sentence = f"the clamp angle is that of the line between {hand!r} and {second.name!r}"
@@ -121,7 +132,7 @@ def _of_column(
                 options.append((cost, off, word, s, offset))
     _, off, word, s, offset = min(options)
     findings = []
-    if off > _AGREES:
+    if off > root.agrees_rad:
         offset = float(round(_wrapped(root.rest_rad - s * RADIANS[word] * rest), 4))
         sentence = f"{name!r} is {np.degrees(off):.0f}° from what the cable shows at rest: "
         findings.append(
@@ -148,9 +159,10 @@ def _sign(values: FloatArray, root: Root) -> float:
     if len(values) != len(root.angle_rad):
         return 0.0
     good = np.isfinite(values) & np.isfinite(root.angle_rad)
-    turned, shown = values[good] - np.mean(values[good]), root.angle_rad[good]
+    turned, shown = values[good], root.angle_rad[good]
     if not len(turned) or min(np.ptp(turned), np.ptp(shown)) < _TURNS:
         return 0.0
+    turned = turned - turned.mean()
     slope = float(turned @ (shown - shown.mean()))
     size = float(np.linalg.norm(turned) * np.linalg.norm(shown - shown.mean()))
     return float(np.sign(slope)) if abs(slope) > 0.5 * size else 0.0
@@ -169,7 +181,7 @@ def _of_body(
     seen = body_axis(rows, best)[0] if len(rows) else leaving
     shown = float(np.arctan2(-(seen @ up), -(seen @ right)))
     offset = _wrapped(root.rest_rad - shown)
-    offset = float(round(offset, 4)) if abs(offset) > _AGREES else 0.0
+    offset = float(round(offset, 4)) if abs(offset) > root.agrees_rad else 0.0
     sentence = f"the hand turns as {four[0]!r} … say; the cable leaves along its axis {best}"
     section = AngleSection(quaternion=list(four), body_axis=best, offset_rad=offset)
     return section, [Finding("hand.angle", sentence, Sure.GUESSED)]

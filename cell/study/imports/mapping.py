@@ -28,6 +28,7 @@ from cell.study.imports.hand_section import (
     hand_problems,
     wanted_of_hand,
 )
+from cell.study.imports.wrench_section import WrenchSection, wrench_problems
 
 FORMAT: Final = "cable-import/1"
 FILE = "import.yaml"
@@ -106,6 +107,7 @@ class Mapping(Part):
     lost: tuple[Finite, ...] = ()
     axes: AxesSection
     hand: HandSection
+    wrench: WrenchSection | None = None
     markers: Annotated[list[MarkerEntry], Field(min_length=1)]
     trials: Annotated[list[TrialEntry], Field(min_length=1)]
 
@@ -136,6 +138,7 @@ def read_mapping(path: Path) -> ReadMapping:
         *hand_problems(document, mapping.hand),
         *_twice(document, mapping),
         *_of_sensors(document, mapping),
+        *wrench_problems(document, mapping.wrench),
     ]
     if problems:
         raise InputError(problems)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cell.study.imports.capture import Capture
 from cell.study.imports.choosing import Chosen, choose, seen_places
+from cell.study.imports.column_names import is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.directions import find_axes
@@ -29,6 +30,8 @@ FloatArray = NDArray[np.float64]
 
 #: A proposed arc length this much longer than the stated cable is its tip.
 _TIP = 0.02
+#: Points of a chain that show a line and no bend.
+_A_LINE = 2
 
 
 @dataclass(frozen=True)
@@ -274,7 +277,8 @@ def _hand_elsewhere(
 def _root_at_rest(scene: _Scene) -> Root:
     """The clamp angle as the markers show it at rest, where they have no rows in common with it."""
     shape = scene.shape
-    return Root(np.full(1, np.nan), _angle_of(root_direction(shape)) if len(shape) > 1 else 0.0)
+    angle = _angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
+    return Root(np.full(1, np.nan), angle, len(shape) <= _A_LINE)
 
 
 def _root(scene: _Scene) -> Root:
@@ -283,7 +287,7 @@ def _root(scene: _Scene) -> Root:
     whole = np.isfinite(scene.xy_m).all(axis=(1, 2))
     directions = [root_direction(shape) for shape in scene.xy_m[whole]]
     angle[whole] = np.unwrap([_angle_of(d) for d in directions])
-    return Root(angle, _angle_of(root_direction(scene.shape)))
+    return Root(angle, _angle_of(root_direction(scene.shape)), len(scene.shape) <= _A_LINE)
 
 
 def _angle_of(direction: FloatArray) -> float:
@@ -336,4 +340,6 @@ def _unused(inside: Contents, chosen: Chosen, capture: Capture) -> list[Finding]
         return []
     more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
     sentence = f"not used of {capture.path.name}: columns {', '.join(rest[:8])}{more}"
+    if any(is_of_wrench(name) for name in rest):
+        sentence += "; a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}"
     return [Finding("unused", sentence, Sure.SEEN)]

@@ -31,7 +31,9 @@ from cell.study.imports.mapping import (
     TrialEntry,
 )
 from cell.study.imports.proposal import mapping_text
+from cell.study.imports.wrench_section import wrench_section
 from cell.study.table import table_text
+from cell.study.wrench_file import COLUMNS
 
 FloatArray = NDArray[np.float64]
 
@@ -73,9 +75,16 @@ def _check_same(study: Study, back: Study) -> None:
             *((getattr(thin.grip, k), getattr(read.grip, k)) for k in _POSE),
             (thin.markers.t_s, read.markers.t_s),
             (thin.markers.xy_m, read.markers.xy_m),
+            *zip(_of_wrench(thin), _of_wrench(read), strict=True),
         ]
     if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
         raise NotReadBackError(f"{study.name} does not read back as it was written")
+
+
+def _of_wrench(trial: Trial) -> tuple[FloatArray, FloatArray]:
+    """Times and values of a trial's wrench; none = no rows."""
+    wrench = trial.wrench
+    return (np.empty(0), np.empty((0, 3))) if wrench is None else (wrench.t_s, wrench.values)
 
 
 def _stated(study: Study) -> tuple[object, ...]:
@@ -88,28 +97,27 @@ def _stated(study: Study) -> tuple[object, ...]:
         study.noise_std_m,
         None if std_m is None else std_m.tolist(),
         [(t.name, t.role, t.start, t.release_s, t.hand_drift) for t in study.trials],
+        study.sensor,
     )
 
 
 def write_wide(study: Study, folder: Path) -> list[Path]:
     """Write every trial as one wide table, and a mapping that imports them to the same study.
 
-    A row for every time of hand or markers; empty where nothing was measured at it.  Where frames
-    show no marker, a column tells which rows are frames.
+    A row for every time of hand, markers or wrench; empty where nothing was measured at it.  Where
+    frames show no marker, a column tells which rows are frames.
 
     raises  OSError: it cannot be written; nothing has changed
     """
     names = _marker_names(len(study.arc_length_m))
-    frames = [_FRAME] if any(_shows_none(t).any() for t in study.trials) else []
+    mapping = _mapping_of(study, names)
+    if any(_shows_none(t).any() for t in study.trials):
+        mapping = mapping.model_copy(update={"frames": _FRAME})
+    columns = _columns(names, mapping)
     files: dict[Path, str | bytes] = {
-        folder / f"{trial.name}.csv": table_text(
-            [*_columns(names), *frames], _rows(trial)[:, : 4 + 2 * len(names) + len(frames)]
-        )
+        folder / f"{trial.name}.csv": table_text(list(columns), _rows(trial, columns))
         for trial in study.trials
     }
-    mapping = _mapping_of(study, names)
-    if frames:
-        mapping = mapping.model_copy(update={"frames": _FRAME})
     files[folder / FILE] = mapping_text(mapping, (), f"cell import {FILE}")
     write_all(files)
     return list(files)
@@ -120,9 +128,13 @@ def _marker_names(count: int) -> list[str]:
     return ["tip", *(f"m{i}" for i in range(1, count))]
 
 
-def _columns(names: Sequence[str]) -> list[str]:
+def _columns(names: Sequence[str], mapping: Mapping) -> dict[str, int]:
+    """Names of a table's columns, and which of `_rows`' each is."""
     places = [f"{name}_{axis}_m" for name in names for axis in "xy"]
-    return ["time_s", "hand_x_m", "hand_y_m", "hand_angle_rad", *places]
+    every = ["time_s", "hand_x_m", "hand_y_m", "hand_angle_rad", *places, *COLUMNS, _FRAME]
+    of_wrench = [] if mapping.wrench is None else mapping.wrench.columns
+    kept = {*every[: -1 - len(COLUMNS)], *of_wrench, mapping.frames}
+    return {name: number for number, name in enumerate(every) if name in kept}
 
 
 def _shows_none(trial: Trial) -> NDArray[np.bool_]:
@@ -130,18 +142,23 @@ def _shows_none(trial: Trial) -> NDArray[np.bool_]:
     return np.asarray(~np.isfinite(trial.markers.xy_m).any(axis=(1, 2)))
 
 
-def _rows(trial: Trial) -> FloatArray:
-    """(times, columns) of hand and markers, and last whether a row is a frame."""
+def _rows(trial: Trial, columns: dict[str, int]) -> FloatArray:
+    """(times, columns) of those of hand, markers, wrench, and whether a row is a frame."""
     grip, markers = trial.grip, trial.markers
-    times = np.union1d(grip.t_s, markers.t_s)
-    rows = np.full((len(times), 5 + 2 * markers.xy_m.shape[1]), np.nan)
-    rows[:, 0] = times
-    poses = np.column_stack([grip.x_m, grip.y_m, grip.angle_rad])
-    rows[np.searchsorted(times, grip.t_s), 1:4] = poses
-    seen = markers.xy_m.reshape(len(markers.t_s), -1)
-    rows[np.searchsorted(times, markers.t_s), 4:-1] = seen
-    rows[:, -1] = np.isin(times, markers.t_s)
-    return rows
+    wrench_s, wrench = _of_wrench(trial)
+    parts = (
+        (grip.t_s, np.column_stack([grip.x_m, grip.y_m, grip.angle_rad])),
+        (markers.t_s, markers.xy_m.reshape(len(markers.t_s), -1)),
+        (wrench_s, wrench),
+    )
+    times = np.unique(np.concatenate([t_s for t_s, _ in parts]))
+    rows = [times[:, None]]
+    for t_s, values in parts:
+        part = np.full((len(times), values.shape[1]), np.nan)
+        part[np.searchsorted(times, t_s)] = values
+        rows.append(part)
+    is_frame = np.isin(times, markers.t_s)[:, None]
+    return np.hstack([*rows, is_frame])[:, list(columns.values())]
 
 
 def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
@@ -162,6 +179,7 @@ def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
             columns=["hand_x_m", "hand_y_m"],
             angle=AngleSection(column="hand_angle_rad", radians_per_unit=1.0),
         ),
+        wrench=wrench_section(study, COLUMNS),
         markers=[
             MarkerEntry(
                 name=n, columns=[f"{n}_x_m", f"{n}_y_m"], arc_length_m=float(s), arc_length_std_m=d

@@ -6,10 +6,14 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
+from cell.__main__ import main
+from cell.cli import app
 from cell.cli.shared import answering, stoppable
 
 
@@ -58,3 +62,25 @@ def test_the_compiler_comes_to_its_end() -> None:
         time.sleep(5.0)
     assert compiler["done"] == [1]
     assert interrupted
+
+
+def interrupted(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_a_command_without_an_answer_says_that_it_was_interrupted(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("cell.settings.load_settings", interrupted)
+    done = CliRunner().invoke(app, ["check", "--config", str(tmp_path / "cell.yaml")])
+    assert (done.exit_code, done.stderr) == (130, "interrupted\n")
+
+
+def test_before_there_is_a_command_one_line_is_said_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("cell.cli.main", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "interrupted\n"

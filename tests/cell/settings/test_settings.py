@@ -131,6 +131,7 @@ MISTAKES = [
     ("  velocity_m_per_s: 0.6", "  velocity_m_per_s: 600", "limits.velocity_m_per_s: input should"),
     ("  velocity_m_per_s: 0.6", "  velocity_m_per_s: 60", "(got 60); give m/s, not mm/s"),
     ("lag_s: 0.03", "lag_s: 30", "(got 30); give seconds, not milliseconds"),
+    ("lag_s: 0.03", "lag_s: 0.03\n  noise_m: 0.1", "(got 0.1); give metres, not millimetres"),
     ("angle_rad: 0.0}", "angle_rad: 45}", "(got 45); give radians, not degrees"),
     ("y_m: [-0.111, -0.101]", "y_m: [-0.101, -0.111]", "is not a range; give [lower, upper]"),
     ("y_m: [-0.111, -0.101]", "y_m: [0.505, 0.515]", "destination.y_m: [0.505, 0.515] is out of"),

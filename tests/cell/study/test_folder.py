@@ -302,6 +302,11 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("identify/grip.csv", lines(lambda r: r[:2]), "has 1 rows, needs at least 2"),
     ("identify/grip.csv", lambda text: text.replace(",", ";"), "separated by commas"),
     ("identify/markers.csv", cell(3, 2, "1,5"), "markers.csv:4: has 8 cells, the header has 7"),
+    (
+        "identify/markers.csv",
+        lines(lambda r: [r[0] + ",", *(x + "," for x in r[1:-1]), r[-1] + ",late"]),
+        "markers.csv:6: column 8: has no name, yet 'late' stands in it; empty it or name it",
+    ),
     ("identify/markers.csv", cell(3, 2, "n/a"), "markers.csv:4: y0_m: 'n/a' is not a number"),
     ("identify/markers.csv", cell(3, 2, "inf"), "markers.csv:4: y0_m: inf is not finite"),
     ("identify/markers.csv", cell(3, 2, "-12.5"), "1.5 free lengths) from the gripping point"),
@@ -330,6 +335,18 @@ def test_a_mistake_is_named_with_place_and_remedy(
         read_study(tmp_path)
     assert message in str(caught.value)
     assert f"{tmp_path}" in str(caught.value)
+
+
+@pytest.mark.parametrize("edge", [",,", ", ,"])
+def test_empty_columns_of_a_spreadsheet_are_no_columns(tmp_path: Path, edge: str) -> None:
+    write_study(study(), tmp_path)
+    for file in tmp_path.glob("*/*.csv"):
+        header, *rows = file.read_text().splitlines()
+        first, rest = header.split(",", 1)
+        padded = [f"{first},,{rest}{edge}"]
+        padded += [x.replace(",", ",,", 1) + (edge if i % 2 else "") for i, x in enumerate(rows)]
+        file.write_text("\n".join(padded) + "\n")
+    same(read_study(tmp_path), study())
 
 
 def test_on_a_full_disk_the_former_study_stays(tmp_path: Path, full_disk: None) -> None:

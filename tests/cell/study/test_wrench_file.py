@@ -112,6 +112,22 @@ def test_another_clock_is_refused(made, tmp_path):
     assert "put both on one clock" in refused(tmp_path).message
 
 
+def test_a_wrench_without_markers_is_refused_with_what_is_needed(made, tmp_path):
+    write_study(replace(made, trials=made.trials[:1]), tmp_path)
+    (tmp_path / "identify" / "markers.csv").unlink()
+    problem = refused(tmp_path)
+    assert problem.path == tmp_path / "identify" / "markers.csv"
+    assert "a wrench alone does not show where the cable is" in problem.message
+    assert problem.message.endswith("give t_s, x0_m, y0_m")
+    header = tmp_path / "study.yaml"
+    text = header.read_text()
+    begin, end = text.index("markers:"), text.index("trials:")
+    header.write_text(text[:begin] + text[end:])
+    problem = refused(tmp_path)
+    assert (problem.path, problem.key) == (header, "markers")
+    assert "give its arc_length_m and its markers.csv" in problem.message
+
+
 def test_a_key_without_a_file_is_refused(made, tmp_path):
     bare = replace(made, sensor=SENSOR, trials=tuple(replace(t, wrench=None) for t in made.trials))
     write_study(bare, tmp_path)

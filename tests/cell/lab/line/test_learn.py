@@ -34,7 +34,14 @@ from cell.identify.individual import (
 from cell.lab.data.check import Answer
 from cell.lab.data.cycles import RecordedCycle, read_cycles
 from cell.lab.data.named_effects import select_effects
-from cell.lab.fit.shared import SharedFit, Spread, along_end, fit_shared, prepared_cycle
+from cell.lab.fit.shared import (
+    BIAS_M,
+    SharedFit,
+    Spread,
+    along_end,
+    fit_shared,
+    prepared_cycle,
+)
 from cell.lab.line.cables_space import ALL_PASSES, CablesSpace, library_first, on_all
 from cell.lab.line.candidate import lines_of, section, write_candidate
 from cell.lab.line.effect_fit import TIE, Budget, EffectFit
@@ -61,6 +68,8 @@ from cell.study.folder import write_study
 from tools.studies.coverage_study import Errors
 from tools.studies.loop_study import SEEN, cycles_of, recorded_cycle
 from tools.worlds.fast_cell import fast_cycle, with_world
+from tools.worlds.rig_kinds import KINDS
+from tools.worlds.rigs import rig_study
 
 ROOT = Path(__file__).parents[4]
 CONFIG = ROOT / "config" / "fake.yaml"
@@ -127,6 +136,72 @@ def test_a_cable_left_out_is_forecast_better_and_the_candidate_passes(
     stated = back.model.effects[0].parameters["drag_coefficient"]
     assert not isinstance(stated, str)
     assert stated.fixed == pytest.approx(2.0, abs=3.0 * stated.std)
+
+
+def test_a_marker_that_is_not_at_the_tip_is_forecast_where_it_is(result: LearningResult) -> None:
+    task, cycle = cell_task(SETTINGS), result.cycles[0]
+    assert cycle.held is not None
+
+    def without_tip(trial: Trial) -> Trial:
+        markers = trial.markers
+        return replace(trial, markers=Markers(markers.t_s, markers.xy_m[:, 1:]))
+
+    held = without_tip(cycle.held)
+    study = replace(cycle.study, arc_length_m=cycle.study.arc_length_m[1:], trials=(held,))
+    other = replace(cycle, study=study, held=held, executed=None)
+    one = replace(result, cycles=(other,))
+    (found,) = forecasts(one, task.cable, task.identification, task.destination)
+    assert found.candidate_rms_m < 5e-4
+
+
+def bent(study: Study) -> Study:
+    held = replace(study.trials[0], start="held", release_s=0.1)
+    return replace(study, trials=(held, *study.trials[1:]))
+
+
+def one_coordinate(study: Study) -> Study:
+    return replace(
+        study,
+        trials=tuple(
+            replace(t, markers=Markers(t.markers.t_s, t.markers.xy_m * [np.nan, 1.0]))
+            for t in study.trials
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (bent, "trial identify has `start: held`, a line's cables begin at rest"),
+        (one_coordinate, "one coordinate is measured, a line needs both"),
+        (lambda s: replace(s, gravity_m_per_s2=(0.0, 0.0)), "gravity is [0.0, 0.0], a line has"),
+    ],
+)
+def test_a_study_that_is_of_no_line_is_left_out_and_why_is_told(
+    dragged: list[RecordedCycle], change: Any, says: str
+) -> None:
+    task = cell_task(SETTINGS)
+    other = replace(dragged[0], study=change(dragged[0].study))
+    with pytest.raises(ValueError, match=re.escape(f"c1: it cannot be identified, {says}")):
+        learn([other], task.cable, task.identification, TRIED)
+
+
+def test_markers_of_uncertain_arc_length_are_no_effect_of_all_cables() -> None:
+    """Neither is how far along it an end is seen, then."""
+    task, found = cell_task(SETTINGS), []
+    for seed in (1, 3):
+        study = rig_study(KINDS["arcs"](seed), None)
+        study = replace(study, name=f"arcs{seed}", trials=study.trials[:1])
+        name = study.name
+        found.append(RecordedCycle(name, Path(name), study, study.trials[0], None, None))
+    slips = {n: library()[n] for n in ("grip_slip",)}
+    learned = learn(found, task.cable, task.identification, slips)
+    assert learned.best is None
+    for cable in learned.baseline.cables:
+        assert set(cable.lines) == {"identify"}
+        line = cable.lines["identify"]
+        np.testing.assert_allclose(np.linalg.norm(line, axis=2), 1.0, atol=0.02)
+    assert learned.baseline.end_std_m > 2.0 * BIAS_M
 
 
 def test_of_a_rejected_cable_the_rest_of_its_hold_is_forecast(result: LearningResult) -> None:
@@ -318,7 +393,7 @@ def test_learning_ends_at_its_limit_of_work_and_says_what_it_left_out(
             raise CableRejectedError(Reason.UNSEEN_FRAMES, "it left the picture")
         return identify(trial, *args, options=options)
 
-    monkeypatch.setattr("cell.lab.line.learn.identify", but_one)
+    monkeypatch.setattr("cell.lab.line.learned_cables.identify", but_one)
     task, budget = cell_task(SETTINGS), Budget(most_s=1.0)
     result = learn(dragged, task.cable, task.identification, TRIED, budget=budget)
     assert [c.name for c in result.cycles if c.name == dragged[1].name] == []

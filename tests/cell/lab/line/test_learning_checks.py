@@ -37,7 +37,7 @@ def result(rms_m: float = 1e-4, *, beyond_m: float = 0.0, allowed: float = 1.2) 
     noise_model = SimpleNamespace(range_m=(9e-5, 1.1e-4), allowed_over_level=allowed)
     cable = SimpleNamespace(noise=SimpleNamespace(std_m=1e-4), noise_model=noise_model)
     fit: Any = SimpleNamespace(
-        rms_m=rms_m, cables=(cable, cable), end_seen_beyond_m=np.full(2, beyond_m)
+        rms_m=rms_m, cables=(cable, cable), end_seen_beyond_m=np.full(2, beyond_m), end_std_m=5e-5
     )
     return LearningResult((), fit, (), None, (), (), ())
 

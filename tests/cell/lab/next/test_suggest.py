@@ -18,9 +18,17 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rival import Rival
 from cell.lab.next.motion_file import load_motion
 from cell.lab.next.strokes import Stroke, strokes
-from cell.lab.next.suggest import DECIDED, _open, _separation, suggest_motion
+from cell.lab.next.suggest import (
+    DECIDED,
+    _open,
+    _separation,
+    _trial,
+    _whitener,
+    suggest_motion,
+)
 from cell.lab.next.suggestion import Option, Suggestion, write_motion
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.strength.compare import everywhere
 from cell.lab.verdict.diagnose import diagnose
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings
@@ -249,7 +257,10 @@ def test_a_motion_counts_with_the_wrench_that_the_study_has():
 
     def apart(measured, stroke):
         prepared = PreparedStudy.of(measured, solver=coarse)
-        return _separation(*(_open(prepared, rival, stroke, box)[0] for rival in rivals))
+        known, trial = _trial(prepared, stroke, box)
+        (shown,), _ = everywhere(known, trial, [rivals[0].model])
+        white = _whitener(known, trial, shown)
+        return _separation(*(_open(known, rival, trial, white)[0] for rival in rivals))
 
     swing, rest = Stroke(0.0, 0.0, -0.1, 0.4), Stroke(0.0, 0.0, -1e-9, 0.4)
     assert apart(study, swing) > 1.1 * apart(bare, swing)

@@ -51,6 +51,7 @@ def test_copies_are_diagnosed_beside_the_forecast(folder):
     [
         (["--effect", "air_dragg"], "no such effect; did you mean"),
         (["--effect", "air_drag=60"], "is outside 0 … 50"),
+        (["--effect", "air_drag", "--verify", "0"], "greater than or equal to 1"),
         (["--effect", "air_drag=1", "--known", "air_drag"], "part of the model by --known"),
     ],
 )

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from cell.cli import app
 from cell.study.data import Study
 from cell.study.folder import read_study
+from cell.study.imports.mapping import read_mapping
 from tests.cell.study.imports.made import ARCS_M, CABLE, FORMS, LENGTH_M, Made, made, text
 
 #: Of numbers with 7 decimals of a millimetre, of 32 bits in C3D, and of a plane fitted to noise.
@@ -140,3 +141,22 @@ def test_the_hand_s_clock_is_proposed_from_the_motion(tmp_path: Path) -> None:
     study = imported(arguments, tmp_path / "study")
     # A marker 20 mm from the hand moves as the hand does but for what the cable bends.
     assert study.trials[0].grip.t_s[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_one_marker_on_rows_of_its_own_does_not_turn_the_clamp(tmp_path: Path) -> None:
+    """Hand and marker are logged at different times; the line between them is no clamp angle."""
+    trial = made()
+    tip_m = trial.markers_m[:, -1]
+    lines = ["time_s,hand_x_m,hand_y_m,hand_angle_rad,tip_x_m,tip_y_m,Fx [N],Fy [N],Mz [Nm],,"]
+    for t, (x, y), angle, tip in zip(trial.t_s, trial.hand_m, trial.angle_rad, tip_m, strict=True):
+        lines.append(f"{t},{x},{y},{angle},,,,,,,")
+        lines.append(f"{t + 0.001},,,,{tip[0]},{tip[1]},0.1,0.2,0.01,,")
+    (tmp_path / "one.csv").write_text("\n".join(lines) + "\n")
+    done = CliRunner().invoke(
+        app, ["import", str(tmp_path / "one.csv"), "-o", str(tmp_path / "study"), *CABLE]
+    )
+    assert done.exit_code == 0, done.output
+    assert "an offset is added" not in done.stdout
+    assert "a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}" in done.stdout
+    mapping = read_mapping(tmp_path / "study" / "import.yaml").mapping
+    assert mapping.hand.angle.offset_rad == 0.0

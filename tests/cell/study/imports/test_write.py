@@ -6,9 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cell.cable.geometry import Cable, Connector, Motion
-from cell.study.data import Markers, Study, Trial
+from cell.cable.wrench import Gauge, Tool
+from cell.files.input_error import InputError
+from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
 from cell.study.folder import read_study
 from cell.study.hand_drift import HandDrift
 from cell.study.imports.convert import read_captures, study_of
@@ -64,3 +67,36 @@ def test_a_frame_in_which_no_marker_was_seen_comes_back(tmp_path: Path) -> None:
     write_wide(study, tmp_path)
     read = read_mapping(tmp_path / FILE)
     same(study_of(read, read_captures(read)).study, study)
+
+
+def test_a_wrench_comes_back_where_a_trial_has_one(tmp_path: Path) -> None:
+    study = a_study()
+    first, second = study.trials
+    rng = np.random.default_rng(5)
+    rows_s = np.arange(0.003, 0.36, 1.0 / 700.0)
+    values = rng.normal(size=(len(rows_s), 3)) * [0.3, 0.3, 0.02] + [0.0, 1.0, 0.0]
+    values[:, 0] = np.nan
+    values[7, 2] = np.nan
+    first = replace(first, wrench=Wrench(rows_s, values))
+    tool = Tool(0.02, (0.03, 0.0), 1e-5)
+    sensor = WrenchSensor(Gauge(tool, turns=True), moment_std_nm=1e-3 / 3.0, gain_std=0.01)
+    study = replace(study, trials=(first, second), sensor=sensor)
+    write_wide(study, tmp_path / "tables")
+    read = read_mapping(tmp_path / "tables" / FILE)
+    again = study_of(read, read_captures(read)).study
+    assert "force_x_n" not in (tmp_path / "tables" / "one.csv").read_text()
+    write_imported(again, tmp_path / "study")
+    for back in (again, read_study(tmp_path / "study")):
+        same(back, study)
+        assert back.sensor == sensor
+        np.testing.assert_array_equal(back.trials[0].wrench.t_s, rows_s)
+        np.testing.assert_array_equal(back.trials[0].wrench.values, values)
+        assert back.trials[1].wrench is None
+
+
+def test_a_section_of_a_wrench_without_columns_is_refused(tmp_path: Path) -> None:
+    write_wide(a_study(), tmp_path)
+    mapping = tmp_path / FILE
+    mapping.write_text(mapping.read_text() + "wrench: {columns: [null, null, null]}\n")
+    with pytest.raises(InputError, match=r"wrench\.columns: are all null; name one"):
+        read_mapping(mapping)
