@@ -13,7 +13,7 @@ from cell.cable.effects import ActiveEffect, library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
-from cell.lab.data import named_effects
+from cell.lab.data import named_effects, prepared, work
 from cell.study.data import Markers, Study, Trial
 
 PRACTICE = Path(__file__).parents[4] / "shared" / "data" / "practice"
@@ -22,7 +22,21 @@ REAL = Path(__file__).parents[4] / "shared" / "data" / "real"
 CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
 WORLD = Solver(segments=60, step_s=5e-4)
 
+#: A line's solver, for half of what the lab's own costs: its error is small in these studies.
+COARSE = Solver(segments=24, step_s=1.5e-3)
+#: After the hand has stopped.
+HOLD = {"s": 0.4}
+
 MakeStudy = Callable[..., Study]
+
+
+@pytest.fixture(scope="module")
+def small() -> Iterator[None]:
+    """Studies are short, and fitted on a coarse mesh but where a test asks for `own_mesh`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prepared, "SOLVER", COARSE)
+        patch.setitem(HOLD, "s", 0.25)
+        yield
 
 
 @dataclass(frozen=True)
@@ -63,7 +77,7 @@ def make_study() -> MakeStudy:
         noise_m: float = 1e-4,
         ar1: float = 0.3,
         strokes: Sequence[Stroke] = FEW_STROKES,
-        hold_s: float = 0.4,
+        hold_s: float | None = None,
     ) -> Study:
         rng = np.random.default_rng(seed)
         rigidity = 2.5e-5 * np.exp(rng.uniform(-0.2, 0.2, 4))
@@ -71,7 +85,7 @@ def make_study() -> MakeStudy:
         arcs = node_arc_lengths(0.1)
         motions, times_s = [], []
         for stroke in strokes:
-            t = np.arange(0.0, 0.2 + stroke.duration_s + hold_s, 0.002)
+            t = np.arange(0.0, 0.2 + stroke.duration_s + (hold_s or HOLD["s"]), 0.002)
             u = np.clip((t - 0.2) / stroke.duration_s, 0.0, 1.0)
             s = u**3 * (10 - 15 * u + 6 * u**2)
             motions.append(
@@ -104,14 +118,20 @@ def few_effects() -> Iterator[set[str]]:
 
 
 @pytest.fixture
-def practice() -> Path:
+def own_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lab's own mesh and step, where what they err by is asked."""
+    monkeypatch.setattr(prepared, "SOLVER", work.SOLVER)
+
+
+@pytest.fixture
+def practice(own_mesh: None) -> Path:
     if not PRACTICE.is_dir():
         pytest.skip("the practice studies are not beside this checkout")
     return PRACTICE
 
 
 @pytest.fixture
-def real() -> Path:
+def real(own_mesh: None) -> Path:
     if not REAL.is_dir():
         pytest.skip("the measured studies are not beside this checkout")
     return REAL

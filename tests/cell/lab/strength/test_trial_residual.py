@@ -31,7 +31,7 @@ def test_the_spectrum_of_noise_is_the_noise_floor():
 
 
 def test_a_late_error_at_the_tip_is_placed(make_study):
-    study = make_study(ar1=0.0)
+    study = make_study(ar1=0.0, hold_s=0.4)
     trial = study.trials[0]
     predicted = trial.markers.xy_m.copy()
     late = phase_of(trial) == "late swing"

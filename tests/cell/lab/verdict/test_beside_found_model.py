@@ -12,6 +12,8 @@ from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from tools.worlds.breadth_world import World, hypercube
 
+pytestmark = pytest.mark.usefixtures("own_mesh")
+
 
 @pytest.mark.parametrize(
     ("number", "name", "beside"),

@@ -14,6 +14,7 @@ from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import read_study
 
 pytest.importorskip("mujoco")
+pytestmark = pytest.mark.usefixtures("own_mesh")
 
 RIVALS = (
     "tip_mass", "bending_hysteresis", "grip_compliance", "grip_angle", "natural_curvature",

@@ -130,7 +130,7 @@ def test_what_a_clamp_askew_leaves_beside_natural_curvature_is_told_from_noise(
     make_study, angle_rad, noise_m
 ):
     angle = library()["grip_angle"].active(angle_rad=angle_rad)
-    study = make_study([angle], seed=1, noise_m=noise_m)
+    study = make_study([angle], seed=1, noise_m=noise_m, hold_s=0.4)
     prepared = PreparedStudy.of(study)
     right, wrong = (
         ParameterSpace.of(study.cable, effects=(library()[name],))
