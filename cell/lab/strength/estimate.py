@@ -11,6 +11,7 @@ from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
+from cell.identify.gaussian import covariance_root
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Interval
@@ -112,7 +113,7 @@ def disagreement(prepared: PreparedStudy, whole: Fit) -> float:
     """
     solution, p = whole.solution, len(whole.q)
     free = solution.free[:p]
-    unit = np.linalg.cholesky(whole.covariance[np.ix_(free, free)])
+    unit = covariance_root(whole.covariance[np.ix_(free, free)])
     trials = prepared.study.trials
     slopes = prepared.by_trial(trials, solution.jacobian[:, :p])
     left = prepared.by_trial(trials, solution.residual)
