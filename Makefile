@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-waiting tests-computing hardware bench figures learn pages coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills plant mouths holds flights endings words clean help jaw-plate picture docs
+.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills plant mouths holds flights endings words clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -54,15 +54,14 @@ compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests b
 	@$(BIN)/pytest -q --collect-only > /dev/null || true  # what is wrong the tests say themselves
 
 tests: $(VENV)/.dev
-	$(MAKE) --no-print-directory -j 2 tests-waiting tests-computing
+	$(MAKE) --no-print-directory -j 2 tests-real-time tests-computing
+	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time' --ignore $(COMPUTING)  # more than cores: many tests wait
 
-# Tests that wait leave time of the processor, those in real time half of it: what only computes
-# takes no more than that, until they are through.
-COMPUTING := tests/cell/lab tests/tools/studies
+# Tests in real time leave half of the processor's time; what only computes takes no more than that.
+COMPUTING := tests/cell/lab
 
-tests-waiting: $(VENV)/.dev
+tests-real-time: $(VENV)/.dev
 	$(BIN)/pytest -m real_time tests/end_to_end --ignore tests/end_to_end/test_fault_trials.py
-	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time' $(COMPUTING:%=--ignore %)  # more than cores: many tests wait
 
 tests-computing: $(VENV)/.dev
 	$(BIN)/pytest -n 2 --dist worksteal --spare-time $(COMPUTING)
