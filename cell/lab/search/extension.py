@@ -29,8 +29,8 @@ PLACES = 2
 #: A refit that explains less than this share of what the screen promises is in a wrong minimum, if
 #: there are other shapes to start from.
 KEPT = 0.5
-#: Passes after which a fit that is taken on has to be the lowest, as it promised.
-SOON_PASSES = 5
+#: Passes after which a fit is given up that is still above what it has to be below.
+ENOUGH_PASSES = 5
 #: Passes of a fit that looks for a place.
 SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
 
@@ -144,7 +144,7 @@ class Extension:
 
     def _taken_on(self, fit: Fit, lowest: float) -> Fit:
         """A fit taken to convergence, if it soon is the lowest; where that cannot be, as it is."""
-        options = replace(POLISH, above=(lowest, SOON_PASSES))
+        options = replace(POLISH, above=(lowest, ENOUGH_PASSES))
         with contextlib.suppress(*UNSIMULATED):
             alone = self.prepared.on_one_core()
             return fit_model(alone, fit.space, fit.q, fit.initial_states, options=options)

@@ -34,9 +34,8 @@ FloatArray = NDArray[np.float64]
 
 #: Two fits of the same effects are different minima if one is so much likelier (logarithm).
 LIKELIER = 0.1
-#: Beside a model that explains the study no effect is refitted that chance makes as likely: of 615
-#: refits of 61 studies the score test was wrong by a factor of 6 at most, and found none below 0.02
-#: of the 326 beyond it.
+#: p-value of the screen above which a smooth effect is not refitted beside a model that explains the
+#: study. Measured on 61 studies: of 326 such refits none had p below 0.02.
 BY_CHANCE = 0.1
 
 

@@ -14,15 +14,15 @@ from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.lab.data.progress import Progress
 from cell.lab.data.side_by_side import side_by_side
 from cell.lab.fit.sensitivity import shapes_of
-from cell.lab.search.extension import Extension, continued
+from cell.lab.search.extension import ENOUGH_PASSES, Extension, continued
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel
 from cell.lab.search.screen import ScreenedEffect
 
 #: So many of the first refits are taken to convergence.
 POLISHED = 3
-#: A first refit is given up if after some passes it is far above the best of the first few effects,
-#: the likeliest by the screen.
-ENOUGH_PASSES, FIRST = 5, 2
+#: A first refit is given up if it is soon far above the best of the first few effects, the likeliest
+#: by the screen.
+FIRST = 2
 #: Far above the best is an objective so many times as large, if so much of the fall is missing that
 #: the best effect brings.  A refit with a strong effect that misses a hundredth of the fall may be
 #: ten times above the best, and yet end as low when it is taken on.
