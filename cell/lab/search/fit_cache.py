@@ -34,8 +34,8 @@ FloatArray = NDArray[np.float64]
 
 #: Two fits of the same effects are different minima if one is so much likelier (logarithm).
 LIKELIER = 0.1
-#: p-value of the screen above which a smooth effect is not refitted beside a model that explains the
-#: study. Measured on 61 studies: of 326 such refits none had p below 0.02.
+#: p-value of the screen above which a smooth effect is not refitted beside a model that explains
+#: the study. Measured on 61 studies: of 326 such refits none had p below 0.02.
 BY_CHANCE = 0.1
 
 

@@ -20,8 +20,8 @@ from cell.lab.search.screen import ScreenedEffect
 
 #: So many of the first refits are taken to convergence.
 POLISHED = 3
-#: A first refit is given up if it is soon far above the best of the first few effects, the likeliest
-#: by the screen.
+#: A first refit is given up if it is soon far above the best of the first few effects, which are
+#: the likeliest by the screen.
 FIRST = 2
 #: Far above the best is an objective so many times as large, if so much of the fall is missing that
 #: the best effect brings.  A refit with a strong effect that misses a hundredth of the fall may be
