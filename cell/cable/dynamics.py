@@ -14,7 +14,7 @@ from cell.cable.geometry import Motion, Start
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, LanesError, Solver, threads
 from cell.cable.swing import Grid, Swing, failures
-from cell.cable.wrench import AS_POINTS, Gauge
+from cell.cable.wrench import AS_POINTS, Gauge, RowMeans
 
 FloatArray = NDArray[np.float64]
 
@@ -89,10 +89,13 @@ def simulate_gauged(
     *,
     solver: Solver = DEFAULT_SOLVER,
     begin: Beginning | None = None,
+    means: Sequence[RowMeans | None] = (),
 ) -> list[FloatArray]:
     """Markers of each lane, as `simulate_each`, and what a sensor at the clamp measures with them.
 
     begin    of all lanes; None = from rest
+    means    of each lane: which of the times show means of the sensor's rows, not its value then;
+             () = none do
     returns  (times, markers + 2, 2) of each lane: behind the markers the force x, y, N, that clamp
              and sensor exert on cable and tool, and its moment about the gripping point, N·m, with
              a 0.  Before a cable is let go its wrench is that of the moment after
@@ -101,7 +104,7 @@ def simulate_gauged(
     times = [increasing(t) for t in times_s]
     out = [np.empty((t.size, np.size(arc_length_m) + AS_POINTS, 2)) for t in times]
     begin = Beginning.of("equilibrium", None, (), len(batch)) if begin is None else begin
-    swing = replace(begin.swing(batch, paths, times, solver), gauge=gauge)
+    swing = replace(begin.swing(batch, paths, times, solver), gauge=gauge, means=tuple(means))
     _simulate(swing, begin, arc_length_m, out, spared=True)
     return out
 
@@ -166,8 +169,16 @@ def _moved(
     solver, times_s, models = swing.solver, swing.times_s, swing.models
     workers = threads() if solver.threads is None else solver.threads
     blocks = assemble(models, solver.segments, begin_s, workers)
+    gauged = swing.gauge is not None
     grids = [
-        Grid.of(begin_s, [times_s[i] for i in b.lanes], models[b.lanes[0]], rests, solver)
+        Grid.of(
+            begin_s,
+            [times_s[i] for i in b.lanes],
+            models[b.lanes[0]],
+            rests,
+            solver,
+            gauged=gauged,
+        )
         for b in blocks
     ]
     return failures(swing, blocks, grids, arc_length_m, out)

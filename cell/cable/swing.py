@@ -23,11 +23,13 @@ from cell.cable.solver import DivergedError, LanesError, Solver, generalised_alp
 from cell.cable.splines import Steps
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, looks, nodes
-from cell.cable.wrench import AXES, Gauge, as_points, at_places
+from cell.cable.wrench import AXES, Gauge, RowMeans, as_points, at_places
 
 FloatArray = NDArray[np.float64]
 
 _MOST_STEPS = 5_000_000
+#: Steps after a time whose wrench is wanted: it is interpolated between those around it.
+_STEPS_AROUND = 3
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,7 @@ class Swing:
     moving  whether it moves before it begins too, not held still until then
     gauge   what measures the wrench at the clamp, if that is wanted: behind the markers of a lane
             stand `wrench.AS_POINTS` more
+    means   of each lane, which of the wrench's values are means of rows; () = those of none
     """
 
     models: list[CableModel]
@@ -46,6 +49,7 @@ class Swing:
     bent: tuple[FloatArray, ...] = ()
     moving: bool = False
     gauge: Gauge | None = None
+    means: tuple[RowMeans | None, ...] = ()
 
     def of(self, lanes: Sequence[int]) -> Swing:
         """The same of some of the lanes, in order; of all of them itself."""
@@ -59,6 +63,7 @@ class Swing:
             tuple(self.bent[i] for i in lanes if self.bent),
             self.moving,
             self.gauge,
+            tuple(self.means[i] for i in lanes if self.means),
         )
 
 
@@ -129,11 +134,17 @@ class Grid:
         model: CableModel,
         rests: bool,
         solver: Solver,
+        *,
+        gauged: bool = False,
     ) -> Grid:
-        """Of lanes with these times and models of one kind.  Raises ValueError: too many steps."""
+        """Of lanes with these times and models of one kind.  Raises ValueError: too many steps.
+
+        gauged  whether the wrench at these times is wanted, too
+        """
         last = max((float(t[-1]) for t in times_s if t.size), default=begin_s)
         end = last + (camera.LOOK_AHEAD_S if camera.shifts_time([model]) else 0.0)
         steps = max(1, int(np.ceil((end - begin_s) / solver.step_s - 1e-9)))
+        steps += _STEPS_AROUND if gauged else 0
         if steps > _MOST_STEPS:
             raise ValueError(f"{steps} steps of {solver.step_s} s from {begin_s} s to {last} s")
         return Grid(begin_s, steps, rests, solver)
@@ -208,6 +219,10 @@ def _run(
                 wrench[:, :, k], base[:, :, k], swing.models[lane].gravity_m_per_s2
             )
             held = at_places(shown, _among(grid, swing.times_s[lane]))
+            means = swing.means[lane] if swing.means else None
+            if means is not None:
+                of_rows = means.of(at_places(shown, _among(grid, means.t_s)))
+                held[means.among] = np.where(np.isnan(of_rows), held[means.among], of_rows)
             out[lane][:, len(markers[0]) :] = as_points(held)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +73,46 @@ class Gauge:
         fx = tool.mass_kg * (base[:, at.BASE_AX] - turn * y - spin**2 * x - gx)
         fy = tool.mass_kg * (base[:, at.BASE_AY] + turn * x - spin**2 * y - gy)
         return np.column_stack([fx, fy, x * fy - y * fx + tool.inertia_kg_m2 * turn])
+
+
+@dataclass(frozen=True, eq=False)
+class RowMeans:
+    """Means of a sensor's rows over spans of time: what is measured and simulated of it alike.
+
+    t_s          (R,) times of the rows
+    seen         (R, AXES) whether a row shows an axis
+    among        (n,) which of a record's times the means stand at
+    first, last  (n,) the rows of each: from `first` to before `last`
+    """
+
+    t_s: FloatArray
+    seen: NDArray[np.bool_]
+    among: NDArray[np.intp]
+    first: NDArray[np.intp]
+    last: NDArray[np.intp]
+
+    @cached_property
+    def rows(self) -> NDArray[np.intp]:
+        """(n, AXES) rows that a mean is of."""
+        return np.asarray(self._sums(self.seen.astype(np.intp)))
+
+    def of(self, values: FloatArray) -> FloatArray:
+        """(n, AXES) means of values (R, AXES), nan where no row shows an axis."""
+        sums = self._sums(np.where(self.seen, values, 0.0))
+        return np.where(self.rows > 0, sums / np.maximum(self.rows, 1), np.nan)
+
+    def some(self, which: NDArray[np.intp]) -> RowMeans:
+        """Those of the means at some indices."""
+        parts = (v[which] for v in (self.among, self.first, self.last))
+        return RowMeans(self.t_s, self.seen, *parts)
+
+    def earlier(self, delay_s: float) -> RowMeans:
+        """Of rows as much earlier."""
+        return self if delay_s == 0.0 else replace(self, t_s=self.t_s - delay_s)
+
+    def _sums(self, values: NDArray[Any]) -> NDArray[Any]:
+        total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
+        return np.asarray(total[self.last] - total[self.first])
 
 
 def at_places(rows: FloatArray, places: FloatArray) -> FloatArray:

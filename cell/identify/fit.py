@@ -13,7 +13,7 @@ from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver
 from cell.cable.statics import UnsettledError
 from cell.cable.still import moves_from_s
-from cell.cable.wrench import Gauge
+from cell.cable.wrench import Gauge, RowMeans
 from cell.identify import gauss_newton
 from cell.identify.hand import HandErrors, likely_motions
 from cell.identify.identified import Identified
@@ -238,12 +238,14 @@ class Lane:
     """A model on the motion of a trial, seen at `times_s`.
 
     modes  (2, modes) places and velocities at first, of a trial that begins bent
+    means  which values of a wrench are means of a sensor's rows, if some are
     """
 
     trial: Trial
     model: CableModel
     times_s: FloatArray
     modes: FloatArray | None = None
+    means: RowMeans | None = None
 
 
 def predict_lanes(
@@ -266,7 +268,14 @@ def predict_lanes(
     if gauge is not None:
         begin = Beginning.of(trial.start, trial.release_s, bent, len(lanes))
         found = simulate_gauged(
-            models, motions, times, arc_length_m, gauge, solver=solver, begin=begin
+            models,
+            motions,
+            times,
+            arc_length_m,
+            gauge,
+            solver=solver,
+            begin=begin,
+            means=[lane.means for lane in lanes],
         )
     else:
         found = simulate_each(

@@ -29,12 +29,14 @@ class Sensors:
     noises    of each of them, its bias that of a tare
     gain_std  standard deviation of the factor by which all that it shows is too large, beside 1
     frames    (T,) whether a row is one of the markers', rows: whether it is one of the sensor's
+    shown_m   (T, gauges, 2) all that it shows, as a model has it; None = as measured
     """
 
     noises: tuple[Noise, ...]
     gain_std: float
     frames: NDArray[np.bool_]
     rows: NDArray[np.bool_]
+    shown_m: FloatArray | None = None
 
 
 class Whitener:
@@ -112,6 +114,9 @@ class Whitener:
     def _shown_by(self, sensors: Sensors) -> FloatArray:
         """(T, markers, 2) what the sensor shows, with little of its noise; 0 at places."""
         shown = np.zeros_like(self.measured)
+        if sensors.shown_m is not None:
+            shown[:, -self._gauges :] = sensors.shown_m
+            return shown
         for marker in range(-self._gauges, 0):
             for axis in range(2):
                 seen = self.seen[:, marker, axis] & sensors.rows

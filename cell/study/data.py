@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.geometry import Cable, Motion, Start
-from cell.cable.wrench import Gauge
+from cell.cable.wrench import Gauge, RowMeans
 from cell.study.hand_drift import HandDrift
 
 FloatArray = NDArray[np.float64]
@@ -90,6 +90,7 @@ class Trial:
 
     hand_drift  error of the grip's place, where it was integrated; None = its log shows all of it
     wrench  what a sensor at the clamp showed, if there was one
+    row_means  where that is among the markers, as in the lab: which values are means of its rows
     """
 
     name: str
@@ -100,6 +101,7 @@ class Trial:
     release_s: float | None = None
     hand_drift: HandDrift | None = None
     wrench: Wrench | None = None
+    row_means: RowMeans | None = None
 
     @property
     def bent(self) -> bool:

@@ -193,3 +193,19 @@ def test_a_cable_let_go_is_held_from_then_on():
     assert force[0, 1] == force[1, 1]
     weight = CABLE.line_density_kg_per_m * CABLE.free_length_m * 9.81
     assert 0.0 < force[0, 1] < 0.7 * weight < force[2, 1]
+
+
+def test_the_wrench_of_a_lane_does_not_depend_on_lanes_beside_it():
+    """Up to its last time: a record that ends in mid-swing, alone and beside a longer one."""
+    model = CableModel.uniform(CABLE, RIGIDITY)
+    hand, coarse = stroke(0.2, (-0.05, -0.08), 0.3), Solver(segments=20, step_s=2e-3)
+    t_s = np.arange(0.1, 0.4567, 2e-3)
+    arcs, longer = np.array([0.4]), np.arange(0.1, 0.6, 2e-3)
+    (alone,) = simulate_gauged(model, hand, [t_s], arcs, Gauge(), solver=coarse)
+    beside, _ = simulate_gauged([model] * 2, hand, [t_s, longer], arcs, Gauge(), solver=coarse)
+    np.testing.assert_allclose(alone, beside, rtol=1e-9, atol=1e-12)
+    ending = [np.append(t_s[t_s < end], end) for end in np.linspace(0.4, 0.402, 7)]
+    for each in ending:
+        (short,) = simulate_gauged(model, hand, [each], arcs, Gauge(), solver=coarse)
+        (long,) = simulate_gauged(model, hand, [np.append(each, 0.5)], arcs, Gauge(), solver=coarse)
+        np.testing.assert_allclose(short, long[:-1], rtol=1e-9, atol=1e-12)

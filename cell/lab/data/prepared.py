@@ -104,6 +104,11 @@ class PreparedStudy:
         return self.noise == self.noise_model.weighed
 
     @property
+    def gain_is_uncertain(self) -> bool:
+        """Whether there are wrenches that may all be too large by a factor."""
+        return self.gauges is not None and self.gauges.gain_std > 0.0
+
+    @property
     def expected(self) -> Noise:
         """What a right model leaves: the measurement's noise or an earlier model's error."""
         return self.noise_model.noise if self.noise_is_measured else self.noise
@@ -162,7 +167,19 @@ class PreparedStudy:
 
     def of_frames(self, trial: Trial, rows: FloatArray) -> FloatArray:
         """(frames, …) of (times, …) of a trial: without the times of a wrench alone."""
-        return rows if self.gauges is None else rows[self.gauges.frames[trial.name]]
+        return rows if self.gauges is None else rows[self.gauges.joined[trial.name].frames]
+
+    def with_each_row(self, trials: Sequence[Trial]) -> tuple[PreparedStudy, tuple[Trial, ...]]:
+        """What predicts trials with each row of their wrenches by itself, and these trials."""
+        if self.gauges is None:
+            return self, tuple(trials)
+        level = self.gauges.std_m, self.gauges.inflation
+        _, gauges = with_gauges(self.unjoined, *level, averaged=False)
+        parted = without_gauges(replace(self.study, trials=tuple(trials)), self.gauges).trials
+        if gauges is None:
+            return self, tuple(trials)
+        told, gauges = gauges.with_planned(parted, gauges.gain_std, averaged=False)
+        return replace(self, gauges=gauges, mesh_m={}), told
 
     @property
     def measured(self) -> Study:
@@ -209,7 +226,8 @@ class PreparedStudy:
             times = {float(d): t_s - d for d in np.unique(late)}
             for number, (model, d) in enumerate(zip(models, late, strict=True)):
                 modes = state.modes(unknown[number]) if state.bent else None
-                lane = Lane(trial, model, times[float(d)], modes)
+                means = None if trial.row_means is None else trial.row_means.earlier(float(d))
+                lane = Lane(trial, model, times[float(d)], modes, means)
                 key = _begins(lane), self._gauge(trial) is None
                 alike.setdefault(key, []).append((trial.name, number, lane))
         out = {t.name: np.empty((len(models), *t.markers.xy_m.shape)) for t in trials}

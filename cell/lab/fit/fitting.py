@@ -331,3 +331,11 @@ def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial)
         return gauss_newton.minimise(problem, start).q
     except UNSIMULATED:
         return np.zeros(state.count)
+
+
+def best_initial_states(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
+    """By trial (1, unknowns): how each begins, as fitted or as is likeliest."""
+    return {
+        t.name: fit.initial_states.get(t.name, best_initial_state(prepared, fit.model, t))[None]
+        for t in prepared.study.trials
+    }

@@ -12,7 +12,7 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.whitening import arcs_are_uncertain, whiteners_of
-from cell.lab.fit.fitting import Fit, best_initial_state
+from cell.lab.fit.fitting import Fit, best_initial_states
 
 FloatArray = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def mesh_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
     source  Richardson's extrapolation
     """
     trials = prepared.study.trials
-    initial_states = _initial_states(prepared, fit)
+    initial_states = best_initial_states(prepared, fit)
     here = prepared.predict_all(trials, [fit.model], initial_states)
     there = finer(prepared).predict_all(trials, [fit.model], initial_states)
     found = {}
@@ -87,20 +87,12 @@ def without_mesh_error(
             trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
         shown.append(trial)
     study = replace(prepared.study, trials=tuple(shown))
-    states = _initial_states(prepared, fit)
+    states = best_initial_states(prepared, fit)
     lines = lines_of(prepared, fit.model, states) if arcs_are_uncertain(study) else {}
     whiteners = whiteners_of(study, prepared.noise, prepared.gauges, lines)
     taken = {n: e + prepared.mesh_m.get(n, 0.0) for n, e in error_m.items()}
     mesh_m = {**prepared.mesh_m, **taken}
     return replace(prepared, study=study, whiteners=whiteners, mesh_m=mesh_m, lines=lines)
-
-
-def _initial_states(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
-    """By trial (1, unknowns): how each begins, as fitted or as is likeliest."""
-    return {
-        t.name: fit.initial_states.get(t.name, best_initial_state(prepared, fit.model, t))[None]
-        for t in prepared.study.trials
-    }
 
 
 def lines_of(

@@ -69,7 +69,7 @@ def remainders(
     places = [prepared.of_markers(t, e) for t, e in zip(trials, errors, strict=True)]
     found, gauges = [_remainder(places, left_over)], prepared.gauges
     if gauges is not None:
-        rows = [gauges.rows[t.name] for t in trials]
+        rows = [gauges.joined[t.name].rows for t in trials]
         for point, scale in enumerate(gauges.scale, gauges.markers):
             own = [e[r, point] / scale for e, r in zip(errors, rows, strict=True)]
             found.append(_remainder(own, left_over))

@@ -57,14 +57,14 @@ class World:
         model = _with(fit.model, hidden)
         trials = prepared.study.trials if trials is None else tuple(trials)
         states = {t.name: _beginning(prepared, fit, t)[None] for t in trials}
+        channels = _together(prepared, fit)
+        prepared, trials = prepared.with_each_row(trials)
         places = finer(prepared).predict_all(trials, [model], states)
         if not all(np.all(np.isfinite(points)) for points in places):
             name = "" if hidden is None else f" with {hidden.effect.name} {hidden.values}"
             raise UnsimulatedError(f"the cable{name} cannot be simulated; give a smaller size")
         clean = {t.name: points[0] for t, points in zip(trials, places, strict=True)}
-        return World(
-            replace(prepared.study, trials=trials), prepared, clean, _together(prepared, fit)
-        )
+        return World(replace(prepared.study, trials=trials), prepared, clean, channels)
 
     def copy(self, number: int) -> Study:
         """What would be measured once more; the same for the same number."""

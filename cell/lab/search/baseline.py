@@ -16,6 +16,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with
+from cell.lab.fit.gain import with_gain_of
 from cell.lab.fit.mesh import mesh_error_m, without_mesh_error
 from cell.lab.fit.remainder import with_noise_beside
 from cell.lab.fit.sensitivity import is_shape
@@ -77,6 +78,10 @@ class Baseline:
         start = self._start(prepared)
         self.progress(f"fitting the model with {names}", 1, 3)
         fit = fit_model(prepared, space, start, options=POLISH)
+        gained = with_gain_of(prepared, fit)
+        if gained is not prepared:
+            prepared, start = gained, fit.q
+            fit = fit_model(prepared, space, start, options=POLISH)
         judged = prepared.judged_by(errors_m(prepared, fit))
         if judged is not prepared:
             fit = fit_model(judged, space, start, options=POLISH)
@@ -112,6 +117,7 @@ class Baseline:
         fit, prepared = found.fit, with_noise_beside(found.prepared, found.fit, self.others)
         if fit.rms_m <= ERRS * prepared.expected.std_m:
             prepared = without_mesh_error(prepared, fit, mesh_error_m(prepared, fit))
+            prepared = with_gain_of(prepared, fit)
         try:
             again = fit_model(prepared, self.space, fit.q, fit.initial_states, options=POLISH)
         except UNSIMULATED:

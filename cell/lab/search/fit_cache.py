@@ -18,6 +18,7 @@ from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.whitening import arcs_are_uncertain
 from cell.lab.data.work import Work
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
+from cell.lab.fit.gain import with_gain_of
 from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr
 from cell.lab.fit.mesh import matters, mesh_error_m, without_mesh_error
@@ -128,7 +129,7 @@ class FitCache:
         """The study with the noise and mesh error beside a found model, nothing fitted to it yet.
 
         Those beside the baseline, which imitated what was missing or could not fit, were others.
-        So was the line along which it moves a marker whose arc length is uncertain.
+        So were the lines of markers of uncertain arc length, and the wrench of an uncertain gain.
         returns  None if that was done, if neither changes noticeably, or if no model has explained
                  the study yet
         """
@@ -139,9 +140,10 @@ class FitCache:
         prepared = with_noise_beside(before, found.fit, others)
         error_m = mesh_error_m(prepared, found.fit)
         another = prepared.noise_model.differs_from(before.noise_model)
-        if not (another or matters(prepared, error_m) or arcs_are_uncertain(prepared.study)):
+        of_model = arcs_are_uncertain(prepared.study) or prepared.gain_is_uncertain
+        if not (another or of_model or matters(prepared, error_m)):
             return None
-        settled = without_mesh_error(prepared, found.fit, error_m)
+        settled = with_gain_of(without_mesh_error(prepared, found.fit, error_m), found.fit)
         begin, earlier = self.baseline().fit.q, dict(self._memory.models)
         return replace(
             self, given=settled, begin=begin, found=found, earlier=earlier, _memory=_Memory()

@@ -181,6 +181,29 @@ def test_tare_and_gain_of_a_sensor_are_no_error():
     assert white @ white / whitener.count > 2.0
 
 
+def test_an_uncertain_gain_makes_no_force_look_too_small():
+    """Of a wrench as large as its noise, whose gain takes a share of what a model says of it.
+
+    Of the measured wrench instead it takes a share of the noise too, which looks like a weaker one.
+    """
+    told, measured_itself = [], []
+    for number in range(40):
+        _, clean, sensors = sensed(np.random.default_rng(number))
+        noise = np.random.default_rng(1000 + number).normal(size=clean.shape)
+        sensors = replace(sensors, gain_std=0.5, noises=(Noise(1e-2, bias_m=100.0),) * 2)
+        measured = clean + np.array([1e-4, 1e-2, 1e-2])[:, None] * noise
+        measured[~sensors.rows, 1:] = np.nan
+        measured[:, 2, 1] = np.nan
+        along = clean - clean[sensors.rows].mean(axis=0)
+        for found, shown in ((told, clean[:, 1:]), (measured_itself, None)):
+            whitener = Whitener(measured, Noise(1e-4), sensors=replace(sensors, shown_m=shown))
+            white = whitener(clean[None])[0].reshape(3, 2, 600)
+            found.append(np.sum((white * along.transpose(1, 2, 0))[1:][:, :, sensors.rows]))
+    size = np.std(told) / np.sqrt(len(told))
+    assert abs(np.mean(told)) < 3.0 * size
+    assert np.mean(measured_itself) < -5.0 * size
+
+
 def test_a_sensors_rows_have_the_colour_that_they_have_among_themselves():
     measured, clean, sensors = sensed(np.random.default_rng(6))
     whitener = Whitener(measured, Noise(1e-4), sensors=sensors)

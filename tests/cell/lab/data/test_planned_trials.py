@@ -55,8 +55,10 @@ def test_a_wrench_is_among_the_points_at_the_rate_of_its_rows():
     assert trial.markers.xy_m.shape[1] == 2 + 2
     shown = np.isfinite(trial.markers.xy_m[:, 2:])
     assert shown.any(axis=0).tolist() == [[True, True], [False, False]]
-    assert known.gauges.rows["down"].sum() == pytest.approx(np.ptp(DOWN[1].t_s) / 0.01, abs=2)
-    assert "down" not in study.gauges.rows
+    assert known.gauges.joined["down"].rows.sum() == pytest.approx(
+        np.ptp(DOWN[1].t_s) / 0.01, abs=2
+    )
+    assert "down" not in study.gauges.joined
 
 
 def test_the_hand_is_as_uncertain_as_its_sensor_lets_it_be():
