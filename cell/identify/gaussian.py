@@ -17,6 +17,17 @@ def covariance_root(covariance: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
+def parameters_root(covariance: FloatArray) -> FloatArray:
+    """(p, p) R with R Rᵀ = covariance, of parameters whose units differ.
+
+    Rounding errs by a share of the largest eigenvalue: that of a moment in N·m, or a mass in kg,
+    would be lost beside that of a logarithm.  So it is the root of the correlations.
+    """
+    size = np.sqrt(np.diag(covariance))
+    size = np.where(size > 0.0, size, 1.0)
+    return np.asarray(size[:, None] * covariance_root(covariance / np.outer(size, size)))
+
+
 def marginal_chi2(residual: FloatArray, spread: FloatArray) -> tuple[float, float]:
     """χ² of residuals (n,) of covariance I + spread·spreadᵀ, and ln of its determinant.
 

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.identify.differences import difference_points
-from cell.identify.gaussian import covariance_root, marginal_chi2
+from cell.identify.gaussian import marginal_chi2, parameters_root
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit, best_initial_state, extended
 from cell.lab.statistics.series import overall
@@ -107,7 +107,7 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     rows = [prepared.white(t, points)[0] for t, points in zip(trials, here, strict=True)]
     near = prepared.white_near(trials, lanes, initial_states)
     sensitivity = np.asarray((near[1 : p + 1] - near[0]).T / steps)
-    spread = sensitivity @ covariance_root(fit.covariance)
+    spread = sensitivity @ parameters_root(fit.covariance)
     if more:
         moved = _spread_of_initial_states(prepared, trials, near[p + 1 :] - near[0])
         spread = np.hstack([spread, moved])
@@ -144,7 +144,7 @@ def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> f
     given = np.linalg.pinv(all_of[np.ix_(own, own)], hermitian=True)
     uncertain = all_of[np.ix_(rest, rest)] - all_of[among] @ given @ all_of[among].T
     slopes = ((white[1:-1] - white[0]).T / steps)[:, rest]
-    spread = slopes @ covariance_root(uncertain)
+    spread = slopes @ parameters_root(uncertain)
     if more:
         spread = np.hstack([spread, _spread_of_initial_states(prepared, trials, moved - white[0])])
     chi2, _ = marginal_chi2(white[-1] - white[0], spread)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
@@ -20,7 +21,7 @@ from cell.lab.fit.fitting import Fit
 from cell.lab.fit.hand_error import MOTIONS
 from cell.lab.fit.sensitivity import one_sided, prior_root
 from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual, noise_was_seen
-from cell.lab.verdict.specification import LEAST_ASKED
+from cell.lab.verdict.specification import directions_of_trials
 
 FloatArray = NDArray[np.float64]
 
@@ -162,14 +163,11 @@ class LinearStudy:
                  degrees of freedom behind the level of noise
         """
         asked = self.slopes if beside is None else np.column_stack([self.slopes, beside.T])
+        known, count = asked.T @ asked, self.slopes.shape[1]
+        known[:count, :count] = self.inner_all
         ends = self.whole.systematic_error.ends
-        units = []
-        for part in np.split(np.arange(ends[-1]), ends[:-1]):
-            unit, sizes, _ = np.linalg.svd(asked[part], full_matrices=False)
-            whole = np.zeros((int(np.sum(sizes > LEAST_ASKED * sizes[0])), ends[-1]))
-            whole[:, part] = unit[:, : len(whole)].T
-            units.append(whole)
-        directions = np.concatenate(units)
+        parts = directions_of_trials(asked, np.linalg.inv(known), ends)
+        directions = np.asarray(block_diag(*[part.T for part in parts]))
         functions = self.unlike_all(directions)
         imitated = float(np.sum(directions * (directions - functions)))
         errors = self.left.every[1 : 1 + self.left.errors, : ends[-1]]

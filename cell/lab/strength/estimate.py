@@ -11,7 +11,7 @@ from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
-from cell.identify.gaussian import covariance_root
+from cell.identify.gaussian import parameters_root
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Interval
@@ -113,7 +113,7 @@ def disagreement(prepared: PreparedStudy, whole: Fit) -> float:
     """
     solution, p = whole.solution, len(whole.q)
     free = solution.free[:p]
-    unit = covariance_root(whole.covariance[np.ix_(free, free)])
+    unit = parameters_root(whole.covariance[np.ix_(free, free)])
     trials = prepared.study.trials
     slopes = prepared.by_trial(trials, solution.jacobian[:, :p])
     left = prepared.by_trial(trials, solution.residual)

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
+from cell.identify.gaussian import parameters_root
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit
+from cell.lab.strength.estimate import LEAST_KNOWN
 from cell.lab.verdict.smooth_part import (
     AllTrialsResidual,
     SmoothPart,
@@ -19,7 +21,7 @@ from cell.lab.verdict.smooth_part import (
 
 FloatArray = NDArray[np.float64]
 
-#: Nothing is asked for in directions of the parameters that change less than by this share.
+#: Nothing is asked for in directions of an effect that change less than by this share.
 LEAST_ASKED = 1e-6
 
 
@@ -43,12 +45,28 @@ def parameter_constancy_of(
     if left is None or asked is None:
         return None
     solution = asked.whole.fit.solution
-    slopes = np.split(solution.jacobian[:, solution.free], left.whole.systematic_error.ends[:-1])
-    bases = {}
-    for whitener, part in zip(left.whiteners, slopes, strict=True):
-        units, sizes, _ = np.linalg.svd(part, full_matrices=False)
-        bases[whitener] = units[:, sizes > LEAST_ASKED * sizes[0]]
+    free = solution.free
+    slopes = solution.jacobian[:, free]
+    parts = directions_of_trials(
+        slopes, solution.covariance[np.ix_(free, free)], left.whole.systematic_error.ends
+    )
+    bases = dict(zip(left.whiteners, parts, strict=True))
     return left.part(lambda whitener, rows: np.asarray(bases[whitener].T @ rows))
+
+
+def directions_of_trials(
+    slopes: FloatArray, covariance: FloatArray, ends: NDArray[np.intp]
+) -> list[FloatArray]:
+    """Per trial (rows, directions) orthonormal: by what it shows of parameters of its own.
+
+    slopes      (rows, free) of all trials, which end at `ends`
+    covariance  (free, free) of what all trials and the prior leave open
+    """
+    found = []
+    for part in np.split(slopes @ parameters_root(covariance), ends[:-1]):
+        units, sizes, _ = np.linalg.svd(part, full_matrices=False)
+        found.append(units[:, sizes**2 > LEAST_KNOWN])
+    return found
 
 
 def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:

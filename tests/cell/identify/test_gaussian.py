@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cell.identify.differences import difference_points, one_sided_steps
-from cell.identify.gaussian import covariance_root, marginal_chi2
+from cell.identify.gaussian import covariance_root, marginal_chi2, parameters_root
 
 
 def test_the_root_of_a_singular_covariance_gives_it_back():
@@ -31,3 +31,14 @@ def test_a_step_that_would_leave_the_bounds_is_taken_backwards():
     steps = one_sided_steps(q, step, np.ones(3))
     np.testing.assert_array_equal(steps, [0.1, -0.1, -0.1])
     np.testing.assert_allclose(difference_points(q, steps)[1:] - q, np.diag(steps), atol=1e-15)
+
+
+def test_a_root_of_parameters_keeps_those_of_small_units():
+    """A moment in N·m beside a logarithm: its variance is 1e-20 of the other's."""
+    size = np.array([0.3, 3e-11, 0.1])
+    alike = np.array([[1.0, 0.5, -0.2], [0.5, 1.0, 0.1], [-0.2, 0.1, 1.0]])
+    covariance = alike * np.outer(size, size)
+    root = parameters_root(covariance)
+    np.testing.assert_allclose(root @ root.T, covariance, rtol=1e-9)
+    rounded = covariance_root(covariance)
+    assert not np.allclose((rounded @ rounded.T)[1, 1], covariance[1, 1], rtol=0.1, atol=0.0)
