@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -171,8 +172,15 @@ class CompareResult(Shown):
 
 def _write_csv(path: Path, heads: Sequence[str], rows: FloatArray) -> Path:
     lines = [",".join(heads), *(_csv_row(row) for row in rows)]
+    new = [f for f in (path.parent, path.parent.parent) if not f.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, "\n".join(lines) + "\n")
+    try:
+        write_whole(path, "\n".join(lines) + "\n")
+    except OSError:
+        with suppress(OSError):
+            for folder in new:
+                folder.rmdir()
+        raise
     return path
 
 

@@ -136,8 +136,6 @@ def compare(
             progress(f"comparing {name}", len(comparisons), len(individuals))
             comparisons.append(compare_model(opened, m.model, name))
         result = CompareResult(tuple(comparisons))
-        if residuals is not None:
-            result.write_residuals(residuals)
     data = result.to_json()
 
     def printed() -> None:
@@ -150,7 +148,10 @@ def compare(
 
         write_page(comparison_page(comparisons), path)
 
-    deliver(printed, *json_files(data, *results or []), (report, page))
+    def tables(folder: Path) -> None:
+        result.write_residuals(folder)
+
+    deliver(printed, *json_files(data, *results or []), (report, page), (residuals, tables))
 
 
 @dataclass(frozen=True, kw_only=True)

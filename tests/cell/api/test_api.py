@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import errno
 import inspect
 import json
+import os
 import subprocess
 import sys
 from dataclasses import FrozenInstanceError
@@ -170,6 +172,23 @@ def test_residuals_are_arrays_and_tables(folder: Path, tmp_path: Path) -> None:
         assert heads[:3] == ["t_s", "dx0_m", "dy0_m"]
         values = np.array([[float(v or "nan") for v in row[1:]] for row in rows])
         np.testing.assert_array_equal(values.reshape(left_m.shape), left_m)
+
+
+def test_a_full_disk_costs_no_comparison_and_leaves_no_empty_folder(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: str) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    model, left = tmp_path / "model.json", tmp_path / "left"
+    cell.fit(folder).write(model)
+    monkeypatch.setattr("cell.api.results.write_whole", full)
+    asked = ["compare", str(folder), "--model", str(model), "--residuals", str(left)]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 1
+    assert "mm" in done.stdout, "the comparison was lost"
+    assert "left: cannot be written: No space left on device; make room there" in done.stderr
+    assert not left.exists()
 
 
 def test_without_pandas_it_says_how_to_get_it(
