@@ -17,6 +17,8 @@ FloatArray = NDArray[np.float64]
 AXES = 3
 #: Further points that a wrench is told as: its force, and its moment with a zero.
 AS_POINTS = 2
+#: A mean of fewer rows than this is none: its noise would be that of single rows.
+FEWEST_ROWS = 2
 
 
 @dataclass(frozen=True)
@@ -97,9 +99,9 @@ class RowMeans:
         return np.asarray(self._sums(self.seen.astype(np.intp)))
 
     def of(self, values: FloatArray) -> FloatArray:
-        """(n, AXES) means of values (R, AXES), nan where no row shows an axis."""
+        """(n, AXES) means of values (R, AXES), nan where too few rows show an axis."""
         sums = self._sums(np.where(self.seen, values, 0.0))
-        return np.where(self.rows > 0, sums / np.maximum(self.rows, 1), np.nan)
+        return np.where(self.rows >= FEWEST_ROWS, sums / np.maximum(self.rows, 1), np.nan)
 
     def some(self, which: NDArray[np.intp]) -> RowMeans:
         """Those of the means at some indices."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.wrench import AS_POINTS, AXES, RowMeans, as_points
+from cell.cable.wrench import AS_POINTS, AXES, FEWEST_ROWS, RowMeans, as_points
 from cell.study.data import Markers, Trial, Wrench
 
 FloatArray = NDArray[np.float64]
@@ -16,8 +16,6 @@ FloatArray = NDArray[np.float64]
 SPAN_S = 0.005
 #: Times that differ by less are one, s.
 SAME_S = 1e-6
-#: A sensor has so many rows in each of these spans, or is taken as it is.
-FEWEST_IN_SPAN = 2
 #: A cable that is let go is let go of some time beside what was noted, s.
 LATE_S = 0.02
 
@@ -66,7 +64,7 @@ def joined(trial: Trial, *, averaged: bool = True) -> JoinedTrial:
     if wrench is not None:
         t_s, values = _at_frames(wrench, times_s)
         at_s, span_s = _spans(times_s)
-        if averaged and span_s >= FEWEST_IN_SPAN * _step_s(wrench.t_s) * (1.0 - 1e-9):
+        if averaged and span_s >= FEWEST_ROWS * _step_s(wrench.t_s) * (1.0 - 1e-9):
             means = row_means(wrench, at_s, span_s)
             t_s, values = at_s, means.of(wrench.values)
             there = np.flatnonzero(np.isfinite(values).any(axis=1))
