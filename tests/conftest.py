@@ -24,6 +24,8 @@ HARDWARE = "hardware"
 REAL_TIME = (
     "drivers/conformance",
     "drivers/emulators",
+    "drivers/test_opencv_camera",
+    "drivers/test_serial_gripper",
     "drivers/test_ur",
     "end_to_end/test_hardware",  # which runs a few of the conformance suite
 )
