@@ -171,13 +171,12 @@ class PreparedStudy:
 
     def with_each_row(self, trials: Sequence[Trial]) -> tuple[PreparedStudy, tuple[Trial, ...]]:
         """What predicts trials with each row of their wrenches by itself, and these trials."""
-        if self.gauges is None:
+        joined = self.gauges
+        if joined is None:
             return self, tuple(trials)
-        level = self.gauges.std_m, self.gauges.inflation
-        _, gauges = with_gauges(self.unjoined, *level, averaged=False)
-        parted = without_gauges(replace(self.study, trials=tuple(trials)), self.gauges).trials
-        if gauges is None:
-            return self, tuple(trials)
+        _, gauges = with_gauges(self.unjoined, joined.std_m, joined.inflation, averaged=False)
+        assert gauges is not None  # the study has wrenches
+        parted = without_gauges(replace(self.study, trials=tuple(trials)), joined).trials
         told, gauges = gauges.with_planned(parted, gauges.gain_std, averaged=False)
         return replace(self, gauges=gauges, mesh_m={}), told
 
