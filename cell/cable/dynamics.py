@@ -13,7 +13,7 @@ from cell.cable.assembly import Block, assemble
 from cell.cable.geometry import Motion, Start
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, LanesError, Solver, threads
-from cell.cable.swing import Grid, Swing, failures
+from cell.cable.swing import Grid, Swing, each_once, failures
 from cell.cable.wrench import AS_POINTS, Gauge, RowMeans
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +70,7 @@ def simulate_each(
     simulated are nan instead of raising, and do not spoil the others.
     """
     batch, paths = _lanes(models, motions)
-    times = [increasing(t) for t in times_s]
+    times = each_once(increasing, times_s)
     if len(times) != len(batch):
         raise ValueError(f"times of {len(times)} lanes for {len(batch)}: give one array per lane")
     out = [np.empty((t.size, np.size(arc_length_m), 2)) for t in times]
@@ -101,7 +101,7 @@ def simulate_gauged(
              a 0.  Before a cable is let go its wrench is that of the moment after
     """
     batch, paths = _lanes(models, motions)
-    times = [increasing(t) for t in times_s]
+    times = each_once(increasing, times_s)
     out = [np.empty((t.size, np.size(arc_length_m) + AS_POINTS, 2)) for t in times]
     begin = Beginning.of("equilibrium", None, (), len(batch)) if begin is None else begin
     swing = replace(begin.swing(batch, paths, times, solver), gauge=gauge, means=tuple(means))
@@ -125,7 +125,7 @@ def _lanes(
 def increasing(times_s: FloatArray) -> FloatArray:
     """The times, (times,), contiguous.  Raises ValueError: they do not increase."""
     times = np.ascontiguousarray(times_s, dtype=np.float64)
-    if times.ndim != 1 or not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0.0):
+    if times.ndim != 1 or not np.all(np.isfinite(times)) or np.any(times[1:] <= times[:-1]):
         raise ValueError("times_s must be one-dimensional, finite and strictly increasing")
     return times
 

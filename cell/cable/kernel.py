@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.compiling import compiled, widest_vectors
+from cell.cable.compiling import inline, widest_vectors
 from cell.cable.layout import (
     ACCEL_C,
     ANGLE,
@@ -76,7 +76,7 @@ _KE2 = (REGULAR_CURVATURE_1_PER_M / REFERENCE_CURVATURE_1_PER_M) ** 2
 _KR2 = 1.0 / REFERENCE_CURVATURE_1_PER_M**2
 
 
-@compiled
+@inline
 def kinematics(
     S: FloatArray, lanes: int, n: int, B: FloatArray, row: int, accelerations: bool
 ) -> None:
@@ -132,7 +132,7 @@ def kinematics(
                 R[k + QA * LANES] = R[w + QA * LANES] + R[k + ACCEL_C * LANES]
 
 
-@compiled
+@inline
 def bending(S: FloatArray, lanes: int, n: int, nonlinear: bool, dq: float, dv: float) -> None:
     """The cable's own bending moments and their slope against the step's acceleration."""
     widest_vectors()
@@ -168,7 +168,7 @@ def bending(S: FloatArray, lanes: int, n: int, nonlinear: bool, dq: float, dv: f
                 R[w + STIFF * LANES] = rigidity * per_length * dq + viscosity * dv
 
 
-@compiled
+@inline
 def solve(
     S: FloatArray,
     T: FloatArray,

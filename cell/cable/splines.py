@@ -234,10 +234,11 @@ def _least_error(
 @compiled
 def _natural(t: FloatArray, y: FloatArray) -> FloatArray:
     """Second derivatives at the knots of the natural spline through y."""
-    return _solve(t, y.copy().reshape(-1, 1), np.zeros(t.size), False)[:, 0].copy()
+    bend: FloatArray = _solve(t, y.copy().reshape(-1, 1), np.zeros(t.size), False)[:, 0].copy()
+    return bend
 
 
-@compiled
+@inline
 def _smooth(t: FloatArray, y: FloatArray, root: FloatArray) -> FloatArray:
     """Minimise Σ(y − g)² + ∫penalty·g″², root (T,) = √penalty at the knots: g at the knots.
 
@@ -257,7 +258,7 @@ def _smooth(t: FloatArray, y: FloatArray, root: FloatArray) -> FloatArray:
     return smooth
 
 
-@compiled
+@inline
 def _solve(t: FloatArray, y: FloatArray, root: FloatArray, scaled: bool) -> FloatArray:
     """(R + DQᵀQD) u = Qᵀy, or = DQᵀy if scaled, D = diag(root): pentadiagonal, by LDLᵀ.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.assembly import Block
-from cell.cable.compiling import compiled
+from cell.cable.compiling import compiled, inline
 from cell.cable.effects.own import run_engine
 from cell.cable.effects.pointer import REST, call_force, call_moment
 from cell.cable.kernel import bending, kinematics
@@ -129,7 +129,7 @@ def balance(S: FloatArray, lanes: int, n: int, B: FloatArray, nonlinear: bool, e
     return -1 if settled else worst
 
 
-@compiled
+@inline
 def _tridiagonal(
     S: FloatArray,
     w: int,

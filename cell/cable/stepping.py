@@ -40,7 +40,7 @@ _CHECK_EVERY = 8
 _STILL_RAD2_PER_S2 = 1e-10
 
 
-@compiled
+@inline
 def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
     """Bends and rates at the collocation time, were the acceleration the predicted one."""
     widest_vectors()
@@ -56,7 +56,7 @@ def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
             R[w + RATE_C * LANES] = rate + step[5] * old + step[2] * guess
 
 
-@compiled
+@inline
 def turned(S: FloatArray, lanes: int, n: int, step: FloatArray) -> bool:
     """Whether a hinge's rate has another sign than the one that its moment was taken at."""
     widest_vectors()
@@ -71,7 +71,7 @@ def turned(S: FloatArray, lanes: int, n: int, step: FloatArray) -> bool:
     return worst > _STILL_RAD2_PER_S2
 
 
-@compiled
+@inline
 def advance(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
     """State at the end of the step from the acceleration in its equation."""
     widest_vectors()
@@ -89,7 +89,7 @@ def advance(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
             R[w + ACCEL * LANES] = new
 
 
-@compiled
+@inline
 def diverged(S: FloatArray, lanes: int, n: int) -> bool:
     """Whether any hinge is bent by half a turn or more, or not finite."""
     widest_vectors()
@@ -124,7 +124,7 @@ def looks(when: Sequence[FloatArray]) -> FloatArray:
     return table[np.argsort(table[:, 0], kind="stable")]
 
 
-@compiled
+@inline
 def record(
     S: FloatArray, first: int, last: int, n: int, h: float, u: float, out: FloatArray, row: int
 ) -> None:

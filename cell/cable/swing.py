@@ -186,7 +186,7 @@ def _run(
     lanes = block.lanes
     order = lanes + lanes[:1] * (block.width - len(lanes))
     times = _needed(block, grid, swing)
-    held = hands.at_times(order, _each_once(lambda t: np.append(grid.begin_s, t), times))
+    held = hands.at_times(order, each_once(lambda t: np.append(grid.begin_s, t), times))
     if grid.rests:
         first = np.zeros((at.BASE_FIELDS, at.LANES))
         first[: held.shape[1]] = held[0]
@@ -204,8 +204,8 @@ def _run(
     direct = direct and swing.gauge is None
     fresh = (len(lanes), len(bends), len(markers[0]), 2)
     points = place if isinstance(place, np.ndarray) and direct else np.empty(fresh)
-    held = hands.at_times(order, times)
-    nodes(bends.ravel(), block.width, block.segments, block.lengths, held.ravel(), *markers, points)
+    seen_from = held[1:].ravel()
+    nodes(bends.ravel(), block.width, block.segments, block.lengths, seen_from, *markers, points)
     for lane, t, here in zip(lanes, times, points, strict=False):
         there = here[: len(t)]
         seen = camera.seen(
@@ -286,12 +286,12 @@ def _needed(block: Block, grid: Grid, lanes: Swing) -> list[FloatArray]:
 def _in_steps(times_s: Sequence[FloatArray], grid: Grid) -> list[FloatArray]:
     """Times of every lane in steps from the beginning."""
     # rounding must not put the last time behind the last step: it would never be written
-    return _each_once(
+    return each_once(
         lambda t: np.minimum((t - grid.begin_s) / grid.solver.step_s, grid.steps), times_s
     )
 
 
-def _each_once(
+def each_once(
     function: Callable[[FloatArray], FloatArray], arrays: Sequence[FloatArray]
 ) -> list[FloatArray]:
     """What a function makes of arrays; what was one array is one again."""

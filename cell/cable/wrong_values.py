@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.compiling import compiled
+from cell.cable.compiling import compiled, inline
 
 FloatArray = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def _alone(t: FloatArray, rough: FloatArray, i: int, noise: float) -> int:
         first, end = max(0, number - 6), min(t.size, number + 7)
         unit = np.zeros(end - first)
         unit[number - first] = 1.0
-        shape, seen = fourth_differences(t[first:end], unit), rough[first : end - 4]
+        shape, seen = _fourth_differences(t[first:end], unit), rough[first : end - 4]
         square, along, total = 0.0, 0.0, 0.0
         for k in range(shape.size):
             square += shape[k] * shape[k]
@@ -142,6 +142,12 @@ def longest_run(wrong: NDArray[np.bool_]) -> int:
 @compiled
 def fourth_differences(t: FloatArray, y: FloatArray) -> FloatArray:
     """(T − 4,) fourth divided differences, scaled to the variance of a single value."""
+    out: FloatArray = _fourth_differences(t, y)
+    return out
+
+
+@inline
+def _fourth_differences(t: FloatArray, y: FloatArray) -> FloatArray:
     out = np.empty(t.size - 4)
     for k in range(out.size):
         difference, square = 0.0, 0.0

@@ -8,12 +8,20 @@ import pytest
 from cell.cable import layout as at
 from cell.cable.assembly import assemble
 from cell.cable.clamp import base_rows
+from cell.cable.compiling import compiled
 from cell.cable.geometry import Cable
 from cell.cable.kernel import bending, kinematics, solve
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M, CableModel
 from cell.cable.solver import generalised_alpha
 from cell.cable.splines import Steps
 from cell.cable.stepping import integrate, looks
+
+
+@compiled
+def _accelerate(state, scratch, lanes, segments, rows, nonlinear):
+    kinematics(state, lanes, segments, rows, 0, False)
+    bending(state, lanes, segments, nonlinear, 0.0, 0.0)
+    solve(state, scratch, lanes, segments, rows, 0, 0.0, False)
 
 
 class Chain:
@@ -48,9 +56,7 @@ class Chain:
         for now, there in ((at.BEND, at.BEND_C), (at.RATE, at.RATE_C)):
             self.fields[:, there] = self.fields[:, now]
         self.fields[:, at.ACCEL_C] = 0.0
-        kinematics(b.state, b.width, self.n, rows, 0, False)
-        bending(b.state, b.width, self.n, b.nonlinear, 0.0, 0.0)
-        solve(b.state, np.zeros(12 * at.LANES), b.width, self.n, rows, 0, 0.0, False)
+        _accelerate(b.state, np.zeros(12 * at.LANES), b.width, self.n, rows, b.nonlinear)
         return self[at.ACCEL_C].copy()
 
     def kinetic(self, bend, rate):

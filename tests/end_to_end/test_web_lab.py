@@ -122,7 +122,7 @@ class LabPage:
     def type_over_effect(self, text: str) -> None:
         from selenium.webdriver.common.keys import Keys
 
-        content = self._browser.find_element("css selector", "[data-test=editor] .cm-content")
+        content = until(self._editor)  # which comes after its frame
         content.click()
         content.send_keys(Keys.CONTROL, "a")
         self._browser.execute_cdp_cmd("Input.insertText", {"text": text})
@@ -135,6 +135,10 @@ class LabPage:
 
     def ended(self, job: str, within_s: float = 300.0) -> None:
         self.shows("jobs", f"{job} · done", within_s)
+
+    def _editor(self) -> Any:
+        found = self._browser.find_elements("css selector", "[data-test=editor] .cm-content")
+        return found[0] if found else None
 
     def _shown(self, what: str) -> Any:
         found = self._browser.find_elements("css selector", f"[data-test={what}]")

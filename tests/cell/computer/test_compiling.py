@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,8 +12,11 @@ import numpy as np
 import pytest
 from llvmlite.binding import get_host_cpu_features
 from numba import njit
+from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
 
 import calib.lens
+import cell.cable
 import cell.vision
 from cell.computer.compiling import compiler, hash_of, inline, widest_vectors
 from cell.vision.compiling import compiled
@@ -68,6 +73,25 @@ def test_what_only_compiled_code_can_call_says_so() -> None:
     assert call(1.0) == 2.0
     with pytest.raises(TypeError, match="plus_one: only compiled code can call it"):
         plus_one(1.0)
+
+
+def test_what_the_engine_computes_does_not_depend_on_who_compiled_it() -> None:
+    """A process that compiles has each function apart, one that loads it has it in its callers.
+
+    The two are optimised differently, and their last digits differ.  So what compiled functions of
+    the engine call becomes part of them.
+    """
+    modules = pkgutil.walk_packages(cell.cable.__path__, "cell.cable.")
+    known = {m.name: vars(importlib.import_module(m.name)) for m in modules}
+    functions = [f for names in known.values() for f in names.values() if isinstance(f, Dispatcher)]
+    assert len(functions) > 30
+    apart = [
+        f"{f.py_func.__name__} calls {name}"
+        for f in functions
+        for name in f.py_func.__code__.co_names
+        if type(f.py_func.__globals__.get(name)) is CPUDispatcher
+    ]
+    assert not apart, "decorate what is called with `inline`"
 
 
 _PROGRAM = """
