@@ -24,6 +24,12 @@ __all__ = ["make_study"]
 ROOT = Path(__file__).parents[3]
 #: On a busy computer a process of Dask needs many seconds to begin.
 PATIENCE_S = 60.0
+#: Idle processes of Dask look around a hundred times a second: other tests want the computer.
+QUIET = {
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "5s",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+}
 
 
 @dataclass
@@ -41,7 +47,8 @@ class Dask:
     def start(self, name: str, *command: str, **environment: str) -> None:
         """Start a process of Dask that writes to its log."""
         paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-        given = {**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1", **environment}
+        own = {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1", **QUIET}
+        given = {**os.environ, **own, **environment}
         words = [sys.executable, "-m", f"distributed.cli.dask_{command[0]}", *command[1:]]
         with (self.folder / f"{name}.log").open("wb") as log:
             process = subprocess.Popen(words, cwd=self.folder, env=given, stdout=log, stderr=log)
