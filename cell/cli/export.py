@@ -13,7 +13,7 @@ import typer
 from cell.cli.delivery import deliver, json_files
 from cell.cli.given import folder_of, maybe_folder_of
 from cell.cli.lab import Force, refusing, show, working
-from cell.cli.result_json import Json, JsonCommand, print_result
+from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, NOT_ALL_DONE, group, tell_notes
 
 if TYPE_CHECKING:
@@ -96,10 +96,11 @@ def _describe(identified: Identified, out: Path, as_json: Path | None) -> None:
     data = description(identified)
 
     def printed() -> None:
-        if print_result(data, as_json):
-            show(f"written to {out}: {data['format']}")
+        print_result(data, as_json)
 
     deliver(printed, *json_files(data, out, as_json))
+    if as_json != STDOUT:
+        show(f"written to {out}: {data['format']}")
 
 
 def _to_mujoco(
@@ -129,9 +130,11 @@ def _to_mujoco(
 
     def printed() -> None:
         if print_result(data, as_json):
-            show(*export_parts(done, out))
+            show(*export_parts(done))
 
     deliver(printed, (out, partial(write_whole, content=done.xml)), *json_files(data, as_json))
+    if as_json != STDOUT:
+        show(f"written to {out}")
     if not done.within_bar:
         raise typer.Exit(NOT_ALL_DONE)
 

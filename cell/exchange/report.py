@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
@@ -12,9 +11,9 @@ from cell.exchange.peer import BAR_M
 from cell.files.table import TableData
 
 
-def export_parts(done: Export, out: Path) -> Iterator[TableData | str]:
-    """What was written, what is not in it, and how far the tips are apart, mm."""
-    yield f"written to {out}: {done.chain.links} links, steps of {done.step_s * 1e3:g} ms"
+def export_parts(done: Export) -> Iterator[TableData | str]:
+    """What is in the chain, what is not, and how far the tips are apart, mm."""
+    yield f"chain: {done.chain.links} links, steps of {done.step_s * 1e3:g} ms"
     yield f"effects in it: {', '.join(done.effects) or 'none'}"
     for effect in done.left_out:
         yield f"left out: {effect.name}: {effect.reason}"
@@ -22,7 +21,7 @@ def export_parts(done: Export, out: Path) -> Iterator[TableData | str]:
     if not done.within_bar:
         yield (
             f"The tip differs by more than {BAR_M * 1e3:g} mm rms: give more --links, or check the "
-            "model; the file is written."
+            "model."
         )
 
 

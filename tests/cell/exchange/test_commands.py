@@ -67,6 +67,15 @@ def test_json_is_printed_and_nothing_beside_it(model_file, tmp_path):
     assert json.loads(older.read_text())["method"] == "imported"
 
 
+@pytest.mark.parametrize("to", ["mujoco", "json"])
+def test_what_a_full_disk_refuses_is_not_said_to_be_written(model_file, tmp_path, full_disk, to):
+    done = cell("export", model_file, "--to", to, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "out: cannot be written: File too large" in done.stderr
+    assert "written to" not in done.stdout
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_cycles_folder_stands_for_its_model(model_file, tmp_path):
     done = cell("export", tmp_path, "--to", "json", "-o", tmp_path / "plain.json")
     assert done.exit_code == 0
