@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar
@@ -16,9 +16,9 @@ from cell.cable.wrench import AS_POINTS, Gauge
 from cell.identify.fit import Lane, predict_lanes
 from cell.identify.noise import Noise
 from cell.identify.whitener import Whitener
-from cell.lab.data.gauges import Gauges, scaled, with_gauges, without_gauges
+from cell.lab.data.gauges import Gauges, with_gauges, without_gauges
 from cell.lab.data.held_straight import placed
-from cell.lab.data.noise_model import NoiseModel, noise_model_of, noise_model_of_residuals
+from cell.lab.data.noise_model import NoiseModel, noise_model_of
 from cell.lab.data.unknown_start import InitialState, initial_state_of
 from cell.lab.data.whitening import whiteners_of
 from cell.lab.data.work import SOLVER, Work
@@ -104,57 +104,9 @@ class PreparedStudy:
         return self.noise == self.noise_model.weighed
 
     @property
-    def gain_is_uncertain(self) -> bool:
-        """Whether there are wrenches that may all be too large by a factor."""
-        return self.gauges is not None and self.gauges.gain_std > 0.0
-
-    @property
     def expected(self) -> Noise:
         """What a right model leaves: the measurement's noise or an earlier model's error."""
         return self.noise_model.noise if self.noise_is_measured else self.noise
-
-    def judged_by(self, errors: Sequence[FloatArray]) -> PreparedStudy:
-        """The same with the correlations of a stated error as a model's residuals have them.
-
-        errors  per trial to be fitted (times, channels), m, nan where not seen
-        """
-        fitted, columns = self.study.role("fit"), 2 * len(self.study.arc_length_m)
-        places = [self.of_frames(t, e)[:, :columns] for t, e in zip(fitted, errors, strict=True)]
-        noise_model = (
-            noise_model_of_residuals(self.noise_model, places)
-            if self.noise_is_measured
-            else self.noise_model
-        )
-        return self if noise_model == self.noise_model else self.with_noise_model(noise_model)
-
-    def with_noise_model(
-        self, noise_model: NoiseModel, of_gauges: tuple[NoiseModel, NoiseModel] | None = None
-    ) -> PreparedStudy:
-        """The same, whitened for another noise of the measurement.
-
-        of_gauges  noise of force and moment, if there are gauges and it is another, too
-        """
-        if noise_model.weighed == self.noise and of_gauges is None:
-            return replace(self, noise_model=noise_model)
-        prepared = self._levelled(noise_model.noise.std_m, of_gauges)
-        weighed, gauges = noise_model.weighed, prepared.gauges
-        whiteners = whiteners_of(prepared.study, weighed, gauges, self.lines)
-        return replace(prepared, noise_model=noise_model, noise=weighed, whiteners=whiteners)
-
-    def _levelled(
-        self, std_m: float, of_gauges: tuple[NoiseModel, NoiseModel] | None
-    ) -> PreparedStudy:
-        """The same with gauges in the unit of such a noise."""
-        if self.gauges is None:
-            return self
-        force, moment = of_gauges or (self.gauges.force, self.gauges.moment)
-        gauges = replace(self.gauges, std_m=std_m, force=force, moment=moment)
-        factors = gauges.scale / self.gauges.scale
-        mesh_m = {name: error_m.copy() for name, error_m in self.mesh_m.items()}
-        for error_m in mesh_m.values():
-            error_m[:, gauges.markers :] *= factors
-        study = scaled(self.study, gauges, factors)
-        return replace(self, study=study, gauges=gauges, mesh_m=mesh_m)
 
     @property
     def unjoined(self) -> Study:
@@ -168,17 +120,6 @@ class PreparedStudy:
     def of_frames(self, trial: Trial, rows: FloatArray) -> FloatArray:
         """(frames, …) of (times, …) of a trial: without the times of a wrench alone."""
         return rows if self.gauges is None else rows[self.gauges.joined[trial.name].frames]
-
-    def with_each_row(self, trials: Sequence[Trial]) -> tuple[PreparedStudy, tuple[Trial, ...]]:
-        """What predicts trials with each row of their wrenches by itself, and these trials."""
-        joined = self.gauges
-        if joined is None:
-            return self, tuple(trials)
-        _, gauges = with_gauges(self.unjoined, joined.std_m, joined.inflation, averaged=False)
-        assert gauges is not None  # the study has wrenches
-        parted = without_gauges(replace(self.study, trials=tuple(trials)), joined).trials
-        told, gauges = gauges.with_planned(parted, gauges.gain_std, averaged=False)
-        return replace(self, gauges=gauges, mesh_m={}), told
 
     @property
     def measured(self) -> Study:
@@ -216,33 +157,20 @@ class PreparedStudy:
 
         initial_states  by trial, 0 where none is given
         """
-        alike: dict[object, list[tuple[str, int, Lane]]] = {}
-        for trial in trials:
-            t_s, state = trial.markers.t_s, self.initial_state(trial)
-            self.work.add(len(models), float(t_s[-1] - t_s[0]), self.counted or self.solver)
-            unknown = (initial_states or {}).get(trial.name, np.zeros((len(models), state.count)))
-            late = state.delay_s(unknown)
-            times = {float(d): t_s - d for d in np.unique(late)}
-            for number, (model, d) in enumerate(zip(models, late, strict=True)):
-                modes = state.modes(unknown[number]) if state.bent else None
-                means = None if trial.row_means is None else trial.row_means.earlier(float(d))
-                lane = Lane(trial, model, times[float(d)], modes, means)
-                key = _begins(lane), self._gauge(trial) is None
-                alike.setdefault(key, []).append((trial.name, number, lane))
         out = {t.name: np.empty((len(models), *t.markers.xy_m.shape)) for t in trials}
-        for group in alike.values():
+        for group in _alike(self, trials, models, initial_states or {}):
             lanes = [lane for *_, lane in group]
-            gauge = self._gauge(lanes[0].trial)
+            gauge = self.gauge(lanes[0].trial)
             predicted = predict_lanes(lanes, self.study.arc_length_m, self.solver, np.nan, gauge)
             for (name, number, _), points in zip(group, predicted, strict=True):
                 out[name][number] = points
         if self.gauges is not None:
             for trial in trials:
-                if self._gauge(trial) is not None:
+                if self.gauge(trial) is not None:
                     out[trial.name][:, :, -AS_POINTS:] *= self.gauges.scale
         return [out[t.name] for t in trials]
 
-    def _gauge(self, trial: Trial) -> Gauge | None:
+    def gauge(self, trial: Trial) -> Gauge | None:
         """What measures the wrench that is among a trial's points, if it is."""
         markers = len(self.study.arc_length_m)
         if self.gauges is None or trial.markers.xy_m.shape[1] == markers:
@@ -331,6 +259,33 @@ def pooled(prepared: PreparedStudy) -> PreparedStudy:
 def all_fitted(study: Study) -> Study:
     """The study with no trial held out."""
     return replace(study, trials=tuple(replace(t, role="fit") for t in study.trials))
+
+
+def _alike(
+    prepared: PreparedStudy,
+    trials: Sequence[Trial],
+    models: Sequence[CableModel],
+    initial_states: Mapping[str, FloatArray],
+) -> Iterable[list[tuple[str, int, Lane]]]:
+    """Lanes of all trials and models, those that begin alike together: trial, model and lane.
+
+    Their work is counted.
+    """
+    alike: dict[object, list[tuple[str, int, Lane]]] = {}
+    for trial in trials:
+        t_s, state = trial.markers.t_s, prepared.initial_state(trial)
+        counted = prepared.counted or prepared.solver
+        prepared.work.add(len(models), float(t_s[-1] - t_s[0]), counted)
+        unknown = initial_states.get(trial.name, np.zeros((len(models), state.count)))
+        late = state.delay_s(unknown)
+        times = {float(d): t_s - d for d in np.unique(late)}
+        for number, (model, d) in enumerate(zip(models, late, strict=True)):
+            modes = state.modes(unknown[number]) if state.bent else None
+            means = None if trial.row_means is None else trial.row_means.earlier(float(d))
+            lane = Lane(trial, model, times[float(d)], modes, means)
+            key = _begins(lane), prepared.gauge(trial) is None
+            alike.setdefault(key, []).append((trial.name, number, lane))
+    return alike.values()
 
 
 def _begins(lane: Lane) -> object:

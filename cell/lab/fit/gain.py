@@ -15,6 +15,11 @@ from cell.lab.data.whitening import whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_states
 
 
+def gain_is_uncertain(prepared: PreparedStudy) -> bool:
+    """Whether there are wrenches that may all be too large by a factor."""
+    return prepared.gauges is not None and prepared.gauges.gain_std > 0.0
+
+
 def with_gain_of(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
     """The study whitened for a gain of the wrenches of a model; itself where no gain is uncertain.
 
@@ -22,7 +27,7 @@ def with_gain_of(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
     source  Fuller 1987, Measurement Error Models, sec. 1.1: attenuation by errors in a regressor
     """
     gauges = prepared.gauges
-    if gauges is None or not prepared.gain_is_uncertain:
+    if gauges is None or not gain_is_uncertain(prepared):
         return prepared
     trials = [t for t in prepared.study.trials if gauges.are_in(t)]
     points = prepared.predict_all(trials, [fit.model], best_initial_states(prepared, fit))

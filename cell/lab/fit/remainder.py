@@ -12,6 +12,7 @@ from cell.identify.noise import still_frames
 from cell.lab.data.noise_likelihood import Remainder
 from cell.lab.data.noise_model import noise_model_of_all_frames
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.renoised import with_noise_model
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
 from cell.lab.statistics.score import score_test
@@ -33,8 +34,8 @@ def with_noise_beside(
     left = remainders(prepared, fit, effects)
     markers, *of_gauges = map(noise_model_of_all_frames, each, left)
     if not of_gauges:
-        return prepared.with_noise_model(markers)
-    return prepared.with_noise_model(markers, (of_gauges[0], of_gauges[1]))
+        return with_noise_model(prepared, markers)
+    return with_noise_model(prepared, markers, (of_gauges[0], of_gauges[1]))
 
 
 def remainders(

@@ -16,7 +16,7 @@ from cell.cable.wrench import AS_POINTS
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.gaussian import covariance_root
 from cell.identify.hand import HandErrors, likely_motions
-from cell.lab.data.gauges import without_gauges
+from cell.lab.data.gauges import with_gauges, without_gauges
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.whitening import whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_state, errors_m, fit_model
@@ -58,7 +58,7 @@ class World:
         trials = prepared.study.trials if trials is None else tuple(trials)
         states = {t.name: _beginning(prepared, fit, t)[None] for t in trials}
         channels = _together(prepared, fit)
-        prepared, trials = prepared.with_each_row(trials)
+        prepared, trials = _with_each_row(prepared, trials)
         places = finer(prepared).predict_all(trials, [model], states)
         if not all(np.all(np.isfinite(points)) for points in places):
             name = "" if hidden is None else f" with {hidden.effect.name} {hidden.values}"
@@ -114,6 +114,20 @@ class World:
             fresh[k] = ar1 * fresh[k - 1] + np.sqrt(1.0 - ar1**2) * fresh[k]
         white = rng.standard_normal(fresh.shape)
         return np.asarray(np.sqrt(coloured_m2) * fresh + np.sqrt(white_m2) * white).reshape(shape)
+
+
+def _with_each_row(
+    prepared: PreparedStudy, trials: Sequence[Trial]
+) -> tuple[PreparedStudy, tuple[Trial, ...]]:
+    """What predicts trials with each row of their wrenches by itself, and these trials."""
+    joined = prepared.gauges
+    if joined is None:
+        return prepared, tuple(trials)
+    _, gauges = with_gauges(prepared.unjoined, joined.std_m, joined.inflation, averaged=False)
+    assert gauges is not None  # the study has wrenches
+    parted = without_gauges(replace(prepared.study, trials=tuple(trials)), joined).trials
+    told, gauges = gauges.with_planned(parted, gauges.gain_std, averaged=False)
+    return replace(prepared, gauges=gauges, mesh_m={}), told
 
 
 def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArray:

@@ -15,6 +15,7 @@ from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.renoised import judged_by
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with
 from cell.lab.fit.gain import with_gain_of
 from cell.lab.fit.mesh import mesh_error_m, without_mesh_error
@@ -82,7 +83,7 @@ class Baseline:
         if gained is not prepared:
             prepared, start = gained, fit.q
             fit = fit_model(prepared, space, start, options=POLISH)
-        judged = prepared.judged_by(errors_m(prepared, fit))
+        judged = judged_by(prepared, errors_m(prepared, fit))
         if judged is not prepared:
             fit = fit_model(judged, space, start, options=POLISH)
         found = self._beside_noise_and_mesh(BaselineFit(judged, fit))

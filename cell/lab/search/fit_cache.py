@@ -18,7 +18,7 @@ from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.whitening import arcs_are_uncertain
 from cell.lab.data.work import Work
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
-from cell.lab.fit.gain import with_gain_of
+from cell.lab.fit.gain import gain_is_uncertain, with_gain_of
 from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr
 from cell.lab.fit.mesh import matters, mesh_error_m, without_mesh_error
@@ -124,30 +124,6 @@ class FitCache:
             with contextlib.suppress(*UNSIMULATED):
                 found = continued(self.prepared, self.found, POLISH)
                 self._memory.models[found.names] = found
-
-    def beside(self, found: FittedModel) -> FitCache | None:
-        """The study with the noise and mesh error beside a found model, nothing fitted to it yet.
-
-        Those beside the baseline, which imitated what was missing or could not fit, were others.
-        So were the lines of markers of uncertain arc length, and the wrench of an uncertain gain.
-        returns  None if that was done, if neither changes noticeably, or if no model has explained
-                 the study yet
-        """
-        before = self.prepared
-        if self.found is not None or not (self.explained_by(found) or before.mesh_m):
-            return None
-        others = [e for name, e in self.library.items() if name not in found.names]
-        prepared = with_noise_beside(before, found.fit, others)
-        error_m = mesh_error_m(prepared, found.fit)
-        another = prepared.noise_model.differs_from(before.noise_model)
-        of_model = arcs_are_uncertain(prepared.study) or prepared.gain_is_uncertain
-        if not (another or of_model or matters(prepared, error_m)):
-            return None
-        settled = with_gain_of(without_mesh_error(prepared, found.fit, error_m), found.fit)
-        begin, earlier = self.baseline().fit.q, dict(self._memory.models)
-        return replace(
-            self, given=settled, begin=begin, found=found, earlier=earlier, _memory=_Memory()
-        )
 
     def explained_by(self, model: FittedModel) -> bool:
         """Whether a model leaves so little that the rest may be noise and the mesh's error."""
@@ -278,6 +254,30 @@ class FitCache:
         except UNSIMULATED:  # a cable that only the effect kept from collapsing
             q = cold_start(self.prepared, space)
             return fit_model(self.prepared, space, q, options=REFIT)
+
+
+def settled_beside(fits: FitCache, found: FittedModel) -> FitCache | None:
+    """A cache of the study with the noise and mesh error beside a found model, nothing fitted yet.
+
+    Those beside the baseline, which could not fit, were others.  So were the lines of markers of
+    uncertain arc length, and the wrench of an uncertain gain.
+    returns  None if that was done, if neither changes noticeably, or if no model explains the study
+    """
+    before = fits.prepared
+    if fits.found is not None or not (fits.explained_by(found) or before.mesh_m):
+        return None
+    others = [e for name, e in fits.library.items() if name not in found.names]
+    prepared = with_noise_beside(before, found.fit, others)
+    error_m = mesh_error_m(prepared, found.fit)
+    another = prepared.noise_model.differs_from(before.noise_model)
+    of_model = arcs_are_uncertain(prepared.study) or gain_is_uncertain(prepared)
+    if not (another or of_model or matters(prepared, error_m)):
+        return None
+    settled = with_gain_of(without_mesh_error(prepared, found.fit, error_m), found.fit)
+    begin, earlier = fits.baseline().fit.q, {m.names: m for m in fits.known()}
+    return replace(
+        fits, given=settled, begin=begin, found=found, earlier=earlier, _memory=_Memory()
+    )
 
 
 def rebased(fits: FitCache, start: FloatArray, least: float) -> FitCache:

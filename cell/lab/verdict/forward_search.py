@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cell.cable.effects.base import Effect
 from cell.lab.data.thresholds import Rules
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, settled_beside
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels, pruned
 from cell.lab.search.study_space import StudySpace
@@ -152,7 +152,7 @@ def searched(fits: FitCache, base: FittedModel, library: int, rules: Rules) -> S
 
     for step, (current,) in enumerate(levels(base, space.extended, kept)):
         explained = current is not base and fits.explained_by(current)
-        if explained and (again := fits.beside(current)) is not None:
+        if explained and (again := settled_beside(fits, current)) is not None:
             return Searched(current, again=again)
         if step == rules.most_named or Evidence(fits, base, current, rules).below_stated:
             break
@@ -161,7 +161,7 @@ def searched(fits: FitCache, base: FittedModel, library: int, rules: Rules) -> S
         if current is not base and not in_time():  # beside the baseline all were refitted already
             return Searched(current, cut_short=True)
     unasked = current is not base and not fits.explained_by(current)
-    return Searched(current, again=fits.beside(current) if unasked else None)
+    return Searched(current, again=settled_beside(fits, current) if unasked else None)
 
 
 def _cannot_succeed(fits: FitCache, current: FittedModel, rules: Rules, most_left: float) -> bool:

@@ -9,6 +9,7 @@ from cell.cable.model import CableModel
 from cell.identify.fit import variance_inflation
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.renoised import with_noise_model
 from cell.lab.data.wrench_rows import joined, row_means
 from cell.lab.verdict.smooth_part import _Fast
 from cell.study.data import Markers, Trial, Wrench, WrenchSensor
@@ -140,7 +141,7 @@ def test_a_study_comes_back_from_its_points(study):
 def test_another_noise_of_the_markers_changes_no_residual_of_the_wrench(study, truth):
     prepared = PreparedStudy.of(study)
     louder = replace(prepared.noise_model, noise=replace(prepared.noise_model.noise, std_m=3e-3))
-    changed = prepared.with_noise_model(louder)
+    changed = with_noise_model(prepared, louder)
     trial, other = prepared.study.trials[0], changed.study.trials[0]
     (before,), (after,) = (
         p.predict_all([t], [truth]) for p, t in ((prepared, trial), (changed, other))

@@ -9,6 +9,7 @@ import pytest
 
 from cell.cable.effects import library
 from cell.lab.data.prepared import PreparedStudy, pooled
+from cell.lab.data.renoised import with_noise_model
 from cell.lab.fit.fitting import fit_model, fit_trials
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.sensitivity import changes, nuisance_of, sensitivities
@@ -39,7 +40,8 @@ def noiseless(fitted):
         seen[~np.isfinite(trial.markers.xy_m)] = np.nan
         trials.append(replace(trial, markers=replace(trial.markers, xy_m=seen)))
     study = replace(prepared.study, trials=tuple(trials))
-    return PreparedStudy.of(replace(study, noise_std_m=1e-4)).with_noise_model(prepared.noise_model)
+    there = PreparedStudy.of(replace(study, noise_std_m=1e-4))
+    return with_noise_model(there, prepared.noise_model)
 
 
 def test_what_is_left_of_all_trials_is_what_a_fit_to_them_leaves(fitted, linear, noiseless, hidden):
