@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cell.api.fitted_study import fit_study
 from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResult, SuggestResult
 from cell.identify.identified import Identified
 from cell.lab.data.named_effects import (
@@ -22,12 +23,11 @@ from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
-from cell.lab.power.asked import select_asked
-from cell.lab.power.study_power import power_of
+from cell.lab.next.asked import select_asked
+from cell.lab.next.study_power import power_of
 from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
 from cell.lab.search.wrong_samples import without_wrong_samples
 from cell.lab.strength.compare import compare_model
-from cell.lab.strength.fitted_study import fit_study
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose as examine
@@ -180,7 +180,7 @@ def power(
 def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:
     """The study with motions of `cell suggest`, from where its hand begins, held out."""
     from cell.lab.next.motion_file import hand_motion
-    from cell.lab.power.planned import with_motions
+    from cell.lab.next.planned import with_motions
 
     if not motions:
         return fits

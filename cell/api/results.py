@@ -45,8 +45,8 @@ from cell.study.wrench_file import COLUMNS
 if TYPE_CHECKING:
     from cell.lab.data.prepared import PreparedStudy
     from cell.lab.next.advice import Step
+    from cell.lab.next.study_power import StudyPower
     from cell.lab.next.suggestion import Suggestion
-    from cell.lab.power.study_power import StudyPower
     from cell.lab.search.fitted_model import FittedModel
     from cell.lab.verdict.diagnose import Examination
 

@@ -15,8 +15,8 @@ from cell.files.table import TableData
 from cell.lab.data.named_effects import EffectSelection, select_for_diagnosis
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.many.results import Together
-from cell.lab.many.together import Examined, check_names, together
+from cell.lab.line.together import Examined, check_names, together
+from cell.lab.line.together_results import Together
 from cell.lab.report.together_tables import together_page, together_parts
 from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study

@@ -388,9 +388,9 @@ def suggest(given: _Suggest) -> None:
     from cell.api.lab import set_up
     from cell.api.results import SuggestResult
     from cell.lab.data.named_effects import select_for_diagnosis
+    from cell.lab.next.asked import select_asked
     from cell.lab.next.showing import asked_and_tried, showing_motion
     from cell.lab.next.suggest import suggest_motion
-    from cell.lab.power.asked import select_asked
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.lab.verdict.diagnose import diagnose as diagnose_study
     from cell.settings.surroundings import Surroundings

@@ -76,8 +76,8 @@ def power(given: _Power) -> None:
     """
     from cell.api.lab import planned, set_up
     from cell.api.results import PowerResult
-    from cell.lab.power.asked import select_asked
-    from cell.lab.power.study_power import power_of
+    from cell.lab.next.asked import select_asked
+    from cell.lab.next.study_power import power_of
 
     with refusing(*given.results or [], force=given.force), working("power") as progress:
         asked, selection = select_asked(given.effect, given.known or [])

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cell.api.fitted_study import fit_study
 from cell.exchange.export import export_to_mujoco
 from cell.exchange.from_mujoco import model_from_mujoco
 from cell.exchange.peer import Difference, Trial, trials_of
@@ -25,7 +26,6 @@ from cell.identify.identified import Identified
 from cell.lab.data.named_effects import select_effects
 from cell.lab.data.opened_study import open_study
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.strength.fitted_study import fit_study
 from cell.settings import load_settings
 from tools.studies.cable_rows import CONFIG, written
 from tools.studies.practice_table import DEFAULT

@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from cell.api.fitted_study import fit_study
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.named_effects import EffectSelection
@@ -33,7 +34,6 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study
 from tools.worlds.made_studies import coloured, hidden, make_study

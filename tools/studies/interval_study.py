@@ -22,6 +22,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.stats import binomtest
 
+from cell.api.fitted_study import fit_study
 from cell.cable.effects import ActiveEffect, Effect, library
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
@@ -30,7 +31,6 @@ from cell.lab.data.opened_study import open_study
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.estimate import estimate
-from cell.lab.strength.fitted_study import fit_study
 from cell.study.folder import write_study
 from tools.studies.confusion_study import ONE_CLASS
 from tools.worlds.made_studies import CABLE, hidden, make_study, random_model

@@ -22,10 +22,10 @@ from pathlib import Path
 from cell.cable.solver import one_core
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.power.asked import select_asked
-from cell.lab.power.forecast import forecast, resized
-from cell.lab.power.linear_study import LinearStudy
-from cell.lab.power.recovery import recover
+from cell.lab.next.asked import select_asked
+from cell.lab.next.forecast import forecast, resized
+from cell.lab.next.linear_study import LinearStudy
+from cell.lab.next.recovery import recover
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.statistics.proportion import wilson
 from cell.study.data import Study

@@ -1,1 +1,1 @@
-"""Learning from recorded cables of a line: the effect that its model lacks, and a candidate."""
+"""Several cables: one answer of several studies, and what recorded cables of a line share."""

@@ -1,1 +1,1 @@
-"""Next steps after a finding: advice, the most informative motion, discovery of laws."""
+"""What to measure next, and what that would show: advice, motions, power, laws to discover."""

@@ -8,9 +8,9 @@ from dataclasses import replace
 from cell.cable.effects.base import after_number
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.rival import Rival
+from cell.lab.next.asked import AskedEffect
 from cell.lab.next.suggest import distinguishing_motions, worth_a_cable
 from cell.lab.next.suggestion import Suggestion
-from cell.lab.power.asked import AskedEffect
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.doubts import is_no_model, no_model_doubt
 from cell.settings.surroundings import Surroundings

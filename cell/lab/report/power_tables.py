@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cell.files.table import TableData
-from cell.lab.power.decisions import Chances
-from cell.lab.power.forecast import POWER
-from cell.lab.power.recovery import Recovery
-from cell.lab.power.study_power import EffectPower, StudyPower
+from cell.lab.next.decisions import Chances
+from cell.lab.next.forecast import POWER
+from cell.lab.next.recovery import Recovery
+from cell.lab.next.study_power import EffectPower, StudyPower
 from cell.lab.report.wording import parameter_in_words
 
 #: Why a diagnosis does not claim an effect, by what has to hold for it.

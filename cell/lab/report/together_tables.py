@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cell.files.page import page
 from cell.files.table import TableData
-from cell.lab.many.results import Consistency, Together
+from cell.lab.line.together_results import Consistency, Together
 from cell.lab.report.wording import chance, digits
 
 _TEMPLATES = Path(__file__).parent / "templates"

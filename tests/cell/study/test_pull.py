@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.api.fitted_study import fit_study
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
@@ -18,7 +19,6 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.named_effects import select_effects
 from cell.lab.data.opened_study import open_study
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.strength.fitted_study import fit_study
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study, write_study
 from cell.study.plausible import impossible

@@ -12,7 +12,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.mesh import mesh_error_m, without_mesh_error
 from cell.lab.fit.starts import cold_start
-from cell.lab.power.hidden import World
+from cell.lab.next.hidden import World
 from cell.lab.search.fitted_model import POLISH
 from tools.worlds.made_studies import hidden
 from tools.worlds.rig_kinds import KINDS

@@ -12,13 +12,13 @@ from cell.cable.effects import library
 from cell.cli import app
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.next.asked import select_asked
+from cell.lab.next.forecast import forecast
+from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.motion_file import hand_motion
+from cell.lab.next.planned import with_motions
 from cell.lab.next.showing import asked_and_tried, showing_motion
 from cell.lab.next.suggestion import Suggestion, write_motion
-from cell.lab.power.asked import select_asked
-from cell.lab.power.forecast import forecast
-from cell.lab.power.linear_study import LinearStudy
-from cell.lab.power.planned import with_motions
 from cell.lab.search.fit_cache import FitCache
 from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study

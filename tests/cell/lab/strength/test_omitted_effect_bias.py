@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from cell.api.fitted_study import fit_study
 from cell.cable.effects import library
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict.doubts import lacking_doubt
 from tests.cell.lab.conftest import LONG
 

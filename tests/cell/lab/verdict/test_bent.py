@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cell.api.fitted_study import fit_study
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
@@ -17,7 +18,6 @@ from cell.cli import app
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.compare import compare_model
-from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study, write_study

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from cell.api.fitted_study import fit_study
 from cell.cable.effects import library
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.strength.fitted_study import fit_study
 from cell.lab.verdict import prior_check
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence

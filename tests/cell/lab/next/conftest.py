@@ -9,7 +9,7 @@ import pytest
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.power.linear_study import LinearStudy
+from cell.lab.next.linear_study import LinearStudy
 from cell.lab.search.fit_cache import FitCache
 
 #: Few effects, so that a diagnosis is quick: alike, unlike and not smooth.

@@ -12,7 +12,7 @@ from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.noise import Noise
 from cell.lab.data.noise_model import noise_model_of
 from cell.lab.fit.sensitivity import changes
-from cell.lab.power.hidden import World, left_of
+from cell.lab.next.hidden import World, left_of
 
 MASS_KG = 2.5e-5
 

@@ -19,7 +19,7 @@ from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.results import Diagnosis
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import StoppedError, Work
-from cell.lab.power.hidden import World
+from cell.lab.next.hidden import World
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.statistics.proportion import wilson
 from cell.lab.verdict.diagnose import diagnose

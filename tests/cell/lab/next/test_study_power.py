@@ -10,10 +10,10 @@ import pytest
 
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import Diagnosis, Errors, MissingEffect
-from cell.lab.power.asked import select_asked
-from cell.lab.power.forecast import POWER, forecast
-from cell.lab.power.recovery import Outcome, Recovery, judged, recover
-from cell.lab.power.study_power import power_of
+from cell.lab.next.asked import select_asked
+from cell.lab.next.forecast import POWER, forecast
+from cell.lab.next.recovery import Outcome, Recovery, judged, recover
+from cell.lab.next.study_power import power_of
 from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
 from cell.lab.search.fit_cache import FitCache
 
@@ -64,7 +64,7 @@ def test_copies_bear_out_what_is_surely_found_and_what_is_surely_missed(fitted, 
 
 
 def test_of_a_copy_that_cannot_be_diagnosed_that_is_said(fitted, smallest, monkeypatch):
-    from cell.lab.power import recovery
+    from cell.lab.next import recovery
 
     def refused(*_):
         raise recovery.NoiseUnknownError("no frames")

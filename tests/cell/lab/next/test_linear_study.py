@@ -13,8 +13,8 @@ from cell.lab.data.renoised import with_noise_model
 from cell.lab.fit.fitting import fit_model, fit_trials
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.sensitivity import changes, nuisance_of, sensitivities
-from cell.lab.power.hidden import World
-from cell.lab.power.linear_study import own_slopes, rivals_of
+from cell.lab.next.hidden import World
+from cell.lab.next.linear_study import own_slopes, rivals_of
 from cell.lab.search.fitted_model import POLISH
 
 DRAG = 0.4

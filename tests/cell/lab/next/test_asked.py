@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cell.cable.effects import library
-from cell.lab.power.asked import AskedEffect, select_asked
+from cell.lab.next.asked import AskedEffect, select_asked
 
 OWN = '''
 from cell.cable.effects import Effect, Parameter

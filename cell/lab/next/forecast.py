@@ -16,10 +16,10 @@ from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.sensitivity import changes
-from cell.lab.power.asked import AskedEffect
-from cell.lab.power.decisions import Chances, Circumstances, Tests
-from cell.lab.power.hidden import left_of
-from cell.lab.power.linear_study import LinearStudy, Slopes, own_slopes, rivals_of
+from cell.lab.next.asked import AskedEffect
+from cell.lab.next.decisions import Chances, Circumstances, Tests
+from cell.lab.next.hidden import left_of
+from cell.lab.next.linear_study import LinearStudy, Slopes, own_slopes, rivals_of
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.smooth_part import smooth_part
 

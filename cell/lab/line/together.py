@@ -18,8 +18,8 @@ from scipy.special import chdtrc as chi2_sf
 from cell.cable.effects.base import Effect
 from cell.lab.data.results import Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.many.pooling import pool
-from cell.lab.many.results import (
+from cell.lab.line.pooling import pool
+from cell.lab.line.together_results import (
     Consistency,
     Hypothesis,
     Says,

@@ -11,10 +11,10 @@ from cell.cable.effects import library
 from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.next.asked import select_asked
+from cell.lab.next.planned import with_motions
 from cell.lab.next.strokes import Stroke
-from cell.lab.power.asked import select_asked
-from cell.lab.power.planned import with_motions
-from cell.lab.power.study_power import power_of
+from cell.lab.next.study_power import power_of
 from cell.lab.search.fit_cache import FitCache
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study

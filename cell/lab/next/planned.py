@@ -10,7 +10,7 @@ import numpy as np
 from cell.cable.geometry import Motion
 from cell.lab.data.planned_trials import planned_trials, usual_step_s
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.power.hidden import World
+from cell.lab.next.hidden import World
 from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study
 

@@ -11,11 +11,11 @@ from cell.lab.data.prepared import ERRS
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.results import Doubt
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.power.asked import AskedEffect
-from cell.lab.power.decisions import Chances
-from cell.lab.power.forecast import POWER, Forecast, forecast
-from cell.lab.power.linear_study import LinearStudy
-from cell.lab.power.recovery import Recovery, recover
+from cell.lab.next.asked import AskedEffect
+from cell.lab.next.decisions import Chances
+from cell.lab.next.forecast import POWER, Forecast, forecast
+from cell.lab.next.linear_study import LinearStudy
+from cell.lab.next.recovery import Recovery, recover
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.doubts import is_no_model, no_model_doubt
 from cell.workers.executor import Executor

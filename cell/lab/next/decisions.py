@@ -15,7 +15,7 @@ from cell.cable.effects.base import Effect
 from cell.identify.gaussian import covariance_root
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.sensitivity import chances_of, one_sided
-from cell.lab.power.linear_study import LinearStudy, Slopes
+from cell.lab.next.linear_study import LinearStudy, Slopes
 from cell.lab.statistics.score import boundary_p_value, delta_bic
 
 FloatArray = NDArray[np.float64]
