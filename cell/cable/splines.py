@@ -15,6 +15,7 @@ from cell.cable.wrong_values import (
     GLITCH,
     TOGETHER,
     beside_curve,
+    bridged,
     fourth_differences,
     glitches,
     longest_run,
@@ -136,8 +137,7 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
             wrong |= more
             turns_slowly = longest_run(wrong) <= TOGETHER
             wrong &= turns_slowly
-            signals[:, 0] = y
-            signals[wrong, 0] = np.interp(t[wrong], t[~wrong], y[~wrong])
+            signals[:, 0] = bridged(t, y, wrong)
             smooth, root = _least_error(signals, t, noise, local, multiples, chance)
         energy = np.convolve(_natural(t, smooth) ** 2, window / window.sum(), "same")
         if energy.max() == 0.0:

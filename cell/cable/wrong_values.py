@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ FloatArray = NDArray[np.float64]
 GLITCH, _BESIDE = 4.5, 3
 #: More of them in a row are none: the curve turns sharply there, and is smoothed too much.
 TOGETHER = 3
+#: Values that a line at an end goes along.
+_ON_LINE = 4
 #: A single value is wrong, however little noise there is, if with it made up from those beside it
 #: no more is left than this share of the fourth differences' squares around it (of a corner in the
 #: curve 4.7 % would be), and if it lies apart by more than this, m or rad, and so many standard
@@ -76,17 +79,31 @@ def _alone(t: FloatArray, rough: FloatArray, i: int, noise: float) -> int:
 
 
 def made_up(t: FloatArray, y: FloatArray, wrong: Sequence[int]) -> FloatArray:
-    """Values with the wrong ones made up: cubics between two on either side, held at the ends."""
+    """Values with the wrong ones made up: cubics between two on either side, lines at the ends."""
     if not wrong:
         return y
     good = np.setdiff1d(np.arange(len(t)), wrong)
     y = y.copy()
     for i in wrong:
-        place = int(np.searchsorted(good, i))
-        inside = 2 <= place <= len(good) - 2
-        last = y[good[min(place, len(good) - 1)]]
-        y[i] = y[i] - _from_cubic(t, y, i, good) if inside else last
+        y[i] -= _told_beside(good, i)(t, y, i, good)
     return y
+
+
+def bridged(t: FloatArray, y: FloatArray, wrong: NDArray[np.bool_]) -> FloatArray:
+    """Values with the wrong ones on the line between those beside them, or along that to an end."""
+    good, out = np.flatnonzero(~wrong), y.copy()
+    out[wrong] = np.interp(t[wrong], t[good], y[good])
+    for i in np.flatnonzero(wrong):
+        if not good[0] < i < good[-1]:
+            out[i] = y[i] - _told_beside(good, int(i))(t, y, int(i), good)
+    return out
+
+
+def _told_beside(good: NDArray[np.intp], i: int) -> Callable[..., float]:
+    """What tells by how much value i lies beside those good ones: a cubic, or at an end a line."""
+    place = int(np.searchsorted(good, i))
+    inward = 1 if place < 2 else -1 if place > len(good) - 2 else 0
+    return partial(_from_line, inward=inward) if inward else _from_cubic
 
 
 def glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
@@ -108,17 +125,32 @@ def beside_curve(
 ) -> NDArray[np.bool_]:
     """Those suspected values that lie farther from their neighbours' curve than these do.
 
-    Where rows are few for a motion, every value lies beside the cubic through those around it.
+    Where rows are few for a motion, every value lies beside the curve through those around it.  At
+    an end that is a line: a cubic would make eight times as much of the noise.
     """
     good = np.flatnonzero(~(suspected | wrong))
     found = np.zeros_like(suspected)
     for i in np.flatnonzero(suspected):
         place = int(np.searchsorted(good, i))
         near = good[max(0, place - _BESIDE) : place + _BESIDE]
-        others = [abs(_from_cubic(t, y, int(j), good)) for j in near]
+        told = _told_beside(good, int(i))
+        others = [abs(told(t, y, int(j), good)) for j in near]
         rough = float(np.median(others)) if others else 0.0
-        found[i] = abs(_from_cubic(t, y, int(i), good)) > GLITCH * max(noise, rough)
+        found[i] = abs(told(t, y, int(i), good)) > GLITCH * max(noise, rough)
     return found
+
+
+def _from_line(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp], inward: int) -> float:
+    """By how much a value lies beside the line nearest to the four good values next to it.
+
+    inward  1 = those after it, −1 = those before
+    """
+    beside = good[good > i][:_ON_LINE] if inward > 0 else good[good < i][-_ON_LINE:]
+    if len(beside) < _ON_LINE:
+        return 0.0
+    apart = t[beside] - t[beside].mean()
+    slope = float(apart @ y[beside] / (apart @ apart))
+    return float(y[i] - y[beside].mean() - slope * (t[i] - t[beside].mean()))
 
 
 def _from_cubic(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp]) -> float:
