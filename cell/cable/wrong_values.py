@@ -131,9 +131,8 @@ def beside_curve(
     good = np.flatnonzero(~(suspected | wrong))
     found = np.zeros_like(suspected)
     for i in np.flatnonzero(suspected):
-        place = int(np.searchsorted(good, i))
-        near = good[max(0, place - _BESIDE) : place + _BESIDE]
-        told = _told_beside(good, int(i))
+        first = int(np.clip(np.searchsorted(good, i) - _BESIDE, 0, max(0, len(good) - 2 * _BESIDE)))
+        near, told = good[first : first + 2 * _BESIDE], _told_beside(good, int(i))
         others = [abs(told(t, y, int(j), good)) for j in near]
         rough = float(np.median(others)) if others else 0.0
         found[i] = abs(told(t, y, int(i), good)) > GLITCH * max(noise, rough)

@@ -93,7 +93,7 @@ def _with_a_wrong_first_value(begin_s, deviations, seed, noise_m=3e-5):
 def test_a_wrong_value_at_an_end_is_found(begin_s):
     """By the cubic through the next four, eight times as noisy, it was found in 14 of 20 logs."""
     logs = [_with_a_wrong_first_value(begin_s, 12.0, seed)[0] for seed in range(20)]
-    assert sum(0 in fit(T, log).wrong for log in logs) >= 17
+    assert sum(0 in fit(T, log).wrong for log in logs) >= 18
 
 
 def test_where_a_moving_hand_begins_its_path_goes_on_to_a_wrong_end():
