@@ -145,10 +145,14 @@ def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:
 
 
 def _hand_begins(trial: Trial, away_m: float, after_s: float) -> float | None:
-    """When the hand has left the place where it was at a time."""
-    grip = trial.grip
+    """When the hand has left the place where it was at a time, as far as its cable's is measured.
+
+    Of a cable seen from one side alone a stroke to or from there shows late, or not at all.
+    """
+    grip, measured = trial.grip, np.isfinite(trial.markers.xy_m).any(axis=(0, 1))
     later = grip.t_s >= after_s
     if np.count_nonzero(later) < _STAYS:
         return None
     x_m, y_m = grip.x_m[later], grip.y_m[later]
-    return _begins(grip.t_s[later], np.hypot(x_m - x_m[0], y_m - y_m[0]) > away_m)
+    moved_m = np.stack([x_m - x_m[0], y_m - y_m[0]])[measured]
+    return _begins(grip.t_s[later], np.linalg.norm(moved_m, axis=0) > away_m)

@@ -180,6 +180,33 @@ def test_clocks_that_differ_are_told_with_line_and_size(
     assert ("subtract this" if late_s > 0 else "add 0.5 s to t_s of markers.csv") in said
 
 
+def of_one_side(dx_m: float, dy_m: float, late_s: float = 0.0) -> tuple[Trial, Cable]:
+    """A cable that hangs askew, of which x alone is measured, and its pictures' clock ahead."""
+    t = np.arange(0.0, 1.3, 0.005)
+    x = np.clip((t - 0.2) / 0.3, 0.0, 1.0)
+    s = x**3 * (10 - 15 * x + 6 * x**2)
+    grip, cable = Motion(t, dx_m * s, dy_m * s, 1.4 + 0 * t), Cable(0.085, 0.0074, 0.016, 1e-4)
+    model = CableModel.uniform(cable, 1e-5, viscosity_n_m2_s=1e-7)
+    xy_m = simulate(model, grip, t, np.array([0.07]))[0]
+    xy_m = xy_m + np.random.default_rng(1).normal(0.0, 2e-4, xy_m.shape)
+    return Trial("a", "fit", "equilibrium", grip, Markers(t + late_s, xy_m * [1.0, np.nan])), cable
+
+
+def test_of_a_coordinate_along_which_no_hand_moves_no_clock_is_told() -> None:
+    """It was refused: the hand moves up, and the cable swings to the side a while later."""
+    for dy_m in (0.04, -0.04, 0.08):
+        trial, cable = of_one_side(0.0, dy_m)
+        assert offset(trial, cable, 9.81) is None
+
+
+@pytest.mark.parametrize("late_s", [0.5, -0.5])
+def test_by_one_coordinate_clocks_that_differ_are_told(late_s: float) -> None:
+    trial, cable = of_one_side(0.05, 0.05, late_s)
+    found = offset(trial, cable, 9.81)
+    assert found is not None
+    assert found.late_s == pytest.approx(late_s, abs=0.1)
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_rows_in_which_nothing_is_seen_are_no_rest(swung: Study, shared: bool) -> None:
     """Every second row was empty, or two cameras took turns: clocks were said to differ by 1 s."""
