@@ -18,11 +18,8 @@ FloatArray = NDArray[np.float64]
 GLITCH, _BESIDE = 4.5, 3
 #: More of them in a row are none: the curve turns sharply there, and is smoothed too much.
 TOGETHER = 3
-#: Values that a line at an end goes along; how far noise puts the next one beside it, in standard
-#: deviations: its own, and the line's there, √(1 + 1/4 + 2.5²/5).
-_ON_LINE, _BESIDE_LINE = 4, 1.58
-#: A value at an end lies farther from its line than so many times the farthest of those near it.
-_OF_OTHERS = 2.0
+#: Values that a line at an end goes along.
+_ON_LINE = 4
 #: A single value is wrong, however little noise there is, if with it made up from those beside it
 #: no more is left than this share of the fourth differences' squares around it (of a corner in the
 #: curve 4.7 % would be), and if it lies apart by more than this, m or rad, and so many standard
@@ -112,14 +109,11 @@ def _told_beside(good: NDArray[np.intp], i: int) -> Callable[..., float]:
 def glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
     """Values that lie apart from their neighbours by more than noise does; one or two in a row.
 
-    Where a curve is smoothed too much its neighbours lie beside it as well.  The first and the last
-    value may always be wrong: a smoothed curve follows them.
+    Where a curve is smoothed too much its neighbours lie beside it as well.
     """
     around = np.pad(residual, _BESIDE, mode="reflect")
     middle = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _BESIDE + 1), axis=1)
-    found = np.abs(residual - middle) > GLITCH * noise
-    found[[0, -1]] = True
-    return np.asarray(found)
+    return np.asarray(np.abs(residual - middle) > GLITCH * noise)
 
 
 def beside_curve(
@@ -136,17 +130,12 @@ def beside_curve(
     """
     good = np.flatnonzero(~(suspected | wrong))
     found = np.zeros_like(suspected)
-    if len(good) < 2 * _BESIDE:
-        return found
     for i in np.flatnonzero(suspected):
-        first = int(np.clip(np.searchsorted(good, i) - _BESIDE, 0, len(good) - 2 * _BESIDE))
+        first = int(np.clip(np.searchsorted(good, i) - _BESIDE, 0, max(0, len(good) - 2 * _BESIDE)))
         near, told = good[first : first + 2 * _BESIDE], _told_beside(good, int(i))
-        others = np.array([abs(told(t, y, int(j), good)) for j in near])
-        if told is _from_cubic:
-            most = GLITCH * max(noise, float(np.median(others)))
-        else:
-            most = max(GLITCH * _BESIDE_LINE * noise, _OF_OTHERS * float(np.max(others)))
-        found[i] = abs(told(t, y, int(i), good)) > most
+        others = [abs(told(t, y, int(j), good)) for j in near]
+        rough = float(np.median(others)) if others else 0.0
+        found[i] = abs(told(t, y, int(i), good)) > GLITCH * max(noise, rough)
     return found
 
 
