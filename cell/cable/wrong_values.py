@@ -90,7 +90,10 @@ def made_up(t: FloatArray, y: FloatArray, wrong: Sequence[int]) -> FloatArray:
 
 
 def bridged(t: FloatArray, y: FloatArray, wrong: NDArray[np.bool_]) -> FloatArray:
-    """Values with the wrong ones on the line between those beside them, or along that to an end."""
+    """(T,) values, each wrong one put on a line between good ones, or at an end beyond the last.
+
+    t  (T,) s; y (T,) m or rad; wrong (T,)
+    """
     good, out = np.flatnonzero(~wrong), y.copy()
     out[wrong] = np.interp(t[wrong], t[good], y[good])
     for i in np.flatnonzero(wrong):
@@ -100,7 +103,7 @@ def bridged(t: FloatArray, y: FloatArray, wrong: NDArray[np.bool_]) -> FloatArra
 
 
 def _told_beside(good: NDArray[np.intp], i: int) -> Callable[..., float]:
-    """What tells by how much value i lies beside those good ones: a cubic, or at an end a line."""
+    """The curve that value i is compared with: a cubic through good values, or at an end a line."""
     place = int(np.searchsorted(good, i))
     inward = 1 if place < 2 else -1 if place > len(good) - 2 else 0
     return partial(_from_line, inward=inward) if inward else _from_cubic
@@ -140,9 +143,10 @@ def beside_curve(
 
 
 def _from_line(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp], inward: int) -> float:
-    """By how much a value lies beside the line nearest to the four good values next to it.
+    """By how much a value lies beside the least-squares line of the four good values next to it.
 
     inward  1 = those after it, −1 = those before
+    returns  m or rad, as `y`; 0 where there are fewer than four
     """
     beside = good[good > i][:_ON_LINE] if inward > 0 else good[good < i][-_ON_LINE:]
     if len(beside) < _ON_LINE:

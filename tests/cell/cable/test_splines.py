@@ -96,6 +96,16 @@ def test_a_wrong_value_at_an_end_is_found(begin_s):
     assert sum(0 in fit(T, log).wrong for log in logs) >= 18
 
 
+@pytest.mark.parametrize("every", [1, 4, 8], ids=["500 Hz", "125 Hz", "62 Hz"])
+@pytest.mark.parametrize("begin_s", [0.15, 0.0, -0.1])
+def test_a_right_value_at_an_end_stays(begin_s, every):
+    """Whether the hand rests there or is in the middle of its motion."""
+    t_s, last = T[::every], len(T[::every]) - 1
+    for seed in range(20):
+        noise = 3e-5 * np.random.default_rng(seed).normal(size=len(t_s))
+        assert not {0, last} & set(fit(t_s, jerk(t_s + 0.1 - begin_s) + noise).wrong)
+
+
 def test_where_a_moving_hand_begins_its_path_goes_on_to_a_wrong_end():
     """Held where the next value is it was as wrong as the value: by 17 standard deviations."""
     errors = []
