@@ -19,6 +19,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
+from scipy.stats import binomtest
+
 from cell.cable.solver import one_core
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
@@ -27,7 +29,6 @@ from cell.lab.next.forecast import forecast, resized
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.recovery import recover
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.statistics.proportion import wilson
 from cell.study.data import Study
 from tools.worlds.made_studies import make_study
 
@@ -71,7 +72,7 @@ class Row:
     @property
     def words(self) -> str:
         """Forecast beside what was observed."""
-        low, high = wilson(self.found, self.copies)
+        low, high = binomtest(self.found, self.copies).proportion_ci(method="wilson")
         share = self.found / max(self.copies, 1)
         return (
             f"{self.effect:20s} {self.size:10.3g}  {self.motions:7s} forecast {self.forecast:.2f}, "

@@ -29,7 +29,6 @@ from cell.lab.line.together_results import (
 )
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.strength.estimate import Estimate, estimate, model_error
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.diagnose import Examination
 from cell.lab.verdict.evidence import Evidence
@@ -182,37 +181,34 @@ def _parts(
     rules: Rules,
 ) -> tuple[tuple[StudyPart, ...], tuple[Consistency, ...]]:
     """Each study's part, and the parameters over those that do not exclude the effects."""
-    estimates = [
-        estimate(s.fits.prepared, m.fit, s.fits.library.values())
-        for s, m in zip(studies, models, strict=True)
-    ]
+    evidence = [Evidence(s.fits, s.base, m, rules) for s, m in zip(studies, models, strict=True)]
     shows = [_shows(s, m, best, rules) for s, m in zip(studies, models, strict=True)]
     says: list[Says | Literal[""]] = ["" for _ in studies]
     if best.effects:
-        says = _says(estimates, best, shows)
+        says = _says(evidence, best, shows)
     parts = tuple(
         StudyPart(
             study.name,
             study.examination.diagnosis.verdict,
             tuple((m.effect, *m.tied_with) for m in study.examination.diagnosis.missing),
             study.base.chi2 - model.chi2,
-            _explained(study, model, said, rules),
+            _explained(study, of_model, said),
             said,
         )
-        for study, model, said in zip(studies, models, says, strict=True)
+        for study, model, of_model, said in zip(studies, models, evidence, says, strict=True)
     )
     kept = [i for i, said in enumerate(says) if said != "excludes"]
     if not best.effects or not kept:
         return parts, ()
-    some = [(studies[i].name, estimates[i]) for i in kept]
-    found = [_consistency(some, name) for name in _parameters(estimates[0], best)]
+    some = [(studies[i].name, evidence[i]) for i in kept]
+    found = [_consistency(some, name) for name in _parameters(evidence[0], best)]
     return parts, tuple(found)
 
 
-def _explained(study: Examined, model: FittedModel, said: str, rules: Rules) -> bool:
+def _explained(study: Examined, with_effects: Evidence, said: str) -> bool:
     """Whether a study's model leaves noise; without the effects where it does not show them."""
-    models = [model] if said == "shows" else [study.base, model]
-    return any(explains(Evidence(study.fits, study.base, m, rules)) for m in models)
+    without = Evidence(study.fits, study.base, study.base, with_effects.rules)
+    return any(explains(e) for e in ([] if said == "shows" else [without]) + [with_effects])
 
 
 def _shows(study: Examined, model: FittedModel, best: Hypothesis, rules: Rules) -> bool:
@@ -225,15 +221,15 @@ def _shows(study: Examined, model: FittedModel, best: Hypothesis, rules: Rules) 
 
 
 def _says(
-    estimates: Sequence[Estimate], best: Hypothesis, shows: Sequence[bool]
+    evidence: Sequence[Evidence], best: Hypothesis, shows: Sequence[bool]
 ) -> list[Says | Literal[""]]:
     """Of each study; one excludes the effects if its amplitude is far from that of the others."""
     said: list[Says | Literal[""]] = ["shows" if s else "cannot tell" for s in shows]
     if not any(shows):
         return said
     those = np.array(shows)
-    for name in _parameters(estimates[0], best, amplitudes=True):
-        q, std = _coordinates(estimates, name)
+    for name in _parameters(evidence[0], best, amplitudes=True):
+        q, std = _coordinates(evidence, name)
         mean = pool(q[those], std[those])
         for i in np.flatnonzero(~those):
             apart = abs(q[i] - mean.mean)
@@ -242,37 +238,35 @@ def _says(
     return said
 
 
-def _parameters(one: Estimate, best: Hypothesis, *, amplitudes: bool = False) -> list[str]:
+def _parameters(one: Evidence, best: Hypothesis, *, amplitudes: bool = False) -> list[str]:
     """Names of the fitted parameters of the effects found."""
     return [
         f"{e.name}.{p.name}"
-        for e in one.fit.space.effects
+        for e in one.estimate.fit.space.effects
         if e.name in best.effects
         for p in e.parameters
         if p.fitted and (p.amplitude or not amplitudes)
     ]
 
 
-def _coordinates(estimates: Sequence[Estimate], name: str) -> tuple[FloatArray, FloatArray]:
+def _coordinates(evidence: Sequence[Evidence], name: str) -> tuple[FloatArray, FloatArray]:
     """(n,) a parameter in the fit's coordinate, and its standard deviation."""
-    at = [e.fit.space.names.index(name) for e in estimates]
-    q = np.array([e.fit.q[i] for e, i in zip(estimates, at, strict=True)])
-    variance = [e.covariance[i, i] for e, i in zip(estimates, at, strict=True)]
-    return q, np.sqrt(np.maximum(variance, 1e-300))
+    q, std = np.array([e.estimate.coordinate(name) for e in evidence]).T
+    return q, std
 
 
-def _consistency(studies: Sequence[tuple[str, Estimate]], name: str) -> Consistency:
+def _consistency(studies: Sequence[tuple[str, Evidence]], name: str) -> Consistency:
     """One parameter over several studies."""
-    estimates = [e for _, e in studies]
-    q, std = _coordinates(estimates, name)
+    evidence = [e for _, e in studies]
+    q, std = _coordinates(evidence, name)
     found = pool(q, std)
-    space = estimates[0].fit.space
-    i, (owner, _, parameter) = space.names.index(name), name.partition(".")
-    effect = next(e for e in space.effects if e.name == owner)
-    reach = np.hypot(found.reach, REACH * model_error(space, effect, parameter, found.mean))
+    first = evidence[0].estimate
+    space = first.fit.space
+    i = space.names.index(name)
+    reach = np.hypot(found.reach, REACH * first.model_error(name, found.mean))
 
     def natural(value: float) -> float:
-        point = estimates[0].fit.q.copy()
+        point = first.fit.q.copy()
         point[i] = np.clip(value, space.low[i], space.high[i])
         return float(space.natural(point)[i])
 

@@ -14,9 +14,9 @@ from scipy.special import ndtri as normal_quantile
 from cell.cable.effects.base import Effect
 from cell.identify.gaussian import covariance_root
 from cell.lab.data.thresholds import Rules
-from cell.lab.fit.sensitivity import chances_of, one_sided
+from cell.lab.fit.sensitivity import one_sided
 from cell.lab.next.linear_study import LinearStudy, Slopes
-from cell.lab.statistics.score import boundary_p_value, delta_bic
+from cell.lab.search.criterion import bic_penalty, p_value_of_fall
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -94,8 +94,7 @@ class EffectTest:
         fall = 2.0 * np.sum(size * t, axis=1) - _square(size, self.inside)
         gain = self._gain(size, u) if given.heldout else np.zeros(len(t))
         significant = fall > given.by_hand * self.least_fall(given, rules)
-        fitted = sum(p.fitted for p in self.effect.parameters)
-        penalty = -delta_bic(0.0, fitted, given.fitted, given.independent)
+        penalty = bic_penalty([self.effect], given.fitted, given.independent)
         return Judged(
             significant,
             self._confirmed(size, u, gain, given, rules),
@@ -105,16 +104,13 @@ class EffectTest:
 
     def least_fall(self, given: Circumstances, rules: Rules) -> float:
         """Fall of χ² from which the effect is significant among the library, and pays by BIC."""
-        amplitudes = sum(p.amplitude for p in self.effect.parameters)
-        bounded, shapes = int(one_sided(self.effect)), chances_of(self.effect)
         low, high = 0.0, 1e4
         while high - low > 1e-3:
             middle = 0.5 * (low + high)
-            p_value = boundary_p_value(middle, amplitudes, bounded, shapes)
+            p_value = p_value_of_fall(self.effect, middle)
             low, high = (middle, high) if p_value * given.library > rules.significance else (
                 low, middle)  # fmt: skip
-        fitted = sum(p.fitted for p in self.effect.parameters)
-        return max(high, -delta_bic(0.0, fitted, given.fitted, given.independent))
+        return max(high, bic_penalty([self.effect], given.fitted, given.independent))
 
     def _gain(self, size: FloatArray, u: FloatArray) -> FloatArray:
         """ln of how much likelier the effect makes the held-out trials, its size as fitted."""

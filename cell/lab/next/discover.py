@@ -17,8 +17,8 @@ from cell.lab.next.term_source import effect_source
 from cell.lab.next.terms import Term, admissible
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.diagnose import Examination, diagnose
+from cell.lab.verdict.evidence import Evidence
 from cell.study.data import Study, Trial
 
 
@@ -114,20 +114,21 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
         study = fits.prepared.study.name
         raise NothingFoundError(f"study {study}: {_why_nothing(examination, base)}")
     added = [e for e in found.effects if e not in fits.space.effects]
-    settled = estimate(fits.prepared, found.fit)
+    settled = Evidence(examination.fits, base, found, rules).estimate
     values = {n: i.value for effect in added for n, i in settled.intervals(effect).items()}
     kept = [terms[e.name] for e in added]
     about = f"Law inferred from the residuals of study {fits.prepared.study.name}."
     source = effect_source(name, kept, about, values)
     with tempfile.TemporaryDirectory() as folder:
         effect = _loaded(Path(folder) / out.name, source)
-        final = _refit(fits, base, effect)
+        evidence = _refit(fits, base, effect, rules)
+    final = evidence.final
     return Discovery(
         effect=name,
         source=source,
         parameters=tuple(
             LawParameter(n, i.value, i.low, i.high, i.unit)
-            for n, i in estimate(fits.prepared, final.fit).intervals(effect).items()
+            for n, i in evidence.estimate.intervals(effect).items()
         ),
         laws=tuple(t.law for t in kept),
         noise_m=fits.prepared.noise_model.noise.std_m,
@@ -176,7 +177,7 @@ def _why_nothing(examination: Examination, base: FittedModel) -> str:
     )
 
 
-def _refit(fits: FitCache, base: FittedModel, effect: type[Effect]) -> FittedModel:
+def _refit(fits: FitCache, base: FittedModel, effect: type[Effect], rules: Rules) -> Evidence:
     """The baseline with the effect from its file."""
     own = FitCache(fits.prepared, fits.space, {effect.name: effect}, fits.progress)
     better = [c for c in own.fit_extended(own.baseline(), [effect]) if _error(c) < _error(base)]
@@ -185,7 +186,7 @@ def _refit(fits: FitCache, base: FittedModel, effect: type[Effect]) -> FittedMod
             "the law that was found does not lower the error when it is fitted again from its "
             "file; nothing written"
         )
-    return better[0]
+    return Evidence(own, own.baseline(), better[0], rules)
 
 
 def _error(candidate: FittedModel) -> float:

@@ -24,10 +24,10 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.rival import Rival
 from cell.lab.data.whitening import whiteners_of
+from cell.lab.fit.everywhere import everywhere
 from cell.lab.next.strokes import TURN_RAD, Stroke, strokes
 from cell.lab.next.suggestion import Option, Suggestion
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.strength.compare import everywhere
 from cell.lab.verdict.diagnose import Examination
 from cell.settings.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial

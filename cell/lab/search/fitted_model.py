@@ -15,8 +15,7 @@ from cell.lab.data.results import Errors
 from cell.lab.fit.fitting import Fit, errors_m, fit_trials
 from cell.lab.fit.hand_error import HandError
 from cell.lab.fit.heldout import Heldout, heldout
-from cell.lab.fit.sensitivity import chances_of
-from cell.lab.statistics.score import boundary_p_value, delta_bic
+from cell.lab.search.criterion import bic_penalty, p_value_of_fall
 
 FloatArray = NDArray[np.float64]
 
@@ -75,8 +74,7 @@ def weighed(prepared: PreparedStudy, effects: tuple[type[Effect], ...], fit: Fit
 def penalty_of(prepared: PreparedStudy, effects: Sequence[type[Effect]]) -> float:
     """BIC's penalty for effects of a model: from such a fall of χ² on they pay."""
     count = prepared.count(fit_trials(prepared))
-    extra = sum(p.fitted for e in effects for p in e.parameters)
-    return -delta_bic(0.0, extra, count, prepared.noise_model.effective_fraction)
+    return bic_penalty(effects, count, prepared.noise_model.effective_fraction)
 
 
 def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, FloatArray]:
@@ -98,24 +96,16 @@ def gained(
     hand  what the log of the hand may be wrong by: what could be that is worth as much less
     """
     effect = next(e for e in large.effects if e.name not in small.names)
-    amplitudes = [p for p in effect.parameters if p.amplitude]
-    bounded = int(len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default)
     fall = small.fit.objective - large.fit.objective
     worth = fall / hand.inflation(_change_fitted(prepared, small, large))
-    count = prepared.count(fit_trials(prepared))
     held = 0.0
     if small.heldout and large.heldout:
         held = large.heldout.log_likelihood - small.heldout.log_likelihood
         held /= hand.inflation(_change_heldout(prepared, small.heldout, large.heldout))
     return Gain(
         delta_chi2=fall,
-        p_value=boundary_p_value(worth, len(amplitudes), bounded, chances_of(effect)),
-        delta_bic=delta_bic(
-            worth,
-            sum(p.fitted for p in effect.parameters),
-            count,
-            prepared.noise_model.effective_fraction,
-        ),
+        p_value=p_value_of_fall(effect, worth),
+        delta_bic=worth - penalty_of(prepared, [effect]),
         heldout=held,
     )
 

@@ -14,11 +14,12 @@ from cell.cable.model import CableModel
 from cell.files.plain import plain
 from cell.lab.data.noise_model import NoiseUnknownError, noise_model_of
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.everywhere import everywhere
 from cell.lab.fit.fitting import best_initial_state
 from cell.lab.statistics.series import overall
 from cell.lab.strength.trial_residual import TrialResidual, trial_residual, unsimulated_trial
 from cell.lab.strength.wrench_residual import WrenchResidual, wrench_residual
-from cell.study.data import Markers, Study, Trial
+from cell.study.data import Study
 
 FloatArray = NDArray[np.float64]
 
@@ -26,8 +27,6 @@ FloatArray = NDArray[np.float64]
 NOTICEABLE = 0.01
 #: An error below so many times the noise is noise, of which no share can be said to be gone.
 NOISY = 1.02
-#: Points that show the whole cable, however few markers it has.
-DRAWN = 21
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class Comparison:
     model        name under which it is shown
     effects      names of those in it, in the order in which they were added
     predicted_m  per trial (times, markers, 2)
-    cable_m      per trial (times, `DRAWN` points from tip to grip, 2): the whole cable predicted
+    cable_m      per trial (times, points from tip to grip, 2): the whole cable predicted
     where        one per trial, in the study's order
     wrenches     one per trial in which a wrench was measured, and which can be simulated
     """
@@ -193,28 +192,3 @@ def model_names(paths: Sequence[Path]) -> list[str]:
     """Short names of model files, unlike each other."""
     stems = [p.stem for p in paths]
     return [s if stems.count(s) == 1 else str(p) for s, p in zip(stems, paths, strict=True)]
-
-
-def everywhere(
-    prepared: PreparedStudy,
-    trial: Trial,
-    models: Sequence[CableModel],
-    initial_states: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Where models put the markers, (models, times, markers, 2), and the cable, (…, `DRAWN`, 2).
-
-    In metres; nan where they cannot be simulated.  Behind the markers are gauges, if there are any.
-    """
-    study = prepared.study
-    drawn = np.linspace(study.cable.length_m, 0.0, DRAWN)
-    arcs = np.unique(np.concatenate([study.arc_length_m, drawn]))[::-1]
-    t_s = trial.markers.t_s
-    gauges = trial.markers.xy_m.shape[1] - len(study.arc_length_m)
-    blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs) + gauges, 2))))
-    finer = replace(prepared, study=replace(study, arc_length_m=arcs))
-    points = finer.predict(
-        blank, models, None if initial_states is None else np.tile(initial_states, (len(models), 1))
-    )
-    at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
-    at = np.concatenate([at, np.arange(len(arcs), len(arcs) + gauges)])
-    return points[:, :, at], points[:, :, shape]

@@ -12,7 +12,6 @@ from scipy.special import ndtri as normal_quantile
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import parameters_root
-from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Interval
 from cell.lab.fit.all_trials_fit import of_all_trials
@@ -49,13 +48,32 @@ class Estimate:
         """(p, p) of the fit's coordinates."""
         return np.asarray(self.fit.covariance * self.disagreement + self.beside)
 
+    def coordinate(self, name: str) -> tuple[float, float]:
+        """The fit's coordinate of a parameter `effect.parameter`, and its standard deviation."""
+        i = self.fit.space.names.index(name)
+        return float(self.fit.q[i]), float(np.sqrt(max(self.covariance[i, i], 1e-300)))
+
+    def model_error(self, name: str, value: float) -> float:
+        """Standard deviation by the simulation's own error of a parameter `effect.parameter`.
+
+        value  where its coordinate is
+        """
+        space, (owner, _, parameter) = self.fit.space, name.partition(".")
+        effect = next(e for e in space.effects if e.name == owner)
+        logarithmic = space.logarithmic[space.names.index(name)]
+        p = next(p for p in effect.parameters if p.name == parameter)
+        off = (np.log(p.default) if logarithmic else p.default) if p.amplitude else 0.0
+        relative = logarithmic and not p.amplitude
+        return MODEL_ERROR * (1.0 if relative else float(abs(value - off)))
+
     def intervals(self, effect: type[Effect]) -> dict[str, Interval]:
         """Values and 95 % intervals of an effect's parameters."""
         space, q = self.fit.space, self.fit.q
         index = {p.name: space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters}
         systematic = np.zeros(len(q))
         for p in effect.parameters:
-            systematic[index[p.name]] = model_error(space, effect, p.name, q[index[p.name]])
+            i = index[p.name]
+            systematic[i] = self.model_error(f"{effect.name}.{p.name}", float(q[i]))
         spread = np.sqrt(np.diag(self.covariance) + systematic**2)
         reach = float(normal_quantile(0.975)) * spread
         low = space.natural(np.clip(q - reach, space.low, space.high))
@@ -71,18 +89,6 @@ class Estimate:
             for p in effect.parameters
             if p.fitted
         }
-
-
-def model_error(space: ParameterSpace, effect: type[Effect], parameter: str, value: float) -> float:
-    """Standard deviation of a parameter's coordinate by the simulation's own error.
-
-    value  of the coordinate
-    """
-    i = space.names.index(f"{effect.name}.{parameter}")
-    p = next(p for p in effect.parameters if p.name == parameter)
-    off = (np.log(p.default) if space.logarithmic[i] else p.default) if p.amplitude else 0.0
-    relative = space.logarithmic[i] and not p.amplitude
-    return MODEL_ERROR * (1.0 if relative else float(abs(value - off)))
 
 
 def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()) -> Estimate:

@@ -128,3 +128,15 @@ def test_without_a_held_out_trial_nothing_is_found_and_why_is_said(fitted):
     assert found.effects[0].forecast.smallest is None
     assert [w.code for w in found.warnings] == ["confirmation"]
     assert "`role: validate`" in found.warnings[0].message
+
+
+def test_the_interval_of_a_share_is_that_of_a_published_example() -> None:
+    """Newcombe 1998, Stat. Med. 17, 857, table I: 81 of 263, Wilson's."""
+    copies = (*[Outcome("found")] * 81, *[Outcome("missed")] * 182)
+    assert Recovery(263, copies).share == pytest.approx((81 / 263, 0.2553, 0.3662), abs=5e-5)
+
+
+def test_no_copy_diagnosed_tells_nothing_of_the_share() -> None:
+    share, low, high = Recovery(4, ()).share
+    assert math.isnan(share)
+    assert (low, high) == (0.0, 1.0)
