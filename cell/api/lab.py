@@ -31,7 +31,8 @@ from cell.lab.strength.compare import compare_model
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose as examine
-from cell.lab.verdict.doubts import fit_doubts, lacking_doubt
+from cell.lab.verdict.doubts import lacking_doubt
+from cell.lab.verdict.fit_doubts import fit_doubts
 from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
 from cell.study.data import Study
 

@@ -79,7 +79,7 @@ def answers(
     space, mean = identified.space, identified.mean
     coarse = coarsened(solver)
     expected = expected_nodes(identified, motion, begin_s + t_s, arc_length_m, solver)
-    lanes = difference_points(mean, space.difference_steps(mean))
+    lanes = difference_points(mean, space.difference_steps(mean, identified.covariance))
     models = [space.model(q) for q in lanes]
     near = simulate(models, motion, begin_s + t_s, arc_length_m, solver=coarse)
     by_step = (near[1:] - near[:1]) / np.diag(lanes[1:] - mean)[:, None, None, None]

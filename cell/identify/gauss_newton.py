@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.identify.differences import difference_points, one_sided_steps
+from cell.identify.differences import difference_points, one_sided_steps, within_deviations
 
 FloatArray = NDArray[np.float64]
 
@@ -26,13 +26,17 @@ _ERRS = 2.0
 _STUCK_PASSES, _ROUGH_PASSES = 4, 6
 #: A step is as promised if the objective fell by the promise, give or take this share of it.
 _AS_PROMISED = 0.5
+#: A finite difference must not reach beyond what the data leave open, or it is no slope there: one
+#: over more than so many standard deviations is taken again.
+_COARSE = 2.0
 
 
 @dataclass(frozen=True)
 class Problem:
     """Minimise |r(q)|² + (q − mean)ᵀ precision (q − mean) within bounds.
 
-    mean, step, low, high  (p,); `step` is that of the finite differences, taken away from a bound
+    mean, step, low, high  (p,); `step` is the largest of the finite differences, taken away from a
+                           bound
     precision              (p, p) of the prior
     slopes                 residuals that cost less and whose differences are as good, if there are
                            any: the Jacobian is theirs
@@ -83,7 +87,8 @@ class Solution:
     passes      places tried, the start included
     converged   whether the last step was within the tolerance
     settled     whether it was, or nothing more was gained
-    promised    by which the objective would still fall there, if the model were linear
+    to_go       (p,) the step to the minimum if the model were linear; 0 if the last one was taken
+    promised    by which the objective would fall on that step
     """
 
     q: FloatArray
@@ -94,8 +99,14 @@ class Solution:
     objective: float
     passes: int
     converged: bool
+    to_go: FloatArray
     promised: float = 0.0
     settled: bool = True
+
+    @property
+    def unfinished(self) -> FloatArray:
+        """(p, p) covariance by the step that was not taken, as one standard deviation."""
+        return np.outer(self.to_go, self.to_go)
 
 
 class UnsimulatedError(ValueError):
@@ -125,13 +136,17 @@ def minimise(
             damping relative to the diagonal and 0 at first; bounds by active set
     """
     here = _begun(problem, np.clip(start, problem.low, problem.high), jacobian)
-    damping, growth, passes, converged, idle = 0.0, 2.0, 1, False, 0
-    stuck, stuck_at, settled = 0, here.objective, False
+    largest, stuck_at = problem.step, here.objective
+    damping, growth, passes, converged, idle, stuck, settled = 0.0, 2.0, 1, False, 0, 0, False
     while True:
         normal = here.jacobian.T @ here.jacobian + problem.precision
         slope = here.jacobian.T @ here.residual + problem.precision @ (here.q - problem.mean)
+        problem = replace(problem, step=within_deviations(largest, _deviations(normal)))
+        if (finer := _finer(problem, here)) is not here:
+            here = finer
+            continue
         # Damping hides how far it still is along a valley, so nearness is judged without it.
-        step = _bounded_step(problem, here.q, normal, slope, 0.0)
+        step = to_go = _bounded_step(problem, here.q, normal, slope, 0.0)
         square = float(here.residual @ here.residual)
         scale = max(1.0, square / max(1, int(np.count_nonzero(here.residual))))
         promised = -float(step @ (2.0 * slope + normal @ step))
@@ -178,10 +193,10 @@ def minimise(
             if damping > _HOPELESS_DAMPING:
                 break
     free = (here.q > problem.low) & (here.q < problem.high)
-    left = 0.0 if converged else promised
+    left = (np.zeros_like(to_go), 0.0) if converged else (to_go, promised)
+    at_minimum = here.q, here.residual, here.jacobian, _covariance(normal, free), free
     objective = _objective(problem, here.q, here.residual)
-    at_minimum = here.q, here.residual, here.jacobian, _covariance(normal, free), free, objective
-    return Solution(*at_minimum, passes, converged, left, converged or settled)
+    return Solution(*at_minimum, objective, passes, converged, *left, converged or settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +204,7 @@ class _Point:
     """Residual (rows,) and Jacobian (rows, p) at q (p,); not finite where it cannot be simulated.
 
     updates  since the Jacobian was computed
+    step     (p,) of its differences; none if it is updated or of another problem
     """
 
     q: FloatArray
@@ -196,6 +212,7 @@ class _Point:
     jacobian: FloatArray
     objective: float
     updates: int = 0
+    step: FloatArray | None = None
 
     @property
     def usable(self) -> bool:
@@ -228,7 +245,7 @@ def _linearise(problem: Problem, q: FloatArray, known: FloatArray | None = None)
     jacobian = np.full((len(residual), len(q)), np.nan)
     if np.all(np.isfinite(lanes)):
         jacobian = (lanes[1:] - lanes[0]).T / step
-    return _Point(q, residual, jacobian, _objective(problem, q, residual))
+    return _Point(q, residual, jacobian, _objective(problem, q, residual), step=problem.step)
 
 
 def _seen(problem: Problem, q: FloatArray, jacobian: FloatArray) -> _Point:
@@ -237,9 +254,13 @@ def _seen(problem: Problem, q: FloatArray, jacobian: FloatArray) -> _Point:
     return _Point(q, residual, jacobian, _objective(problem, q, residual))
 
 
-def jacobian_at(problem: Problem, q: FloatArray) -> FloatArray:
-    """(rows, p) by finite differences at q; not finite where it cannot be simulated."""
-    return _linearise(problem, q).jacobian
+def jacobian_at(problem: Problem, q: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(rows, p) by finite differences at q; not finite where it cannot be simulated.
+
+    covariance  (p, p) of q: no difference reaches further than its standard deviations
+    """
+    step = within_deviations(problem.step, np.sqrt(np.abs(np.diag(covariance))))
+    return _linearise(replace(problem, step=step), q).jacobian
 
 
 def _computed(problem: Problem, point: _Point) -> _Point:
@@ -248,6 +269,14 @@ def _computed(problem: Problem, point: _Point) -> _Point:
         return point
     computed = _linearise(problem, point.q, point.residual)
     return computed if computed.usable else point
+
+
+def _finer(problem: Problem, point: _Point) -> _Point:
+    """The point with slopes over the problem's steps, if its own are over far larger ones."""
+    if point.step is None or not np.any(point.step > _COARSE * problem.step):
+        return point
+    finer = _linearise(problem, point.q, point.residual)
+    return finer if finer.usable else point
 
 
 def _updated(problem: Problem, point: _Point, step: FloatArray, weight: FloatArray) -> _Point:
@@ -266,6 +295,15 @@ def _objective(problem: Problem, q: FloatArray, residual: FloatArray) -> float:
     away = q - problem.mean
     value = float(residual @ residual + away @ problem.precision @ away)
     return value if np.isfinite(value) else np.inf
+
+
+def _deviations(normal: FloatArray) -> FloatArray:
+    """(p,) standard deviations of parameters, by the curvature; 0 where there is none."""
+    size = np.sqrt(np.diag(normal))
+    known = size > 0.0
+    unit = np.where(known, size, 1.0)
+    variance = np.diag(np.linalg.pinv(normal / np.outer(unit, unit), hermitian=True))
+    return np.asarray(np.where(known, np.sqrt(np.maximum(variance, 0.0)) / unit, 0.0))
 
 
 def _bounded_step(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
 from cell.cable.model import CableModel
-from cell.identify.differences import one_sided_steps
+from cell.identify.differences import one_sided_steps, within_deviations
 
 FloatArray = NDArray[np.float64]
 
@@ -183,9 +183,13 @@ class ParameterSpace:
             tuple(active),
         )
 
-    def difference_steps(self, q: FloatArray) -> FloatArray:
-        """(p,) steps from q for one-sided finite differences within the bounds."""
-        return one_sided_steps(q, self.step, self.high)
+    def difference_steps(self, q: FloatArray, covariance: FloatArray | None = None) -> FloatArray:
+        """(p,) steps from q for one-sided finite differences within the bounds.
+
+        covariance  (p, p) of the coordinates, if it is known: no step is larger than its deviations
+        """
+        std = np.zeros(len(q)) if covariance is None else np.sqrt(np.abs(np.diag(covariance)))
+        return one_sided_steps(q, within_deviations(self.step, std), self.high)
 
     def start(self, rigidity_n_m2: float) -> FloatArray:
         """(p,) a cable of the prior's shape, exponent and damping, as stiff as this in the middle.

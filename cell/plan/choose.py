@@ -166,7 +166,7 @@ def forecast(
     at_s = begin_s + t_s
     space, mean = identified.space, identified.mean
     tip_at_m = np.array([space.cable.length_m])
-    lanes = difference_points(mean, space.difference_steps(mean))
+    lanes = difference_points(mean, space.difference_steps(mean, identified.covariance))
     models = [space.model(q) for q in lanes]
     tip_m = simulate_branches(models[:1], motions, begin_s, at_s, tip_at_m, solver=solver)
     tip_m = tip_m[:, 0, :, 0]

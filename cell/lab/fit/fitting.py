@@ -55,6 +55,11 @@ class Fit:
         return self.objective - (0.0 if self.solution.settled else self.solution.promised)
 
     @property
+    def arrived(self) -> bool:
+        """Whether the minimum, were the model linear, is within one standard deviation."""
+        return self.solution.promised <= self.widening
+
+    @property
     def widening(self) -> float:
         """Factor by which the residuals widen variances, at least 1."""
         return max(1.0, self.chi2 / max(1, int(np.count_nonzero(self.solution.residual))))

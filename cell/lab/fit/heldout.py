@@ -96,7 +96,7 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     """Of the `validate` trials; not finite where the cable cannot be simulated."""
     trials = prepared.study.role("validate")
     space, p = fit.space, len(fit.q)
-    steps = space.difference_steps(fit.q)
+    steps = space.difference_steps(fit.q, fit.covariance)
     lanes = [space.model(q) for q in difference_points(fit.q, steps)]
     initial_states, more = _initial_states_and_moved(prepared, fit.model, trials, len(lanes))
     lanes += [fit.model] * more
@@ -123,7 +123,7 @@ def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> f
     """
     trials = prepared.study.role("validate")
     space, p = fit.space, len(fit.q)
-    steps = space.difference_steps(fit.q)
+    steps = space.difference_steps(fit.q, fit.covariance)
     own = [i for i, name in enumerate(space.names) if name.startswith(f"{effect.name}.")]
     rest = [i for i in range(p) if i not in own]
     off = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))

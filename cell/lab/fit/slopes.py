@@ -33,7 +33,7 @@ def with_slopes(prepared: PreparedStudy, fit: Fit) -> tuple[PreparedStudy, Fit]:
     for longer in LONGER:
         solver = replace(prepared.solver, step_s=longer * prepared.solver.step_s)
         problem = problem_of(replace(prepared, solver=solver), fit.space, trials)
-        near = jacobian_at(problem, fit.solution.q)
+        near = jacobian_at(problem, fit.solution.q, fit.solution.covariance)
         if np.all(np.linalg.norm(near - jacobian, axis=0) <= HARMLESS * size):
             solution = replace(fit.solution, jacobian=near)
             return replace(prepared, slopes=solver), replace(fit, solution=solution)

@@ -12,7 +12,8 @@ from cell.lab.next.asked import AskedEffect
 from cell.lab.next.suggest import distinguishing_motions, worth_a_cable
 from cell.lab.next.suggestion import Suggestion
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.verdict.doubts import is_no_model, no_model_doubt
+from cell.lab.verdict.doubts import no_model_doubt
+from cell.lab.verdict.fit_doubts import is_no_model
 from cell.settings.surroundings import Surroundings
 
 

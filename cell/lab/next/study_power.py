@@ -17,7 +17,8 @@ from cell.lab.next.forecast import POWER, Forecast, forecast
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.recovery import Recovery, recover
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.verdict.doubts import is_no_model, no_model_doubt
+from cell.lab.verdict.doubts import no_model_doubt
+from cell.lab.verdict.fit_doubts import is_no_model
 from cell.workers.executor import Executor
 
 FORMAT = "cable-power/1"

@@ -283,7 +283,7 @@ def _open(
              cable and its standard deviation, (times, points, 2), m
     """
     space, q = candidate.space, candidate.q
-    step = space.difference_steps(q)
+    step = space.difference_steps(q, candidate.covariance)
     lanes = [space.model(row) for row in difference_points(q, step)]
     markers, cable = everywhere(prepared, trial, lanes)
     root = covariance_root(candidate.covariance)

@@ -35,8 +35,8 @@ class Estimate:
     fit           to all trials, those held out included: they have done their work as judges
     disagreement  mean square by which trials differ in the parameters that each asks for, 1 if by
                   their noise alone; the covariance is multiplied by it
-    beside        (p, p) covariance beside that by noise: by the hand's log, the mesh, and effects
-                  that the model lacks
+    beside        (p, p) covariance beside that by noise: by the hand's log, the mesh, effects that
+                  the model lacks, and a fit that was left before its minimum
     """
 
     fit: Fit
@@ -100,11 +100,9 @@ def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] 
         whole = of_all_trials(prepared, fit)
     except UNSIMULATED:
         return Estimate(fit, 1.0)
-    solution = whole.fit.solution
-    beside = whole.systematic_error.covariance(
-        (solution.covariance @ solution.jacobian.T)[: len(fit.q)]
-    )
-    beside = beside + omitted_effect_bias(whole, effects).covariance
+    solution, p = whole.fit.solution, len(fit.q)
+    beside = whole.systematic_error.covariance((solution.covariance @ solution.jacobian.T)[:p])
+    beside = beside + omitted_effect_bias(whole, effects).covariance + solution.unfinished[:p, :p]
     return Estimate(whole.fit, disagreement(prepared, whole.fit), beside)
 
 

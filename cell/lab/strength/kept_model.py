@@ -34,13 +34,15 @@ def identified(
     noise_only = np.linalg.inv(precision)
     whole = AllTrialsFit(prepared, fit)
     by_hand = whole.systematic_error.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
+    unfinished = solution.unfinished[:p, :p]
     missed = omitted_effect_bias(whole, effects)
     return Identified(
         space=fit.space,
         mean=fit.q,
-        covariance=np.asarray(noise_only[:p, :p] + by_hand + missed.covariance),
+        covariance=np.asarray(noise_only[:p, :p] + by_hand + missed.covariance + unfinished),
         noise=prepared.expected,
         residual_rms_m=fit.rms_m,
+        converged=fit.arrived,
         inflation=inflation,
         frames_used=sum(frames_seen(t) for t in trials),
         frames_total=sum(len(t.markers.t_s) for t in trials),

@@ -19,11 +19,11 @@ from cell.lab.verdict.checks import answers, explains
 from cell.lab.verdict.doubts import (
     doubts,
     interrupted_doubt,
-    is_no_model,
     no_model_doubt,
     unsimulated_doubt,
 )
 from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.fit_doubts import is_no_model
 from cell.lab.verdict.forward_search import (
     errors_in_words,
     searched,

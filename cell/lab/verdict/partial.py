@@ -25,7 +25,7 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.refits import POLISHED
 from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels
 from cell.lab.search.study_space import StudySpace
-from cell.lab.verdict.doubts import is_hopeless
+from cell.lab.verdict.fit_doubts import is_hopeless
 from cell.lab.verdict.residual_summary import (
     removed_share,
     residual_summary,

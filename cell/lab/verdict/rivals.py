@@ -10,8 +10,8 @@ from cell.cable.effects.base import Effect
 from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.verdict.doubts import at_bound
 from cell.lab.verdict.evidence import above_noise
+from cell.lab.verdict.fit_doubts import at_bound
 from cell.lab.verdict.residual_summary import (
     ResidualSummary,
     log_variance_ratio,

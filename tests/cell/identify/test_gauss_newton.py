@@ -60,6 +60,19 @@ def test_nist_certified_values_and_standard_deviations(
     assert solution.objective == pytest.approx(12.0, rel=1e-5)  # 14 data, 2 parameters
 
 
+def test_a_fit_left_early_knows_how_far_the_minimum_still_is() -> None:
+    early = minimise(misra(), np.log((260.0, 5e-4)), Options(tolerance=1e-4, most_passes=1))
+    assert not early.converged
+    assert early.promised > 1.0
+    np.testing.assert_allclose(np.exp(early.q + early.to_go), CERTIFIED, rtol=0.02)
+    std = np.sqrt(np.diag(early.covariance + early.unfinished))
+    assert np.all(np.abs(early.q - np.log(CERTIFIED)) < 1.96 * std)
+    assert np.any(np.abs(early.q - np.log(CERTIFIED)) > 1.96 * np.sqrt(np.diag(early.covariance)))
+    arrived = minimise(misra(), np.log((250.0, 5e-4)), Options(tolerance=1e-4))
+    assert not arrived.unfinished.any()
+    assert arrived.promised == 0.0
+
+
 def test_jacobians_that_are_updated_save_most_lanes_and_find_the_same() -> None:
     counts, found = [], []
     for updates in (0, 3):
@@ -197,3 +210,23 @@ def test_a_fit_that_stays_far_above_another_is_given_up() -> None:
     assert given_up.objective > 1e2 * whole.objective
     kept = minimise(misra(), begin, replace(hurried, above=(1e9 * whole.objective, 3)))
     np.testing.assert_array_equal(kept.q, whole.q)
+
+
+def test_differences_reach_no_further_than_the_data_leave_open() -> None:
+    """A ringing's beginning, known to 20 µs, was moved by 5 ms: its slope was of the wrong sign."""
+    t_s = np.linspace(0.0, 1.0, 4000)
+
+    def residuals(lanes: np.ndarray) -> np.ndarray:
+        """Of a wave of 40 Hz, its phase in seconds; half a period is 12.5 ms."""
+        size, late_s = lanes.T[:, :, None]
+        wave = size * np.sin(2.0 * np.pi * 40.0 * (t_s - late_s))
+        return (wave - np.sin(2.0 * np.pi * 40.0 * (t_s - 1e-3))) / 1e-3
+
+    step, wide = np.array([1e-3, 0.011]), np.full(2, 10.0)
+    problem = Problem(residuals, np.zeros(2), np.zeros((2, 2)), step, -wide, wide)
+    solution = minimise(problem, np.array([0.9, 0.0]), Options(tolerance=0.01, updates=3))
+    assert solution.converged
+    np.testing.assert_allclose(solution.q, [1.0, 1e-3], atol=1e-6)
+    assert np.sqrt(solution.covariance[1, 1]) == pytest.approx(
+        1e-3 / (2.0 * np.pi * 40.0 * np.sqrt(0.5 * len(t_s))), rel=0.02
+    )

@@ -25,7 +25,7 @@ from cell.lab.search.fitted_model import FittedModel, weighed
 from cell.lab.search.refits import Refits
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict import diagnose as diagnosing
-from cell.lab.verdict.doubts import fit_doubts
+from cell.lab.verdict.fit_doubts import fit_doubts
 
 DOCS = Path(__file__).parents[4] / "docs"
 

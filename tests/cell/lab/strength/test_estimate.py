@@ -6,13 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 
 from cell.cable.effects import library
-from cell.identify.gauss_newton import UnsimulatedError
+from cell.identify.gauss_newton import Options, UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit import all_trials_fit
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.starts import cold_start
 from cell.lab.strength.estimate import disagreement, estimate
+from cell.lab.strength.kept_model import identified
 
 
 def fitted(study):
@@ -51,6 +52,26 @@ def test_trials_of_different_cables_disagree_and_widen_the_interval(make_study):
     interval = found.intervals(mass)["mass_kg"]
     alone = estimate(*fitted(one)).intervals(mass)["mass_kg"]
     assert interval.high - interval.low > 1.5 * (alone.high - alone.low)
+
+
+def test_a_fit_left_before_its_minimum_allows_for_the_way_that_is_left(make_study, monkeypatch):
+    """A compliance of the grip whose fit ended 10 standard deviations away was said to 1 %."""
+    prepared, fit = fitted(make_study([library()["tip_mass"].active(mass_kg=2e-5)], seed=3))
+    at = fit.space.names.index("tip_mass.mass_kg")
+    q = fit.q.copy()
+    q[at] *= 1.5
+    left = fit_model(prepared, fit.space, q, options=Options(most_passes=1))
+    assert not left.arrived
+    assert fit.arrived
+    monkeypatch.setattr(all_trials_fit, "CONVERGED", Options(most_passes=1))
+    mass = estimate(prepared, left).intervals(library()["tip_mass"])["mass_kg"]
+    assert mass.low < 2e-5 < mass.high
+    assert abs(mass.value - 2e-5) > 10.0 * np.sqrt(left.covariance[at, at])
+    kept = identified(prepared, left)
+    low, high = kept.interval()
+    assert low[at] < 2e-5 < high[at]
+    assert not kept.converged
+    assert identified(prepared, fit).converged
 
 
 def test_a_fit_whose_last_place_cannot_be_simulated_is_its_own_estimate(monkeypatch):

@@ -16,7 +16,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.doubts import at_bound, fit_doubts
+from cell.lab.verdict.fit_doubts import at_bound, fit_doubts
 from cell.study.data import Markers
 from cell.study.folder import write_study
 
@@ -101,7 +101,9 @@ def test_a_wrong_minimum_far_above_the_noise_says_so(
     def fit(rigidity_n_m2):
         q = space.mean.copy()
         q[:6] = np.log(rigidity_n_m2)
-        return SimpleNamespace(space=space, q=q, model=space.model(q), rms_m=left_mm * 1e-3)
+        return SimpleNamespace(
+            space=space, q=q, model=space.model(q), rms_m=left_mm * 1e-3, arrived=True
+        )
 
     candidate = SimpleNamespace(fit=fit(rigidity_n_m2), heldout=None)
     fits = SimpleNamespace(
@@ -126,7 +128,7 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
         natural[where] = mass_kg
         q = space.coordinates(natural)
         return SimpleNamespace(
-            space=space, q=q, model=space.model(q), rms_m=rms_m, widening=2.0,
+            space=space, q=q, model=space.model(q), rms_m=rms_m, widening=2.0, arrived=True,
             covariance=1e-14 * np.eye(count),
         )  # fmt: skip
 
@@ -146,6 +148,19 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
     assert "starts_disagree" in said(fit(4e-5, 1.05e-4), 1e-4)
     assert "starts_disagree" not in said(fit(4e-5, 1e-3), 1e-4)
     assert "starts_disagree" not in said(fit(1e-5 + 1e-8, 1e-3), 1e-3)
+
+
+@pytest.mark.parametrize(("promised", "said"), [(1.9, None), (18.0, "about 3 standard deviations")])
+def test_a_fit_left_before_its_minimum_says_how_far_it_is(loaded, promised, said):
+    prepared = PreparedStudy.of(loaded)
+    fits = FitCache(prepared, ParameterSpace.of(loaded.cable), {})
+    base = fits.baseline()
+    fit = replace(base.fit, solution=replace(base.fit.solution, promised=promised))
+    count = int(np.count_nonzero(fit.solution.residual))
+    fit = replace(fit, chi2=2.0 * count)
+    warned = {w.code: w.message for w in fit_doubts(fits, replace(base, fit=fit))}
+    assert (said is None) == ("not_converged" not in warned)
+    assert said is None or said in warned["not_converged"]
 
 
 def test_of_a_baseline_that_cannot_fit_a_second_start_is_looked_at(make_study, loaded):
