@@ -22,6 +22,8 @@ GAP_STEPS, GAP_S = 5.0, 0.1
 WITHIN, WITHIN_S = 1.0, 0.15
 #: It has begun when it is this share of its free length away, and this many times the noise.
 AWAY, OF_NOISE = 0.02, 8.0
+#: Shares of that distance at which hand and cable must be apart in time, each.
+SHARES = 1.0, 0.4, 0.1
 #: Frames in which it must be at rest before, and away from there on.
 _REST, _STAYS = 6, 3
 
@@ -86,22 +88,46 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     moved_m = np.nanmedian(halves_m[1], axis=0) - np.nanmedian(halves_m[0], axis=0)
     if np.nan_to_num(np.abs(moved_m)).max() > away_m:
         return None  # the film begins in a swing
+    pace_s = _pace_s(trial, cable, gravity_m_per_s2)
+    if pace_s is None:
+        return None
+    within_s = max(WITHIN_S, WITHIN * pace_s) + 2.0 * float(np.median(np.diff(t_s)))
+    seen = np.asarray(np.isfinite(series_m).any(axis=1))
     reach_m = np.nan_to_num(np.abs(_as_last_seen(beside_m))).max(axis=1)
+    least_m = OF_NOISE * _noise_m(beside_m[:_REST])
+    # an oscillation that grows passes one distance, of the hand or the cable, half a period late
+    found = [
+        _apart(trial, cable, t_s, (reach_m, seen), within_s, max(share * away_m, least_m))
+        for share in SHARES
+    ]
+    return None if None in found else found[0]
+
+
+def _apart(
+    trial: Trial,
+    cable: Cable,
+    t_s: FloatArray,
+    shown: tuple[FloatArray, NDArray[np.bool_]],
+    within_s: float,
+    away_m: float,
+) -> Offset | None:
+    """That hand and cable are first so far from their places at times that are not within reach.
+
+    shown  (frames,) how far the cable is from its place, m, and whether a marker is seen
+    """
+    reach_m, seen = shown
     cable_s = _begins(t_s, reach_m > away_m)
     hand_s = _hand_begins(trial, away_m, -np.inf)
     if cable_s is None or hand_s is None or cable_s <= t_s[_REST - 1]:
         return None
-    pace_s = _pace_s(trial, cable, gravity_m_per_s2)
-    if pace_s is None:
-        return None
-    within_s = max(WITHIN_S, WITHIN * pace_s)
-    within_s += 2.0 * float(np.median(np.diff(t_s)))
     if hand_s < t_s[0] and cable_s - t_s[0] < within_s:
         return None  # the film begins in the swing after a stroke: a turning point is no rest
-    rests_s = float(t_s[np.isfinite(series_m).any(axis=1) & (t_s < cable_s)][-1])
+    rests_s = float(t_s[seen & (t_s < cable_s)][-1])
     # The record may begin at a rest between two strokes.
     next_s = _hand_begins(trial, away_m, float(t_s[0]))
     strokes = [hand_s, *([next_s] if next_s is not None and next_s > t_s[_REST - 1] else [])]
+    turned_s = _hand_begins(trial, away_m, -np.inf, cable.length_m)
+    strokes += [] if turned_s is None else [turned_s]
     if any(rests_s - within_s <= begins <= cable_s + within_s for begins in strokes):
         return None
     return Offset(hand_s, cable_s)
@@ -144,10 +170,11 @@ def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:
     return float(t_s[np.argmax(stays)]) if stays.any() else None
 
 
-def _hand_begins(trial: Trial, away_m: float, after_s: float) -> float | None:
+def _hand_begins(trial: Trial, away_m: float, after_s: float, lever_m: float = 0.0) -> float | None:
     """When the hand has left the place where it was at a time, as far as its cable's is measured.
 
     Of a cable seen from one side alone a stroke to or from there shows late, or not at all.
+    lever_m  by which a turn of the hand moves the cable
     """
     grip, measured = trial.grip, np.isfinite(trial.markers.xy_m).any(axis=(0, 1))
     later = grip.t_s >= after_s
@@ -155,4 +182,5 @@ def _hand_begins(trial: Trial, away_m: float, after_s: float) -> float | None:
         return None
     x_m, y_m = grip.x_m[later], grip.y_m[later]
     moved_m = np.stack([x_m - x_m[0], y_m - y_m[0]])[measured]
-    return _begins(grip.t_s[later], np.linalg.norm(moved_m, axis=0) > away_m)
+    turned_m = lever_m * np.abs(grip.angle_rad[later] - grip.angle_rad[later][0])
+    return _begins(grip.t_s[later], np.linalg.norm(moved_m, axis=0) + turned_m > away_m)

@@ -207,6 +207,30 @@ def test_by_one_coordinate_clocks_that_differ_are_told(late_s: float) -> None:
     assert found.late_s == pytest.approx(late_s, abs=0.1)
 
 
+def sweep(
+    size_m: float, turn_rad: float, top_hz: float, late_s: float = 0.0
+) -> tuple[Trial, Cable]:
+    """A cable whose hand oscillates and turns, faster and further; its pictures' clock ahead."""
+    t = np.arange(0.0, 2.6, 0.005)
+    u = np.clip((t - 0.3) / 2.2, 0.0, 1.0)
+    wave = np.sin(np.pi * u) ** 4 * np.sin(np.pi * top_hz * (t - 0.3) * (1.0 + u))
+    grip, cable = Motion(t, 0 * t, size_m * wave, turn_rad * wave), Cable(0.3, 0.03, 0.016, 1e-4)
+    model = CableModel.uniform(cable, 2e-3, viscosity_n_m2_s=1e-5)
+    xy_m = simulate(model, grip, t, np.array([0.3, 0.15]))[0]
+    xy_m = xy_m + np.random.default_rng(1).normal(0.0, 1e-4, xy_m.shape)
+    return Trial("a", "fit", "equilibrium", grip, Markers(t + late_s, xy_m)), cable
+
+
+@pytest.mark.parametrize("motion", [(0.03, 0.1, 1.0), (0.02, -0.1, 1.0), (0.02, 0.2, 7.0)])
+def test_an_oscillation_that_grows_is_of_one_clock(motion: tuple[float, float, float]) -> None:
+    """It was refused: of a growing swing one distance is passed by the hand or by the cable first,
+    and half a period later by the other."""
+    trial, cable = sweep(*motion)
+    assert offset(trial, cable, 9.81) is None
+    late, cable = sweep(*motion, late_s=0.8)
+    assert offset(late, cable, 9.81) is not None
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_rows_in_which_nothing_is_seen_are_no_rest(swung: Study, shared: bool) -> None:
     """Every second row was empty, or two cameras took turns: clocks were said to differ by 1 s."""
