@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cell.cable.effects.base import CableData, Effect, Parameter, Place
+from cell.cable.effects.drag import PowerDrag
 
 AIR_DENSITY_KG_PER_M3 = 1.2
 
@@ -21,6 +22,7 @@ class AirDrag(Effect):
     name = "air_drag"
     parameters = (Parameter("drag_coefficient", "1", 0.0, 50.0, 0.0, (2.0,)),)
     dissipative = True
+    wider = PowerDrag
 
     @staticmethod
     def force(cable: CableData, at: Place, p: Any) -> tuple[float, float]:
@@ -37,6 +39,7 @@ class LinearAirDrag(Effect):
     name = "linear_air_drag"
     parameters = (Parameter("drag_n_s_per_m2", "N·s/m²", 0.0, 10.0, 0.0, (0.005,)),)
     dissipative = True
+    wider = PowerDrag
 
     @staticmethod
     def force(cable: CableData, at: Place, p: Any) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
 
-from cell.cable.effects import air, bending, camera, grip, hand, lens, plastic, rest
+from cell.cable.effects import air, bending, camera, drag, grip, hand, lens, plastic, rest
 from cell.cable.effects.base import Effect, EffectFile
 from cell.cable.effects.check import HOOKS, Doing, check, visit_many_states
 from cell.cable.effects.compiled import loops_of, proof_of
@@ -25,7 +25,7 @@ from cell.computer.watched import PATIENCE_S, must_end
 MAX_BYTES = 100_000
 
 _FAMILIES = (air, bending, grip, hand, camera)
-_RARE = (plastic, lens, rest)
+_RARE = (plastic, lens, rest, drag)
 
 
 def library() -> dict[str, type[Effect]]:

@@ -43,8 +43,8 @@ class Rules:
     Shares.  Below the first two lie the errors of models, ours included, whatever their
     significance:
     negligible_share   by which an effect must lower the held-out mean square: the first, of the
-                       noise's; further ones, of the baseline's excess; and of that excess, what a
-                       wider law or another effect may explain beside what was found
+                       noise's; further ones, of the baseline's excess; and of that excess, what
+                       another effect may explain beside what was found
     slight_share       of the noise's mean square, by which further effects must lower the held-out;
                        and of the baseline's excess, that a claimed effect may leave in a smooth
                        part that is not noise

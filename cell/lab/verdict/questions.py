@@ -11,6 +11,7 @@ from scipy.special import fdtrc as f_sf
 from cell.lab.data.check import Reading
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.statistics.score import holm
+from cell.lab.strength.estimate import MODEL_ERROR
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.smooth_part import SmoothPart, of_a_finer_model
@@ -63,7 +64,8 @@ def wider_law(evidence: Evidence) -> Reading | None:
     for effect in evidence.final.effects:
         left = wider_law_of(evidence.prepared, evidence.final.fit, effect)
         if left is not None:
-            negligible = left.excess_of_all <= rules.negligible_share * before.excess_of_all
+            # a right law, simulated by another converged simulator, leaves no more than this
+            negligible = left.excess_of_all <= MODEL_ERROR**2 * before.excess_of_all
             chances[effect.name] = 1.0 if negligible else left.p_value
     broken = tuple(name for name, p in chances.items() if p < rules.residual_significance)
     return Reading(min(chances.values()), broken) if chances else None

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from cell.cable.effects import library
+from cell.cable.effects import library, unscreened
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
@@ -15,6 +15,7 @@ from cell.lab.data.results import to_json
 from cell.lab.next.advice import advice
 from cell.lab.report.tables import sentence, steps_text
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.residual_summary import (
@@ -147,6 +148,26 @@ def test_an_effect_in_place_of_one_that_the_library_lacks_is_not_claimed(
     (doubt,) = [w for w in found.diagnosis.warnings if w.code == "wider_law"]
     assert "natural_curvature explains most, but its law does not hold" in doubt.message
     assert "--effect rest_shape" in doubt.message
+
+
+def test_drag_of_a_power_between_is_not_claimed_as_two_laws_together(make_study):
+    """|v|^1.5 was named as air drag and linear air drag: they left less than a model's error.
+
+    The wider law, named in the warning, is then the model.
+    """
+    drag = unscreened()["power_drag"]
+    study = make_study([drag.active(drag_n_s_per_m2=0.03, power=1.5)], seed=6)
+    found = diagnose(explore(study, ("air_drag", "linear_air_drag"))).diagnosis
+    assert found.verdict == "unexplained"
+    assert {f.effect for f in found.partial} == {"air_drag", "linear_air_drag"}
+    assert any("--effect power_drag" in w.message for w in found.warnings if w.code == "wider_law")
+    space = ParameterSpace.of(study.cable, effects=[drag])
+    known = FitCache(PreparedStudy.of(study), space, {})
+    right = diagnose(known)
+    assert right.diagnosis.verdict == "complete"
+    power = estimate(known.prepared, right.final.fit).intervals(drag)["power"]
+    assert power.low < 1.5 < power.high
+    assert power.high - power.low < 0.3
 
 
 @pytest.mark.parametrize("seed", [3, 4])
