@@ -123,6 +123,8 @@ def history(options: HistoryOptions) -> None:
     """
     with refusing(options.csv, options.parquet, force=options.force), ledger_errors():
         settings = None if options.config is None else _settings(options.config)
+        if options.faults and options.oee:
+            raise ValueError("--faults and --oee are two answers; give one of them")
         now = datetime.now(UTC)
         wanted = options.wanted(now)
         with open_ledger(settings, options.ledger, create=bool(options.take_in)) as ledger:

@@ -60,6 +60,8 @@ def status(
                 else:
                     emit(_line(message))
     except LinkError as error:
+        if as_json:
+            emit(json.dumps({"state": None, "cause": str(error)}, ensure_ascii=False))
         _no_cell(error)
     except KeyboardInterrupt:
         raise typer.Exit(ALL_DONE) from None

@@ -92,7 +92,10 @@ class Service:
         """Do what is asked, or refuse it; returns at once."""
         with self._changed:
             if request.product is not None and request.product not in self._products:
-                known = ", ".join(self._products) or "none"
+                if not self._products:
+                    why = "this cell's settings have no products; leave it out"
+                    return self._refused("product", why)
+                known = ", ".join(self._products)
                 return self._refused("product", f"{request.product!r} is not known, but {known}")
             command = request.command
             if command in (Event.START, Event.RESET, Event.CLEAR):

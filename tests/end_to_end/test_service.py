@@ -90,6 +90,8 @@ def test_two_starts_then_an_end_within_the_third_cycle(start: Start, tmp_path: P
         assert again.returncode == 1
         assert "'start' is refused while" in again.stderr
     until(client, waits_for("start"))
+    made = client.send(Request(Event.START, "plc", product="x"))
+    assert "no products; leave it out" in made.reason
     shown = json.loads(run("status", "--runs", runs, "--json").stdout)
     assert shown["counts"] == {"inserted": 2}
     assert shown["last"]["part"] == "A-2"

@@ -110,6 +110,18 @@ def test_a_time_before_the_calendar_is_none(runs: Path, said: str) -> None:
         assert not isinstance(done.exception, OverflowError)
 
 
+def test_a_status_without_a_cell_is_json_too(tmp_path: Path) -> None:
+    done = cell("status", "--runs", tmp_path, "--json")
+    said = json.loads(done.stdout)
+    assert (done.exit_code, said["state"]) == (3, None)
+    assert "no cell runs" in said["cause"]
+
+
+def test_faults_and_shifts_are_two_answers(runs: Path) -> None:
+    done = cell("history", "--ledger", runs, "--oee", "--faults")
+    assert (done.exit_code, "give one of them" in done.stderr) == (2, True)
+
+
 def test_a_page_is_said_to_be_written_once_it_is(
     runs: Path, tmp_path: Path, full_disk: None
 ) -> None:
