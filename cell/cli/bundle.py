@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cell.cli.given import records_folder
 from cell.cli.lab import Force, refusing, working
 from cell.cli.ledger import open_ledger
 from cell.cli.shared import AsJson, MaybeConfig, group
@@ -34,7 +35,12 @@ def bundle(
         typer.Argument(help="Folders of cycles; default: the newest, see --newest."),
     ] = None,
     runs: Annotated[
-        Path, typer.Option("--runs", help="Folder of the cycles: that of `cell run --out`.")
+        Path,
+        typer.Option(
+            "--runs",
+            help="Folder of the cycles: that of `cell run --out`.",
+            callback=records_folder,
+        ),
     ] = Path("runs"),
     newest: Annotated[
         int, typer.Option("-n", "--newest", min=0, help="So many cycles, the newest ones.")

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import typer
 
 from cell.cli.shared import refuse
+from cell.files.named import named_folder
 
 #: How the file of a recording ends.
 RECORDING = ".mcap"
@@ -18,6 +19,14 @@ RECORDING = ".mcap"
 def folder_of(ctx: typer.Context, given: Path) -> Path:
     """The folder itself, or one with what a recording holds, until the command ends."""
     return folder_in(ctx.with_resource, given)
+
+
+def records_folder(given: Path) -> Path:
+    """A folder of records, beside which log, ledger and socket have their places."""
+    try:
+        return named_folder(given)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
 
 
 def maybe_folder_of(ctx: typer.Context, given: Path | None) -> Path | None:

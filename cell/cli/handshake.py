@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.given import records_folder
 from cell.cli.lab import refusing
 from cell.cli.shared import MaybeConfig, group, refuse
 
@@ -23,7 +24,9 @@ app = group()
 def handshake(
     *,
     config: MaybeConfig = None,
-    runs: Annotated[Path, typer.Option(help="Folder of the cell's records.")] = Path("runs"),
+    runs: Annotated[
+        Path, typer.Option(help="Folder of the cell's records.", callback=records_folder)
+    ] = Path("runs"),
 ) -> None:
     """Let a PLC start a running cell with digital signals (plant.handshake).
 

@@ -431,11 +431,11 @@ def suggest(given: _Suggest) -> None:
 
 
 @contextmanager
-def refusing(*outputs: Path | None, force: bool = False) -> Iterator[None]:
+def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]:
     """Ends with 2 and a message, nothing written, if what was given is wrong.
 
     outputs  files to be written at the end of a long computation: tried at its beginning
-    force    whether they may take the place of what no command wrote
+    force    whether they may take the place of what no command wrote; None = there is no `--force`
     """
     try:
         files = [output for output in outputs if output is not None and output != STDOUT]

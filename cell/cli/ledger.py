@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.delivery import Delivery, deliver
-from cell.cli.lab import refusing
+from cell.cli.lab import Force, refusing
 from cell.cli.options import taking
 from cell.cli.shared import AsJson, MaybeConfig, group
 from cell.cli.streams import emit
@@ -84,6 +84,7 @@ class HistoryOptions:
         Path | None, typer.Option(help="Write the cycles with their cables' parameters as CSV.")
     ] = None
     parquet: Annotated[Path | None, typer.Option(help="The same as Parquet.")] = None
+    force: Force = False
     take_in: Annotated[
         list[Path] | None,
         typer.Option(
@@ -120,8 +121,10 @@ def history(options: HistoryOptions) -> None:
 
     Exit codes: 0; 2 if the ledger cannot be read or an option is wrong.
     """
-    with refusing(options.csv, options.parquet), ledger_errors():
+    with refusing(options.csv, options.parquet, force=options.force), ledger_errors():
         settings = None if options.config is None else _settings(options.config)
+        if options.faults and options.oee:
+            raise ValueError("--faults and --oee are two answers; give one of them")
         now = datetime.now(UTC)
         wanted = options.wanted(now)
         with open_ledger(settings, options.ledger, create=bool(options.take_in)) as ledger:
@@ -248,12 +251,12 @@ def moment(said: str | None, now: datetime, option: str) -> datetime | None:
     """A time that was typed; None = none was.  Raises ValueError: it is no time."""
     if said is None:
         return None
-    if ago := re.fullmatch(r"(\d+)([hd])", said):
-        number = int(ago[1])
-        return now - (timedelta(hours=number) if ago[2] == "h" else timedelta(days=number))
     try:
+        if ago := re.fullmatch(r"(\d+)([hd])", said):
+            number = int(ago[1])
+            return now - (timedelta(hours=number) if ago[2] == "h" else timedelta(days=number))
         return datetime.fromisoformat(said).astimezone()
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:  # before the year 1, or after 9999
         message = f"{option} {said}: no time; give 2026-11-01, 2026-11-01T06:00, 12h or 7d"
         raise ValueError(message) from error
 

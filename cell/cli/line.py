@@ -147,6 +147,7 @@ def _delivered(
 
     if learned.learned.best is None:
         deliver(printed)
+        print(f"{out} is not written: there is no candidate")
         return ALL_DONE
     deliver(printed, (out, learned.write), *motion)
     if learned.fit_for_line:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.given import records_folder
 from cell.cli.lab import refusing
 from cell.cli.shared import MaybeConfig, group, refuse
 from cell.cli.streams import emit
@@ -29,7 +30,9 @@ app = group()
 def mqtt(
     *,
     config: MaybeConfig = None,
-    runs: Annotated[Path, typer.Option(help="Folder of the cell's records.")] = Path("runs"),
+    runs: Annotated[
+        Path, typer.Option(help="Folder of the cell's records.", callback=records_folder)
+    ] = Path("runs"),
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON schema of the messages, and end.")
     ] = False,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.given import records_folder
 from cell.cli.shared import BAD_INPUT, Config, MaybeConfig, group, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
 
@@ -29,7 +30,10 @@ def opcua(
     context: typer.Context,
     config: MaybeConfig = None,
     runs: Annotated[
-        Path, typer.Option(help="Folder of the records of the cell that is shown.")
+        Path,
+        typer.Option(
+            help="Folder of the records of the cell that is shown.", callback=records_folder
+        ),
     ] = Path("runs"),
     users: UsersFile = FILE,
 ) -> None:

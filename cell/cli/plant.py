@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from cell.cli.given import records_folder
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, AsJson, Config, group, refuse
 from cell.cli.streams import emit
 
@@ -24,7 +25,10 @@ NO_CELL = 3
 #: A cell that runs is waited for so long, s: one that compiles on a busy computer answers late.
 _ANSWER_S = 30.0
 
-Runs = Annotated[Path, typer.Option(help="Folder of the records of the cell: its --out.")]
+Runs = Annotated[
+    Path,
+    typer.Option(help="Folder of the records of the cell: its --out.", callback=records_folder),
+]
 
 
 @app.command()
@@ -56,6 +60,8 @@ def status(
                 else:
                     emit(_line(message))
     except LinkError as error:
+        if as_json:
+            emit(json.dumps({"state": None, "cause": str(error)}, ensure_ascii=False))
         _no_cell(error)
     except KeyboardInterrupt:
         raise typer.Exit(ALL_DONE) from None
@@ -125,7 +131,9 @@ def send(
 @app.command()
 def service(
     config: Config,
-    out: Annotated[Path, typer.Option(help="Folder of the records.")] = Path("runs"),
+    out: Annotated[
+        Path, typer.Option(help="Folder of the records.", callback=records_folder)
+    ] = Path("runs"),
     user: Annotated[str | None, typer.Option(help="As whom; default: who is logged in.")] = None,
 ) -> None:
     """Print a unit for systemd, which runs the cell as a service (docs/plant.md).

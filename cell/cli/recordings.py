@@ -15,6 +15,7 @@ from cell.cli.lab import Force, refusing, working
 from cell.cli.options import taking
 from cell.cli.result_json import Json, JsonCommand, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group
+from cell.files.rescue import why_not_written
 
 if TYPE_CHECKING:
     from cell.records.recording.recover import Recovered
@@ -217,8 +218,10 @@ def recover(
             progress(str(file))
             try:
                 done.append(recover_in_place(file, out))
-            except (InputError, OSError) as error:
+            except InputError as error:
                 failed.append(str(error))
+            except OSError as error:
+                failed.append(why_not_written(error))
     data = {"recovered": [r.to_json() for r in done], "failed": failed}
 
     def printed() -> None:

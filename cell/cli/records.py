@@ -125,4 +125,5 @@ def report(
         record = read_record(folder_of(ctx, given))
         progress("drawing")
         page = cycle_page(record, read_recording(film) if film.exists() else None)
-    deliver(lambda: print(f"written to {out}"), (out, partial(write_page, page)))
+    deliver(lambda: None, (out, partial(write_page, page)))
+    print(f"written to {out}")

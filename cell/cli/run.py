@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.changes import another_model, changes
+from cell.cli.given import records_folder
 from cell.cli.options import taking
 from cell.cli.part_ids import SCANNED, part_ids
 from cell.cli.shared import (
@@ -55,7 +56,12 @@ RunSeed = Annotated[
         min=0, help="Random seed of simulated cables and noise; the same seed repeats a run."
     ),
 ]
-Records = Annotated[Path, typer.Option(help="Folder of the records: one folder in it per cycle.")]
+Records = Annotated[
+    Path,
+    typer.Option(
+        help="Folder of the records: one folder in it per cycle.", callback=records_folder
+    ),
+]
 PartId = Annotated[
     str | None,
     typer.Option(

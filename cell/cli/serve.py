@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.given import records_folder
 from cell.cli.shared import BAD_INPUT, MaybeConfig, group, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
 
@@ -40,7 +41,10 @@ def serve(
     context: typer.Context,
     config: MaybeConfig = None,
     runs: Annotated[
-        Path, typer.Option(help="Folder of the records of the cell that is shown.")
+        Path,
+        typer.Option(
+            help="Folder of the records of the cell that is shown.", callback=records_folder
+        ),
     ] = Path("runs"),
     host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8080,

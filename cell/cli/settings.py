@@ -132,19 +132,23 @@ def doctor(
 
 @app.command()
 def check(config: Config) -> None:
-    """Validate settings without moving anything.
+    """Validate settings, and the calibration that is there, without moving anything.
 
     Exit codes: 0 if they are right; 2 if not. Every mistake is reported with line and column.
     """
     from cell.files.input_error import InputError
     from cell.settings import load_settings
+    from cell.settings.calibrated import not_yet_calibrated
     from cell.settings.check import oddities
+    from cell.settings.loading import products_of
 
     try:
         settings = load_settings(config)
+        each = products_of(settings).values() or [settings]
+        notes = [note for one in each for note in not_yet_calibrated(one, config)]
     except InputError as error:
         refuse(error)
-    tell_notes(oddities(settings))
+    tell_notes([*oddities(settings), *dict.fromkeys(notes)])
     offsets_m = settings.motion.offsets.values_m
     print(
         f"{config}: right; arm {settings.arm.kind}, camera {settings.camera.kind}, gripper "

@@ -83,12 +83,12 @@ def fetch(
     from cell.records.recording.store import stored_of
 
     target = folder / form.FILE if out is None else out
-    with refusing(target):
+    with refusing(None if out is None and target.exists() else target):
+        if out is None and target.exists():
+            raise ValueError(f"{target}: is here already; give another name with -o, or remove it")
         stored = stored_of(folder)
         if stored is None:
-            there = (folder / form.FILE).exists()
-            why = "is not in a store" + (": it is here" if there else "")
-            raise InputError.at(folder / form.FILE, why)
+            raise InputError.at(folder / form.FILE, "is not in a store")
         with _store_errors(), working("fetch") as progress:
             fetch_stored(stored, target, lambda share: progress(stored.url, int(100 * share), 100))
     print(f"{target}: {stored.bytes / 1e6:.0f} MB, verified")

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from cell.cli.shared import NOT_ALL_DONE
-from cell.files.rescue import remedy
+from cell.files.rescue import why_not_written
 
 #: Signs that the commands print, for terminals that lack them.
 _PLAIN = {
@@ -91,10 +91,11 @@ def usable_streams() -> Iterator[None]:
             ending = error
         sys.stdout.flush()
     except (OutputClosedError, OSError) as error:
-        if isinstance(error, OSError) and error.filename is not None:
-            print(f"{error.filename}: {error.strerror}; {remedy(error)}", file=sys.stderr)
+        closed = _closed(error)
+        if closed is None:
+            assert isinstance(error, OSError)
+            print(why_not_written(error), file=sys.stderr)
             raise SystemExit(NOT_ALL_DONE) from error
-        closed = error if isinstance(error, OutputClosedError) else OutputClosedError(error)
         # Whatever is left in the buffer would fail again at exit, with a traceback.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not closed.by_reader:
@@ -103,6 +104,18 @@ def usable_streams() -> Iterator[None]:
         raise SystemExit(NOT_ALL_DONE) from error
     if ending is not None:
         raise ending
+
+
+def _closed(error: OutputClosedError | OSError) -> OutputClosedError | None:
+    """Of standard output that takes no more; None = the error is of something else.
+
+    Of files an error has the name, or is in words: see `cell.files.rescue.naming`.
+    """
+    if isinstance(error, OutputClosedError):
+        return error
+    if error.filename is not None or error.errno is None:
+        return None
+    return OutputClosedError(error)
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:

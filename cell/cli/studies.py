@@ -11,7 +11,7 @@ import typer
 from cell.cli.delivery import deliver, json_files
 from cell.cli.given import folder_of, folders_of
 from cell.cli.lab import Force, refusing, show, working
-from cell.cli.result_json import Json, JsonCommand, print_result
+from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, tell_notes
 from cell.files.overwriting import check_new_study
 
@@ -113,10 +113,10 @@ def look_at_study(
                 show(*([head, *(f"  {s}" for s in found)] if found else []))
             if not look.odd and not look.wrong:
                 show("Nothing is odd.")
-            if page is not None:
-                show(f"{page}: pictures of every trial")
 
     deliver(printed, (page, partial(write_page, look_page(look))), *json_files(data, as_json))
+    if page is not None and as_json != STDOUT:
+        show(f"{page}: pictures of every trial")
     if open_it and page is not None:
         typer.launch(str(page))
     raise typer.Exit(NOT_ALL_DONE if look.wrong else ALL_DONE)

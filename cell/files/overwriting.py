@@ -14,13 +14,17 @@ _OWN = re.compile(
     rb'|<!doctype html>\s*<html lang="en"><head><meta name="generator" content="cable-cell">'
     rb'|<mujoco model="cable">\s*<!--\s*A cable as \d+ hinges, exported from '
     rb'|"""Law inferred from the residuals of study '
+    rb"|started,ended,line,cycle,product,part,outcome,reason,"
 )
+#: Columns that only a table of cycles has; Parquet names its columns at the end of a file.
+_OF_CYCLES = (b"acknowledged_note", b"prediction_error_m", b"fault_code")
+_PARQUET, _MCAP = b"PAR1", b"\x89MCAP"
 
 
-def check_output(path: Path, *, force: bool = False) -> None:
+def check_output(path: Path, *, force: bool | None = None) -> None:
     """Whether a file can be written here, before the work that it is to hold.
 
-    force   also over a file that no command wrote
+    force   also over a file that no command wrote; None = the command has no `--force`
     raises  ValueError: there is a folder, a device or somebody's file, or no right to write
     """
     if path.is_dir():
@@ -30,11 +34,9 @@ def check_output(path: Path, *, force: bool = False) -> None:
     there = next(p for p in path.absolute().parents if p.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
         raise ValueError(f"{path}: cannot be written, {there} is no folder that may be changed")
-    if path.exists() and not force and not _is_own(path):
-        raise ValueError(
-            f"{path}: is there and was not written by this program; give another name, or --force "
-            "to overwrite it"
-        )
+    if path.exists() and not force and (kept := _why_kept(path)):
+        remedy = "remove it" if force is None else "--force to overwrite it"
+        raise ValueError(f"{path}: is there and {kept}; give another name, or {remedy}")
 
 
 def check_apart(paths: Sequence[Path]) -> None:
@@ -58,7 +60,19 @@ def check_new_study(folder: Path, *, force: bool = False) -> None:
         )
 
 
-def _is_own(path: Path) -> bool:
+def _why_kept(path: Path) -> str:
+    """Why a file is not overwritten unasked; empty = a command wrote it, or nothing is in it."""
     with path.open("rb") as file:
         start = file.read(200)
-    return not start or _OWN.match(start) is not None
+        if start.startswith(_MCAP):
+            return "is a recording"
+        if not start.strip() or _OWN.match(start):
+            return ""
+        if start.startswith(_PARQUET):
+            file.seek(-8, os.SEEK_END)
+            footer = int.from_bytes(file.read(4), "little") + 8
+            file.seek(-min(footer, path.stat().st_size), os.SEEK_END)
+            columns = file.read()
+            if all(name in columns for name in _OF_CYCLES):
+                return ""
+    return "was not written by this program"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import errno
 import tempfile
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 #: Of a disk or a quota that is full, and of a file that may not grow.
@@ -22,6 +22,26 @@ def remedy(error: OSError) -> str:
     if no_room(error):
         return "make room there, or name another disk"
     return "check the name and who may read and write there"
+
+
+def why_not_written(error: OSError) -> str:
+    """What to tell a person of a file that could not be written."""
+    if error.errno is None:  # in words already
+        return str(error)
+    name = error.filename2 or error.filename
+    said = error.strerror if name is None else f"{name}: {error.strerror}"
+    return f"{said}; {remedy(error)}"
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """An error of the system that names no file, as of a full disk, names this one."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None or error.errno is None:
+            raise
+        raise type(error)(error.errno, error.strerror, str(path)) from error
 
 
 def kept(path: Path, write: Callable[[Path], None]) -> str:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.scanner import Scanner
 
 from cell.files.input_error import InputError, Problem, did_you_mean
@@ -127,6 +127,9 @@ def document_of(text: str, path: Path) -> Document:
         if isinstance(node, MappingNode):
             mapping: dict[str, Any] = {}
             for key_node, value_node in node.value:
+                if not isinstance(key_node, ScalarNode):
+                    message = "a list or a mapping is no name of an entry; write a word before `:`"
+                    raise InputError.at(path, message, line=line, column=column, key=dotted(key))
                 name = str(key_node.value)
                 place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
                 if name in mapping:

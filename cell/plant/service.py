@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from cell.plant.left_behind import Mark, earlier_cycle
+from cell.plant.left_behind import Mark, earlier_cycles
 from cell.plant.messages import Answer, FaultNotice, Request
 from cell.plant.orders import latch, refusal
 from cell.plant.reporter import Reporter
 from cell.plant.signs_of_life import SignsOfLife
-from cell.records.folder import acknowledge_record
-from cell.records.past_cycles import cycle_of
+from cell.records.folder import RecordError, acknowledge_record, cycle_of
 from cell.records.result import Result
 from cell.run.commands import InterruptedByCommandError
 from cell.run.cycle import Cell
@@ -21,6 +21,8 @@ from cell.run.machine import CellState, Event
 from cell.run.plans import INSERTING, Plan
 from cell.settings.product import product_for
 from drivers.interfaces import DeviceError
+
+_LOG = logging.getLogger(__name__)
 
 #: How often the service looks at its commands and its devices while nothing happens, s.
 _LOOK_S = 0.1
@@ -70,16 +72,16 @@ class Service:
         self._product = product
         self._wanted: str | None = None
         self._mark = Mark(runs)
-        earlier = earlier_cycle(runs)
-        self._number = 1 if earlier is None else earlier.cycle + 1
-        self._open: Path | None = None
-        if earlier is not None and earlier.fault is not None:
-            self._open = earlier.folder
-            cell.take_up(earlier.folder)
+        earlier = earlier_cycles(runs)
+        self._number = earlier.cycle + 1
+        self._open: tuple[Path, ...] = earlier.open
+        if earlier.fault is not None:
+            for folder in earlier.open:
+                cell.take_up(folder)
             reporter.state(CellState.STOPPED)
             reporter.fault(earlier.fault)
         elif (fault := self._mark.fault(self._number)) is not None:
-            self._open = self._mark.file
+            self._open = (self._mark.file,)
             reporter.state(CellState.STOPPED)
             reporter.fault(fault)
         cell.machine.on_change = self._told
@@ -90,7 +92,10 @@ class Service:
         """Do what is asked, or refuse it; returns at once."""
         with self._changed:
             if request.product is not None and request.product not in self._products:
-                known = ", ".join(self._products) or "none"
+                if not self._products:
+                    why = "this cell's settings have no products; leave it out"
+                    return self._refused("product", why)
+                known = ", ".join(self._products)
                 return self._refused("product", f"{request.product!r} is not known, but {known}")
             command = request.command
             if command in (Event.START, Event.RESET, Event.CLEAR):
@@ -128,7 +133,7 @@ class Service:
             self._part, self._wanted = part, product
             self._reporter.cycle(self._number, self._part, product)
             return Answer(True, machine.send(command))
-        if machine.state is CellState.ABORTED or self._open is not None:
+        if machine.state is CellState.ABORTED or self._open:
             self._acknowledge(request)
         if command is Event.RESET:
             machine.send(command)
@@ -137,9 +142,13 @@ class Service:
     def _acknowledge(self, request: Request) -> None:
         self._cell.acknowledge(request.by, request.note)
         self._reporter.acknowledged(request.by, request.note)
-        folder, self._open = self._open, None
-        if folder is not None and cycle_of(folder) is not None:
-            acknowledge_record(folder, request.by, request.note)
+        folders, self._open = self._open, ()
+        for folder in folders:
+            if cycle_of(folder) is not None:
+                try:
+                    acknowledge_record(folder, request.by, request.note)
+                except RecordError as error:  # the next service asks again
+                    _LOG.warning("%s", error)
 
     def _refused(self, what: str, why: str = "") -> Answer:
         return refusal(self._cell, what, why)
@@ -186,7 +195,7 @@ class Service:
     def _fresh(self) -> bool:
         """Whether this service has just begun, and has nothing to be acknowledged."""
         return (
-            self._open is None
+            not self._open
             and self._cell.machine.seconds()[CellState.RESETTING] == 0.0
             and (self._cell.machine.seconds()[CellState.CLEARING] == 0.0)
         )
@@ -211,7 +220,7 @@ class Service:
     def _ended(self, result: Result, told: Callable[[Result], None]) -> None:
         recorded = cycle_of(Path(result.folder)) is not None
         if result.fault is not None:
-            self._open = Path(result.folder)
+            self._open = (Path(result.folder),)
         if recorded:
             self._mark.remove()
             self._number += 1

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.metadata import distributions
 from pathlib import Path
 
+from cell.files.rescue import naming
 from cell.records.recording import form
 
 #: What is put in place of a user's name and password in a URL, or of a word that is said to be one.
@@ -95,7 +96,7 @@ def write_bundle(
     cleaned: list[str] = []
     part = path.with_name(f"{path.name}.part")
     try:
-        with zipfile.ZipFile(part, "w", allowZip64=True) as bundle:
+        with naming(path), zipfile.ZipFile(part, "w", allowZip64=True) as bundle:
             # settings first: they say whether the recordings beside them hold secrets
             for number, item in enumerate(sorted(items, key=_is_recording)):
                 progress(item.name, number, len(items))

@@ -13,10 +13,11 @@ runs/<time>-<n>/
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from cell.study.data import Study
 from cell.study.folder import read_study, write_study
 
 FORMAT = "cable-cycle/1"
+_NAME = re.compile(r"(\d{8}T\d{6}\.\d{3})-(\d+)")
 _AS_WRITTEN = "give the file as it was written, or leave the folder out"
 
 #: Enough for state and result, which are written when a cycle ends.
@@ -54,13 +56,15 @@ class Record:
     """
 
     def __init__(self, runs: Path, cycle: int, started: datetime) -> None:
-        """Create `runs/<time>-<cycle>`.  Raises RecordError also if it is there already."""
+        """Create `runs/<local time>-<cycle>`.  Raises RecordError also if it is there already."""
         self.folder = runs / f"{started:%Y%m%dT%H%M%S}.{started.microsecond // 1000:03d}-{cycle}"
         self._reserve = self.folder / _RESERVE
         with self._told():
             self.folder.mkdir(parents=True)
             write_whole(self._reserve, bytes(RESERVE_BYTES))
+        at = started.astimezone(UTC).isoformat()
         self._state: dict[str, Any] = {"format": FORMAT, "cycle": cycle, "closed": False}
+        self._state["started"] = at
 
     def state(self, **entries: Any) -> None:
         """Replace entries of `state.json`."""
@@ -151,11 +155,22 @@ def _yaml_of(settings: str) -> str:
 
 
 def acknowledge_record(folder: Path, by: str, note: str) -> None:
-    """Mark that a person has looked at how a cycle ended.  Raises RecordError; InputError."""
+    """Mark that a person has looked at how a cycle ended.
+
+    A state that cannot be read is kept beside it, as `state.json.unreadable`.
+    raises  RecordError
+    """
     path = folder / "state.json"
-    state = (_read_json(path) if path.exists() else None) or {"format": FORMAT}
-    state["acknowledged"] = {"by": by, "note": note}
+    number = cycle_of(folder)
+    state: dict[str, Any] = {"format": FORMAT}
+    if number is not None:
+        state |= {"cycle": number, "closed": False}
     try:
+        try:
+            state = _read_json(path) or state
+        except InputError:
+            path.replace(path.with_name(f"{path.name}.unreadable"))
+        state["acknowledged"] = {"by": by, "note": note}
         write_whole(path, _json(state))
     except OSError as error:
         raise RecordError(f"the record cannot be written: {error.strerror}: {path}") from error
@@ -177,6 +192,23 @@ class Recorded:
     study: Study | None
     model: Mapping[str, Any] | None
     result: Result | None
+
+
+def cycle_of(folder: Path) -> int | None:
+    """Number of the cycle that left a folder, as its name says; None = it is no cycle's."""
+    name = _NAME.fullmatch(folder.name)
+    return int(name[2]) if name is not None and folder.is_dir() else None
+
+
+def started_of(folder: Path, state: Mapping[str, Any] | None) -> datetime:
+    """When the cycle of a folder began, with a time zone.
+
+    Folders of older versions say it in their name only: in local time, as it is here and now.
+    raises  ValueError: the folder's name is no cycle's
+    """
+    with suppress(KeyError, TypeError, ValueError):
+        return datetime.fromisoformat((state or {})["started"]).astimezone()
+    return datetime.strptime(folder.name.rpartition("-")[0], "%Y%m%dT%H%M%S.%f").astimezone()
 
 
 def is_cycle(folder: Path) -> bool:

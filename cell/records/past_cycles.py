@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -11,9 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.files.input_error import InputError, Problem
-from cell.records.folder import FORMAT
-
-_NAME = re.compile(r"(\d{8}T\d{6}\.\d{3})-(\d+)")
+from cell.records.folder import FORMAT, cycle_of, started_of
 
 #: Said of a cycle that has no outcome.
 UNFINISHED = "running or killed"
@@ -23,6 +20,7 @@ UNFINISHED = "running or killed"
 class PastCycle:
     """A cycle that was.
 
+    started             with a time zone
     outcome             as in its result; "running or killed" without one; "unreadable"
     step                in which it ended
     offset_m, prediction_error_m   None = not known
@@ -56,7 +54,7 @@ def history(runs: Path) -> tuple[PastCycle, ...]:
     if not runs.is_dir():
         message = "is no folder of cycles; give the one that `cell run --out` wrote to"
         raise InputError([Problem(runs, 1, None, "", message)])
-    past = [_past(f, *named) for f in runs.iterdir() if (named := cycle_of(f)) is not None]
+    past = [_past(f, number) for f in runs.iterdir() if (number := cycle_of(f)) is not None]
     return tuple(sorted(past, key=lambda p: (p.started, p.cycle)))
 
 
@@ -68,26 +66,17 @@ def newest(runs: Path) -> Path:
     return past[-1].folder
 
 
-def cycle_of(folder: Path) -> tuple[datetime, int] | None:
-    """When the cycle of a folder began, local time, and its number, as its name says; None = it is
-    no cycle's.
-    """
-    name = _NAME.fullmatch(folder.name)
-    if name is None or not folder.is_dir():
-        return None
-    return datetime.strptime(name[1], "%Y%m%dT%H%M%S.%f"), int(name[2])
-
-
-def _past(folder: Path, started: datetime, cycle: int) -> PastCycle:
+def _past(folder: Path, cycle: int) -> PastCycle:
+    state: Mapping[str, Any] | None = None
     try:
         state, result = _read(folder / "state.json"), _read(folder / "result.json")
         assert state is None or state["format"] == FORMAT
     except (OSError, ValueError, KeyError, AssertionError):
-        return PastCycle(folder, started, cycle, "unreadable")
+        return PastCycle(folder, started_of(folder, state), cycle, "unreadable")
     known = result or {}
     return PastCycle(
         folder,
-        started,
+        started_of(folder, state),
         cycle,
         str(known.get("outcome", UNFINISHED)),
         str((state or {}).get("step", "")),

@@ -68,7 +68,7 @@ class Cell:
         self._runs = runs
         self._watched = watched
         self._archive = Archive() if archive is None else archive
-        self._listing: CycleListing | None = None
+        self._unacknowledged: list[CycleListing] = []
         self._prepared: OneCycle | None = None
 
     @property
@@ -95,7 +95,9 @@ class Cell:
             steps.stop(self._station.devices, reason or event.value)
 
     def acknowledge(self, by: str = "", note: str = "") -> None:
-        """A person's word that the cause of a stop or an abort is gone; the ledger lists it.
+        """A person's word that the cause of a stop or an abort is gone.
+
+        The ledger lists it, of all cycles that wait for it; of a stop in Idle only the log does.
 
         by, note  who says so, and what was done
         raises    EventRefusedError: the cell is not stopped
@@ -106,13 +108,16 @@ class Cell:
         if self.machine.state is not CellState.STOPPED:
             raise EventRefusedError(f"nothing to acknowledge while {self.machine.state.value}")
         self.commands.clear()
-        if self._listing is not None:
-            self._listing.acknowledge(by, note)
+        _LOG.warning("acknowledged by %s: %s", by, note)
+        listings, self._unacknowledged = self._unacknowledged, []
+        for listing in listings:
+            listing.acknowledge(by, note)
 
     def take_up(self, folder: Path) -> None:
-        """The cycle of an earlier run to which `acknowledge` refers, by its folder."""
-        self._listing = CycleListing(self._archive.ledger)
-        self._listing.take_up(folder)
+        """A cycle of an earlier run to which `acknowledge` refers, too, by its folder."""
+        listing = CycleListing(self._archive.ledger)
+        listing.take_up(folder)
+        self._unacknowledged.append(listing)
 
     def close(self) -> None:
         """Stop the arm and disconnect all devices."""
@@ -247,7 +252,7 @@ class Cell:
 
     def _open(self, cycle: OneCycle, part: str | None = None, *, filmed: bool = True) -> None:
         """Begin the record; `filmed` = with a recording.  Raises RecordError."""
-        progress, plan, started = cycle.progress, cycle.plan, datetime.now()
+        progress, plan, started = cycle.progress, cycle.plan, datetime.now().astimezone()
         assert isinstance(progress.record, LaterRecord)
         progress.record = record = progress.record.opened(started)
         if filmed:
@@ -258,7 +263,7 @@ class Cell:
         cycle.part = part
         if cycle.made.name is not None:
             record.state(product=cycle.made.name)
-        self._listing = cycle.listing = CycleListing(self._archive.ledger_of(cycle.made))
+        cycle.listing = CycleListing(self._archive.ledger_of(cycle.made))
         about = record.folder, progress.number, started, plan.aim.value
         cycle.listing.begin(*about, part, cycle.made.name)
 
@@ -306,8 +311,8 @@ class Cell:
         progress.recording.end(result)
         if cycle.listing is not None:
             cycle.listing.end(result, progress.findings.identified)
-        if result.fault is None:
-            self._listing = None  # there is nothing to acknowledge
+            if result.fault is not None:
+                self._unacknowledged.append(cycle.listing)
         _LOG.info(
             "cycle %d: %s in %s", progress.number, result.outcome.value, progress.record.folder
         )

@@ -139,6 +139,27 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
         raise InputError([Problem(folder / "cell.yaml", 1, None, "", str(error))]) from error
 
 
+def not_yet_calibrated(settings: Settings, config: Path) -> tuple[str, ...]:
+    """Why a cell does not move with these settings before it is calibrated; empty = it does.
+
+    raises  InputError: a file of the calibration is there, and is not one
+    """
+    try:
+        calibrated(settings, config)
+    except InputError as error:
+        if isinstance(error.__cause__, StoreError | KeyError):
+            raise
+        files = {kind: calibration_file(settings, kind) for kind in (*_NEEDED, *_BESIDES)}
+        for kind, path in files.items():
+            if path.exists():
+                try:
+                    load(path, kind)
+                except StoreError:
+                    raise error from None
+        return tuple(map(str, error.problems))
+    return ()
+
+
 def _grip_words(grip: StoredCalibration | None, now: datetime) -> str:
     if grip is None:
         return "uncalibrated: gripping point, clamp angle and free length are as typed"

@@ -22,7 +22,9 @@ Fraction = Annotated[float, Field(gt=0.0, lt=1.0)]
 def increasing(pair: tuple[float, float]) -> tuple[float, float]:
     """The range itself.  Raises ValueError: it is none."""
     if not pair[0] < pair[1]:
-        raise ValueError(f"[{pair[0]:g}, {pair[1]:g}] is not a range; give [lower, upper]")
+        unlike = ", two numbers that differ" if pair[0] == pair[1] else ""
+        message = f"[{pair[0]:g}, {pair[1]:g}] is not a range; give [lower, upper]{unlike}"
+        raise ValueError(message)
     return pair
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from cell.files.input_error import InputError
 from cell.files.table import TableData
 from cell.records.cycle_page import how_it_ended, numbers_table, parameters_table
-from cell.records.folder import Recorded, read_record
-from cell.records.past_cycles import cycle_of
+from cell.records.folder import Recorded, cycle_of, read_record, started_of
 from cell.records.recording import form
 from cell.records.recording.film import why_no_film
 from cell.records.recording.reading import read_recording
@@ -66,10 +65,9 @@ def cycle_view(folder: Path) -> CycleView:
             gaps = tuple(f"{g['frames']}: {g['cause']}" for g in recording.json(form.GAP))
         except InputError as error:
             no_film = str(error)
-    begun = cycle_of(folder)
     return CycleView(
         cycle=record.cycle,
-        begun=None if begun is None else begun[0],
+        begun=None if cycle_of(folder) is None else started_of(folder, record.state),
         part=(result.part if result else None) or "",
         says=says,
         good=good,

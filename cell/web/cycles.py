@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cell.records.past_cycles import cycle_of
+from cell.records.folder import cycle_of
 
 
 def cycle_folder(runs: Path, name: str) -> Path | None:

@@ -21,6 +21,7 @@ from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.ledger.outbox import outbox_of
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Fault, Outcome, Result
+from cell.run.commands import InterruptedByCommandError
 from cell.run.machine import Event
 from cell.settings import Settings
 
@@ -154,6 +155,12 @@ def test_a_fault_is_listed_with_its_code(quick: Settings, tmp_path: Path) -> Non
     cell = build_cell(quick, tmp_path / "runs", seed=1, cycles=1, on_step=on_step)
     result = cell.run_cycle(1, part="P")
     cell.acknowledge("Ada", "was only tried")
+    assert cell.prepare(2) is None
+    cell.command(Event.STOP, "lunch")
+    with pytest.raises(InterruptedByCommandError) as stopped:
+        cell.check()
+    cell.leave_idle(stopped.value)
+    cell.acknowledge("Eve", "back from lunch")  # it is none of the cycle's
     cell.close()
     (cycle,) = listed(tmp_path / "runs")
     assert (cycle.acknowledged.by, cycle.acknowledged.note) == ("Ada", "was only tried")

@@ -9,13 +9,14 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 
 from cell.plant.client import Client
 from cell.plant.messages import Kind, Notice, Request, Status
-from cell.records.folder import read_record
+from cell.records.folder import Record, read_record
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.run.machine import CellState, Event
 
@@ -89,6 +90,8 @@ def test_two_starts_then_an_end_within_the_third_cycle(start: Start, tmp_path: P
         assert again.returncode == 1
         assert "'start' is refused while" in again.stderr
     until(client, waits_for("start"))
+    made = client.send(Request(Event.START, "plc", product="x"))
+    assert "no products; leave it out" in made.reason
     shown = json.loads(run("status", "--runs", runs, "--json").stdout)
     assert shown["counts"] == {"inserted": 2}
     assert shown["last"]["part"] == "A-2"
@@ -114,6 +117,7 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     until(client, in_step("hold_and_capture"))
     killed.kill()
     killed.wait()
+    Record(runs, 1, datetime(2001, 1, 1))  # another one, from before the clock was set
 
     again = start()
     status = client.connect(wait_s=60.0).status()
@@ -123,17 +127,18 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     shown = run("status", "--runs", runs)
     assert shown.returncode == 1
     assert "cycle 1 was not finished" in shown.stdout
+    assert status.fault.cause.endswith("not acknowledged either: cycles 1")
     refused = client.send(Request(Event.START, "plc"))
     assert "'start' is refused while stopped; possible now: reset, abort" in refused.reason
     assert client.status().state is CellState.STOPPED
     assert run("send", "reset", "--by", "Ada", "--note", "looked", "--runs", runs).returncode == 0
     until(client, waits_for("start"))
     assert client.status().fault is None
-    [folder] = runs.iterdir()
-    assert read_record(folder).state["acknowledged"] == {"by": "Ada", "note": "looked"}
+    said = [read_record(folder).state["acknowledged"] for folder in runs.iterdir()]
+    assert said == [{"by": "Ada", "note": "looked"}] * 2
     client.send(Request(Event.STOP, "plc"))
     until(client, waits_for("acknowledgement"))
-    [folder] = (f for f in runs.iterdir() if f.is_dir())
+    assert len([f for f in runs.iterdir() if f.is_dir()]) == 2
     assert client.send(Request(Event.RESET, "Ada")).accepted
     until(client, waits_for("start"))
     client.send(Request(Event.START, "plc"))
@@ -144,9 +149,12 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     again.communicate(timeout=60)
     assert again.returncode == 0
     ledger = Ledger(runs)
-    killed_cycle, stopped_cycle = ledger.listed(Wanted())
+    *killed_cycles, stopped_cycle = ledger.listed(Wanted())
     ledger.close()
-    assert (killed_cycle.part, killed_cycle.acknowledged.by) == ("A-1", "Ada")
+    assert {c.part for c in killed_cycles} == {"A-1", None}
+    assert [(c.acknowledged.by, c.acknowledged.note) for c in killed_cycles] == [
+        ("Ada", "looked")
+    ] * 2
     assert (stopped_cycle.cycle, stopped_cycle.fault.code) == (2, "stop")
 
     start()  # a restart is no acknowledgement

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from cell.files.input_error import InputError, Problem
+from cell.files.rescue import naming
 from cell.lab.line.identified_again import IdentifiedAgain
 
 COLUMNS = tuple(f.name for f in fields(IdentifiedAgain))
@@ -29,8 +30,9 @@ class IdentifiedTable:
 
     def add(self, row: IdentifiedAgain) -> None:
         """Write a row.  Raises OSError."""
-        self._file.write(_line(row))
-        self._file.flush()
+        with naming(Path(self._file.name)):
+            self._file.write(_line(row))
+            self._file.flush()
 
 
 @contextmanager
@@ -45,13 +47,17 @@ def identified_table(path: Path, *, afresh: bool = False) -> Iterator[Identified
     whole = 0
     if path.exists() and not afresh:
         known, whole = _read(path)
-    with path.open("r+" if whole else "w", encoding="utf-8", newline="") as file:
+    file = path.open("r+" if whole else "w", encoding="utf-8", newline="")
+    try:
         if whole:
             file.truncate(whole)
             file.seek(0, os.SEEK_END)
         else:
             file.write(",".join(COLUMNS) + "\n")
         yield IdentifiedTable(file, known)
+    finally:
+        with naming(path):  # what a full disk did not take is tried once more
+            file.close()
 
 
 def rows_of(path: Path) -> Iterator[IdentifiedAgain]:

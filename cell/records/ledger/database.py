@@ -13,6 +13,7 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 from sqlalchemy.exc import NoSuchModuleError as NoDialectError
 
+from cell.files.named import named_folder
 from cell.records.ledger.error import LedgerError
 from cell.records.ledger.tables import HEAD
 
@@ -34,6 +35,10 @@ def url_of(place: str | Path) -> URL:
     if isinstance(place, Path) or "://" not in place:
         path = Path(place)
         if path.suffix != _SUFFIX:  # beside the folder, as its log
+            try:
+                path = named_folder(path)
+            except ValueError as error:
+                raise LedgerError(str(error)) from error
             path = path.with_name(f"{path.name}{_SUFFIX}")
         return URL.create("sqlite", database=str(path))
     try:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.files.plain import plain
-from cell.records.past_cycles import cycle_of
+from cell.records.folder import cycle_of, started_of
 from cell.records.result import Outcome, Result
 
 
@@ -112,10 +112,9 @@ def estimates_of(model: Mapping[str, Any] | None) -> tuple[Estimate, ...]:
 
 def entry_of_folder(folder: Path, line: str) -> Entry | None:
     """The entry of a cycle that left a folder; None = it is no cycle's, or cannot be read."""
-    named = cycle_of(folder)
-    if named is None:
+    cycle, state = cycle_of(folder), _state(folder)
+    if cycle is None:
         return None
-    started, cycle = named
     try:
         result, model = (_read(folder / name) for name in ("result.json", "model.json"))
         ended = (folder / "result.json").stat().st_mtime if result is not None else None
@@ -130,23 +129,22 @@ def entry_of_folder(folder: Path, line: str) -> Entry | None:
         line,
         cycle,
         folder.absolute(),
-        started.astimezone(UTC),
+        started_of(folder, state).astimezone(UTC),
         aim.value,
         None if known is None else known.part,
-        _product(folder) if known is None else known.product,
+        (state or {}).get("product") if known is None else known.product,
         None if ended is None else datetime.fromtimestamp(ended, UTC),
         known,
         estimates,
     )
 
 
-def _product(folder: Path) -> str | None:
-    """What the state of a cycle says that was not concluded."""
+def _state(folder: Path) -> dict[str, Any] | None:
+    """Where a cycle is, or was when it ended; None = it is not known."""
     try:
-        state = _read(folder / "state.json")
+        return _read(folder / "state.json")
     except (OSError, ValueError):
         return None
-    return None if state is None else state.get("product")
 
 
 def _read(path: Path) -> dict[str, Any] | None:

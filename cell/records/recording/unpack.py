@@ -32,8 +32,7 @@ def unpack(recording: Recording, into: Path) -> Path:
         "closed": recording.complete,
         "step": steps[-1] if steps else None,
     }
-    if about.get("product") is not None:
-        state["product"] = about["product"]
+    state |= {k: about[k] for k in ("started", "product") if about.get(k) is not None}
     _write(folder / "state.json", state)
     for topic, name in ((form.MODEL, "model.json"), (form.RESULT, "result.json")):
         if (said := recording.last(topic)) is not None:

@@ -23,6 +23,18 @@ def test_a_full_disk_behind_the_output_is_said() -> None:
             assert done.stderr == "the output cannot be written: No space left on device\n"
 
 
+def test_a_record_without_room_is_not_said_to_be_the_output() -> None:
+    program = (
+        "from cell.cli.streams import usable_streams\n"
+        "from cell.records.folder import RecordError\n"
+        "with usable_streams():\n    print('result')\n    raise RecordError('no room: x')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (1, "result\n", "no room: x\n")
+
+
 def test_a_reader_that_goes_away_needs_no_message() -> None:
     read, write = os.pipe()
     os.close(read)

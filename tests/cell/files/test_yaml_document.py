@@ -67,7 +67,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         (b"size_m: \xff", "is not UTF-8 text; save it as UTF-8"),
         ("a: 1\n---\nb: 2\n", "is not YAML: but found another document"),
         ("size_m: [1", "check indentation, quotes, brackets"),
-        ("? [a, b]\n: 1\n", "unknown key"),
+        ("? [a, b]\n: 1\n", "a list or a mapping is no name of an entry; write a word before"),
         ('"size_m\\e[2J": 1', r"'size_m\x1b[2J': unknown key; did you mean 'size_m'?"),
         ("size_m: 1\nsize_m: 2", "size_m: given twice, first in line 1; remove one"),
     ],

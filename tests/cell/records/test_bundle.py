@@ -34,6 +34,14 @@ def cycle(tmp_path: Path) -> Path:
     return folder
 
 
+def test_a_full_disk_is_said_of_the_bundle(tmp_path, full_disk):
+    bundle = tmp_path / "bundle.zip"
+    items = [Item("log/x.log", os.urandom(20_000).hex())]
+    with pytest.raises(OSError, match="File too large") as failed:
+        write_bundle(items, bundle, lambda name, number, total: None)
+    assert failed.value.filename == str(bundle)
+
+
 def test_everything_is_in_it_and_the_manifest_proves_it(tmp_path, cycle):
     (tmp_path / "runs.log").write_text("line 1\n")
     (tmp_path / "runs.log.1").write_text("line 0\n")

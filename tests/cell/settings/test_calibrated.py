@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from calib.store import StoredCalibration, save
+from cell.cli import app
 from cell.files.input_error import InputError
 from cell.settings import load_settings
 from cell.settings.calibrated import CIRCLE_95, calibrated, devices_of
@@ -103,6 +105,22 @@ def test_one_that_does_not_hold_is_refused_with_its_remedy(made, kind, change, m
         calibrated(settings, config, NOW)
     assert message in str(error.value)
     assert f"run `cell calibrate {kind} --config {config}`" in str(error.value)
+
+
+def test_a_calibration_that_is_none_is_found_before_anything_moves(made):
+    """`cell check` called settings right that the next `cell run` refused."""
+    config, settings = made
+    time = settings.calibration.folder / "time.yaml"
+    whole = time.read_text()
+    for wrong in ("", whole.replace("latency_s: 0.02", "latency_s: 0.5")):
+        time.write_text(wrong)
+        done = CliRunner().invoke(app, ["check", "--config", str(config)])
+        assert done.exit_code == 2
+        assert str(time) in done.stderr
+    time.unlink()
+    done = CliRunner().invoke(app, ["check", "--config", str(config)])
+    assert done.exit_code == 0, done.stderr
+    assert "time.yaml: No such file" in done.stderr
 
 
 def test_one_missing_is_named(made):

@@ -134,6 +134,7 @@ MISTAKES = [
     ("lag_s: 0.03", "lag_s: 0.03\n  noise_m: 0.1", "(got 0.1); give metres, not millimetres"),
     ("angle_rad: 0.0}", "angle_rad: 45}", "(got 45); give radians, not degrees"),
     ("y_m: [-0.111, -0.101]", "y_m: [-0.101, -0.111]", "is not a range; give [lower, upper]"),
+    ("y_m: [-0.111, -0.101]", "y_m: [-0.111, -0.111]", "[lower, upper], two numbers that differ"),
     ("y_m: [-0.111, -0.101]", "y_m: [0.505, 0.515]", "destination.y_m: [0.505, 0.515] is out of"),
     ("x_m: [-0.135, -0.130]", "x_m: [-0.430, -0.420]", "entry edge -0.42 m is out of reach"),
     ("x_m: [-0.135, -0.130]", "x_m: [0.130, 0.140]", "lies behind the hand"),

@@ -58,6 +58,12 @@ def expected(runs, tmp_path_factory) -> bytes:
     return table.read_bytes()
 
 
+def test_a_full_disk_is_said_of_the_table(table: Path, full_disk: None) -> None:
+    with pytest.raises(OSError, match="File too large") as failed, identified_table(table) as to:
+        to.add(IdentifiedAgain("a", "k", "failed", why="x" * 2000))
+    assert failed.value.filename == str(table)
+
+
 def test_the_table_is_the_same_bit_for_bit_however_many_work(runs, table, expected):
     found = all_of(runs, table, LocalCores(2))
     assert table.read_bytes() == expected

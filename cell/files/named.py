@@ -1,0 +1,16 @@
+"""Folders that have files beside them, with the same name and an ending."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def named_folder(folder: Path) -> Path:
+    """The folder by its name: `.` and `..` become what they stand for.
+
+    raises  ValueError: the root of the file system, beside which there is no place
+    """
+    named = folder.resolve() if folder.name in ("", "..") else folder
+    if not named.name:
+        raise ValueError(f"{folder}: has no name, and files stand beside it; give another folder")
+    return named

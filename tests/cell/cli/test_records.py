@@ -1,0 +1,133 @@
+"""Commands about records: where they are, what is written, and what is said of it."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from cell.cli import app
+from cell.records.folder import Record
+from cell.records.ledger.entry import Entry
+from cell.records.ledger.ledger import Ledger
+from cell.records.recording import form
+from cell.records.result import Outcome
+from cell.records.result import Result as CycleResult
+
+CONFIG = Path("config/fake.yaml").absolute()
+NOON = datetime(2026, 11, 22, 12, tzinfo=UTC)
+
+
+def cell(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """A folder of records with one cycle, and its ledger."""
+    runs = tmp_path / "runs"
+    record = Record(runs, 1, NOON)
+    result = CycleResult(1, Outcome.INSERTED, str(record.folder))
+    record.close(result)
+    ledger = Ledger(runs, create=True)
+    ledger.write([Entry("l", 1, record.folder, NOON, "inserted", ended=NOON, result=result)])
+    ledger.close()
+    return runs
+
+
+def test_the_folder_one_is_in_is_a_folder_of_records(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`.` has an empty name, and files stand beside the folder: it ended in a traceback."""
+    monkeypatch.chdir(runs)
+    for here in (".", "../runs/.", "../runs/../runs", ""):
+        listed = cell("history", "--ledger", here or ".", "--json")
+        assert [c["outcome"] for c in json.loads(listed.stdout)] == ["inserted"]
+        status = cell("status", "--runs", here)
+        assert (status.exit_code, "no cell runs" in status.stderr) == (3, True)
+    assert cell("acknowledge", "--ledger", ".").stderr.startswith("no fault is open")
+    assert cell("actions", "--ledger", ".").exit_code == 0
+    packed = runs.parent / "b.zip"
+    assert cell("bundle", "--runs", ".", "-o", packed).exit_code == 0 and packed.exists()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("run", "--config", CONFIG, "--out", "/"),
+        ("status", "--runs", "/"),
+        ("bundle", "--runs", "/"),
+        ("serve", "--runs", "/"),
+        ("history", "--ledger", "/"),
+        ("actions", "--ledger", "/"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_beside_the_root_there_is_no_place(command: tuple[object, ...]) -> None:
+    done = cell(*command)
+    assert done.exit_code == 2
+    assert "has no name, and files stand beside it" in " ".join(
+        done.stderr.replace("│", "").split()
+    )
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_an_export_takes_the_place_of_the_last_one(runs: Path, tmp_path: Path, kind: str) -> None:
+    table = tmp_path / f"week.{kind}"
+    words = ("history", "--ledger", runs, f"--{kind}", table)
+    for _ in range(2):
+        done = cell(*words)
+        assert done.exit_code == 0, done.stderr
+    none = cell(*words, "--until", "2000-01-01")
+    assert none.exit_code == 0, none.stderr
+    table.write_text("t_s,x_m\n")
+    done = cell(*words)
+    assert (done.exit_code, "not written by this program" in done.stderr) == (2, True)
+    assert cell(*words, "--force").exit_code == 0
+
+
+def test_a_recording_that_is_there_is_not_fetched(runs: Path) -> None:
+    (folder,) = runs.iterdir()
+    (folder / form.FILE).write_bytes(b"\x89MCAP0\r\n")
+    done = cell("fetch", folder)
+    assert (done.exit_code, "is here already; give another name with -o" in done.stderr) == (
+        2,
+        True,
+    )
+    other = cell("fetch", folder, "-o", folder / form.FILE)
+    assert "is there and is a recording; give another name, or remove it" in other.stderr
+
+
+@pytest.mark.parametrize("said", ["999999999d", "99999999999h", "0001-01-01"])
+def test_a_time_before_the_calendar_is_none(runs: Path, said: str) -> None:
+    for command in ("history", "actions"):
+        done = cell(command, "--ledger", runs, "--since", said)
+        if said[-1] in "hd":
+            assert (done.exit_code, "no time; give 2026-11-01" in done.stderr) == (2, True)
+        assert not isinstance(done.exception, OverflowError)
+
+
+def test_a_status_without_a_cell_is_json_too(tmp_path: Path) -> None:
+    done = cell("status", "--runs", tmp_path, "--json")
+    said = json.loads(done.stdout)
+    assert (done.exit_code, said["state"]) == (3, None)
+    assert "no cell runs" in said["cause"]
+
+
+def test_faults_and_shifts_are_two_answers(runs: Path) -> None:
+    done = cell("history", "--ledger", runs, "--oee", "--faults")
+    assert (done.exit_code, "give one of them" in done.stderr) == (2, True)
+
+
+def test_a_page_is_said_to_be_written_once_it_is(
+    runs: Path, tmp_path: Path, full_disk: None
+) -> None:
+    (folder,) = runs.iterdir()
+    page = tmp_path / "page.html"
+    done = cell("report", folder, "-o", page)
+    assert done.exit_code == 1
+    assert "written to" not in done.stdout
+    assert f"{page}: cannot be written: " in done.stderr
