@@ -300,10 +300,12 @@ def _objective(problem: Problem, q: FloatArray, residual: FloatArray) -> float:
 def _deviations(normal: FloatArray) -> FloatArray:
     """(p,) standard deviations of parameters, by the curvature; 0 where there is none."""
     size = np.sqrt(np.diag(normal))
-    known = size > 0.0
-    unit = np.where(known, size, 1.0)
-    variance = np.diag(np.linalg.pinv(normal / np.outer(unit, unit), hermitian=True))
-    return np.asarray(np.where(known, np.sqrt(np.maximum(variance, 0.0)) / unit, 0.0))
+    unit = np.where(size > 0.0, size, 1.0)
+    try:
+        variance = np.diag(np.linalg.inv(normal / np.outer(unit, unit)))
+    except np.linalg.LinAlgError:
+        return np.zeros_like(size)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)) / unit)
 
 
 def _bounded_step(
