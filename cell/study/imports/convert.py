@@ -28,6 +28,9 @@ from cell.study.judged import judged
 
 FloatArray = NDArray[np.float64]
 
+#: A unit of angles below this is no radian.
+_DEGREES = 0.1
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -239,9 +242,12 @@ def _motion(
     rows = np.flatnonzero(known)
     if np.abs(angle_rad[known]).max() > 2.0 * np.pi:
         row = int(rows[np.argmax(np.abs(angle_rad[known]))])
+        remedy = "give radians_per_unit: 0.0174533 for degrees"
+        if hand.angle.column is None or abs(hand.angle.radians_per_unit or 1.0) < _DEGREES:
+            remedy = "take whole turns off, of 6.28319 rad each, by offset_rad of hand.angle"
         raise capture.error(
             row,
-            f"is {angle_rad[row]:.4g} rad, limit ±2π; give radians_per_unit: 0.0174533 for degrees",
+            f"is {angle_rad[row]:.4g} rad, limit ±2π; {remedy}",
             hand.angle.column or "hand.angle",
         )
     span, seen = t_s[known], markers.t_s
