@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from cell.study.imports.capture import Capture, Column
+from cell.study.imports.hand_file import hand_file
 from cell.study.imports.hand_section import AxesSection
 from cell.study.imports.mapping import Mapping
 from cell.study.imports.places import angle_towards, clamp_angle_rad, continuous, places_m
 from cell.study.imports.understand import Files, Stated, Understanding, understand
-from tests.cell.study.imports.made import LENGTH_M, NAMES, Made, swinging
+from tests.cell.study.imports.made import ARCS_M, LENGTH_M, NAMES, Made, swinging
 
 T_S = np.arange(0.0, 1.2, 0.005)
 AT_REST = (T_S < 0.4).sum()
@@ -108,3 +109,35 @@ def test_what_is_no_count_of_a_turn_stays_as_it_is() -> None:
     for angles_rad in (np.array([3.3, 3.34, np.nan, 3.2]), np.array([10.0, 10.1])):
         np.testing.assert_array_equal(continuous(angles_rad), angles_rad)
     np.testing.assert_allclose(continuous(np.array([6.28, 0.01, np.nan, 0.02]))[3], 0.02)
+
+
+def of_hand_file(m: Made, unit: str = " [mm]", at: tuple[float, float] = (0.0, 0.0)) -> Capture:
+    places = {f"tcp {a}{unit}": (m.hand_m[:, k] + at[k]) * 1e3 for k, a in enumerate("xy")}
+    return captured("hand.csv", **places)
+
+
+@pytest.mark.parametrize(("count", "unit"), [(3, " [mm]"), (4, " [mm]"), (4, ""), (5, "")])
+def test_a_hand_in_its_own_file_begins_the_chain(count: int, unit: str) -> None:
+    """The last marker was taken for the tip, and the line between markers for the clamp."""
+    m = trial(np.full(len(T_S), 0.2))
+    seen = {n + unit: v for n, v in markers_of(m, count).items()}
+    found = understood(captured("a.csv", **seen), of_hand_file(m, unit))
+    arcs = [entry.arc_length_m for entry in found.mapping.markers]
+    np.testing.assert_allclose(arcs, ARCS_M[:count], atol=5e-5)
+    assert found.mapping.metres_per_unit == 1e-3
+    assert found.mapping.hand.angle.constant_rad == pytest.approx(0.2, abs=0.02)
+    assert "from the hand's place at rest on" in said(found, "markers")[-1]
+
+
+def test_a_hand_in_another_frame_begins_no_chain_and_the_tip_is_told() -> None:
+    m = trial(np.full(len(T_S), 0.2))
+    seen = {f"{n} [mm]": v for n, v in markers_of(m, 4).items()}
+    found = understood(captured("a.csv", **seen), of_hand_file(m, at=(0.5, 0.1)))
+    assert [entry.arc_length_m for entry in found.mapping.markers][-1] == LENGTH_M
+    assert "'m4' taken as the cable's tip, for no place of the hand" in said(found, "markers")[-1]
+
+
+def test_a_hand_that_moves_from_its_first_row_on_begins_no_chain() -> None:
+    m = trial(np.full(len(T_S), 0.2))
+    late = hand_file(captured("hand.csv", **{n: v[90:] for n, v in hand_of(m).items()}))
+    assert late.rest is None
