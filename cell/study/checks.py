@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cell.files.input_error import Problem
-from cell.study.clocks import GAP_S, GAP_STEPS, gap
+from cell.study.clocks import GAP_S, GAP_STEPS, cut_off, gap
 from cell.study.data import Markers
 from cell.study.exchanged import exchanges
 from cell.study.table import Table
@@ -56,6 +56,14 @@ def check_whole(log: Table) -> None:
         f"{found.turned_rad:.2g} rad in between, nobody knows how; log the whole motion, or cut "
         "the trial before it or after it",
     )
+
+
+def check_reaches(log: Table, markers: Markers) -> None:
+    """Raise InputError if a hand's log ends or begins in motion, and its cable is seen beyond."""
+    seen_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
+    found = cut_off(log.values, float(seen_s[0]), float(seen_s[-1]))
+    if found is not None:
+        raise log.error(log.lines[-1 if found.at_end else 0], "t_s", str(found))
 
 
 def check_finite(table: Table) -> None:
