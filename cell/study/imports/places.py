@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cell.study.imports.capture import Capture
 from cell.study.imports.hand_section import AngleSection, AxesSection
+from cell.study.imports.lost import lost_rows
 
 FloatArray = NDArray[np.float64]
 
@@ -27,11 +28,13 @@ def places_m(
     metres_per_unit: float,
     lost: Sequence[float] = (),
     unseen: float = np.nan,
+    of_hand: bool = False,
 ) -> FloatArray:
     """(rows, 2) x (right) and y (up) of a point, nan where it is not seen.
 
     columns  null = this coordinate was not measured; it counts as `unseen`
     lost     values that all coordinates have where the point is not seen
+    of_hand  it is one of the hand, which may be at such a value
     raises   InputError: there is no such column
     """
     raw = np.full((len(capture.values), len(columns)), unseen)
@@ -39,8 +42,7 @@ def places_m(
         if name is not None:
             raw[:, k] = capture.column(name)
     given = [k for k, name in enumerate(columns) if name is not None]
-    for value in lost:
-        raw[np.all(raw[:, given] == value, axis=1)] = np.nan
+    raw[lost_rows(raw[:, given], lost, of_hand)] = np.nan
     return np.column_stack([_along(raw, axis) for axis in _square(axes)]) * metres_per_unit
 
 

@@ -91,7 +91,13 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     findings = [*told, *findings]
     times_s(first.capture, time)  # in disorder nothing below means anything
     points = [*([chosen.hand] if chosen.hand else []), *chosen.markers]
-    raw = np.stack([seen_places(first.capture, p.columns, chosen.lost) for p in points], axis=1)
+    raw = np.stack(
+        [
+            seen_places(first.capture, p.columns, chosen.lost, of_hand=p is chosen.hand)
+            for p in points
+        ],
+        axis=1,
+    )
     shape, units = _shape(raw), {p.unit for p in points}
     begins = None
     if apart is not None and len(raw[rest_rows(raw)]):
@@ -243,7 +249,10 @@ def _hand(
     if chosen.second is not None:
         rest = _shape(
             np.stack(
-                [seen_places(first.capture, p.columns, chosen.lost) for p in (hand, chosen.second)],
+                [
+                    seen_places(first.capture, p.columns, chosen.lost, of_hand=True)
+                    for p in (hand, chosen.second)
+                ],
                 axis=1,
             )
         )

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.files.yaml_document import Document
 from cell.study.imports.capture import Capture, Column
 from cell.study.imports.hand_file import hand_file
+from cell.study.imports.hand_path import hand_path
 from cell.study.imports.hand_section import AxesSection
-from cell.study.imports.mapping import Mapping
+from cell.study.imports.mapping import Mapping, ReadMapping
 from cell.study.imports.places import angle_towards, clamp_angle_rad, continuous, places_m
 from cell.study.imports.understand import Files, Stated, Understanding, understand
 from tests.cell.study.imports.made import ARCS_M, LENGTH_M, NAMES, Made, swinging
@@ -141,3 +143,22 @@ def test_a_hand_that_moves_from_its_first_row_on_begins_no_chain() -> None:
     m = trial(np.full(len(T_S), 0.2))
     late = hand_file(captured("hand.csv", **{n: v[90:] for n, v in hand_of(m).items()}))
     assert late.rest is None
+
+
+@pytest.mark.parametrize("jumps", [False, True])
+def test_of_a_lost_marker_s_value_the_hand_is_left_out_only_where_it_jumps(jumps: bool) -> None:
+    """Zeros meant a lost tip: all of the hand's rest at (0, 0) was left out, and nobody told."""
+    m = trial(np.full(len(T_S), 0.2))
+    columns = {**hand_of(m), **markers_of(m)}
+    for name in ("tip x", "tip y"):
+        columns[name][80:84] = 0.0
+    for axis in "xy" if jumps else "":
+        columns[f"hand {axis}"][200:203] = 0.0
+    capture = captured("a.csv", **columns)
+    mapping = understood(capture).mapping
+    assert mapping.lost == (0.0,)
+    read = ReadMapping(mapping, Document(Path("import.yaml"), {}, {}))
+    path = hand_path(read, mapping.trials[0], capture, T_S)
+    left_out = np.flatnonzero(np.isnan(path.xy_m[:, 0])).tolist()
+    assert left_out == ([200, 201, 202] if jumps else [])
+    assert path.note.startswith("a: the hand is taken as not seen in 3 rows") == jumps
