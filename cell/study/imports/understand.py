@@ -168,8 +168,10 @@ def _scene(
         shape = np.vstack([directions @ begins * scale, shape])
     # Of the mean shape at rest: noise lengthens the curve through points of a single row.
     at_rest = len(xy_m[rest_rows(xy_m)]) > 0 and np.isfinite(shape).all()
-    lengths = arc_lengths(shape[None] if at_rest else xy_m)
-    from_hand = with_hand or begins is not None
+    lengths = arc_lengths(shape[None] if at_rest or begins is not None else xy_m)
+    if begins is not None and len(shape) <= _A_LINE:
+        lengths = lengths[1:]  # nothing shows how far a cable droops from the line to one marker
+    from_hand = with_hand or (begins is not None and len(shape) > _A_LINE)
     # Else the first marker is at an unknown distance from the hand.
     return _Scene(xy_m, lengths[1:] if from_hand else lengths, shape, from_hand)
 
@@ -188,10 +190,10 @@ def _arcs(
             sentence = "where the markers are along the cable needs --free-length"
             return [None] * len(lengths), [Finding("markers", sentence, Sure.WANTED)]
         lengths = lengths + length_m - lengths[-1]
-        how = (
-            f", {chosen.markers[-1].name!r} taken as the cable's tip, for no place of the hand at "
-            "rest is known in their frame"
-        )
+        why = "no place of the hand at rest is known in their frame"
+        if len(scene.shape) > scene.xy_m.shape[1]:
+            why = "one marker shows no curve from the hand on"
+        how = f", {chosen.markers[-1].name!r} taken as the cable's tip, for {why}"
     arcs = [round(float(s), 5) for s in lengths]
     if length_m is not None and 0.0 < arcs[-1] - length_m <= TIP * length_m:
         arcs[-1] = length_m

@@ -139,6 +139,16 @@ def test_a_hand_in_another_frame_begins_no_chain_and_the_tip_is_told() -> None:
     assert "'m4' taken as the cable's tip, for no place of the hand" in said(found, "markers")[-1]
 
 
+def test_one_marker_beside_a_hand_in_its_own_file_is_taken_for_the_tip() -> None:
+    """The straight line to it is shorter than the cable, which droops."""
+    m = trial(np.full(len(T_S), 0.2))
+    tip = {f"tip {a} [mm]": m.markers_m[:, -1, k] * 1e3 for k, a in enumerate("xy")}
+    found = understood(captured("a.csv", **tip), of_hand_file(m))
+    assert [entry.arc_length_m for entry in found.mapping.markers] == [LENGTH_M]
+    assert "for one marker shows no curve from the hand on" in said(found, "markers")[-1]
+    assert "from which a cable droops" in said(found, "hand.angle")[-1]
+
+
 def test_a_hand_that_moves_from_its_first_row_on_begins_no_chain() -> None:
     m = trial(np.full(len(T_S), 0.2))
     late = hand_file(captured("hand.csv", **{n: v[90:] for n, v in hand_of(m).items()}))
