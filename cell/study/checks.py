@@ -12,6 +12,8 @@ from cell.study.table import Table
 
 #: Beyond this a number is taken for a mistaken unit.
 MAX_TRIAL_S = 30.0
+#: Angles one after another that differ by a turn, within so much, are one in two counts, rad.
+AS_A_TURN_RAD = 0.5
 
 
 def check_times(table: Table) -> None:
@@ -43,7 +45,17 @@ def check_times(table: Table) -> None:
 
 
 def check_whole(log: Table) -> None:
-    """Raise InputError if a hand moves while nothing is logged."""
+    """Raise InputError if a hand moves while nothing is logged, or its angle jumps by a turn."""
+    angle_rad = log.values[:, 3]
+    jumps = np.abs(np.abs(np.diff(angle_rad)) - 2.0 * np.pi) < AS_A_TURN_RAD
+    if jumps.any():
+        row = int(np.argmax(jumps)) + 1
+        raise log.error(
+            log.lines[row],
+            "angle_rad",
+            f"{angle_rad[row]:.4g} comes after {angle_rad[row - 1]:.4g} of the row before, a whole "
+            "turn away; write angles that go on over ±π, within ±2π",
+        )
     found = gap(log.values)
     if found is None:
         return

@@ -199,6 +199,19 @@ def test_a_log_that_ends_or_begins_in_motion_is_refused(
     assert cut_off(_poses(short), float(cut.trials[0].markers.t_s[0]), kept_s[1]) is None
 
 
+def test_an_angle_that_jumps_by_a_whole_turn_is_refused(swung: Study, tmp_path: Path) -> None:
+    """Of a clamp that points to the right the noise goes over ±π: the model's hand spun round."""
+    grip = mirrored(swung).trials[0].grip
+    angle_rad = np.pi + np.random.default_rng(1).normal(0.0, 1e-3, len(grip.t_s))
+    study = with_trial(mirrored(swung), grip=replace(grip, angle_rad=angle_rad))
+    write_study(study, tmp_path)
+    read_study(tmp_path)
+    wrapped = replace(grip, angle_rad=(angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
+    write_study(with_trial(study, grip=wrapped), tmp_path)
+    with pytest.raises(InputError, match=r"a/grip.csv:\d+: angle_rad: .*a whole turn away; write"):
+        read_study(tmp_path)
+
+
 def _poses(grip: Motion) -> np.ndarray:
     return np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad])
 
