@@ -12,7 +12,7 @@ Flags = NDArray[np.bool_]
 
 #: A hand that is lost jumps by so many of the longest steps that it makes otherwise, of which so
 #: many may be wrong samples.
-_JUMP, _WRONG = 5.0, 2
+_JUMP, _WRONG = 3.0, 2
 
 
 def lost_rows(raw: FloatArray, values: Sequence[float], of_hand: bool) -> Flags:

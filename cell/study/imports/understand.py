@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cell.study.imports.capture import Capture
 from cell.study.imports.choosing import Chosen, choose, seen_places
 from cell.study.imports.column_names import is_of_wrench
-from cell.study.imports.contents import Contents, contents
+from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.directions import find_axes
 from cell.study.imports.finding import Finding, Sure
@@ -91,13 +91,7 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     findings = [*told, *findings]
     times_s(first.capture, time)  # in disorder nothing below means anything
     points = [*([chosen.hand] if chosen.hand else []), *chosen.markers]
-    raw = np.stack(
-        [
-            seen_places(first.capture, p.columns, chosen.lost, of_hand=p is chosen.hand)
-            for p in points
-        ],
-        axis=1,
-    )
+    raw = _seen(first.capture, points, chosen)
     shape, units = _shape(raw), {p.unit for p in points}
     begins = None
     if apart is not None and len(raw[rest_rows(raw)]):
@@ -144,6 +138,15 @@ def trial_names(files: Sequence[Path]) -> list[str]:
             unique, number = f"{name}_{number}", number + 1
         names.append(unique)
     return names
+
+
+def _seen(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
+    """(rows, points, d) where points are seen, in the file's unit and axes."""
+    of_hand = (chosen.hand, chosen.second)
+    return np.stack(
+        [seen_places(capture, p.columns, chosen.lost, of_hand=p in of_hand) for p in points],
+        axis=1,
+    )
 
 
 def _shape(raw: FloatArray) -> FloatArray:
@@ -249,15 +252,7 @@ def _hand(
     root = _root(scene)
     second = None
     if chosen.second is not None:
-        rest = _shape(
-            np.stack(
-                [
-                    seen_places(first.capture, p.columns, chosen.lost, of_hand=True)
-                    for p in (hand, chosen.second)
-                ],
-                axis=1,
-            )
-        )
+        rest = _shape(_seen(first.capture, (hand, chosen.second), chosen))
         line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
         second = chosen.second, _angle_of(line)
     angle, findings = clamp_angle(first.capture, inside, axes, root, second, hand.name)
