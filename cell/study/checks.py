@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from cell.files.input_error import Problem
-from cell.study.clocks import GAP_S, GAP_STEPS, gap
+from cell.study.clocks import GAP_S, GAP_STEPS, cut_off, gap
 from cell.study.data import Markers
 from cell.study.exchanged import exchanges
 from cell.study.table import Table
 
 #: Beyond this a number is taken for a mistaken unit.
 MAX_TRIAL_S = 30.0
+#: Angles one after another that differ by a turn, within so much, are one in two counts, rad.
+AS_A_TURN_RAD = 0.5
 
 
 def check_times(table: Table) -> None:
@@ -43,7 +45,17 @@ def check_times(table: Table) -> None:
 
 
 def check_whole(log: Table) -> None:
-    """Raise InputError if a hand moves while nothing is logged."""
+    """Raise InputError if a hand moves while nothing is logged, or its angle jumps by a turn."""
+    angle_rad = log.values[:, 3]
+    jumps = np.abs(np.abs(np.diff(angle_rad)) - 2.0 * np.pi) < AS_A_TURN_RAD
+    if jumps.any():
+        row = int(np.argmax(jumps)) + 1
+        raise log.error(
+            log.lines[row],
+            "angle_rad",
+            f"{angle_rad[row]:.4g} comes after {angle_rad[row - 1]:.4g} of the row before, a whole "
+            "turn away; write angles that go on over ±π, within ±2π",
+        )
     found = gap(log.values)
     if found is None:
         return
@@ -56,6 +68,14 @@ def check_whole(log: Table) -> None:
         f"{found.turned_rad:.2g} rad in between, nobody knows how; log the whole motion, or cut "
         "the trial before it or after it",
     )
+
+
+def check_reaches(log: Table, markers: Markers) -> None:
+    """Raise InputError if a hand's log ends or begins in motion, and its cable is seen beyond."""
+    seen_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
+    found = cut_off(log.values, float(seen_s[0]), float(seen_s[-1]))
+    if found is not None:
+        raise log.error(log.lines[-1 if found.at_end else 0], "t_s", str(found))
 
 
 def check_finite(table: Table) -> None:

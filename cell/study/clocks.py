@@ -17,6 +17,11 @@ FloatArray = NDArray[np.float64]
 
 #: A hand's log may skip so many of its usual steps, and so many seconds, while the hand moves.
 GAP_STEPS, GAP_S = 5.0, 0.1
+#: Rows of a log whose median is no single wrong row; rows of the shortest piece that shows a speed,
+#: and s.  Its noise may be this many standard deviations and be no motion.
+_MEDIAN_OF, _PIECE, _PIECE_S, _CHANCE = 5, 3, 0.01, 4.0
+#: A hand may slow down so many times more sharply than the means over pieces show.
+_SHARPER = 1.5
 #: A cable begins to move with its hand, or within this many √(L/g) of it, and s: in 506 simulated
 #: strokes of all kinds from −0.2 to 0.6.  A camera's latency is less, and can be fitted.
 WITHIN, WITHIN_S = 1.0, 0.15
@@ -38,6 +43,36 @@ class Gap:
     usual_s: float
     moved_m: float
     turned_rad: float
+
+
+@dataclass(frozen=True)
+class CutOff:
+    """An end of a hand's log at which the hand moves, while the frames of its cable go on.
+
+    log_s, film_s  where the log and the frames end, or begin
+    speed          m/s, or rad/s if it `turns`
+    """
+
+    at_end: bool
+    log_s: float
+    film_s: float
+    speed: float
+    turns: bool
+
+    def __str__(self) -> str:
+        """The complaint, and what to do."""
+        speed = f"{self.speed:.2g} {'rad' if self.turns else 'm'}/s"
+        if self.at_end:
+            return (
+                f"the log ends at {self.log_s:.6g} s, while the hand moves at {speed}, yet the "
+                f"markers are seen until {self.film_s:.6g} s; log the hand until it rests, or cut "
+                "the frames after the log's end"
+            )
+        return (
+            f"the log begins at {self.log_s:.6g} s, while the hand moves at {speed}, yet the "
+            f"markers are seen from {self.film_s:.6g} s on; log the hand from its rest on, or cut "
+            "the frames before the log's beginning and give `start: moving`"
+        )
 
 
 @dataclass(frozen=True)
@@ -71,6 +106,91 @@ def gap(poses: FloatArray) -> Gap | None:
     return Gap(
         i + 1, float(t_s[i]), float(t_s[i + 1]), usual_s, float(moved_m[i]), float(change[i, 2])
     )
+
+
+def cut_off(poses: FloatArray, from_s: float, to_s: float) -> CutOff | None:
+    """The end of a hand's log at which it is not done with moving; None if there is none.
+
+    poses         (T, 4) t, x, y, angle
+    from_s, to_s  the first and the last frame that shows a marker
+    """
+    usual_s = float(np.median(np.diff(poses[:, 0])))
+    limit_s = max(GAP_S, GAP_STEPS * usual_s)
+    for at_end, film_s in ((True, to_s), (False, from_s)):
+        # Seen backwards in time a log begins as another one ends.
+        log = poses if at_end else poses[::-1] * [-1.0, 1.0, 1.0, 1.0]
+        missing_s = (film_s if at_end else -film_s) - float(log[-1, 0])
+        if missing_s <= limit_s:
+            continue
+        for series, still, turns in (
+            (log[:, 1:3], ROUGHLY_STILL.position_m, False),
+            (log[:, 3:], ROUGHLY_STILL.angle_rad, True),
+        ):
+            speed = _unfinished(log[:, 0], series, still, (limit_s, missing_s))
+            if speed is not None:
+                return CutOff(at_end, float(poses[-at_end, 0]), film_s, speed, turns)
+    return None
+
+
+def _unfinished(
+    t_s: FloatArray, series: FloatArray, still: float, within_s: tuple[float, float]
+) -> float | None:
+    """Speed of the end of a series (T, d) that would go on by more than `still`; else None.
+
+    From the middle of its last piece on it may slow down as sharply as it ever changed its speed.
+
+    within_s  in which it has moved by more than that, and in which it would go on
+    """
+    step_s, (before_s, after_s) = float(np.median(np.diff(t_s))), within_s
+    first = int(np.searchsorted(t_s, t_s[-1] - before_s))
+    if first < _MEDIAN_OF or len(t_s) < 2 * _MEDIAN_OF:
+        return None
+    ends = [np.median(series[rows], axis=0) for rows in (
+        slice(first - _MEDIAN_OF, first), slice(-_MEDIAN_OF, None)
+    )]  # fmt: skip
+    if np.linalg.norm(ends[1] - ends[0]) <= still:
+        return None
+    noise, most = _rough(series), max(_PIECE, (len(t_s) - first + 1) // 2)
+    rows = min(max(_PIECE, int(_PIECE_S / step_s) + 1), most)
+    while rows < most and _CHANCE * _std_per_s(noise, rows, step_s) * before_s > still:
+        rows += 1
+    speeds = _velocities(t_s, _without_single(series), rows)
+    lasts_s = (rows - 1) * step_s
+    changes = np.linalg.norm(speeds[rows - 1 :] - speeds[: 1 - rows], axis=1) / lasts_s
+    slows = _SHARPER * float(np.max(changes, initial=0.0))
+    seen = float(np.linalg.norm(speeds[-1]))
+    speed = seen - 0.5 * slows * lasts_s
+    if speed <= _CHANCE * _std_per_s(noise, rows, step_s):
+        return None
+    goes_on = min(speed * after_s, 0.5 * speed**2 / slows if slows > 0.0 else np.inf)
+    return seen if goes_on > still else None
+
+
+def _without_single(series: FloatArray) -> FloatArray:
+    """Rows (T, d) by medians of three: a single wrong row is none."""
+    inner = np.median(np.lib.stride_tricks.sliding_window_view(series, 3, axis=0), axis=-1)
+    return np.concatenate([series[:1], inner, series[-1:]])
+
+
+def _velocities(t_s: FloatArray, series: FloatArray, rows: int) -> FloatArray:
+    """(T − rows + 1, d) slopes of the lines through so many rows one after another."""
+    times_s = np.lib.stride_tricks.sliding_window_view(t_s, rows)
+    away_s = times_s - times_s.mean(axis=1, keepdims=True)
+    values = np.lib.stride_tricks.sliding_window_view(series, rows, axis=0)
+    slopes = np.einsum("tr,tdr->td", away_s, values) / np.sum(away_s**2, axis=1)[:, None]
+    return np.asarray(slopes, dtype=np.float64)
+
+
+def _rough(series: FloatArray) -> float:
+    """Standard deviation of rows (T, d) from a smooth path: noise, and the last digit."""
+    steps = np.abs(np.diff(series, axis=0))
+    digit = float(np.min(steps[steps > 0.0], initial=np.inf))
+    return max(_noise_m(series), digit / np.sqrt(12.0) if np.isfinite(digit) else 0.0)
+
+
+def _std_per_s(noise: float, rows: int, step_s: float) -> float:
+    """Standard deviation of the slope of a line through so many rows."""
+    return float(noise / (step_s * np.sqrt(rows * (rows**2 - 1) / 12.0)))
 
 
 def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None:

@@ -14,12 +14,12 @@ from cell.cable.geometry import Cable, Motion, Start
 from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
-from cell.study.checks import check_finite, check_times, check_whole
+from cell.study.checks import check_finite, check_reaches, check_times, check_whole
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import TrialName, datasheet_of, implausible_entries
 from cell.study.hand_drift import HandDriftSection
 from cell.study.judged import judged
-from cell.study.table import read_table, table_text
+from cell.study.table import Table, read_table, table_text
 from cell.study.wrench_file import FILE as WRENCH_FILE
 from cell.study.wrench_file import SensorEntry, read_wrench, sensor_entry, wrench_text
 from cell.study.wrench_plausible import force_factor
@@ -289,6 +289,11 @@ def _implausible(document: Document, header: _Study, datasheet: Cable | None) ->
 
 def read_grip(path: Path) -> Motion:
     """Read the log of a hand: t_s, x_m, y_m, angle_rad.  Raises InputError."""
+    return Motion(*_log(path).values.T)
+
+
+def _log(path: Path) -> Table:
+    """The same with its lines."""
     grip = read_table(path, GRIP_COLUMNS)
     check_times(grip)
     check_finite(grip)
@@ -301,11 +306,12 @@ def read_grip(path: Path) -> Motion:
         ),
     )
     check_whole(grip)
-    return Motion(*grip.values.T)
+    return grip
 
 
 def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.intp]) -> Trial:
-    motion = read_grip(folder / "grip.csv")
+    log = _log(folder / "grip.csv")
+    motion = Motion(*log.values.T)
     count = len(header.markers.arc_length_m)
     there = folder / WRENCH_FILE
     if there.exists() and not (folder / "markers.csv").exists():
@@ -335,6 +341,7 @@ def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.i
     )
     source = Source(table.path, np.array(table.lines), order)
     markers = Markers(t_s, xy_m[:, order], source)
+    check_reaches(log, markers)
     wrench = read_wrench(there, motion) if there.exists() else None
     drift = None if trial.hand_drift is None else trial.hand_drift.drift()
     return Trial(

@@ -12,6 +12,7 @@ from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture
 from cell.study.imports.contents import Contents, Point
 from cell.study.imports.finding import Finding, Sure
+from cell.study.imports.lost import lost_rows
 from cell.study.imports.shape import chain, middle, rest_rows
 
 FloatArray = NDArray[np.float64]
@@ -46,7 +47,7 @@ def choose(
     """The cable's points in order, and the hand's.  Raises InputError: there are no points."""
     points = _same_dimension(capture, inside)
     lost = _lost(capture, points)
-    raw = {p.name: seen_places(capture, p.columns, lost) for p in points}
+    raw = {p.name: seen_places(capture, p.columns, lost, p.of_hand) for p in points}
     _check_apart(capture, points, raw)
     findings = [_lost_finding(v) for v in lost]
     named = [p for p in points if p.of_hand]
@@ -103,11 +104,12 @@ def _check_apart(capture: Capture, points: Sequence[Point], raw: dict[str, Float
                 )
 
 
-def seen_places(capture: Capture, columns: Sequence[str], lost: Sequence[float]) -> FloatArray:
+def seen_places(
+    capture: Capture, columns: Sequence[str], lost: Sequence[float], of_hand: bool = False
+) -> FloatArray:
     """(rows, 2 or 3) in the file's unit and axes, nan where the point was not seen."""
     raw = capture.at(list(columns)).copy()
-    for value in lost:
-        raw[np.all(raw == value, axis=1)] = np.nan
+    raw[lost_rows(raw, lost, of_hand)] = np.nan
     return raw
 
 

@@ -28,6 +28,9 @@ from cell.study.judged import judged
 
 FloatArray = NDArray[np.float64]
 
+#: A unit of angles below this is no radian.
+_DEGREES = 0.1
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -239,9 +242,12 @@ def _motion(
     rows = np.flatnonzero(known)
     if np.abs(angle_rad[known]).max() > 2.0 * np.pi:
         row = int(rows[np.argmax(np.abs(angle_rad[known]))])
+        remedy = "give radians_per_unit: 0.0174533 for degrees"
+        if hand.angle.column is None or abs(hand.angle.radians_per_unit or 1.0) < _DEGREES:
+            remedy = "take whole turns off, of 6.28319 rad each, by offset_rad of hand.angle"
         raise capture.error(
             row,
-            f"is {angle_rad[row]:.4g} rad, limit ±2π; give radians_per_unit: 0.0174533 for degrees",
+            f"is {angle_rad[row]:.4g} rad, limit ±2π; {remedy}",
             hand.angle.column or "hand.angle",
         )
     span, seen = t_s[known], markers.t_s
@@ -253,6 +259,12 @@ def _motion(
         )
     values = (span, xy_m[known, 0], xy_m[known, 1], angle_rad[known])
     return Motion(*(np.ascontiguousarray(v) for v in values)), path
+
+
+def _fit(long_m: FloatArray, cable_m: FloatArray) -> bool:
+    """Whether pieces are as long as their pieces of cable, in the same unit."""
+    together = float(long_m.sum()), float(cable_m.sum())
+    return min(together) <= 0.0 or 1.0 / WRONG_UNIT < together[0] / together[1] < WRONG_UNIT
 
 
 def _check_unit(read: ReadMapping, measured: Measured, arcs: FloatArray) -> None:
@@ -271,11 +283,19 @@ def _check_unit(read: ReadMapping, measured: Measured, arcs: FloatArray) -> None
     good = np.isfinite(steps).any(axis=0)
     if not good.any():
         return
-    long_m = float(np.nanmedian(steps[:, good], axis=0).sum())
-    cable_m = float(np.abs(np.diff(np.append(arcs, 0.0)))[: steps.shape[1]][good].sum())
-    scale = mapping.metres_per_unit or 1.0
-    if long_m <= 0.0 or cable_m <= 0.0 or 1.0 / WRONG_UNIT < long_m / cable_m < WRONG_UNIT:
+    each_m = np.nanmedian(steps[:, good], axis=0)
+    cables_m = np.abs(np.diff(np.append(arcs, 0.0)))[: steps.shape[1]][good]
+    if _fit(each_m, cables_m):
         return
+    long_m, cable_m = float(each_m.sum()), float(cables_m.sum())
+    scale = mapping.metres_per_unit or 1.0
+    if steps.shape[1] == len(arcs) and len(each_m) > 1 and _fit(each_m[:-1], cables_m[:-1]):
+        raise read.error(
+            ("hand",),
+            f"is {each_m[-1]:.4g} m from the nearest marker of {trial.name}, with "
+            f"{cables_m[-1]:.4g} m of cable between them; give origin_m, where the origin of the "
+            "hand's places is in the markers' frame, or correct its metres_per_unit",
+        )
     fitting = scale * cable_m / long_m
     nearest = min((1.0, 0.1, 0.01, 0.001, 1e-6, 0.0254), key=lambda u: abs(np.log(u / fitting)))
     beyond = f" (no cable may be longer than {MAX_LENGTH_M:g} m)" if long_m > MAX_LENGTH_M else ""

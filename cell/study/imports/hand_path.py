@@ -13,6 +13,7 @@ from cell.study.imports.accelerometer import REST_ROWS, NotIntegrableError, Sens
 from cell.study.imports.capture import Capture
 from cell.study.imports.encoder import place_m, turn_of
 from cell.study.imports.hand_section import AccelerationSection
+from cell.study.imports.lost import lost_rows
 from cell.study.imports.mapping import ReadMapping, TrialEntry
 from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
 
@@ -58,15 +59,31 @@ def hand_path(read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: Float
     if hand.acceleration is not None:
         assert angle_rad is not None  # towards and follows are refused
         return _integrated(read, entry, capture, t_s, angle_rad)
+    note = ""
     if hand.columns is not None:
-        xy_m = places_m(capture, hand.columns, axes, scale, mapping.lost, unseen=0.0)
+        xy_m = places_m(capture, hand.columns, axes, scale, mapping.lost, unseen=0.0, of_hand=True)
         xy_m = xy_m + hand.origin_m
+        note = _told_lost(read, entry, capture)
     else:
         xy_m = np.broadcast_to(np.array(hand.fixed_m, dtype=np.float64), (len(t_s), 2))
     if angle_rad is None:
-        towards = places_m(capture, hand.angle.towards or (), axes, scale, mapping.lost)
+        second = hand.angle.towards or ()
+        towards = places_m(capture, second, axes, scale, mapping.lost, of_hand=True)
         angle_rad = angle_towards(xy_m, towards + hand.origin_m, hand.angle.offset_rad)
-    return HandPath(xy_m, angle_rad)
+    return HandPath(xy_m, angle_rad, note=note)
+
+
+def _told_lost(read: ReadMapping, entry: TrialEntry, capture: Capture) -> str:
+    """How many rows of the hand are left out for its place is a value of `lost`; empty if none."""
+    lost, columns = read.mapping.lost, read.mapping.hand.columns or []
+    rows = lost_rows(capture.at([c for c in columns if c is not None]), lost, of_hand=True)
+    if not rows.any():
+        return ""
+    row = int(np.argmax(rows))
+    return (
+        f"{entry.name}: the hand is taken as not seen in {np.count_nonzero(rows)} rows, the first "
+        f"at {capture.counted} {capture.lines[row]}: it jumps to values of `lost` there, and back"
+    )
 
 
 def _turned(

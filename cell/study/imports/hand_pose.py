@@ -12,7 +12,7 @@ from cell.study.imports.capture import Capture
 from cell.study.imports.contents import HAND, Contents, Point
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_section import BODY_AXES, AngleSection, AxesSection
-from cell.study.imports.places import body_axis
+from cell.study.imports.places import body_axis, continuous
 from cell.study.imports.units import RADIANS
 
 FloatArray = NDArray[np.float64]
@@ -45,6 +45,30 @@ class Root:
     def agrees_rad(self) -> float:
         """The root and a right reading agree at rest within this."""
         return _DROOPS if self.is_line else _AGREES
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """What a column of angles may mean.
+
+    seen      the cable shows the sign, by turning with the column
+    quarters  of a turn that are added
+    rest_rad  of the column at rest, in its sign
+    off_rad   by which the reading and the cable's root differ at rest
+    """
+
+    unit: str
+    sign: float
+    seen: bool
+    quarters: int
+    rest_rad: float
+    off_rad: float
+
+    @property
+    def cost(self) -> float:
+        """How unlikely it is."""
+        unusual = _SIGN * (self.sign < 0.0) + _QUARTER * (self.quarters != 0)
+        return self.off_rad + unusual + _UNIT * (self.unit == "deg")
 
 
 def clamp_angle(
@@ -116,35 +140,26 @@ def _of_column(
 ) -> tuple[AngleSection, list[Finding]]:
     """Unit, sign and zero of a column of angles, by what the cable's root shows."""
     values = capture.column(name)
-    rest = float(np.nanmedian(values[: max(1, len(values) // 20)]))
-    sign = _sign(values, root)
-    options = []
-    for word in [unit] if unit in RADIANS else ["rad", "deg"]:
-        if word == "rad" and unit not in RADIANS and np.nanmax(np.abs(values)) > 2.0 * np.pi:
-            continue
-        for s in (1.0, -1.0) if sign == 0.0 else (sign,):
-            for quarters in (0, 1, -1, 2):
-                offset = quarters * np.pi / 2.0
-                off = abs(_wrapped(s * RADIANS[word] * rest + offset - root.rest_rad))
-                cost = (
-                    off + _SIGN * (s < 0.0) + _QUARTER * (quarters != 0) + _UNIT * (word == "deg")
-                )
-                options.append((cost, off, word, s, offset))
-    _, off, word, s, offset = min(options)
+    best = min(_readings(values, unit, root), key=lambda reading: reading.cost)
+    word, s, offset = best.unit, best.sign, best.quarters * np.pi / 2.0
     findings = []
-    if off > root.agrees_rad:
-        offset = float(round(_wrapped(root.rest_rad - s * RADIANS[word] * rest), 4))
-        sentence = f"{name!r} is {np.degrees(off):.0f}° from what the cable shows at rest: "
+    if best.off_rad > root.agrees_rad:
+        offset = float(round(_wrapped(root.rest_rad - s * best.rest_rad), 4))
+        sentence = (
+            f"{name!r} is {np.degrees(best.off_rad):.0f}° from what the cable shows at rest: "
+        )
         findings.append(
             Finding("hand.angle.offset_rad", f"{sentence}an offset is added", Sure.GUESSED)
         )
     stated = unit in RADIANS
     matters = float(np.nanmax(np.abs(values))) * RADIANS[word] > 1e-3
     which = "positive = down" if s > 0 else "positive = up, turned round"
-    why = "the cable turns with it" if sign else "the cable's root at rest agrees best"
+    why = "the cable turns with it" if best.seen else "the cable's root at rest agrees best"
     if not matters:
         why = "it is 0 throughout"
-    sure = Sure.SEEN if sign or not matters else Sure.GUESSED
+    if best.quarters and not findings:
+        which += f", turned by {90 * best.quarters}°"
+    sure = Sure.SEEN if best.seen or not matters else Sure.GUESSED
     sentence = (
         f"the clamp angle is column {name!r} in {word}{', as the file says' if stated else ''}"
     )
@@ -152,6 +167,22 @@ def _of_column(
     factor = round(s * RADIANS[word], 12)
     section = AngleSection(column=name, radians_per_unit=factor, offset_rad=round(offset, 10) + 0.0)
     return section, findings
+
+
+def _readings(values: FloatArray, unit: str, root: Root) -> list[_Reading]:
+    """All that a column of angles may mean, the usual ones first."""
+    found = []
+    for word in [unit] if unit in RADIANS else ["rad", "deg"]:
+        if word == "rad" and unit not in RADIANS and np.nanmax(np.abs(values)) > 2.0 * np.pi:
+            continue
+        turned = continuous(values * RADIANS[word])
+        rest_rad = float(np.nanmedian(turned[: max(1, len(turned) // 20)]))
+        seen = _sign(turned, root)
+        for sign in (1.0, -1.0) if seen == 0.0 else (seen,):
+            for quarters in (0, -1, 1, 2):
+                off_rad = abs(_wrapped(sign * rest_rad + quarters * np.pi / 2.0 - root.rest_rad))
+                found.append(_Reading(word, sign, seen != 0.0, quarters, rest_rad, off_rad))
+    return found
 
 
 def _sign(values: FloatArray, root: Root) -> float:

@@ -10,8 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from cell.study.imports.capture import Capture
 from cell.study.imports.hand_section import AngleSection, AxesSection
+from cell.study.imports.lost import lost_rows
 
 FloatArray = NDArray[np.float64]
+
+#: Angles of either count of a turn, ±180° or 0 to 360°, are left as they are up to so much; what is
+#: beyond lacks a whole turn.  It is far from all directions in which clamps usually point, rad.
+_HALF_TURN = 1.25 * np.pi
+#: A whole turn, with room for the digits of a unit.
+_WHOLE_TURN = 2.001 * np.pi
 
 
 def places_m(
@@ -21,11 +28,13 @@ def places_m(
     metres_per_unit: float,
     lost: Sequence[float] = (),
     unseen: float = np.nan,
+    of_hand: bool = False,
 ) -> FloatArray:
     """(rows, 2) x (right) and y (up) of a point, nan where it is not seen.
 
     columns  null = this coordinate was not measured; it counts as `unseen`
     lost     values that all coordinates have where the point is not seen
+    of_hand  it is one of the hand, which may be at such a value
     raises   InputError: there is no such column
     """
     raw = np.full((len(capture.values), len(columns)), unseen)
@@ -33,8 +42,7 @@ def places_m(
         if name is not None:
             raw[:, k] = capture.column(name)
     given = [k for k, name in enumerate(columns) if name is not None]
-    for value in lost:
-        raw[np.all(raw[:, given] == value, axis=1)] = np.nan
+    raw[lost_rows(raw[:, given], lost, of_hand)] = np.nan
     return np.column_stack([_along(raw, axis) for axis in _square(axes)]) * metres_per_unit
 
 
@@ -60,18 +68,36 @@ def clamp_angle_rad(capture: Capture, angle: AngleSection, axes: AxesSection) ->
         return np.full(len(capture.values), angle.constant_rad + angle.offset_rad)
     if angle.column is not None and angle.radians_per_unit is not None:
         turned: FloatArray = capture.column(angle.column) * angle.radians_per_unit
-        return turned + angle.offset_rad
+        return continuous(turned, angle.offset_rad)
     if angle.quaternion is not None and angle.body_axis is not None:
         leaving = body_axis(capture.at(angle.quaternion), angle.body_axis)
         right, up = (np.resize(v, 3) if len(v) == 3 else np.append(v, 0.0) for v in _square(axes))
-        return _angle(leaving @ right, leaving @ up) + angle.offset_rad
+        return continuous(_angle(leaving @ right, leaving @ up), angle.offset_rad)
     return None
 
 
 def angle_towards(from_m: FloatArray, to_m: FloatArray, offset_rad: float = 0.0) -> FloatArray:
     """Clamp angle of a hand whose cable leaves from one point (rows, 2) towards another."""
     direction = to_m - from_m
-    return _angle(direction[:, 0], direction[:, 1]) + offset_rad
+    return continuous(_angle(direction[:, 0], direction[:, 1]), offset_rad)
+
+
+def continuous(angle_rad: FloatArray, offset_rad: float = 0.0) -> FloatArray:
+    """(rows,) angles plus an offset, without jumps by whole turns and with none too many.
+
+    Angles beyond ±2π are of no count of a turn, but of another unit: they stay as they are.
+    """
+    good = np.isfinite(angle_rad)
+    known = angle_rad[good]
+    found = angle_rad + offset_rad
+    if not len(known) or np.abs(known).max() > _WHOLE_TURN:
+        return found
+    known = np.unwrap(known) + offset_rad
+    middle = 0.5 * (known.min() + known.max())
+    if abs(middle) > _HALF_TURN:
+        known = known - 2.0 * np.pi * np.round(middle / (2.0 * np.pi))
+    found[good] = known
+    return found
 
 
 def body_axis(quaternion: FloatArray, name: str) -> FloatArray:
@@ -87,11 +113,8 @@ def body_axis(quaternion: FloatArray, name: str) -> FloatArray:
 
 
 def _angle(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Clamp angle of a direction in which a cable leaves, without jumps from −π to π."""
-    angle = np.arctan2(-y, -x)
-    good = np.isfinite(angle)
-    angle[good] = np.unwrap(angle[good])
-    return angle
+    """Clamp angle of a direction in which a cable leaves, between −π and π."""
+    return np.asarray(np.arctan2(-y, -x), dtype=np.float64)
 
 
 def _square(axes: AxesSection) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cell.cable.geometry import Cable
 from cell.files.input_error import Problem
 from cell.study.checks import MAX_TRIAL_S, exchanged
-from cell.study.clocks import GAP_S, GAP_STEPS, gap
+from cell.study.clocks import GAP_S, GAP_STEPS, cut_off, gap
 from cell.study.data import Source, Study, Trial
 from cell.study.imports.capture import Capture
 from cell.study.left_out import without_wrong_samples
@@ -105,7 +105,7 @@ def _hand_gap(measured: Measured) -> Problem | None:
     poses = np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad])
     found = gap(poses)
     if found is None:
-        return None
+        return _hand_beyond(measured, poses)
     limit_s = max(GAP_S, GAP_STEPS * found.usual_s)
     row = int(np.searchsorted(measured.trial.markers.t_s, found.to_s))
     return measured.problem(
@@ -116,6 +116,17 @@ def _hand_gap(measured: Measured) -> Problem | None:
         "cut the trial before it or after it",
         "hand",
     )
+
+
+def _hand_beyond(measured: Measured, poses: FloatArray) -> Problem | None:
+    """A hand that moves where its log ends or begins, and markers that are seen beyond."""
+    markers = measured.trial.markers
+    rows = np.flatnonzero(np.isfinite(markers.xy_m).any(axis=(1, 2)))
+    found = cut_off(poses, float(markers.t_s[rows[0]]), float(markers.t_s[rows[-1]]))
+    if found is None:
+        return None
+    row = int(np.searchsorted(markers.t_s, found.log_s, side="right" if found.at_end else "left"))
+    return measured.problem(min(row, len(markers.t_s) - 1), str(found), "hand")
 
 
 def _same_values(measured: Measured) -> Problem | None:

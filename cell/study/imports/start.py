@@ -69,7 +69,7 @@ def _hand(
         return t_s, np.broadcast_to(np.array(section.fixed_m, dtype=np.float64), (len(t_s), 2))
     scale = section.metres_per_unit or mapping.metres_per_unit or 1.0
     axes = section.axes or mapping.axes
-    at_m = places_m(of, section.columns, axes, scale, mapping.lost, unseen=0.0)
+    at_m = places_m(of, section.columns, axes, scale, mapping.lost, unseen=0.0, of_hand=True)
     known = np.isfinite(at_m).all(axis=1)
     return t_s[known], at_m[known]
 

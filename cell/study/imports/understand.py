@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.directions import find_axes
 from cell.study.imports.finding import Finding, Sure
+from cell.study.imports.hand_file import TIP, HandFile, first_point, hand_elsewhere, hand_file
 from cell.study.imports.hand_pose import Root, clamp_angle
 from cell.study.imports.hand_section import AxesSection, HandSection, TextSection
 from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
@@ -28,8 +28,6 @@ from cell.study.imports.start import start_of
 
 FloatArray = NDArray[np.float64]
 
-#: A proposed arc length this much longer than the stated cable is its tip.
-_TIP = 0.02
 #: Points of a chain that show a line and no bend.
 _A_LINE = 2
 
@@ -70,36 +68,43 @@ class Understanding:
 class _Scene:
     """The chain of points in the study's plane.
 
-    xy_m   (rows, points, 2), the gripping point first where it is in the same file
-    arcs   (markers,) from the gripping point, m
-    shape  (points, 2) at rest
+    xy_m       (rows, points, 2), the gripping point first where it is in the same file
+    arcs       (markers,) from the gripping point, m
+    shape      (points, 2) at rest, the gripping point first where that is known
+    from_hand  whether it is; else arcs are from the first marker
     """
 
     xy_m: FloatArray
     arcs: FloatArray
     shape: FloatArray
+    from_hand: bool
 
 
 def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     """Propose a mapping.  Raises InputError: a file has no points or no hand, or is disordered."""
     first = trials[0]
     inside = contents(first.capture)
-    elsewhere = first.hand is not None or inside.senses_hand
+    apart = None if first.hand is None else hand_file(first.hand)
+    elsewhere = apart is not None or inside.senses_hand
     chosen, findings = choose(first.capture, inside, hand_elsewhere=elsewhere)
     time, told = time_section(first.capture, inside, stated.rate_hz)
     findings = [*told, *findings]
     times_s(first.capture, time)  # in disorder nothing below means anything
     points = [*([chosen.hand] if chosen.hand else []), *chosen.markers]
-    raw = np.stack([seen_places(first.capture, p.columns, chosen.lost) for p in points], axis=1)
-    shape = _shape(raw)
+    raw = _seen(first.capture, points, chosen)
+    shape, units = _shape(raw), {p.unit for p in points}
+    begins = None
+    if apart is not None and len(raw[rest_rows(raw)]):
+        begins = first_point(apart, shape, units, stated.free_length_m)
+    shape = shape if begins is None else np.vstack([begins, shape])
     extent = float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
-    scale, finding = metres_per_unit({p.unit for p in points}, extent, stated.free_length_m)
+    scale, finding = metres_per_unit(units, extent, stated.free_length_m)
     axes, told = find_axes(raw, shape)
     findings += [finding, *told]
-    scene = _scene(raw, axes, scale or 1.0, chosen)
+    scene = _scene(raw, axes, scale or 1.0, begins, chosen.hand is not None)
     arcs, told = _arcs(scene, chosen, stated, known=scale is not None)
     findings += told
-    hand, told = _hand(first, inside, chosen, axes, scene, scale)
+    hand, told = _hand(first, apart, inside, chosen, axes, scene, scale)
     findings += told
     mapping = Mapping(
         format=FORMAT,
@@ -135,6 +140,15 @@ def trial_names(files: Sequence[Path]) -> list[str]:
     return names
 
 
+def _seen(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
+    """(rows, points, d) where points are seen, in the file's unit and axes."""
+    of_hand = (chosen.hand, chosen.second)
+    return np.stack(
+        [seen_places(capture, p.columns, chosen.lost, of_hand=p in of_hand) for p in points],
+        axis=1,
+    )
+
+
 def _shape(raw: FloatArray) -> FloatArray:
     """(points, d) at rest, else a mean of what is seen."""
     rest = raw[rest_rows(raw)]
@@ -142,16 +156,27 @@ def _shape(raw: FloatArray) -> FloatArray:
     return middle(some)
 
 
-def _scene(raw: FloatArray, axes: AxesSection, scale: float, chosen: Chosen) -> _Scene:
+def _scene(
+    raw: FloatArray, axes: AxesSection, scale: float, begins: FloatArray | None, with_hand: bool
+) -> _Scene:
+    """The chain in the plane.
+
+    begins     (d,) where the hand of another file rests; None = that is not known
+    with_hand  the first of the points is the gripping point
+    """
     directions = np.array([axes.right, axes.up])
     xy_m = raw @ directions.T * scale
     shape = _shape(xy_m)
+    if begins is not None:
+        shape = np.vstack([directions @ begins * scale, shape])
     # Of the mean shape at rest: noise lengthens the curve through points of a single row.
     at_rest = len(xy_m[rest_rows(xy_m)]) > 0 and np.isfinite(shape).all()
-    lengths = arc_lengths(shape[None] if at_rest else xy_m)
-    if chosen.hand is None:  # the first marker is at an unknown distance from the hand
-        return _Scene(xy_m, lengths, shape)
-    return _Scene(xy_m, lengths[1:], shape)
+    lengths = arc_lengths(shape[None] if at_rest or begins is not None else xy_m)
+    if begins is not None and len(shape) <= _A_LINE:
+        lengths = lengths[1:]  # nothing shows how far a cable droops from the line to one marker
+    from_hand = with_hand or (begins is not None and len(shape) > _A_LINE)
+    # Else the first marker is at an unknown distance from the hand.
+    return _Scene(xy_m, lengths[1:] if from_hand else lengths, shape, from_hand)
 
 
 def _arcs(
@@ -162,16 +187,21 @@ def _arcs(
         sentence = "where the markers are along the cable is known with the unit of length"
         return [None] * len(chosen.markers), [Finding("markers", sentence, Sure.WANTED)]
     lengths, length_m = scene.arcs, stated.free_length_m
-    if chosen.hand is None:
+    how = "" if chosen.hand is not None else ", from the hand's place at rest on"
+    if not scene.from_hand:
         if length_m is None:
             sentence = "where the markers are along the cable needs --free-length"
             return [None] * len(lengths), [Finding("markers", sentence, Sure.WANTED)]
         lengths = lengths + length_m - lengths[-1]
+        why = "no place of the hand at rest is known in their frame"
+        if len(scene.shape) > scene.xy_m.shape[1]:
+            why = "one marker shows no curve from the hand on"
+        how = f", {chosen.markers[-1].name!r} taken as the cable's tip, for {why}"
     arcs = [round(float(s), 5) for s in lengths]
-    if length_m is not None and 0.0 < arcs[-1] - length_m <= _TIP * length_m:
+    if length_m is not None and 0.0 < arcs[-1] - length_m <= TIP * length_m:
         arcs[-1] = length_m
     sentence = (
-        f"arc lengths are those of a curve through the markers, {arcs[0]:g} … {arcs[-1]:g} m; "
+        f"arc lengths are those of a curve through the markers, {arcs[0]:g} … {arcs[-1]:g} m{how}; "
         "measured ones are better"
     )
     findings = [Finding("markers", sentence, Sure.GUESSED)]
@@ -205,6 +235,7 @@ def _text(capture: Capture) -> TextSection | None:
 
 def _hand(
     first: Files,
+    elsewhere: HandFile | None,
     inside: Contents,
     chosen: Chosen,
     axes: AxesSection,
@@ -212,8 +243,8 @@ def _hand(
     scale: float | None,
 ) -> tuple[HandSection, list[Finding]]:
     """The gripping point and the clamp angle, from the same file or another one."""
-    if first.hand is not None:
-        return _hand_elsewhere(first.hand, axes, scene, scale)
+    if elsewhere is not None:
+        return hand_elsewhere(elsewhere, axes, _root_at_rest(scene), scale)
     if inside.senses_hand:
         return hand_by_sensor(first.capture, inside, axes, _root_at_rest(scene), {})
     hand = chosen.hand
@@ -221,57 +252,11 @@ def _hand(
     root = _root(scene)
     second = None
     if chosen.second is not None:
-        rest = _shape(
-            np.stack(
-                [seen_places(first.capture, p.columns, chosen.lost) for p in (hand, chosen.second)],
-                axis=1,
-            )
-        )
+        rest = _shape(_seen(first.capture, (hand, chosen.second), chosen))
         line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
         second = chosen.second, _angle_of(line)
     angle, findings = clamp_angle(first.capture, inside, axes, root, second, hand.name)
     return HandSection(columns=list(hand.columns), angle=angle), findings
-
-
-def _hand_elsewhere(
-    capture: Capture, axes: AxesSection, scene: _Scene, scale: float | None
-) -> tuple[HandSection, list[Finding]]:
-    inside = contents(capture)
-    root = _root_at_rest(scene)
-    time, told = time_section(capture, inside, None)
-    of_file: dict[str, Any] = {"text": _text(capture), "time": time}
-    named = [p for p in inside.points if p.of_hand] or list(inside.points)
-    if not named and inside.senses_hand:
-        section, findings = hand_by_sensor(capture, inside, axes, root, of_file)
-        return section, [*told, *findings]
-    if not named:
-        message = (
-            "has no x and y of the hand; name two columns as hand_x and hand_y, that of its axle's "
-            "encoder as encoder, or those of an accelerometer on it as acc_x and acc_y. Columns: "
-        )
-        raise capture.error(0, f"{message}{', '.join(capture.names[:12])}")
-    hand: Point = named[0]
-    findings = [
-        Finding("hand", f"{hand.name!r} of {capture.path.name} is the gripping point", Sure.GUESSED)
-    ]
-    same = len(hand.columns) == len(axes.up)
-    own = None if same else AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
-    if not same:
-        sentence = "the hand's file has its own axes: right and up are its first and second"
-        findings.append(Finding("hand.axes", sentence, Sure.GUESSED))
-    at = seen_places(capture, hand.columns, ())
-    extent = float(np.nanmax(np.abs(at)))
-    unit, finding = metres_per_unit({hand.unit}, extent, None) if hand.unit else (scale, None)
-    findings += [*told, *([finding] if finding else [])]
-    angle, told = clamp_angle(capture, inside, axes, root, None, hand.name)
-    section = HandSection(
-        columns=list(hand.columns),
-        angle=angle,
-        metres_per_unit=unit,
-        axes=own,
-        **of_file,
-    )
-    return section, [*findings, *told]
 
 
 def _root_at_rest(scene: _Scene) -> Root:

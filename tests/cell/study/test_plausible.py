@@ -14,7 +14,7 @@ from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.files.input_error import InputError
-from cell.study.clocks import offset
+from cell.study.clocks import cut_off, offset
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import MAX_FRAMES, read_study, write_study
 from cell.study.frozen import frozen
@@ -161,6 +161,79 @@ def test_a_gap_in_the_log_of_a_hand_that_moves_is_told_with_its_size(
     )
     write_study(logged_without(swung, 0.52, 1.1), tmp_path / "rests")
     assert read_study(tmp_path / "rests").notes == ()
+
+
+@pytest.mark.parametrize(
+    ("kept_s", "says"),
+    [
+        (
+            (0.0, 0.38),
+            "a/grip.csv:78: t_s: the log ends at 0.38 s, while the hand moves at 0.3 m/s",
+        ),
+        (
+            (0.3, 2.0),
+            "a/grip.csv:2: t_s: the log begins at 0.3 s, while the hand moves at 0.26 m/s",
+        ),
+        ((0.0, 0.5), None),  # a log may end as soon as the hand rests
+        ((0.19, 2.0), None),
+        ((0.0, 1.1), None),
+    ],
+)
+def test_a_log_that_ends_or_begins_in_motion_is_refused(
+    swung: Study, tmp_path: Path, kept_s: tuple[float, float], says: str | None
+) -> None:
+    """The hand was held where its log ended, a few millimetres short of where it went."""
+    grip = swung.trials[0].grip
+    kept = (grip.t_s >= kept_s[0] - 1e-9) & (grip.t_s <= kept_s[1] + 1e-9)
+    short = Motion(*(v[kept] for v in (grip.t_s, grip.x_m, grip.y_m, grip.angle_rad)))
+    write_study(with_trial(swung, grip=short), tmp_path)
+    if says is None:
+        read_study(tmp_path)
+        return
+    with pytest.raises(InputError) as caught:
+        read_study(tmp_path)
+    assert says in str(caught.value)
+    seen = (swung.trials[0].markers.t_s >= kept_s[0]) & (swung.trials[0].markers.t_s <= kept_s[1])
+    markers = swung.trials[0].markers
+    cut = with_trial(swung, grip=short, t_s=markers.t_s[seen], xy_m=markers.xy_m[seen])
+    assert cut_off(_poses(short), float(cut.trials[0].markers.t_s[0]), kept_s[1]) is None
+
+
+def test_an_angle_that_jumps_by_a_whole_turn_is_refused(swung: Study, tmp_path: Path) -> None:
+    """Of a clamp that points to the right the noise goes over ±π: the model's hand spun round."""
+    grip = mirrored(swung).trials[0].grip
+    angle_rad = np.pi + np.random.default_rng(1).normal(0.0, 1e-3, len(grip.t_s))
+    study = with_trial(mirrored(swung), grip=replace(grip, angle_rad=angle_rad))
+    write_study(study, tmp_path)
+    read_study(tmp_path)
+    wrapped = replace(grip, angle_rad=(angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
+    write_study(with_trial(study, grip=wrapped), tmp_path)
+    with pytest.raises(InputError, match=r"a/grip.csv:\d+: angle_rad: .*a whole turn away; write"):
+        read_study(tmp_path)
+
+
+def _poses(grip: Motion) -> np.ndarray:
+    return np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad])
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 200.0, 1000.0])
+@pytest.mark.parametrize(("noise", "digit"), [(0.0, 0.0), (1e-4, 0.0), (0.0, 1e-3)])
+def test_no_rest_is_taken_for_motion_by_noise_or_digits(
+    rate_hz: float, noise: float, digit: float
+) -> None:
+    for lasts_s in np.arange(0.5, 0.65, 0.01):
+        t_s = np.arange(0.0, lasts_s, 1.0 / rate_hz)
+        x = np.clip((t_s - 0.2) / 0.3, 0.0, 1.0)
+        place = 0.05 * x**3 * (10 - 15 * x + 6 * x**2)
+        place = place + np.random.default_rng(int(1e3 * lasts_s)).normal(0.0, noise, len(t_s))
+        place = np.round(place / digit) * digit if digit else place
+        for poses in (
+            np.column_stack([t_s, place, 0 * t_s, 0 * t_s]),
+            np.column_stack([t_s, 0 * t_s, 0 * t_s, 10 * place]),
+        ):
+            assert cut_off(poses, 0.0, 2.0) is None
+            moving = cut_off(poses[: int(0.38 * rate_hz)], 0.0, 2.0)
+            assert moving is not None and moving.at_end
 
 
 @pytest.mark.parametrize("late_s", [0.5, -0.5])

@@ -1,0 +1,174 @@
+"""Clamp angles, however a file counts a turn; a hand and its cable in files of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.files.yaml_document import Document
+from cell.study.imports.capture import Capture, Column
+from cell.study.imports.hand_file import hand_file
+from cell.study.imports.hand_path import hand_path
+from cell.study.imports.hand_section import AxesSection
+from cell.study.imports.mapping import Mapping, ReadMapping
+from cell.study.imports.places import angle_towards, clamp_angle_rad, continuous, places_m
+from cell.study.imports.understand import Files, Stated, Understanding, understand
+from tests.cell.study.imports.made import ARCS_M, LENGTH_M, NAMES, Made, swinging
+
+T_S = np.arange(0.0, 1.2, 0.005)
+AT_REST = (T_S < 0.4).sum()
+SIDES = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
+
+
+def trial(angle_rad: np.ndarray) -> Made:
+    s = np.clip((T_S - 0.4) / 0.3, 0.0, 1.0)
+    hand = np.outer(s**3 * (10 - 15 * s + 6 * s**2), [0.01, -0.05])
+    return swinging(T_S, hand, angle_rad)
+
+
+def captured(name: str, **columns: np.ndarray) -> Capture:
+    values = np.column_stack([T_S[: len(next(iter(columns.values())))], *columns.values()])
+    named = (Column("time", "s"), *(Column(c) for c in columns))
+    return Capture(Path(name), named, values, np.arange(len(values)) + 2)
+
+
+def markers_of(m: Made, count: int = 5, scale: float = 1e3) -> dict[str, np.ndarray]:
+    return {
+        f"{n} {a}": m.markers_m[:, i, k] * scale
+        for i, n in enumerate(NAMES[:count])
+        for k, a in enumerate("xy")
+    }
+
+
+def hand_of(m: Made) -> dict[str, np.ndarray]:
+    return {f"hand {a}": m.hand_m[:, k] * 1e3 for k, a in enumerate("xy")}
+
+
+def understood(capture: Capture, hand: Capture | None = None) -> Understanding:
+    files = Files("a", "a.csv", capture, None if hand is None else "hand.csv", hand)
+    return understand([files], Stated("a", LENGTH_M, 0.0074, 0.016, 1e-4))
+
+
+def said(found: Understanding, entry: str) -> list[str]:
+    return [f.sentence for f in found.findings if f.entry == entry]
+
+
+def noise(seed: int, rad: float = 1e-3) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0.0, rad, len(T_S))
+
+
+def from_0_to_360(angle_rad: np.ndarray) -> np.ndarray:
+    return np.degrees(angle_rad) % 360.0
+
+
+def half_a_turn_off(angle_rad: np.ndarray) -> np.ndarray:
+    return (np.degrees(angle_rad) + 360.0) % 360.0 - 180.0
+
+
+@pytest.mark.parametrize("counted", [from_0_to_360, half_a_turn_off])
+@pytest.mark.parametrize("turn_rad", [0.0, 0.7])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_angle_is_the_same_however_a_turn_is_counted(
+    counted: Callable[[np.ndarray], np.ndarray], turn_rad: float, sign: float
+) -> None:
+    """A level clamp's noise went over the cut: half a turn was lost, or jumps were written."""
+    s = np.clip((T_S - 0.4) / 0.3, 0.0, 1.0)
+    angle_rad = noise(5) - 0.5 * turn_rad + turn_rad * s
+    m = trial(angle_rad)
+    angles = {"hand angle [deg]": counted(sign * angle_rad if turn_rad else angle_rad)}
+    capture = captured("a.csv", **hand_of(m), **angles, **markers_of(m))
+    mapping = understood(capture).mapping
+    found = clamp_angle_rad(capture, mapping.hand.angle, mapping.axes)
+    assert found is not None
+    np.testing.assert_allclose(found, angle_rad, atol=1e-9)
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, -0.2, 0.2])
+@pytest.mark.parametrize("seed", range(4))
+def test_two_points_on_the_hand_make_its_angle_whatever_their_noise(
+    angle_rad: float, seed: int
+) -> None:
+    """With a level clamp it was a matter of the first row's noise whether it was 2π too large."""
+    m = trial(np.full(len(T_S), angle_rad))
+    leaves = np.array([np.cos(angle_rad), np.sin(angle_rad)])
+    behind_mm = (m.hand_m + 0.03 * leaves) * 1e3 + np.column_stack([noise(seed), noise(seed + 9)])
+    points = {f"gripper {a}": behind_mm[:, k] for k, a in enumerate("xy")}
+    capture = captured("a.csv", **hand_of(m), **points, **markers_of(m))
+    mapping: Mapping = understood(capture).mapping
+    angle = mapping.hand.angle
+    assert angle.towards is not None
+    places = [
+        places_m(capture, c, mapping.axes, 1e-3) for c in (mapping.hand.columns, angle.towards)
+    ]
+    np.testing.assert_allclose(angle_towards(*places, angle.offset_rad), angle_rad, atol=1e-3)
+
+
+def test_what_is_no_count_of_a_turn_stays_as_it_is() -> None:
+    """An angle within ±225° comes back to the last bit; ten degrees taken as radians show."""
+    for angles_rad in (np.array([3.3, 3.34, np.nan, 3.2]), np.array([10.0, 10.1])):
+        np.testing.assert_array_equal(continuous(angles_rad), angles_rad)
+    np.testing.assert_allclose(continuous(np.array([6.28, 0.01, np.nan, 0.02]))[3], 0.02)
+
+
+def of_hand_file(m: Made, unit: str = " [mm]", at: tuple[float, float] = (0.0, 0.0)) -> Capture:
+    places = {f"tcp {a}{unit}": (m.hand_m[:, k] + at[k]) * 1e3 for k, a in enumerate("xy")}
+    return captured("hand.csv", **places)
+
+
+@pytest.mark.parametrize(("count", "unit"), [(3, " [mm]"), (4, " [mm]"), (4, ""), (5, "")])
+def test_a_hand_in_its_own_file_begins_the_chain(count: int, unit: str) -> None:
+    """The last marker was taken for the tip, and the line between markers for the clamp."""
+    m = trial(np.full(len(T_S), 0.2))
+    seen = {n + unit: v for n, v in markers_of(m, count).items()}
+    found = understood(captured("a.csv", **seen), of_hand_file(m, unit))
+    arcs = [entry.arc_length_m for entry in found.mapping.markers]
+    np.testing.assert_allclose(arcs, ARCS_M[:count], atol=5e-5)
+    assert found.mapping.metres_per_unit == 1e-3
+    assert found.mapping.hand.angle.constant_rad == pytest.approx(0.2, abs=0.02)
+    assert "from the hand's place at rest on" in said(found, "markers")[-1]
+
+
+def test_a_hand_in_another_frame_begins_no_chain_and_the_tip_is_told() -> None:
+    m = trial(np.full(len(T_S), 0.2))
+    seen = {f"{n} [mm]": v for n, v in markers_of(m, 4).items()}
+    found = understood(captured("a.csv", **seen), of_hand_file(m, at=(0.5, 0.1)))
+    assert [entry.arc_length_m for entry in found.mapping.markers][-1] == LENGTH_M
+    assert "'m4' taken as the cable's tip, for no place of the hand" in said(found, "markers")[-1]
+
+
+def test_one_marker_beside_a_hand_in_its_own_file_is_taken_for_the_tip() -> None:
+    """The straight line to it is shorter than the cable, which droops."""
+    m = trial(np.full(len(T_S), 0.2))
+    tip = {f"tip {a} [mm]": m.markers_m[:, -1, k] * 1e3 for k, a in enumerate("xy")}
+    found = understood(captured("a.csv", **tip), of_hand_file(m))
+    assert [entry.arc_length_m for entry in found.mapping.markers] == [LENGTH_M]
+    assert "for one marker shows no curve from the hand on" in said(found, "markers")[-1]
+    assert "from which a cable droops" in said(found, "hand.angle")[-1]
+
+
+def test_a_hand_that_moves_from_its_first_row_on_begins_no_chain() -> None:
+    m = trial(np.full(len(T_S), 0.2))
+    late = hand_file(captured("hand.csv", **{n: v[90:] for n, v in hand_of(m).items()}))
+    assert late.rest is None
+
+
+@pytest.mark.parametrize("jumps", [False, True])
+def test_of_a_lost_marker_s_value_the_hand_is_left_out_only_where_it_jumps(jumps: bool) -> None:
+    """Zeros meant a lost tip: all of the hand's rest at (0, 0) was left out, and nobody told."""
+    m = trial(np.full(len(T_S), 0.2))
+    columns = {**hand_of(m), **markers_of(m)}
+    for name in ("tip x", "tip y"):
+        columns[name][80:84] = 0.0
+    for axis in "xy" if jumps else "":
+        columns[f"hand {axis}"][200:203] = 0.0
+    capture = captured("a.csv", **columns)
+    mapping = understood(capture).mapping
+    assert mapping.lost == (0.0,)
+    read = ReadMapping(mapping, Document(Path("import.yaml"), {}, {}))
+    path = hand_path(read, mapping.trials[0], capture, T_S)
+    left_out = np.flatnonzero(np.isnan(path.xy_m[:, 0])).tolist()
+    assert left_out == ([200, 201, 202] if jumps else [])
+    assert path.note.startswith("a: the hand is taken as not seen in 3 rows") == jumps
