@@ -278,9 +278,10 @@ def _as_last_seen(series_m: FloatArray) -> FloatArray:
 
 
 def _noise_m(series_m: FloatArray) -> float:
-    """Noise of frames (T, coordinates) one after another, whatever steady motion is in them."""
-    bends_m = np.abs(np.diff(series_m, 2, axis=0)) / np.sqrt(6.0)
-    return 1.4826 * float(np.nanmedian(bends_m)) if np.isfinite(bends_m).any() else 0.0
+    """Noise of frames (T, coordinates), nan = not seen, whatever steady motion is in them."""
+    seen = [values[np.isfinite(values)] for values in series_m.T]
+    bends_m = np.concatenate([np.zeros(0), *(np.abs(np.diff(v, 2)) for v in seen)]) / np.sqrt(6.0)
+    return 1.4826 * float(np.median(bends_m)) if bends_m.size else 0.0
 
 
 def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:
