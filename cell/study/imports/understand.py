@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,12 +17,12 @@ from cell.study.imports.convert import times_s
 from cell.study.imports.directions import find_axes
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_pose import Root, clamp_angle
-from cell.study.imports.hand_section import AxesSection, HandSection, TextSection
+from cell.study.imports.hand_section import AxesSection, HandSection
 from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.scales import metres_per_unit, time_section
 from cell.study.imports.sensed_hand import hand_by_sensor
 from cell.study.imports.shape import arc_lengths, middle, rest_rows, root_direction
-from cell.study.imports.start import start_of
+from cell.study.imports.trials import Files, text_section, trial_entries
 
 FloatArray = NDArray[np.float64]
 
@@ -32,17 +30,6 @@ FloatArray = NDArray[np.float64]
 _TIP = 0.02
 #: Points of a chain that show a line and no bend.
 _A_LINE = 2
-
-
-@dataclass(frozen=True)
-class Files:
-    """A trial's files as the mapping names them, and what they hold."""
-
-    name: str
-    file: str
-    capture: Capture
-    hand_file: str | None = None
-    hand: Capture | None = None
 
 
 @dataclass(frozen=True)
@@ -105,7 +92,7 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         format=FORMAT,
         name=stated.name,
         cable=_cable(stated, arcs),
-        text=_text(first.capture),
+        text=text_section(first.capture),
         time=time,
         metres_per_unit=scale,
         lost=chosen.lost,
@@ -117,22 +104,9 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         ],
         trials=[TrialEntry(name=t.name, file=t.file, hand_file=t.hand_file) for t in trials],
     )
-    entries, told = _trials(trials, mapping)
+    entries, told = trial_entries(trials, mapping, stated.rate_hz)
     findings += [*told, *_wanted(mapping), *_unused(inside, chosen, first.capture)]
     return Understanding(mapping.model_copy(update={"trials": entries}), tuple(findings))
-
-
-def trial_names(files: Sequence[Path]) -> list[str]:
-    """Names of trials by those of their files, each once."""
-    names: list[str] = []
-    for file in files:
-        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", file.stem).strip("_.-") or "trial"
-        number = 2
-        unique = name
-        while unique in names:
-            unique, number = f"{name}_{number}", number + 1
-        names.append(unique)
-    return names
 
 
 def _shape(raw: FloatArray) -> FloatArray:
@@ -197,12 +171,6 @@ def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
     )
 
 
-def _text(capture: Capture) -> TextSection | None:
-    if capture.form is None:
-        return None
-    return TextSection(separator=capture.form.separator, decimal=capture.form.decimal)
-
-
 def _hand(
     first: Files,
     inside: Contents,
@@ -239,7 +207,7 @@ def _hand_elsewhere(
     inside = contents(capture)
     root = _root_at_rest(scene)
     time, told = time_section(capture, inside, None)
-    of_file: dict[str, Any] = {"text": _text(capture), "time": time}
+    of_file: dict[str, Any] = {"text": text_section(capture), "time": time}
     named = [p for p in inside.points if p.of_hand] or list(inside.points)
     if not named and inside.senses_hand:
         section, findings = hand_by_sensor(capture, inside, axes, root, of_file)
@@ -293,28 +261,6 @@ def _root(scene: _Scene) -> Root:
 def _angle_of(direction: FloatArray) -> float:
     """Clamp angle of a direction in which a cable leaves."""
     return float(np.arctan2(-direction[1], -direction[0]))
-
-
-def _trials(trials: Sequence[Files], mapping: Mapping) -> tuple[list[TrialEntry], list[Finding]]:
-    """Start, role and clock of every trial."""
-    entries: list[TrialEntry] = []
-    findings: list[Finding] = []
-    for number, (files, entry) in enumerate(zip(trials, mapping.trials, strict=True)):
-        role = "validate" if len(trials) > 1 and number == len(trials) - 1 else "fit"
-        entry = entry.model_copy(update={"role": role})
-        if mapping.time.seconds_per_unit is None or mapping.metres_per_unit is None:
-            entries.append(entry)
-            continue
-        begun, told = start_of(files.name, files.capture, files.hand, mapping)
-        entry = entry.model_copy(update=begun)
-        entries.append(entry)
-        findings += told
-    if len(trials) > 1:
-        sentence = (
-            f"{trials[-1].name} is kept for comparison (role validate), the others are fitted"
-        )
-        findings.append(Finding("trials", sentence, Sure.GUESSED))
-    return entries, findings
 
 
 def _wanted(mapping: Mapping) -> list[Finding]:
