@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.study.entries import MAX_ARC_STD_FRACTION
+from cell.study.imports.arc_std import ROUNDED_M, arc_length_stds
 from cell.study.imports.capture import Capture
 from cell.study.imports.choosing import Chosen, choose, seen_places
 from cell.study.imports.column_names import is_of_wrench
@@ -21,7 +23,7 @@ from cell.study.imports.hand_section import AxesSection, HandSection
 from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.scales import metres_per_unit, time_section
 from cell.study.imports.sensed_hand import hand_by_sensor
-from cell.study.imports.shape import arc_lengths, middle, rest_rows, root_direction
+from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
 from cell.study.imports.trials import Files, text_section, trial_entries
 
 FloatArray = NDArray[np.float64]
@@ -72,7 +74,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     first = trials[0]
     inside = contents(first.capture)
     elsewhere = first.hand is not None or inside.senses_hand
-    chosen, findings = choose(first.capture, inside, hand_elsewhere=elsewhere)
+    others = [files.capture for files in trials[1:]]
+    chosen, findings = choose(first.capture, inside, elsewhere, others)
     time, told = time_section(first.capture, inside, stated.rate_hz)
     findings = [*told, *findings]
     times_s(first.capture, time)  # in disorder nothing below means anything
@@ -85,6 +88,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     findings += [finding, *told]
     scene = _scene(raw, axes, scale or 1.0, chosen)
     arcs, told = _arcs(scene, chosen, stated, known=scale is not None)
+    findings += told
+    stds, told = _arc_stds(raw * (scale or 1.0), scene, chosen, stated, arcs)
     findings += told
     hand, told = _hand(first, inside, chosen, axes, scene, scale)
     findings += told
@@ -99,8 +104,10 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         axes=axes,
         hand=hand,
         markers=[
-            MarkerEntry(name=p.name, columns=list(p.columns), arc_length_m=arc)
-            for p, arc in zip(chosen.markers, arcs, strict=True)
+            MarkerEntry(
+                name=p.name, columns=list(p.columns), arc_length_m=arc, arc_length_std_m=std
+            )
+            for p, arc, std in zip(chosen.markers, arcs, stds, strict=True)
         ],
         trials=[TrialEntry(name=t.name, file=t.file, hand_file=t.hand_file) for t in trials],
     )
@@ -111,9 +118,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
 
 def _shape(raw: FloatArray) -> FloatArray:
     """(points, d) at rest, else a mean of what is seen."""
-    rest = raw[rest_rows(raw)]
-    some = rest if len(rest) and np.isfinite(rest).all(axis=2).any(axis=0).all() else raw
-    return middle(some)
+    rest = resting(raw)
+    return middle(raw if rest is None else rest)
 
 
 def _scene(raw: FloatArray, axes: AxesSection, scale: float, chosen: Chosen) -> _Scene:
@@ -159,6 +165,37 @@ def _arcs(
         sentence = f"the cable ends at its last marker: {arcs[-1]:g} m long; give --free-length"
         findings.append(Finding("cable.free_length_m", sentence, Sure.GUESSED))
     return list(arcs), findings
+
+
+def _arc_stds(
+    places_m: FloatArray,
+    scene: _Scene,
+    chosen: Chosen,
+    stated: Stated,
+    arcs: Sequence[float | None],
+) -> tuple[list[float | None], list[Finding]]:
+    """How well the proposed arc lengths are known; None where none is proposed."""
+    last_m = arcs[-1]
+    if last_m is None:
+        return [None] * len(arcs), []
+    length_m, from_hand = stated.free_length_m or last_m, chosen.hand is not None
+    stds = arc_length_stds(places_m, length_m, from_hand)
+    beyond_m = float(scene.arcs[-1]) - last_m if from_hand else 0.0
+    findings = []
+    if beyond_m > max(stds[-1], ROUNDED_M):  # a tip is on the cable, though the curve is longer
+        stds[-1] = min(
+            float(f"{np.hypot(stds[-1], beyond_m):.2g}"), MAX_ARC_STD_FRACTION * length_m
+        )
+        sentence = (
+            f"the curve is {beyond_m * 1e3:.2g} mm longer than the cable: its last marker is "
+        )
+        findings.append(Finding("markers", f"{sentence}taken as the tip", Sure.GUESSED))
+    low, high = (f"{v * 1e3:.2g}" for v in (stds.min(), stds.max()))
+    sentence = (
+        f"arc_length_std_m, {low if low == high else f'{low} … {high}'} mm, is what noise and the "
+        "bend between markers leave open; give your own where you measure"
+    )
+    return stds.tolist(), [*findings, Finding("markers", sentence, Sure.GUESSED)]
 
 
 def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
