@@ -59,8 +59,8 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     form = form or text_form(text)
     rows = _rows(path, text, form.separator)
     first, last = _block(path, rows, form)
-    header = read_header(path, [(r.line, r.cells) for r in rows[:first]], len(rows[first].cells))
-    table = rows[first:last]
+    table = _without_end(rows[:first], rows[first:last])
+    header = read_header(path, [(r.line, r.cells) for r in rows[:first]], table[0].cells)
     numeric = _numeric_columns(table, form.decimal)
     values = _values(path, table, header, numeric, form.decimal)
     labels = {
@@ -190,6 +190,15 @@ def _no_row(path: Path, row: Row) -> InputError:
     shown = reprlib.repr(" ".join(row.cells).strip())
     message = f"{shown} is no row of numbers like those around it; mend it or remove the line"
     return InputError.at(path, message, line=row.line)
+
+
+def _without_end(above: Sequence[Row], table: Sequence[Row]) -> list[Row]:
+    """Rows without the empty cell that a separator at their ends makes, where it has no name."""
+    width = len(table[0].cells)
+    named = any(len(row.cells) >= width for row in above)
+    if named or width <= 2 or any(row.cells[-1].strip() for row in table):
+        return list(table)
+    return [Row(row.line, row.cells[:-1]) for row in table]
 
 
 def _numeric_columns(table: Sequence[Row], decimal: Decimal) -> list[bool]:
