@@ -20,7 +20,8 @@ from cell.files.overwriting import check_new_study, check_output
 if TYPE_CHECKING:
     from cell.lab.report.look_page import Look
     from cell.study.imports.finding import Finding
-    from cell.study.imports.understand import Files, Understanding
+    from cell.study.imports.trials import Files
+    from cell.study.imports.understand import Understanding
     from cell.terminal.progress import ProgressLine
 
 app = group()
@@ -196,7 +197,8 @@ def _understood(
     options: ImportOptions, out: Path, progress: ProgressLine
 ) -> tuple[list[Files], Understanding]:
     from cell.study.imports.read import read_capture
-    from cell.study.imports.understand import Files, Stated, trial_names, understand
+    from cell.study.imports.trials import Files, trial_names
+    from cell.study.imports.understand import Stated, understand
 
     hands: list[Path | None] = [*(options.hand or []), *[None] * len(options.files)]
     names = trial_names(options.files)

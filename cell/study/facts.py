@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
+from cell.files.plain import plain
 from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
@@ -74,9 +75,10 @@ class TrialFacts:
     sensors: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; the spectrum by its frequencies."""
+        """Plain data; the spectrum by its frequencies, None for what is not known."""
         data = {k: v for k, v in vars(self).items() if k != "spectrum"}
-        return data | {"frequencies_hz": [] if self.spectrum is None else self.spectrum.peaks_hz}
+        peaks_hz = () if self.spectrum is None else self.spectrum.peaks_hz
+        return {**plain(data), "frequencies_hz": plain(peaks_hz)}
 
 
 def trial_facts(trial: Trial, arc_length_m: FloatArray) -> TrialFacts:

@@ -130,24 +130,23 @@ def _both_ends_held(trial: Trial, arc_length_m: FloatArray, free_length_m: float
         return None
     tip = int(np.argmax(np.where(seen, arc_length_m, -1.0)))
     axes = np.isfinite(xy_m[:, tip]).any(axis=0)  # those in which the tip is not seen say nothing
-    spread = np.array([_spread_m(xy_m[:, m, axes]) for m in range(xy_m.shape[1])])
-    seen = np.isfinite(spread)
-    # a free tip follows within a quarter of a swing: a frame tells of the hand before that
+    # a free tip follows within a quarter of a swing: a frame tells of what moves before that
     follows_s = 0.25 * SLOWEST * np.sqrt(free_length_m / GRAVITY_M_PER_S2)
     t_s = trial.markers.t_s
     told_s = t_s[np.isfinite(xy_m[:, tip][:, axes]).all(axis=1)] - follows_s
     told_s = told_s[told_s >= t_s[0]]
-    hand = np.column_stack([np.interp(told_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
-    hand_m = _spread_m(hand[:, axes])
-    inner_m = float(np.max(spread[seen], initial=0.0))
+    hand_m = _spread_m(_at(told_s, grip.t_s, np.column_stack([grip.x_m, grip.y_m])[:, axes]))
+    others = [_at(told_s, t_s, xy_m[:, m, axes]) for m in range(xy_m.shape[1]) if m != tip]
+    inner_m = float(np.max(np.nan_to_num([_spread_m(other) for other in others]), initial=0.0))
+    tip_m = _spread_m(xy_m[:, tip, axes])
     most_m = max(np.nan_to_num(hand_m), inner_m)
     if arc_length_m[tip] < OUTER * free_length_m or most_m < HELD_MOVES * free_length_m:
         return None
-    if spread[tip] > HELD_STAYS * most_m:
+    if tip_m > HELD_STAYS * most_m:
         return None
     what = "the hand moves" if hand_m >= inner_m else "the cable between moves"
     return (
-        f"the marker at arc length {arc_length_m[tip]:g} m stays within {spread[tip] * 1e3:.2g} mm "
+        f"the marker at arc length {arc_length_m[tip]:g} m stays within {tip_m * 1e3:.2g} mm "
         f"while {what} by {most_m * 1e3:.3g} mm: both ends of this cable are held, and only a "
         "cable with a free tip can be modelled; let the tip go"
     )
@@ -166,6 +165,16 @@ def _frozen(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> Imp
         f"up to line {markers.line(found.last)}, while the cable moves by "
         f"{found.moved_m * 1e3:.3g} mm: it was lost; leave its values empty there",
     )
+
+
+def _at(at_s: FloatArray, t_s: FloatArray, places_m: FloatArray) -> FloatArray:
+    """(at, axes) a point's places at other times, between those at which it was seen."""
+    found = np.full((len(at_s), places_m.shape[1]), np.nan)
+    for axis, series_m in enumerate(places_m.T):
+        seen = np.isfinite(series_m)
+        if seen.any():
+            found[:, axis] = np.interp(at_s, t_s[seen], series_m[seen])
+    return found
 
 
 def _spread_m(xy_m: FloatArray) -> float:

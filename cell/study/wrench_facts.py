@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
+from cell.files.plain import plain
 from cell.study.data import Trial
 from cell.study.facts import noise_m
 from cell.study.wrench_file import COLUMNS
@@ -33,9 +34,9 @@ class WrenchFacts:
     varies: FloatArray
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, without columns that were not measured."""
+        """Plain data, without columns that were not measured; None for what is not known."""
         columns = {
-            name: {"noise": float(self.noise[i]), "varies": float(self.varies[i])}
+            name: {"noise": plain(self.noise[i]), "varies": plain(self.varies[i])}
             for i, name in enumerate(COLUMNS)
             if np.isfinite(self.varies[i])
         }

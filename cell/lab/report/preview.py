@@ -15,7 +15,8 @@ from cell.study.imports.convert import study_of, trials_of
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.mapping import ReadMapping
 from cell.study.imports.quality import slips
-from cell.study.imports.understand import Files, Understanding
+from cell.study.imports.trials import Files
+from cell.study.imports.understand import Understanding
 from cell.study.odd import oddities
 
 _HEADS = {

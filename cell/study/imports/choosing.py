@@ -13,14 +13,17 @@ from cell.study.imports.capture import Capture
 from cell.study.imports.contents import Contents, Point
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.lost import lost_rows
-from cell.study.imports.shape import chain, middle, rest_rows
+from cell.study.imports.shape import FEWEST_REST, chain, middle, rest_rows
 
 FloatArray = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 #: A point stays if it moves by less than this share of what the farthest moves.
 STAYS = 1e-3
 #: Values that programs write into all coordinates of what was not seen.
 LOST = (0.0, -9999.0, 9999.0, -999.0, 999.0, -1.0)
+#: Into rows of lost places a point jumps by so many times the step that this share of others keep.
+_JUMP, _MOST = 3.0, 0.99
 #: Share of the record in which a hand rests and a cable still swings.
 _LATE = 0.3
 
@@ -42,11 +45,14 @@ class Chosen:
 
 
 def choose(
-    capture: Capture, inside: Contents, hand_elsewhere: bool
+    capture: Capture, inside: Contents, hand_elsewhere: bool, others: Sequence[Capture] = ()
 ) -> tuple[Chosen, list[Finding]]:
-    """The cable's points in order, and the hand's.  Raises InputError: there are no points."""
+    """The cable's points in order, and the hand's.  Raises InputError: there are no points.
+
+    others  files of the other trials, which may lose markers that this one does not
+    """
     points = _same_dimension(capture, inside)
-    lost = _lost(capture, points)
+    lost = _lost([capture, *others], points)
     raw = {p.name: seen_places(capture, p.columns, lost, p.of_hand) for p in points}
     _check_apart(capture, points, raw)
     findings = [_lost_finding(v) for v in lost]
@@ -127,21 +133,43 @@ def _same_dimension(capture: Capture, inside: Contents) -> list[Point]:
     return [p for p in inside.points if len(p.columns) == usual]
 
 
-def _lost(capture: Capture, points: Sequence[Point]) -> tuple[float, ...]:
-    """Values that stand in all coordinates of a point in some rows, and in no other way."""
-    found = []
-    for value in LOST:
-        for point in points:
-            raw = capture.at(list(point.columns))
-            there = np.all(raw == value, axis=1)
-            rest = raw[~there & np.isfinite(raw).all(axis=1)]
-            if not there.any() or len(rest) < 3:
-                continue
-            span = np.ptp(rest, axis=0).max()
-            if np.linalg.norm(rest - value, axis=1).min() > 0.5 * span:
-                found.append(value)
-                break
-    return tuple(found)
+def _lost(captures: Sequence[Capture], points: Sequence[Point]) -> tuple[float, ...]:
+    """Values that stand in all coordinates of a point in some rows, and are none of its places."""
+    places = [
+        capture.at(list(point.columns))
+        for capture in captures
+        for point in points
+        if set(point.columns) <= set(capture.names)
+    ]
+    return tuple(value for value in LOST if any(_means_lost(value, raw) for raw in places))
+
+
+def _means_lost(value: float, raw: FloatArray) -> bool:
+    """Whether a point (rows, d) is not seen where all its coordinates are a value."""
+    there = np.all(raw == value, axis=1)
+    rest = raw[~there & np.isfinite(raw).all(axis=1)]
+    if not there.any() or len(rest) < 3:
+        return False
+    span = np.ptp(rest, axis=0).max()
+    if np.linalg.norm(rest - value, axis=1).min() > 0.5 * span:
+        return True
+    return _jumps_there_and_back(raw, there)
+
+
+def _jumps_there_and_back(raw: FloatArray, there: Flags) -> bool:
+    """Whether a point (rows, d) only jumps to some of its rows and from them, at least once both.
+
+    A place that is passed, or at which a point rests before and after its motion, is no such.
+    """
+    rows = np.flatnonzero(np.isfinite(raw).all(axis=1))
+    steps = np.linalg.norm(np.diff(raw[rows], axis=0), axis=1) / np.diff(rows)
+    there = there[rows]
+    passes, stays = there[1:] != there[:-1], ~there[1:] & ~there[:-1]
+    inside = np.flatnonzero(there)
+    both = np.any(~there[: inside[0]]) and np.any(~there[inside[-1] :])
+    if not both or np.count_nonzero(stays) < FEWEST_REST:
+        return False
+    return bool(steps[passes].min() > _JUMP * np.quantile(steps[stays], _MOST))
 
 
 def _lost_finding(value: float) -> Finding:

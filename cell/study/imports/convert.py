@@ -23,7 +23,7 @@ from cell.study.imports.mapping import Mapping, ReadMapping, TrialEntry
 from cell.study.imports.places import out_of_plane_m, places_m
 from cell.study.imports.quality import Measured, examined
 from cell.study.imports.read import read_capture
-from cell.study.imports.scales import WRONG_UNIT
+from cell.study.imports.scales import WRONG_UNIT, other_rate
 from cell.study.judged import judged
 
 FloatArray = NDArray[np.float64]
@@ -42,9 +42,9 @@ class Imported:
 
 def read_captures(read: ReadMapping) -> dict[str, Capture]:
     """All files that a mapping names, each read once.  Raises InputError."""
-    mapping = read.mapping
-    forms = {t.file: mapping.text for t in mapping.trials}
-    forms |= {t.hand_file: mapping.hand.text for t in mapping.trials if t.hand_file is not None}
+    each = [(t, read.mapping.of_trial(t)) for t in read.mapping.trials]
+    forms = {t.file: mapping.text for t, mapping in each}
+    forms |= {t.hand_file: mapping.hand.text for t, mapping in each if t.hand_file is not None}
     return {name: read_capture(read.file(name), _form(form)) for name, form in forms.items()}
 
 
@@ -64,7 +64,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     trials: list[Trial] = []
     for i, entry in enumerate(mapping.trials):
         try:
-            measured = _measured(read, entry, captures, order)
+            measured = _measured(read.of_trial(entry), entry, captures, order)
             _check_unit(read, measured, arcs[order])
         except InputError as error:
             problems += error.problems
@@ -111,7 +111,7 @@ def trials_of(
     problems: list[Problem] = []
     for entry in read.mapping.trials:
         try:
-            trials.append(_measured(read, entry, captures, order).trial)
+            trials.append(_measured(read.of_trial(entry), entry, captures, order).trial)
         except InputError as error:
             problems += error.problems
     return trials, problems
@@ -195,7 +195,8 @@ def _measured(
     )
     known = [a[seen] for a in across if a is not None]
     deep = np.stack(known, axis=1) if len(known) == len(across) else None
-    return Measured(trial, capture, seen, deep, (path.note,) if path.note else ())
+    told = path.note, other_rate(capture, mapping.time)
+    return Measured(trial, capture, seen, deep, tuple(note for note in told if note))
 
 
 def times_s(capture: Capture, section: TimeSection) -> FloatArray:

@@ -25,6 +25,8 @@ SEPARATORS = (",", ";", "\t", "|", " ")
 DECIMALS: tuple[Decimal, ...] = (".", ",")
 #: Lines from which the form of a text is told.
 _SAMPLE = 400
+#: A text that shows fewer than this share of its numbers in one form is of another.
+_OF_FORM = 0.5
 #: Headers of motion capture have a dozen lines; what begins later is no table.
 _MOST_HEADER = 200
 
@@ -52,11 +54,13 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     if text.count("\n") > MAX_ROWS + _MOST_HEADER:
         message = f"has {text.count(chr(10))} lines, limit {MAX_ROWS}; cut it to the motion"
         raise InputError.at(path, message, line=MAX_ROWS)
+    if form is not None:
+        _check_form(path, text, form)
     form = form or text_form(text)
     rows = _rows(path, text, form.separator)
     first, last = _block(path, rows, form)
-    header = read_header(path, [(r.line, r.cells) for r in rows[:first]], len(rows[first].cells))
-    table = rows[first:last]
+    table = _without_end(rows[:first], rows[first:last])
+    header = read_header(path, [(r.line, r.cells) for r in rows[:first]], table[0].cells)
     numeric = _numeric_columns(table, form.decimal)
     values = _values(path, table, header, numeric, form.decimal)
     labels = {
@@ -77,21 +81,34 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
 def text_form(text: str) -> TextForm:
     """Separator and decimal mark under which most of a text is numbers in rows of equal width."""
     lines = text.splitlines()[:_SAMPLE]
-    best, most = TextForm(",", "."), -1
-    for separator in SEPARATORS:
-        rows = [_split(line, separator) for line in lines]
-        for decimal in DECIMALS:
-            counts: Counter[int] = Counter()
-            for cells in rows:
-                if len(cells) < 2 or not _is_data(cells, decimal):
-                    continue
-                good = sum(is_number(c, decimal) for c in cells)
-                bad = sum(number(c, decimal) is None for c in cells)
-                counts[len(cells)] += good - bad
-            score = max(counts.values(), default=0)
-            if score > most:
-                best, most = TextForm(separator, decimal), score
-    return best
+    forms = [TextForm(separator, decimal) for separator in SEPARATORS for decimal in DECIMALS]
+    return max(forms, key=lambda form: _numbers(lines, form))
+
+
+def _numbers(lines: Sequence[str], form: TextForm) -> int:
+    """How many numbers stand in rows of equal width, less what is none."""
+    counts: Counter[int] = Counter()
+    for line in lines:
+        cells = _split(line, form.separator)
+        if len(cells) < 2 or not _is_data(cells, form.decimal):
+            continue
+        good = sum(is_number(c, form.decimal) for c in cells)
+        bad = sum(number(c, form.decimal) is None for c in cells)
+        counts[len(cells)] += good - bad
+    return max(counts.values(), default=0)
+
+
+def _check_form(path: Path, text: str, form: TextForm) -> None:
+    """Raise InputError where a text is rather a table of another form than it is said to be."""
+    lines, own = text.splitlines()[:_SAMPLE], text_form(text)
+    if _numbers(lines, form) >= _OF_FORM * _numbers(lines, own):
+        return
+    raise InputError.at(
+        path,
+        f"is no table between {form.separator!r} with the decimal mark {form.decimal!r}, as the "
+        f"mapping says; it seems to be one between {own.separator!r} with {own.decimal!r}: give "
+        f"its trial text: {{separator: {own.separator!r}, decimal: {own.decimal!r}}}",
+    )
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -173,6 +190,15 @@ def _no_row(path: Path, row: Row) -> InputError:
     shown = reprlib.repr(" ".join(row.cells).strip())
     message = f"{shown} is no row of numbers like those around it; mend it or remove the line"
     return InputError.at(path, message, line=row.line)
+
+
+def _without_end(above: Sequence[Row], table: Sequence[Row]) -> list[Row]:
+    """Rows without the empty cell that a separator at their ends makes, where it has no name."""
+    width = len(table[0].cells)
+    named = any(len(row.cells) >= width for row in above)
+    if named or width <= 2 or any(row.cells[-1].strip() for row in table):
+        return list(table)
+    return [Row(row.line, row.cells[:-1]) for row in table]
 
 
 def _numeric_columns(table: Sequence[Row], decimal: Decimal) -> list[bool]:

@@ -33,12 +33,14 @@ class Header:
     unit: str
 
 
-def read_header(path: Path, lines: Lines, width: int) -> Header:
-    """Read the lines above a table of so many columns.
+def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
+    """Read the lines above a table.
 
     lines   number and cells of each
+    row     cells of the table's first row
     raises  InputError: there are no names, not as many as columns, or one is given twice
     """
+    width = len(row)
     rows = [(line, _without_remark(cells)) for line, cells in lines]
     rows = [(line, cells) for line, cells in rows if any(c.strip() for c in cells)]
     rate_hz, unit = _said(rows)
@@ -47,7 +49,7 @@ def read_header(path: Path, lines: Lines, width: int) -> Header:
     if naming and (found := _units_row(naming[-1][1], width)) is not None:
         units = found
         naming.pop()
-    names, line = _names(path, naming, width)
+    names, line = _names(path, naming, row)
     twice = next((n for n in names if names.count(n) > 1), None)
     if twice is not None:
         both = [str(i + 1) for i, n in enumerate(names) if n == twice]
@@ -76,8 +78,9 @@ def _units_row(cells: Sequence[str], width: int) -> list[str] | None:
     return found if filled and all(unit_of(c) for c in filled) else None
 
 
-def _names(path: Path, rows: Lines, width: int) -> tuple[list[str], int]:
+def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]:
     """Names of columns, joined from as few of the lowest lines as tell them apart."""
+    width = len(row)
     last = rows[-1][0] if rows else 1
     parts: list[list[str]] = []
     for line, cells in reversed(rows[-8:]):
@@ -98,10 +101,12 @@ def _names(path: Path, rows: Lines, width: int) -> tuple[list[str], int]:
     if parts:
         return _joined(parts), last
     if rows and len(rows[-1][1]) > 1:
-        raise InputError.at(
-            path, f"names {len(rows[-1][1])} columns, the rows below have {width} cells; give one "
-            "name for each, and quote decimal commas or separate columns by semicolons", line=last,
-        )  # fmt: skip
+        message = f"names {len(rows[-1][1])} columns, the rows below have {width} cells; give one "
+        if any("." in cell for cell in row):  # then no comma is a decimal mark
+            message += "name for each, and write no names of rows (in R: row.names = FALSE)"
+        else:
+            message += "name for each, and quote decimal commas or separate columns by semicolons"
+        raise InputError.at(path, message, line=last)
     raise InputError.at(
         path, f"has no names above its {width} columns; put a line of names there, such as "
         "time_s, tip_x_mm, tip_y_mm", line=last,

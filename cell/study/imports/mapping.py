@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -75,11 +76,17 @@ class TrialEntry(Part):
     hand_starts_at_m, hand_ends_at_m  gripping point before and after its motion, where an
                     accelerometer tells this: what the integral misses the end by is closed
     hand_drift      error of the hand's place, as a study states it
+    text, hand_text  how its files are written; None = as `text` and `hand.text` say
+    seconds_per_unit, hand_seconds_per_unit  of its files' times, or None as for `text`
     """
 
     name: TrialName
     file: Name
     hand_file: Name | None = None
+    text: TextSection | None = None
+    hand_text: TextSection | None = None
+    seconds_per_unit: Positive | None = None
+    hand_seconds_per_unit: Positive | None = None
     clock_offset_s: Finite = 0.0
     hand_starts_at_m: tuple[Finite, Finite] | None = None
     hand_ends_at_m: tuple[Finite, Finite] | None = None
@@ -111,6 +118,23 @@ class Mapping(Part):
     markers: Annotated[list[MarkerEntry], Field(min_length=1)]
     trials: Annotated[list[TrialEntry], Field(min_length=1)]
 
+    def of_trial(self, trial: TrialEntry) -> Mapping:
+        """The same for one trial, with what it says of its own files."""
+        time = _counting(self.time, trial.seconds_per_unit)
+        hand_time = self.hand.time
+        if hand_time is not None or trial.hand_seconds_per_unit is not None:
+            hand_time = _counting(hand_time or time, trial.hand_seconds_per_unit)
+        of_hand = {"time": hand_time, "text": trial.hand_text or self.hand.text}
+        hand = self.hand.model_copy(update=of_hand)
+        of_files = {"time": time, "text": trial.text or self.text, "hand": hand}
+        return self.model_copy(update=of_files)
+
+
+def _counting(time: TimeSection, seconds_per_unit: float | None) -> TimeSection:
+    if seconds_per_unit is None:
+        return time
+    return time.model_copy(update={"seconds_per_unit": seconds_per_unit})
+
 
 @dataclass(frozen=True)
 class ReadMapping:
@@ -122,6 +146,10 @@ class ReadMapping:
     def error(self, key: Key, message: str) -> InputError:
         """A complaint about an entry, to be raised."""
         return InputError([self.document.problem(key, message)])
+
+    def of_trial(self, trial: TrialEntry) -> ReadMapping:
+        """The same for one trial, with what it says of its own files."""
+        return ReadMapping(self.mapping.of_trial(trial), self.document)
 
     def file(self, name: str) -> Path:
         """A file that the mapping names."""
@@ -153,14 +181,14 @@ def _missing(document: Document, mapping: Mapping) -> list[Problem]:
          "measure the cable from the gripping point to its tip"),
         (("cable", "line_density_kg_per_m"), cable.line_density_kg_per_m,
          "weigh a piece and divide its mass by its length"),
-        (("time", "seconds_per_unit"), mapping.time.seconds_per_unit,
+        (("time", "seconds_per_unit"), _said_of_all(mapping, lambda of: of.time),
          "give 1 / frames a second, such as 0.01 for 100"),
         (("metres_per_unit",), mapping.metres_per_unit,
          "give 0.001 for millimetres; for pixels, the length of one in metres"),
     ]  # fmt: skip
     if mapping.hand.time is not None:
         key = ("hand", "time", "seconds_per_unit")
-        wanted.append((key, mapping.hand.time.seconds_per_unit, wanted[2][2]))
+        wanted.append((key, _said_of_all(mapping, lambda of: of.hand.time), wanted[2][2]))
     for i, marker in enumerate(mapping.markers):
         where: Key = ("markers", i, "arc_length_m")
         wanted.append((where, marker.arc_length_m, "measure it along the cable from the clamp"))
@@ -177,6 +205,15 @@ def _missing(document: Document, mapping: Mapping) -> list[Problem]:
         message = "its section is not known from the file: give width_m and thickness_m of a flat "
         problems.append(document.problem(("cable",), f"{message}cable, diameter_m of a round one"))
     return problems
+
+
+def _said_of_all(
+    mapping: Mapping, section: Callable[[Mapping], TimeSection | None]
+) -> float | None:
+    """Seconds a unit of a trial's times; None where a trial has none."""
+    sections = [section(mapping.of_trial(t)) for t in mapping.trials]
+    units = [None if s is None else s.seconds_per_unit for s in sections]
+    return None if None in units else units[0]
 
 
 def _axes(document: Document, mapping: Mapping) -> list[Problem]:

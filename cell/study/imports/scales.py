@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.study.entries import MAX_LENGTH_M
-from cell.study.imports.capture import ROW_NUMBER, Capture
+from cell.study.imports.capture import ROW_NUMBER, Capture, Column
+from cell.study.imports.column_names import Kind, meaning
 from cell.study.imports.contents import Contents
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_section import TimeSection
@@ -22,6 +23,8 @@ _USUAL_M = (0.02, 5.0)
 _WITHIN = 0.3
 #: Markers that span so many times more or less than the cable are in another unit.
 WRONG_UNIT = 3.0
+#: A rate is another one if it differs by more than two digits of 1 / rate may do.
+_SAME_RATE = 0.005
 #: What begins later than this counts from another epoch, s.
 _EPOCH_S = 1000.0
 
@@ -49,6 +52,20 @@ def time_section(
         sentence = f"time is in column {column!r}, {unit:.6g} s a unit ({why}): {shown}"
     section = TimeSection(column=column, seconds_per_unit=unit, starts_at_zero=zero)
     return section, [Finding("time", sentence, sure)]
+
+
+def other_rate(capture: Capture, section: TimeSection) -> str:
+    """That rows are counted at another rate than their file states; empty if they are not."""
+    unit, rate_hz = section.seconds_per_unit, capture.rate_hz
+    counts = section.column == ROW_NUMBER or meaning(Column(section.column)).kind is Kind.FRAME
+    if not counts or unit is None or rate_hz is None:
+        return ""
+    if abs(unit * rate_hz - 1.0) <= _SAME_RATE:
+        return ""
+    return (
+        f"{capture.path}: states {rate_hz:g} rows a second, the mapping makes {1.0 / unit:.6g}; "
+        f"if the file is right give the trial seconds_per_unit: {1.0 / rate_hz:.6g}"
+    )
 
 
 def _second(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 FloatArray = NDArray[np.float64]
+Ends = Literal["not-a-knot", "natural"]
 
 #: A chain has begun to move when a point is this share of the chain's length from where it was …
 AWAY = 0.02
@@ -16,6 +18,8 @@ AWAY = 0.02
 OF_NOISE, STAYS = 8.0, 3
 #: Rows before which nothing may be said of a rest.
 FEWEST_REST = 5
+#: A row is still at rest whose farthest point is so many times as far from where it rests as usual.
+_QUIET = 2.0
 #: Shapes of which lengths are the median, and samples of each piece between two points.
 _SHAPES, _SAMPLES = 200, 16
 
@@ -27,6 +31,29 @@ def rest_rows(places: FloatArray) -> slice:
     """
     begin = _begin(places)
     return slice(0, begin if begin >= FEWEST_REST else 0)
+
+
+def still_rows(places: FloatArray) -> slice:
+    """Rows at rest without those in which a motion already begins, below what `rest_rows` sees.
+
+    A motion begins slowly: as many rows again are left out as show it beyond their noise.
+    """
+    rest = rest_rows(places)
+    if rest.stop in (0, len(places)):
+        return rest
+    away = np.linalg.norm(places[rest] - middle(places[rest]), axis=2)
+    farthest = np.nan_to_num(away).max(axis=1)
+    quiet = np.flatnonzero(farthest <= _QUIET * np.median(farthest))
+    begins = int(quiet[-1]) + 1
+    return slice(0, max(2 * begins - rest.stop, FEWEST_REST))
+
+
+def resting(places: FloatArray) -> FloatArray | None:
+    """Rows at rest, in which every point is seen at least once; None if there are none."""
+    for rows in (still_rows(places), rest_rows(places)):
+        if np.isfinite(places[rows]).all(axis=2).any(axis=0).all():
+            return places[rows]
+    return None
 
 
 def middle(places: FloatArray) -> FloatArray:
@@ -66,26 +93,28 @@ def chain(places: FloatArray, start: int) -> list[int]:
     return order
 
 
-def arc_lengths(places: FloatArray) -> FloatArray:
+def arc_lengths(places: FloatArray, ends: Ends = "not-a-knot") -> FloatArray:
     """(points,) along the curve from the first point on: medians over rows that show all.
 
     places  (rows, points, d) in their order along the cable
+    ends    how the curve is bent there, as of `scipy.interpolate.CubicSpline`
     """
     whole = places[np.isfinite(places).all(axis=(1, 2))]
     if not len(whole):
         steps = middle(np.linalg.norm(np.diff(places, axis=1), axis=2))
         return np.concatenate([[0.0], np.cumsum(steps)])
     some = whole[np.unique(np.linspace(0, len(whole) - 1, _SHAPES).astype(int))]
-    return np.asarray(np.median([_lengths(shape) for shape in some], axis=0))
+    return np.asarray(np.median([_lengths(shape, ends) for shape in some], axis=0))
 
 
-def _lengths(shape: FloatArray) -> FloatArray:
+def _lengths(shape: FloatArray, ends: Ends) -> FloatArray:
     """Arc lengths of points (points, d) of a cubic through them."""
     at = _chords(shape)
     fine = np.concatenate(
         [np.linspace(a, b, _SAMPLES, endpoint=False) for a, b in pairwise(at)] + [at[-1:]]
     )
-    steps = np.linalg.norm(np.diff(CubicSpline(at, shape)(fine), axis=0), axis=1)
+    curve = CubicSpline(at, shape, bc_type=ends)
+    steps = np.linalg.norm(np.diff(curve(fine), axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])[::_SAMPLES]
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.study.entries import MAX_ARC_STD_FRACTION
+from cell.study.imports.arc_std import ROUNDED_M, arc_length_stds
 from cell.study.imports.capture import Capture
 from cell.study.imports.choosing import Chosen, choose, seen_places
 from cell.study.imports.column_names import is_of_wrench
@@ -19,28 +19,17 @@ from cell.study.imports.directions import find_axes
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_file import TIP, HandFile, first_point, hand_elsewhere, hand_file
 from cell.study.imports.hand_pose import Root, clamp_angle
-from cell.study.imports.hand_section import AxesSection, HandSection, TextSection
+from cell.study.imports.hand_section import AxesSection, HandSection
 from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.scales import metres_per_unit, time_section
 from cell.study.imports.sensed_hand import hand_by_sensor
-from cell.study.imports.shape import arc_lengths, middle, rest_rows, root_direction
-from cell.study.imports.start import start_of
+from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
+from cell.study.imports.trials import Files, text_section, trial_entries
 
 FloatArray = NDArray[np.float64]
 
 #: Points of a chain that show a line and no bend.
 _A_LINE = 2
-
-
-@dataclass(frozen=True)
-class Files:
-    """A trial's files as the mapping names them, and what they hold."""
-
-    name: str
-    file: str
-    capture: Capture
-    hand_file: str | None = None
-    hand: Capture | None = None
 
 
 @dataclass(frozen=True)
@@ -86,7 +75,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     inside = contents(first.capture)
     apart = None if first.hand is None else hand_file(first.hand)
     elsewhere = apart is not None or inside.senses_hand
-    chosen, findings = choose(first.capture, inside, hand_elsewhere=elsewhere)
+    others = [files.capture for files in trials[1:]]
+    chosen, findings = choose(first.capture, inside, elsewhere, others)
     time, told = time_section(first.capture, inside, stated.rate_hz)
     findings = [*told, *findings]
     times_s(first.capture, time)  # in disorder nothing below means anything
@@ -104,40 +94,32 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     scene = _scene(raw, axes, scale or 1.0, begins, chosen.hand is not None)
     arcs, told = _arcs(scene, chosen, stated, known=scale is not None)
     findings += told
+    chain_m = _chain(raw, begins if scene.from_hand else None) * (scale or 1.0)
+    stds, told = _arc_stds(chain_m, scene, chosen, stated, arcs)
+    findings += told
     hand, told = _hand(first, apart, inside, chosen, axes, scene, scale)
     findings += told
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
         cable=_cable(stated, arcs),
-        text=_text(first.capture),
+        text=text_section(first.capture),
         time=time,
         metres_per_unit=scale,
         lost=chosen.lost,
         axes=axes,
         hand=hand,
         markers=[
-            MarkerEntry(name=p.name, columns=list(p.columns), arc_length_m=arc)
-            for p, arc in zip(chosen.markers, arcs, strict=True)
+            MarkerEntry(
+                name=p.name, columns=list(p.columns), arc_length_m=arc, arc_length_std_m=std
+            )
+            for p, arc, std in zip(chosen.markers, arcs, stds, strict=True)
         ],
         trials=[TrialEntry(name=t.name, file=t.file, hand_file=t.hand_file) for t in trials],
     )
-    entries, told = _trials(trials, mapping)
+    entries, told = trial_entries(trials, mapping, stated.rate_hz)
     findings += [*told, *_wanted(mapping), *_unused(inside, chosen, first.capture)]
     return Understanding(mapping.model_copy(update={"trials": entries}), tuple(findings))
-
-
-def trial_names(files: Sequence[Path]) -> list[str]:
-    """Names of trials by those of their files, each once."""
-    names: list[str] = []
-    for file in files:
-        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", file.stem).strip("_.-") or "trial"
-        number = 2
-        unique = name
-        while unique in names:
-            unique, number = f"{name}_{number}", number + 1
-        names.append(unique)
-    return names
 
 
 def _seen(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
@@ -149,11 +131,17 @@ def _seen(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArr
     )
 
 
+def _chain(raw: FloatArray, begins: FloatArray | None) -> FloatArray:
+    """Places (rows, points, d), behind that (d,) where the hand of another file rests, if known."""
+    if begins is None:
+        return raw
+    return np.concatenate([np.broadcast_to(begins, (len(raw), 1, len(begins))), raw], axis=1)
+
+
 def _shape(raw: FloatArray) -> FloatArray:
     """(points, d) at rest, else a mean of what is seen."""
-    rest = raw[rest_rows(raw)]
-    some = rest if len(rest) and np.isfinite(rest).all(axis=2).any(axis=0).all() else raw
-    return middle(some)
+    rest = resting(raw)
+    return middle(raw if rest is None else rest)
 
 
 def _scene(
@@ -170,7 +158,7 @@ def _scene(
     if begins is not None:
         shape = np.vstack([directions @ begins * scale, shape])
     # Of the mean shape at rest: noise lengthens the curve through points of a single row.
-    at_rest = len(xy_m[rest_rows(xy_m)]) > 0 and np.isfinite(shape).all()
+    at_rest = resting(xy_m) is not None and np.isfinite(shape).all()
     lengths = arc_lengths(shape[None] if at_rest or begins is not None else xy_m)
     if begins is not None and len(shape) <= _A_LINE:
         lengths = lengths[1:]  # nothing shows how far a cable droops from the line to one marker
@@ -217,6 +205,37 @@ def _arcs(
     return list(arcs), findings
 
 
+def _arc_stds(
+    places_m: FloatArray,
+    scene: _Scene,
+    chosen: Chosen,
+    stated: Stated,
+    arcs: Sequence[float | None],
+) -> tuple[list[float | None], list[Finding]]:
+    """How well the proposed arc lengths are known; None where none is proposed."""
+    last_m = arcs[-1]
+    if last_m is None:
+        return [None] * len(arcs), []
+    length_m = stated.free_length_m or last_m
+    stds = arc_length_stds(places_m, length_m, scene.from_hand)
+    beyond_m = float(scene.arcs[-1]) - last_m if scene.from_hand else 0.0
+    findings = []
+    if beyond_m > max(stds[-1], ROUNDED_M):  # a tip is on the cable, though the curve is longer
+        stds[-1] = min(
+            float(f"{np.hypot(stds[-1], beyond_m):.2g}"), MAX_ARC_STD_FRACTION * length_m
+        )
+        sentence = (
+            f"the curve is {beyond_m * 1e3:.2g} mm longer than the cable: its last marker is "
+        )
+        findings.append(Finding("markers", f"{sentence}taken as the tip", Sure.GUESSED))
+    low, high = (f"{v * 1e3:.2g}" for v in (stds.min(), stds.max()))
+    sentence = (
+        f"arc_length_std_m, {low if low == high else f'{low} … {high}'} mm, is what noise and the "
+        "bend between markers leave open; give your own where you measure"
+    )
+    return stds.tolist(), [*findings, Finding("markers", sentence, Sure.GUESSED)]
+
+
 def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
     return CableSection(
         free_length_m=stated.free_length_m or arcs[-1],
@@ -225,12 +244,6 @@ def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
         thickness_m=stated.thickness_m,
         diameter_m=stated.diameter_m,
     )
-
-
-def _text(capture: Capture) -> TextSection | None:
-    if capture.form is None:
-        return None
-    return TextSection(separator=capture.form.separator, decimal=capture.form.decimal)
 
 
 def _hand(
@@ -278,28 +291,6 @@ def _root(scene: _Scene) -> Root:
 def _angle_of(direction: FloatArray) -> float:
     """Clamp angle of a direction in which a cable leaves."""
     return float(np.arctan2(-direction[1], -direction[0]))
-
-
-def _trials(trials: Sequence[Files], mapping: Mapping) -> tuple[list[TrialEntry], list[Finding]]:
-    """Start, role and clock of every trial."""
-    entries: list[TrialEntry] = []
-    findings: list[Finding] = []
-    for number, (files, entry) in enumerate(zip(trials, mapping.trials, strict=True)):
-        role = "validate" if len(trials) > 1 and number == len(trials) - 1 else "fit"
-        entry = entry.model_copy(update={"role": role})
-        if mapping.time.seconds_per_unit is None or mapping.metres_per_unit is None:
-            entries.append(entry)
-            continue
-        begun, told = start_of(files.name, files.capture, files.hand, mapping)
-        entry = entry.model_copy(update=begun)
-        entries.append(entry)
-        findings += told
-    if len(trials) > 1:
-        sentence = (
-            f"{trials[-1].name} is kept for comparison (role validate), the others are fitted"
-        )
-        findings.append(Finding("trials", sentence, Sure.GUESSED))
-    return entries, findings
 
 
 def _wanted(mapping: Mapping) -> list[Finding]:

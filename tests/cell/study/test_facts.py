@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from cell.study.data import Markers, Trial, Wrench
 from cell.study.facts import noise_m, sensors_in_words, swing_spectrum, trial_facts
 from cell.study.hand_drift import HandDrift
 from cell.study.odd import oddities, stated_oddly
+from cell.study.wrench_facts import wrench_facts
 from tests.cell.study.imports.made import ARCS_M, RATE_HZ, made
 
 
@@ -76,6 +78,16 @@ def test_facts_are_those_that_the_trial_was_made_of() -> None:
     assert (facts.tip, facts.seen, facts.irregular) == (0, 1.0, 0.0)
     assert facts.spectrum is not None
     assert facts.spectrum.peaks_hz[0] == pytest.approx(4.0, abs=0.15)
+
+
+def test_what_is_not_known_of_a_trial_is_null_as_json() -> None:
+    """A trial that moves from its first row on has no noise at rest: JSON knows no nan."""
+    trial = replace(a_trial(), start="moving")
+    pulled = replace(trial, wrench=Wrench(np.arange(3.0), np.ones((3, 3))))
+    facts, wrench = trial_facts(trial, ARCS_M[::-1]), wrench_facts(pulled)
+    assert wrench is not None
+    assert json.loads(json.dumps(facts.to_json(), allow_nan=False))["noise_m"] is None
+    assert '"noise": null' in json.dumps(wrench.to_json(), allow_nan=False)
 
 
 def test_sensors_beside_markers_and_log_are_told() -> None:

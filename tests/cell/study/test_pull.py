@@ -119,6 +119,10 @@ def test_both_ends_held_is_refused_in_one_sentence(level: Study, tmp_path: Path)
     with pytest.raises(InputError, match="both ends of this cable are held") as caught:
         read_study(tmp_path)
     assert len(str(caught.value).splitlines()) == 1
+    xy_m[::2, 0] = xy_m[1::2, 1:] = np.nan  # by two cameras, one of which sees the tip alone
+    still = replace(held, grip=Motion(trial.grip.t_s, *np.zeros((3, len(trial.grip.t_s)))))
+    found = impossible(still, CABLE, ARCS, (0.0, 0.0))
+    assert found is not None and "the cable between moves" in found.cause
 
 
 def test_a_coordinate_that_is_not_seen_does_not_hold_the_tip(level: Study) -> None:
@@ -158,7 +162,8 @@ def test_a_record_that_ends_before_the_hand_moves_says_nothing_of_the_tip(level:
 def test_a_tip_that_is_lost_before_the_hand_moves_says_nothing(level: Study) -> None:
     """Rows without the tip were once counted as rows in which it stayed."""
     trial = level.trials[0]
-    xy_m = trial.markers.xy_m.copy()
-    xy_m[trial.markers.t_s > 0.42] = np.nan
-    lost = replace(trial, markers=Markers(trial.markers.t_s, xy_m))
-    assert impossible(lost, CABLE, ARCS, (0.0, 0.0)) is None
+    for lost in (slice(None), slice(0, 1)):  # all markers; the tip's alone, the others go on
+        xy_m = trial.markers.xy_m.copy()
+        xy_m[trial.markers.t_s > 0.42, lost] = np.nan
+        early = replace(trial, markers=Markers(trial.markers.t_s, xy_m))
+        assert impossible(early, CABLE, ARCS, (0.0, 0.0)) is None, lost

@@ -78,6 +78,8 @@ MALFORMED: list[tuple[str, Callable[[Lines], Lines], str, str]] = [
     ("a short row", lambda x: [*x[:20], "0.1,0.2", *x[21:]], "trial.csv:21", "one for each column"),
     ("a remark", lambda x: [*x[:20], "lost the tip here", *x[20:]], "trial.csv:21", "remove"),
     ("too few names", renamed("t_s,hand_x_m,", ""), "trial.csv:1", "give one name for each"),
+    ("names of rows", lambda x: [x[0], *(f'"{k}",{r}' for k, r in enumerate(x[1:]))], "trial.csv:1",
+     "row.names = FALSE"),
     ("no names", lambda x: x[1:], "trial.csv:1", "put a line of names there"),
     ("a name twice", renamed("m4_x_m", "tip_x_m"), "trial.csv:1", "a name of its own"),
     ("no time", cell(30, 0, ""), "trial.csv:30", "every row needs its time"),
@@ -147,6 +149,13 @@ def test_a_malformed_table_is_refused_with_line_and_remedy(
     said = refused(file)
     assert re.search(re.escape(place) + r"\d*\b", said), said
     assert remedy in said.replace("\n", " "), said
+
+
+def test_decimal_commas_that_are_not_quoted_are_told_as_such(tmp_path: Path) -> None:
+    file = tmp_path / "trial.csv"
+    rows = [f"{k},{k}0,5,{k}1,5" for k in range(20)]
+    file.write_text("\n".join(["frame,tip_x,tip_y", *rows]) + "\n")
+    assert "quote decimal commas" in refused(file)
 
 
 def test_a_preview_is_there_of_what_is_refused(tmp_path: Path) -> None:

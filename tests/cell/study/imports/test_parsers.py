@@ -31,6 +31,13 @@ def read(content: str, name: str = "t.csv") -> np.ndarray:
         return read_delimited(file).values
 
 
+def test_a_separator_at_the_ends_of_rows_adds_no_column() -> None:
+    rows = [f"{k}.0,{k}.5,,{k}.25" for k in range(6)]
+    plain = read("\n".join(["t,x,y,z", *rows]))
+    ended = read("\n".join(["t,x,y,z", *(f"{row}," for row in rows)]))
+    np.testing.assert_array_equal(ended, plain)
+
+
 @given(NUMBERS, st.sampled_from([".", ","]))
 def test_a_number_is_read_as_it_was_written(value: float, decimal: str) -> None:
     text = repr(value).replace(".", decimal)

@@ -1,0 +1,105 @@
+"""Files of one study may have rates and forms of their own; each is read by its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.cli import app
+from cell.study.folder import read_study
+from cell.study.imports.delimited import read_delimited
+from cell.study.imports.mapping import read_mapping
+from tests.cell.study.imports.made import CABLE, RATE_HZ, made, two_files, vicon, wide_metres
+
+
+def run(*words: str, code: int = 0) -> str:
+    """What a command says, in one line."""
+    done = CliRunner().invoke(app, ["import", *words])
+    assert done.exit_code == code, done.output
+    return " ".join(done.output.split())
+
+
+def in_folder(folder: Path, name: str) -> Path:
+    (folder / name).mkdir()
+    return folder / name
+
+
+def at_rate(file: str, rate_hz: float) -> str:
+    """The same rows, said to be taken at another rate."""
+    lines = Path(file).read_text().splitlines()
+    lines[1] = f"{rate_hz:g}"
+    Path(file).write_text("\n".join(lines) + "\n")
+    return file
+
+
+def test_each_file_goes_by_the_rate_that_it_states(tmp_path: Path) -> None:
+    """A third file of 250 rows a second was read at the 200 of the first: 1.25 times as slow."""
+    files = [*vicon(made(), in_folder(tmp_path, "a")), *vicon(made(), in_folder(tmp_path, "b"))]
+    at_rate(files[1], 250.0)
+    said = run(*files, "-o", str(tmp_path / "s"), *CABLE)
+    assert "vicon.csv: time is in column 'Frame', 0.004 s a unit (250 rows a second" in said
+    run(str(tmp_path / "s" / "import.yaml"))
+    first, second = read_study(tmp_path / "s").trials
+    last = len(made().t_s) - 1
+    assert first.markers.t_s[-1] == pytest.approx(last / RATE_HZ)
+    assert second.markers.t_s[-1] == second.grip.t_s[-1] == pytest.approx(last / 250.0)
+
+
+def test_a_rate_that_the_mapping_has_otherwise_is_told(tmp_path: Path) -> None:
+    (file,) = vicon(made(), tmp_path)
+    run(file, "-o", str(tmp_path / "s"), *CABLE)
+    at_rate(file, 250.0)
+    said = run(str(tmp_path / "s" / "import.yaml"))
+    assert "states 250 rows a second, the mapping makes 200" in said
+    assert "seconds_per_unit: 0.004" in said
+
+
+def test_a_rate_is_asked_for_where_one_file_has_none(tmp_path: Path) -> None:
+    files = [*vicon(made(), in_folder(tmp_path, "a")), *vicon(made(), in_folder(tmp_path, "b"))]
+    for file in files:
+        lines = Path(file).read_text().splitlines()
+        Path(file).write_text("\n".join(lines[2:]) + "\n")
+    run(*files, "-o", str(tmp_path / "s"), *CABLE)
+    mapping = tmp_path / "s" / "import.yaml"
+    own = mapping.read_text().replace("name: vicon,", "name: vicon, seconds_per_unit: 0.005,")
+    mapping.write_text(own)
+    assert "time.seconds_per_unit: is not known from the file" in run(str(mapping), code=2)
+    mapping.write_text(own.replace("name: vicon_2,", "name: vicon_2, seconds_per_unit: 0.004,"))
+    run(str(mapping))
+
+
+def as_german(file: str) -> None:
+    """The same table between semicolons, with decimal commas."""
+    written = Path(file).read_text()
+    Path(file).write_text(written.replace(",", ";").replace(".", ","))
+
+
+def test_each_file_is_read_in_the_form_that_it_has(tmp_path: Path) -> None:
+    """The proposal showed a second file of decimal commas; the next step held it for empty."""
+    pairs = [two_files(made(), in_folder(tmp_path, name)) for name in "ab"]
+    for number in (0, 2):
+        as_german(pairs[1][number])
+    hands = [word for pair in pairs for word in pair[1:3]]
+    files = [pairs[0][0], pairs[1][0], *hands, "--rate", "200"]
+    said = run(*files, "-o", str(tmp_path / "s"), *CABLE)
+    assert "robot.csv: cells are separated by ';', the decimal mark is ','" in said
+    run(str(tmp_path / "s" / "import.yaml"))
+    first, second = read_study(tmp_path / "s").trials
+    np.testing.assert_array_equal(first.markers.xy_m, second.markers.xy_m)
+    np.testing.assert_array_equal(first.grip.angle_rad, second.grip.angle_rad)
+
+
+def test_a_table_of_another_form_than_is_said_is_refused_for_this(tmp_path: Path) -> None:
+    (file,) = wide_metres(made(), tmp_path)
+    run(file, "-o", str(tmp_path / "s"), *CABLE)
+    form = read_delimited(Path(file)).form
+    as_german(file)
+    mapping = tmp_path / "s" / "import.yaml"
+    assert read_mapping(mapping).mapping.text is not None
+    assert form != read_delimited(Path(file)).form
+    said = run(str(mapping), code=2)
+    assert "it seems to be one between ';' with ','" in said
+    assert "text: {separator: ';', decimal: ','}" in said
