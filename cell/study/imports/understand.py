@@ -212,9 +212,12 @@ def _arc_stds(
     stated: Stated,
     arcs: Sequence[float | None],
 ) -> tuple[list[float | None], list[Finding]]:
-    """How well the proposed arc lengths are known; None where none is proposed."""
+    """How well the proposed arc lengths are known; None where none is proposed, or nothing tells.
+
+    places_m  (rows, points, d) of the chain, from the hand on where that is known
+    """
     last_m = arcs[-1]
-    if last_m is None:
+    if last_m is None or places_m.shape[1] < _A_LINE:
         return [None] * len(arcs), []
     length_m = stated.free_length_m or last_m
     stds = arc_length_stds(places_m, length_m, scene.from_hand)
