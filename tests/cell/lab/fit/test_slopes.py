@@ -27,7 +27,7 @@ def test_a_longer_step_leaves_slopes_and_what_follows_from_them(fitted):
     assert coarser.slopes is not None
     assert coarser.slopes.step_s > prepared.solver.step_s
     problem = problem_of(prepared, fit.space, fit_trials(prepared))
-    exact = jacobian_at(problem, fit.solution.q)
+    exact = jacobian_at(problem, fit.solution.q, fit.solution.covariance)
     off = np.linalg.norm(same.solution.jacobian - exact, axis=0)
     assert np.all(off < HARMLESS * np.sqrt(np.sum(exact**2, axis=0) + np.diag(problem.precision)))
     before, after = heldout(prepared, fit), heldout(coarser, fit)
