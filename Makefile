@@ -48,7 +48,7 @@ compiled-arm: $(VENV)/.dev
 	@$(BIN)/python -c "from drivers.ur_kinematics import load_code; load_code()"
 
 compiled-effects: $(VENV)/.dev
-	@$(BIN)/python -c "from cell.cable.effects import library; from cell.cable.effects.compiled import loops_of; [loops_of(e) for e in library().values()]"
+	@$(BIN)/python -c "from cell.cable.effects import library, unscreened; from cell.cable.effects.compiled import loops_of; [loops_of(e) for e in (library() | unscreened()).values()]"
 
 compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests begin at the same time
 	@$(BIN)/pytest -q --collect-only > /dev/null || true  # what is wrong the tests say themselves
