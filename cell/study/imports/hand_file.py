@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -114,7 +114,8 @@ def hand_elsewhere(
     at = seen_places(capture, point.columns, ())
     extent = float(np.nanmax(np.abs(at)))
     unit, finding = metres_per_unit({point.unit}, extent, None) if point.unit else (scale, None)
-    findings += [*told, *([finding] if finding else [])]
+    of_this = [*told, *([finding] if finding else [])]
+    findings += [replace(f, sentence=f"{capture.path.name}: {f.sentence}") for f in of_this]
     angle, told = clamp_angle(capture, inside, axes, root, None, point.name)
     section = HandSection(
         columns=list(point.columns),
