@@ -12,18 +12,15 @@ from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture
 from cell.study.imports.contents import Contents, Point
 from cell.study.imports.finding import Finding, Sure
-from cell.study.imports.lost import lost_rows
-from cell.study.imports.shape import FEWEST_REST, chain, middle, rest_rows
+from cell.study.imports.lost import lost_rows, means_lost
+from cell.study.imports.shape import chain, middle, rest_rows
 
 FloatArray = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 #: A point stays if it moves by less than this share of what the farthest moves.
 STAYS = 1e-3
 #: Values that programs write into all coordinates of what was not seen.
 LOST = (0.0, -9999.0, 9999.0, -999.0, 999.0, -1.0)
-#: Into rows of lost places a point jumps by so many times the step that this share of others keep.
-_JUMP, _MOST = 3.0, 0.99
 #: Share of the record in which a hand rests and a cable still swings.
 _LATE = 0.3
 
@@ -141,35 +138,7 @@ def _lost(captures: Sequence[Capture], points: Sequence[Point]) -> tuple[float, 
         for point in points
         if set(point.columns) <= set(capture.names)
     ]
-    return tuple(value for value in LOST if any(_means_lost(value, raw) for raw in places))
-
-
-def _means_lost(value: float, raw: FloatArray) -> bool:
-    """Whether a point (rows, d) is not seen where all its coordinates are a value."""
-    there = np.all(raw == value, axis=1)
-    rest = raw[~there & np.isfinite(raw).all(axis=1)]
-    if not there.any() or len(rest) < 3:
-        return False
-    span = np.ptp(rest, axis=0).max()
-    if np.linalg.norm(rest - value, axis=1).min() > 0.5 * span:
-        return True
-    return _jumps_there_and_back(raw, there)
-
-
-def _jumps_there_and_back(raw: FloatArray, there: Flags) -> bool:
-    """Whether a point (rows, d) only jumps to some of its rows and from them, at least once both.
-
-    A place that is passed, or at which a point rests before and after its motion, is no such.
-    """
-    rows = np.flatnonzero(np.isfinite(raw).all(axis=1))
-    steps = np.linalg.norm(np.diff(raw[rows], axis=0), axis=1) / np.diff(rows)
-    there = there[rows]
-    passes, stays = there[1:] != there[:-1], ~there[1:] & ~there[:-1]
-    inside = np.flatnonzero(there)
-    both = np.any(~there[: inside[0]]) and np.any(~there[inside[-1] :])
-    if not both or np.count_nonzero(stays) < FEWEST_REST:
-        return False
-    return bool(steps[passes].min() > _JUMP * np.quantile(steps[stays], _MOST))
+    return tuple(value for value in LOST if any(means_lost(value, raw) for raw in places))
 
 
 def _lost_finding(value: float) -> Finding:

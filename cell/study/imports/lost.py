@@ -7,12 +7,34 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.study.imports.shape import FEWEST_REST
+
 FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: A hand that is lost jumps by so many of the longest steps that it makes otherwise, of which so
+#: A point that is lost jumps by so many of the longest steps that it makes otherwise, of which so
 #: many may be wrong samples.
 _JUMP, _WRONG = 3.0, 2
+#: Where a point never comes nearer to a value than this share of its own way, the value is none of
+#: its places.
+_NEVER_NEAR = 0.5
+
+
+def means_lost(value: float, raw: FloatArray) -> bool:
+    """Whether a point (rows, d) is not seen where all its coordinates are a value.
+
+    A place that is passed, or at which a point rests before or after its motion, is no such.
+    """
+    there = np.all(raw == value, axis=1)
+    rest = raw[~there & np.isfinite(raw).all(axis=1)]
+    if not there.any() or len(rest) < FEWEST_REST:
+        return False
+    span = np.ptp(rest, axis=0).max()
+    if np.linalg.norm(rest - value, axis=1).min() > _NEVER_NEAR * span:
+        return True
+    seen = np.flatnonzero(np.isfinite(raw).all(axis=1))
+    both_sides = not there[seen[0]] and not there[seen[-1]]
+    return bool(both_sides and _jumps(raw, value, there)[there].all())
 
 
 def lost_rows(raw: FloatArray, values: Sequence[float], of_hand: bool) -> Flags:
