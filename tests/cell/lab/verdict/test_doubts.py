@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cli import app
-from cell.identify.gauss_newton import UnsimulatedError
+from cell.identify.gauss_newton import Options, UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.search.fit_cache import FitCache
@@ -161,6 +161,19 @@ def test_a_fit_left_before_its_minimum_says_how_far_it_is(loaded, promised, said
     warned = {w.code: w.message for w in fit_doubts(fits, replace(base, fit=fit))}
     assert (said is None) == ("not_converged" not in warned)
     assert said is None or said in warned["not_converged"]
+
+
+def test_a_fit_of_too_few_passes_warns_and_writes_that_it_did_not_converge(
+    loaded, tmp_path, monkeypatch
+):
+    write_study(loaded, tmp_path / "loaded")
+    for name in ("REFIT", "POLISH"):
+        monkeypatch.setattr(f"cell.lab.search.baseline.{name}", Options(most_passes=1))
+        monkeypatch.setattr(f"cell.lab.search.fit_cache.{name}", Options(most_passes=1))
+    model, said = fitted(tmp_path / "loaded", tmp_path, "--effect", "tip_mass")
+    assert model["converged"] is False
+    assert "not_converged" in {w["code"] for w in model["warnings"]}
+    assert "before its minimum" in " ".join(said.split())
 
 
 def test_of_a_baseline_that_cannot_fit_a_second_start_is_looked_at(make_study, loaded):
