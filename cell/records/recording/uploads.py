@@ -26,7 +26,7 @@ CLOSE_S = 60.0
 _LOOK_S = 0.1
 
 
-class _NotNowError(Exception):
+class _NotNowError(StoreError):
     """A run ends while a cable is in the jaws."""
 
 
@@ -172,8 +172,9 @@ class Uploads:
         """Something is sent: only while the jaws are empty."""
         while True:
             while not self._empty.wait(_LOOK_S):
-                if self._over.is_set():
-                    raise _NotNowError
+                over = self._over.is_set()  # asked first: jaws are emptied before
+                if over and not self._empty.is_set():
+                    raise _NotNowError("a run ends while a cable is in the jaws")
             with self._block:
                 if self._empty.is_set():
                     yield

@@ -216,6 +216,37 @@ def test_nothing_is_sent_while_a_cable_is_in_the_jaws(tmp_path, slow):
     assert not any(a < end and b > begin for a, b in slow.busy_s for begin, end in held_s)
 
 
+def test_jaws_emptied_at_the_last_moment_do_not_keep_a_recording_here(tmp_path, monkeypatch):
+    fsspec.filesystem("memory").makedirs("/late", exist_ok=True)
+    sent = Uploads(lambda: Store("memory://late"), tmp_path, "line3")
+    recording = recording_of(tmp_path, 1)
+    wait, waits = sent._empty.wait, []
+
+    def emptied_late(timeout_s=None):
+        waits.append(timeout_s)
+        if len(waits) > 1:
+            return wait(timeout_s)
+        sent.jaws(holding=False)  # after the wait had ended, before its result was read
+        sent._over.set()
+        return False
+
+    monkeypatch.setattr(sent._empty, "wait", emptied_late)
+    sent.start()
+    sent.close()
+    assert not recording.exists() and not sent.notes
+
+
+def test_a_run_that_ends_with_a_cable_in_the_jaws_does_not_blame_the_store(tmp_path, slow, caplog):
+    sent = Uploads(lambda: slow.store, tmp_path, "line3")
+    recording_of(tmp_path, 1)
+    sent.start()
+    sent.jaws(holding=False)
+    wait_until(lambda: slow.busy_s)
+    sent.jaws(holding=True)
+    sent.close()
+    assert "no answer" not in caplog.text and sent.notes
+
+
 def test_a_run_that_ends_with_a_cable_in_the_jaws_leaves_them_here(tmp_path, slow):
     sent = Uploads(lambda: slow.store, tmp_path, "line3")
     recording = recording_of(tmp_path, 1)
