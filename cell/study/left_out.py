@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import bdtrik
 
 from cell.files.input_error import InputError, Problem
 from cell.study.data import Source, Study, Trial
@@ -15,8 +16,9 @@ from cell.study.wrong_samples import wrong_samples
 
 FloatArray = NDArray[np.float64]
 
-#: Of a marker's rows no more may be wrong: what errs more often is no slip, and no noise either.
-MOST_WRONG = 0.02
+#: A marker that is wrong in a larger share of its rows is badly tracked: that is no slip, and no
+#: noise either.  By chance a trial shows more than its share, with this probability too many.
+MOST_WRONG, _BY_CHANCE = 0.02, 0.01
 #: Rows and columns that are told of a trial.
 TOLD = 3
 
@@ -60,6 +62,16 @@ def leaving_out(study: Study, wrong: Sequence[FloatArray]) -> Study:
     return replace(study, trials=tuple(trials), notes=(*study.notes, *notes))
 
 
+def most_wrong(seen: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Of so many rows seen, how many may be wrong: what a rate of `MOST_WRONG` may give."""
+    return np.asarray(np.ceil(bdtrik(1.0 - _BY_CHANCE, seen, MOST_WRONG)), dtype=int)
+
+
+def limit_said(most: int) -> str:
+    """The limit of wrong rows, as a message says it."""
+    return f"limit {most}, as {MOST_WRONG:.0%} of them and chance give"
+
+
 def _across_only(trial: Trial, apart_m: FloatArray) -> FloatArray:
     """`apart_m` (times, markers, 2) of samples that lie apart across the cable, nan elsewhere."""
     if apart_m.shape[1] == 1:
@@ -79,11 +91,11 @@ def _source(trial: Trial) -> Source:
 
 
 def _too_many(trial: Trial, apart_m: FloatArray, source: Source) -> Problem | None:
-    """That more rows of a marker are wrong than may be left out; one always may."""
+    """That more rows of a marker are wrong than may be left out."""
     rows = np.asarray(np.isfinite(apart_m).any(axis=2))
     seen = np.isfinite(trial.markers.xy_m).any(axis=2).sum(axis=0)
     count = rows.sum(axis=0)
-    most = np.maximum(1, np.floor(MOST_WRONG * seen))
+    most = most_wrong(np.maximum(seen, 1))
     if not np.any(count > most):
         return None
     marker = int(np.argmax(count - most))
@@ -96,8 +108,8 @@ def _too_many(trial: Trial, apart_m: FloatArray, source: Source) -> Problem | No
         None,
         source.column(marker, axis),
         f"{value_m:g} m lies {away_m * 1e3:+.2g} mm apart from the rows before and after it, as "
-        f"do {count[marker]} of this marker's {seen[marker]} rows; limit {MOST_WRONG:.0%}: mend "
-        "how the marker is tracked, or empty the cells where it is not",
+        f"do {count[marker]} of this marker's {seen[marker]} rows; {limit_said(most[marker])}: "
+        "mend how the marker is tracked, or empty the cells where it is not",
     )
 
 

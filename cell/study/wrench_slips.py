@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.files.input_error import InputError, Problem
 from cell.study.data import Study, Trial
-from cell.study.left_out import MOST_WRONG, TOLD
+from cell.study.left_out import TOLD, limit_said, most_wrong
 from cell.study.wrench_file import COLUMNS, FILE, UNITS
 from cell.study.wrong_samples import wrong_samples
 
@@ -47,12 +47,12 @@ def without_slips(study: Study, folder: Path) -> Study:
 def _too_many(file: Path, trial: Trial, there: NDArray[np.bool_]) -> list[Problem]:
     assert trial.wrench is not None
     seen = np.isfinite(trial.wrench.values).sum(axis=0)
-    count = there.sum(axis=0)
+    count, most = there.sum(axis=0), most_wrong(np.maximum(seen, 1))
     for i, name in enumerate(COLUMNS):
-        if count[i] > max(1, int(MOST_WRONG * seen[i])):
+        if count[i] > most[i]:
             message = (
                 f"lies apart from the rows before and after it, as do {count[i]} of {seen[i]} "
-                f"rows; limit {MOST_WRONG:.0%}: mend the sensor's record, or leave the column out"
+                f"rows; {limit_said(most[i])}: mend the sensor's record, or leave the column out"
             )
             return [Problem(file, int(np.argmax(there[:, i])) + 2, None, name, message)]
     return []
