@@ -144,8 +144,10 @@ class MqttAdapter:
             self._news.set()
 
     async def _deliver(self, client: aiomqtt.Client, form: Form, taker: Taker) -> None:
+        self._news.clear()
         while not form.may_begin() and not self._over.is_set():
             await self._wait()
+            self._news.clear()
         self._is_born_anew, reached, told_s, is_told = True, False, 0.0, True
         while not self._over.is_set():
             self._news.clear()
