@@ -17,6 +17,7 @@ from cell.records.folder import RecordError, acknowledge_record, cycle_of
 from cell.records.result import Result
 from cell.run.commands import InterruptedByCommandError
 from cell.run.cycle import Cell
+from cell.run.endings import fault_of
 from cell.run.machine import CellState, Event
 from cell.run.plans import INSERTING, Plan
 from cell.settings.product import product_for
@@ -104,6 +105,8 @@ class Service:
                 if command is Event.SUSPEND:
                     self._reporter.suspended_for = request.note
                 answer = latch(self._cell, request)
+                if command is Event.ABORT and answer.accepted:
+                    answer = self._aborted(answer)
             else:
                 answer = Answer(True, self._cell.machine.state)
             if answer.accepted and command is not Event.START and request.product is not None:
@@ -138,6 +141,23 @@ class Service:
         if command is Event.RESET:
             machine.send(command)
         return Answer(True, machine.state)
+
+    def _aborted(self, answer: Answer) -> Answer:
+        """Into Aborted from Stopped: no cycle obeys it there, and a reset would take it back."""
+        machine = self._cell.machine
+        if machine.state is not CellState.STOPPED or self._fresh():  # else a cycle obeys it
+            return answer
+        try:
+            self._cell.check()
+        except (InterruptedByCommandError, DeviceError) as error:
+            self._mark.leave(str(error))
+            if not self._open:
+                self._open = (self._mark.file,)
+                fault, _ = fault_of(machine.state.value, error)
+                notice = FaultNotice(self._number - 1, time_s=time.time(), **vars(fault))
+                self._reporter.fault(notice)
+        machine.send(Event.ABORT)
+        return Answer(True, machine.send(Event.DONE))
 
     def _acknowledge(self, request: Request) -> None:
         self._cell.acknowledge(request.by, request.note)

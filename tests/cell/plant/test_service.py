@@ -1,0 +1,68 @@
+"""What a service answers while it waits for a person."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from cell.plant.messages import Answer, Kind, Request
+from cell.plant.reporter import Reporter
+from cell.plant.service import Service
+from cell.records.folder import Record
+from cell.run.cycle import Cell
+from cell.run.machine import CellState, Event
+from drivers.clock import RealClock
+
+Told = list[tuple[Kind, Mapping[str, Any]]]
+
+
+@pytest.fixture
+def told() -> Told:
+    return []
+
+
+def service_of(runs: Path, told: Told) -> Service:
+    """A service that does not run, of a cell whose arm only stops."""
+    arm = SimpleNamespace(stop=lambda reason: None)
+    devices = SimpleNamespace(arm=arm, clock=RealClock())
+    made = SimpleNamespace(name=None, task=None)
+    cell = Cell(cast(Any, devices), cast(Any, made), runs)
+    return Service(cell, Reporter(lambda kind, data: told.append((kind, data))), runs)
+
+
+def ask(service: Service, command: Event) -> Answer:
+    return service.answer(Request(command, "Ada", note="guard opened"))
+
+
+def test_an_abort_in_stopped_is_not_taken_back_by_a_reset(tmp_path: Path, told: Told) -> None:
+    """The reset acknowledged what came before, and the hand moved."""
+    runs = tmp_path / "runs"
+    Record(runs, 1, datetime.now(UTC))  # a cycle that was killed
+    service = service_of(runs, told)
+    aborted = ask(service, Event.ABORT)
+    assert (aborted.accepted, aborted.state) == (True, CellState.ABORTED)
+    refused = ask(service, Event.RESET)
+    assert not refused.accepted and refused.reason.endswith("possible now: clear")
+    assert ask(service, Event.CLEAR).state is CellState.STOPPED
+    assert ask(service, Event.RESET).state is CellState.RESETTING
+
+
+def test_an_abort_in_stopped_outlives_the_service(tmp_path: Path, told: Told) -> None:
+    runs = tmp_path / "runs"
+    Record(runs, 1, datetime.now(UTC))
+    service = service_of(runs, told)
+    for command in (Event.ABORT, Event.CLEAR, Event.ABORT):  # the last when all is acknowledged
+        assert ask(service, command).accepted
+    faults = [(data["code"], data["cause"]) for kind, data in told if kind is Kind.FAULT]
+    assert [code for code, _ in faults] == ["unfinished", "abort"]
+    assert faults[-1][1] == "guard opened by Ada"
+    told.clear()
+    service_of(runs, told)
+    assert [data["state"] for kind, data in told if kind is Kind.STATE] == ["stopped"]
+    causes = [data["cause"] for kind, data in told if kind is Kind.FAULT]
+    assert causes == ["abort: guard opened by Ada"]
