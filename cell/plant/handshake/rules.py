@@ -56,6 +56,7 @@ class Memory:
     run      process of the cell; None = never reached
     results  results of this run that are known
     outcome  of the last cycle, as long as done or rejected tell it
+    start    level of start when the PLC was last heard: until it changes they tell it
     pause    suspend or unsuspend, which was asked for last in this Execute
     cleared  an acknowledgement has cleared Aborted, and resets as soon as the cell is Stopped
     """
@@ -65,6 +66,7 @@ class Memory:
     run: str | None = None
     results: int = 0
     outcome: Outcome | None = None
+    start: bool = True
     pause: Event | None = None
     cleared: bool = False
 
@@ -111,8 +113,12 @@ class Look:
 
     @property
     def is_acknowledged(self) -> bool:
-        """Whether Stopped is acknowledged: now, or by what has just cleared Aborted."""
-        return self.rose("acknowledge") or (self.memory.cleared and self.goes_on_clearing)
+        """Whether Stopped is acknowledged: now, or by what has just cleared Aborted.
+
+        The hand would go home, so a stop that is held goes before it.
+        """
+        pressed = self.rose("acknowledge") and not self.inputs.stop
+        return pressed or (self.memory.cleared and self.goes_on_clearing)
 
     @property
     def goes_on_clearing(self) -> bool:
@@ -183,7 +189,7 @@ def look(
         outcome = _kept(inputs, memory)
         outputs = Outputs(fault=True, done=outcome in _DONE, rejected=outcome in _REJECTED)
         after = replace(memory, before=missed, ready=False, outcome=outcome, cleared=False)
-        return (), outputs, after
+        return (), outputs, replace(after, start=inputs.start)
     memory = _with_result(inputs, status, memory)
     now = Look(inputs, status, memory)
     ask = next((_ask(rule, now) for rule in RULES if rule.applies(now)), None)
@@ -244,7 +250,7 @@ def _ask(rule: Rule, now: Look) -> Ask:
 
 def _kept(inputs: Inputs, memory: Memory) -> Outcome | None:
     """The outcome that is still told: until start changes."""
-    return memory.outcome if inputs.start == memory.before.start else None
+    return memory.outcome if inputs.start == memory.start else None
 
 
 def _with_result(inputs: Inputs, status: Status, memory: Memory) -> Memory:
@@ -254,4 +260,5 @@ def _with_result(inputs: Inputs, status: Status, memory: Memory) -> Memory:
     if same and results > memory.results and status.last is not None:
         outcome = Outcome(status.last["outcome"])
     cleared = memory.cleared and same
-    return replace(memory, run=status.run, results=results, outcome=outcome, cleared=cleared)
+    memory = replace(memory, outcome=outcome, start=inputs.start)
+    return replace(memory, run=status.run, results=results, cleared=cleared)

@@ -208,6 +208,20 @@ def test_a_reset_follows_only_its_own_clear_and_nothing_else() -> None:
     assert commands(pressed, stopped, before)[0] == [Event.RESET]  # after a stop
 
 
+def test_while_a_stop_is_held_no_acknowledgement_moves_the_hand() -> None:
+    """A wire of the stop is broken: the hand went home when somebody pressed the button."""
+    stopped, held = status(CellState.STOPPED), Inputs(stop=True)
+    _, _, memory = commands(held, stopped, Memory())
+    _, _, memory = commands(held, stopped, memory)
+    both = replace(held, acknowledge=True)
+    asked, _, memory = commands(both, stopped, memory)
+    assert asked == []
+    asked, _, memory = commands(Inputs(acknowledge=True), stopped, memory)
+    assert asked == [], "this press is over"
+    _, _, memory = commands(Inputs(), stopped, memory)
+    assert commands(Inputs(acknowledge=True), stopped, memory)[0] == [Event.RESET]
+
+
 @settings(max_examples=60, deadline=None)
 @given(looks)
 def test_every_acknowledgement_is_used_once(seen: list[tuple[Inputs, Status | None]]) -> None:
@@ -233,6 +247,16 @@ def test_a_stop_stops_once_and_waits_for_a_cell_that_is_away() -> None:
     assert not asked and outputs == Outputs(fault=True)
     assert commands(stop, EXECUTE, memory)[0] == [Event.STOP]
     assert commands(stop, EXECUTE, Memory())[0] == [Event.STOP]  # held when the PLC comes back
+
+
+def test_an_outcome_is_told_after_the_plc_was_away_until_start_changes() -> None:
+    made = status(CellState.IDLE, counts={"inserted": 1}, last={"outcome": "inserted"})
+    for start in (False, True):
+        _, outputs, memory = look(Inputs(start=start), made, Memory(run="r", start=start))
+        assert outputs.done
+        _, outputs, memory = look(Inputs(start=start), made, away(memory))
+        assert outputs.done
+        assert not look(Inputs(start=not start), made, away(memory))[1].done
 
 
 def test_what_did_not_reach_the_cell_is_asked_again_unless_it_starts_it() -> None:
