@@ -74,7 +74,10 @@ def line_of(kind: str, data: Any) -> bytes:
 
 def read_line(line: bytes) -> tuple[str, Any]:
     """What a line is, and its data.  Raises ValueError: it is no message."""
-    message = json.loads(line)
+    try:
+        message = json.loads(line)
+    except RecursionError as error:
+        raise ValueError("a message is not nested so deeply") from error
     if not isinstance(message, dict) or len(message) != 1:
         raise ValueError("a message is an object with one key")
     [(kind, data)] = message.items()
@@ -122,12 +125,19 @@ def request_of(data: Any) -> Request:
         wanted = str if name in ("by", "note") else str | None
         if not isinstance(value, wanted) or len(value or "") > LONGEST_TEXT:
             raise ValueError(f"{name} is no text of at most {LONGEST_TEXT} characters")
+        if not _is_whole(value or ""):
+            raise ValueError(f"{name} is no text: it has half a character, {value!a}")
     if not known.get("by"):
         raise ValueError("by is missing: who asks")
     command = known.pop("command", None)
     if command is not None and command not in COMMANDS:
         raise ValueError(f"{command!r} is no command; those are {', '.join(sorted(COMMANDS))}")
     return Request(command=None if command is None else Event(command), **known)
+
+
+def _is_whole(text: str) -> bool:
+    """Whether a text can be told on and kept; JSON may hold one half of a pair alone."""
+    return not any("\ud800" <= character <= "\udfff" for character in text)
 
 
 def _known(kind: type[Any], data: Mapping[str, Any]) -> dict[str, Any]:

@@ -203,6 +203,15 @@ def test_what_is_no_request_is_refused(
     assert reason in answer.reason
 
 
+def test_half_a_character_is_refused_before_it_is_told_on(link: Link, runs: Path) -> None:
+    """A part's id of this kind was taken, and then no program got the cell's status any more."""
+    asks = b'{"request":{"command":"start","by":"plc","part":"A-\\ud83d"}}\n'
+    said = say(runs, line_of("greeting", {"protocol": PROTOCOL}), asks, line_of("dance", 1))
+    [answer] = [line["answer"] for line in said if isinstance(line, dict) and "answer" in line]
+    assert not answer["accepted"]
+    assert "part is no text" in answer["reason"]
+
+
 def test_a_handler_that_fails_refuses(runs: Path, client: Client) -> None:
     def fails(request: Request) -> Answer:
         raise RuntimeError("broken")
@@ -296,6 +305,7 @@ def say(runs: Path, *lines: bytes) -> list[object]:
         ([b"GET / HTTP/1.1\r\n\r\n"], ""),
         ([b"[1, 2]\n"], "one key"),
         ([b"\xff\xfe\n"], ""),
+        ([b"[" * 100_000 + b"\n"], "nested"),
         ([line_of("greeting", {"protocol": PROTOCOL}), line_of("dance", 1)], "no message"),
     ],
 )
