@@ -22,6 +22,11 @@ def nothing(station: Station, findings: Findings) -> Findings:
     return findings
 
 
+def always(station: Station, findings: Findings) -> bool:
+    """Whether it is so: always."""
+    return True
+
+
 @dataclass(frozen=True)
 class Step:
     """One step of a cycle.
@@ -36,6 +41,7 @@ class Step:
     with_rejected  it is done with a rejected cable too
     once           it is done in the first cycle only; those of `AGAIN_WHEN_LOST` also after devices
                    were lost
+    settled        whether it has found what it is done once for; else the next cycle does it, too
     every          it is done in cycles whose number is a multiple of this
     """
 
@@ -48,6 +54,7 @@ class Step:
     hand_waits: bool = False
     with_rejected: bool = False
     once: bool = False
+    settled: Callable[[Station, Findings], bool] = always
     every: int = 1
 
 
@@ -121,7 +128,13 @@ GO_HOME = Step(movements.HOME, steps.go_home, with_rejected=True)
 LOWER = Step("lower", steps.lower, holding=True, may_pause=True)
 HOLD = Step("hold_and_capture", steps.hold_and_capture, holding=True, hand_waits=True)
 CHECK_CLOCKS = Step(
-    "check_clocks", steps.check_clocks, computes=True, holding=True, hand_waits=True, once=True
+    "check_clocks",
+    steps.check_clocks,
+    computes=True,
+    holding=True,
+    hand_waits=True,
+    once=True,
+    settled=steps.clocks_were_told,
 )
 IDENTIFY = Step("identify", steps.identify, computes=True, holding=True, hand_waits=True)
 SIMULATE = Step("simulate", steps.simulate, computes=True, holding=True, hand_waits=True)

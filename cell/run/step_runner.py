@@ -96,7 +96,7 @@ class StepRunner:
             _LOG.info("cycle %d: step %s took %.3f s", progress.number, step.name, passed_s)
             progress.record.note(seconds=progress.seconds)
         progress.findings = findings
-        if step.once:
+        if step.once and step.settled(progress.station, findings):
             self._done_once.add(_once(progress, step))
         if findings.rejected or not step.hand_waits:
             progress.record.state()

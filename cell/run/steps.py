@@ -295,6 +295,12 @@ def check_clocks(station: Station, findings: Findings) -> Findings:
     return replace(findings, checks=checks)
 
 
+def clocks_were_told(station: Station, findings: Findings) -> bool:
+    """Whether the motion has told both delays, if they are known; a hidden jaw tells none."""
+    told = [check.high is not None for check in findings.checks]
+    return station.task.delays is None or (bool(told) and all(told))
+
+
 def identify(station: Station, findings: Findings) -> Findings:
     """This cable's parameters, or why it is rejected."""
     task, early = station.task, required(findings.held).early
