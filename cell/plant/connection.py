@@ -29,8 +29,8 @@ class Journal:
 
     def add(self, line: bytes) -> None:
         """Append the next notice; the oldest goes."""
-        self.newest += 1
-        self._lines[self.newest] = line
+        self._lines[self.newest + 1] = line
+        self.newest += 1  # now it may be looked for, by another thread
         self._lines.pop(self.newest - MOST_NOTICES, None)
 
     def has_all_after(self, sequence: int) -> bool:

@@ -358,6 +358,25 @@ def test_programs_that_do_not_read_are_disconnected_and_the_others_lose_nothing(
     assert Client(runs).status().sequence == 3000
 
 
+def test_a_program_is_not_taken_for_lagging_while_a_notice_is_put_into_the_journal() -> None:
+    """Two threads meet there: one adds a notice while the other sends what there is."""
+    here, there = socket.socketpair()
+    with here, there:
+        program, journal = connection.Connection(here), connection.Journal()
+        program.told = 0
+
+        class Lines(dict[int, bytes]):
+            def __setitem__(self, sequence: int, line: bytes) -> None:
+                program.write(journal)  # the other thread gets its turn now
+                super().__setitem__(sequence, line)
+
+        journal._lines = Lines()
+        for line in (b"1\n", b"2\n"):
+            journal.add(line)
+        program.write(journal)
+        assert there.recv(100) == b"1\n2\n"
+
+
 def test_a_program_that_asks_without_reading_is_disconnected(link: Link, runs: Path) -> None:
     with follower(runs) as raw:
         raw.settimeout(20.0)
