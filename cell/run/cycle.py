@@ -17,7 +17,7 @@ from cell.records.result import Result
 from cell.run import steps
 from cell.run.archive import Archive
 from cell.run.commands import INTERRUPTING, Commands
-from cell.run.endings import EXPECTED, UNREACHED, fault_of, unrecorded
+from cell.run.endings import EXPECTED, fault_of, unreached, unrecorded
 from cell.run.listed import CycleListing
 from cell.run.machine import CellState, Event, EventRefusedError, Machine
 from cell.run.movements import slowed
@@ -28,7 +28,7 @@ from cell.run.progress import Progress
 from cell.run.recorded import CycleRecording
 from cell.run.station import Station, Task
 from cell.run.step_runner import StepRunner
-from drivers.interfaces import DeviceError, Devices
+from drivers.interfaces import ArmMode, DeviceError, Devices
 
 _LOG = logging.getLogger(__name__)
 
@@ -271,27 +271,23 @@ class Cell:
         """Resetting, into Idle."""
         if self.machine.state is not CellState.RESETTING:
             self._steps.send(cycle.progress, Event.RESET)
-        try:
+        with cycle.progress.written_after():
             self._steps.carry_out(cycle.progress, cycle.plan.resetting)
             self._former = None
             self._steps.send(cycle.progress, Event.DONE)
-        finally:
-            cycle.progress.write()
         if self._watched:
             cycle.progress.watch.begin()
 
     def _work(self, cycle: OneCycle) -> None:
         """From Idle, or Starting, into Complete."""
         progress, plan = cycle.progress, cycle.plan
-        try:
+        with progress.written_after():
             if self.machine.state is not CellState.STARTING:
                 self._steps.send(progress, Event.START)
             for stages in (plan.starting, plan.execute, plan.completing):
                 self._steps.carry_out(progress, stages)
                 self._former = None  # what it has left was let go
                 self._steps.send(progress, Event.DONE)
-        finally:
-            progress.write()  # what was found before a step that failed
 
     def _fail(self, cycle: OneCycle, error: BaseException) -> Result:
         """How a cycle failed that was not begun: it gets a record all the same."""
@@ -327,7 +323,7 @@ class Cell:
         mode = steps.halt(self._station.devices, fault.cause)
         cable = steps.whereabouts_of_cable(self._station.devices)
         _LOG.error("the arm is %s, %s", mode.value.replace("_", " "), cable)
-        if isinstance(error, UNREACHED):
+        if unreached(error) or mode is ArmMode.LOST:
             self._steps.do_again(AGAIN_WHEN_LOST)
         for sent in (event, Event.DONE):
             if self.machine.can(sent):

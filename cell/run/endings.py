@@ -25,6 +25,11 @@ UNREACHED = (ConnectError, DeviceLostError, DeviceTimeoutError, CameraError)
 EXPECTED = (DeviceError, InterruptedByCommandError, KeyboardInterrupt, RecordError)
 
 
+def unreached(error: BaseException) -> bool:
+    """Whether a device may not be reached any more; a command may have overtaken that error."""
+    return isinstance(error, UNREACHED) or isinstance(error.__context__, UNREACHED)
+
+
 def fault_of(step: str, error: BaseException) -> tuple[Fault, Event]:
     """The fault that an error is in a step, and the event that it is to the cell."""
     match error:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 from cell.flight.correct import Tail
 from cell.identify.identified import Identified
 from cell.plan.passage import height_at_mouth_m
-from cell.records.folder import Record
+from cell.records.folder import Record, RecordError
 from cell.records.result import Correction, Fault, Outcome, Result
 from cell.run.findings import Findings, required
 from cell.run.recorded import CycleRecording
@@ -57,6 +58,20 @@ class Progress:
         if now.identified is not None and now.identified is not before.identified:
             self.record.model(now.identified.to_dict())
         self.recording.found(now, self.station)
+
+    @contextmanager
+    def written_after(self) -> Iterator[None]:
+        """What was found is recorded in the end; what a step failed of is told before a full disk.
+
+        raises  RecordError
+        """
+        try:
+            yield
+        except BaseException:
+            with suppress(RecordError):  # the record is tried once more when it is closed
+                self.write()
+            raise
+        self.write()
 
     def result(self, state_seconds: Mapping[str, float]) -> Result:
         """The cycle's result: that of its findings, or a failure."""
