@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from cell.plant.folded import possible_in
 from cell.plant.messages import Answer, Request
-from cell.run.commands import RESUMING
 from cell.run.cycle import Cell
 from cell.run.machine import Event
 
@@ -21,9 +20,7 @@ def latch(cell: Cell, request: Request) -> Answer:
     """
     event = request.command
     assert event is not None
-    pause = cell.commands.pause
-    taken_back = pause is not None and RESUMING[pause] is event
-    if not (cell.machine.can(event) or taken_back):
+    if not (cell.machine.can(event) or cell.commands.resumes(event)):
         return refusal(cell, event.value)
     cell.command(event, " by ".join(filter(None, (request.note or event.value, request.by))))
     return Answer(True, cell.machine.state)

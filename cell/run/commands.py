@@ -73,6 +73,11 @@ class Commands:
         with self._changed:
             return self._pauses[0] if self._pauses else None
 
+    def resumes(self, event: Event) -> bool:
+        """Whether `event` takes back a pause that was asked for."""
+        with self._changed:
+            return any(RESUMING[pause] is event for pause in self._pauses)
+
     def wait_until_resumed(self, pause: Event) -> None:
         """Block while `pause` lasts.  Raises InterruptedByCommandError; DeviceError."""
         with self._changed:

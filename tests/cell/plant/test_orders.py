@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import socket
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 from cell.plant.folded import possible_in
+from cell.plant.messages import Request
+from cell.plant.orders import latch
 from cell.plant.reporter import Reporter
 from cell.plant.systemd import Notifier
-from cell.run.machine import CellState, Event
+from cell.run.commands import Commands
+from cell.run.machine import CellState, Event, Machine
 
 
 def test_what_is_possible_is_what_the_machine_knows() -> None:
@@ -24,6 +29,21 @@ def test_what_a_cell_waits_for_is_told_once() -> None:
         reporter.suspended_for = "downstream"
         reporter.state(CellState(state))
     assert [waiting for waiting in told if waiting is not None] == [["downstream"], [], ["reset"]]
+
+
+def test_each_pause_that_has_not_begun_can_be_taken_back() -> None:
+    """The line suspends the cell, a person asks for a hold too, and thinks better of it."""
+    machine, commands = Machine(lambda: 0.0), Commands()
+    for event in (Event.RESET, Event.DONE, Event.START, Event.DONE, Event.SUSPEND, Event.DONE):
+        machine.send(event)
+    commands.give(Event.SUSPEND)
+    cell = SimpleNamespace(machine=machine, commands=commands, command=commands.give)
+    assert machine.state is CellState.SUSPENDED
+    for event, accepted in ((Event.UNHOLD, False), (Event.HOLD, True), (Event.UNHOLD, True)):
+        assert latch(cast(Any, cell), Request(event, "Ada")).accepted is accepted
+    assert commands.pause is Event.SUSPEND
+    assert latch(cast(Any, cell), Request(Event.UNSUSPEND, "plc")).accepted
+    assert commands.pause is None
 
 
 def test_without_systemd_nothing_is_told() -> None:
