@@ -68,7 +68,7 @@ class Link:
         self._sequence = 0
         self._numbering = threading.Lock()
         self._taking_in = threading.Lock()
-        self._new: deque[tuple[Notice, float]] = deque()
+        self._new: deque[Notice] = deque()
         self._bell: SimpleQueue[bool] = SimpleQueue()
         self._asked: SimpleQueue[tuple[Request, Callable[[Answer], None]] | None] = SimpleQueue()
         self._opened = ExitStack()
@@ -80,8 +80,9 @@ class Link:
         """
         with self._numbering:
             self._sequence += 1
-            notice = Notice(self.run, self._sequence, time.time(), kind, data)
-            self._new.append((notice, time.monotonic()))
+            ran_s = time.monotonic()
+            notice = Notice(self.run, self._sequence, time.time(), kind, data, ran_s)
+            self._new.append(notice)
         self._bell.put(True)  # no call of the system: another thread would get its turn
         return notice
 
@@ -119,10 +120,11 @@ class Link:
     def _take_in(self) -> None:
         """Put what is new into status and journal; only one thread at a time."""
         while self._new:
-            notice, at_s = self._new.popleft()
+            notice = self._new.popleft()
             if notice.kind is Kind.STATE:
-                seconds = self._seconds(at_s)
-                self._status, self._since_s = replace(self._status, state_seconds=seconds), at_s
+                seconds = self._seconds(notice.ran_s)
+                self._status = replace(self._status, state_seconds=seconds)
+                self._since_s = notice.ran_s
             try:
                 self._status = status_after(self._status, notice, self._obeyed)
                 self._journal.add(line_of("notice", to_json(notice)))

@@ -114,6 +114,7 @@ class Notice:
     sequence  counts from 1 in each run, without a gap
     time_s    Unix time
     data      as `Kind` says
+    ran_s     when it was on the computer's own clock, which nobody sets: for durations
     """
 
     run: str
@@ -121,6 +122,7 @@ class Notice:
     time_s: float
     kind: Kind
     data: Mapping[str, Any]
+    ran_s: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def _all_states(view: View, now_s: float) -> dict[CellState, float]:
 def _this_state(view: View, now_s: float) -> dict[CellState, float]:
     if view.status is None:
         return {}
-    return {view.status.state: max(0.0, view.known_s(now_s) - view.status.since_s)}
+    return {view.status.state: max(0.0, view.known_s(now_s) - view.entered_s)}
 
 
 def status_tags(design_per_minute: float | None) -> tuple[Tag, ...]:

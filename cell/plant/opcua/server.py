@@ -197,17 +197,17 @@ class _Shown:
         """Show why a command was refused; empty = it was not."""
         async with self._turn:
             self.view = replace(self.view, refusal=reason)
-            await self._unit.show(self.view, time.time())
+            await self._unit.show(self.view, time.time(), time.monotonic())
 
     async def show(self) -> None:
         """Show every message on its own, so that subscribers see each, and times now and then."""
-        await self._unit.show(self.view, time.time())
+        await self._unit.show(self.view, time.time(), time.monotonic())
         while True:
             try:
                 message = await asyncio.wait_for(self._heard.get(), _TICK_S)
             except TimeoutError:
                 async with self._turn:
-                    await self._unit.show(self.view, time.time())
+                    await self._unit.show(self.view, time.time(), time.monotonic())
                 continue
             async with self._turn:
                 try:
@@ -216,23 +216,20 @@ class _Shown:
                     _LOG.exception("%s", message)
 
     async def _take(self, message: _Heard) -> None:
-        before = self.view
+        before, at_s, now_s = self.view, time.time(), time.monotonic()
         match message:
             case None:
-                now_s = time.time()
                 self.view = before.lost(now_s)
             case _Found():
-                now_s = time.time()
                 self.view = before.found()
             case Status():
-                now_s = time.time()
-                self.view = before.after_status(message, now_s)
+                self.view = before.after_status(message, now_s, at_s)
             case Notice():
-                now_s = message.time_s
+                at_s, now_s = message.time_s, message.ran_s
                 self.view = before.after_notice(message)
-        await self._unit.show(self.view, now_s)
+        await self._unit.show(self.view, at_s, now_s)
         if isinstance(message, Notice) and message.kind is Kind.STATE:
-            await self._transitions.tell(before, self.view, now_s)
+            await self._transitions.tell(before, self.view, at_s)
 
 
 class _Forward(logging.Handler):

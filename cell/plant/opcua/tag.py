@@ -32,7 +32,7 @@ class Tag:
     path        browse names from the unit on, with dots
     type        of the data, as in the tables of `packml`
     meaning     a phrase
-    value       from the view and the time now, Unix time
+    value       from the view and the time now on the computer's own clock
     always      it is true without a cell, too; others keep their last value then, and say so
     reference, definition   how its parent has it, and its type definition
     """

@@ -100,9 +100,13 @@ class Unit:
             id_ = self.id_of(f"{tag.path}.EURange")
             space.variable(node, id_, name, kind, range_, reference=Ids.HasProperty)
 
-    async def show(self, view: View, now_s: float) -> None:
-        """Write what has changed, with `now_s`, Unix time, as the time of the source."""
-        at = datetime.fromtimestamp(now_s, UTC)
+    async def show(self, view: View, at_s: float, now_s: float) -> None:
+        """Write what has changed since it was shown last.
+
+        at_s   time of the source, Unix time
+        now_s  the same moment on the computer's own clock
+        """
+        at = datetime.fromtimestamp(at_s, UTC)
         for tag in self._tags:
             value = tag.value(view, now_s)
             if not tag.always and view.status is None:

@@ -25,10 +25,13 @@ class PastFault:
 class View:
     """What is known of the cell at one moment.
 
+    Moments are those of the computer's own clock, which nobody sets, unless Unix time is said.
+
     status        None = no cell has been seen yet; otherwise as last known
-    lost_s        since when the cell is not there any more, Unix time; None = it is there
-    seconds       time spent in each state until `counted_s`, Unix time
-    begun_s       when the cycle under way began, Unix time; None = none is
+    lost_s        since when the cell is not there any more; None = it is there
+    seconds       time spent in each state until `counted_s`
+    entered_s     when the present state began
+    begun_s       when the cycle under way began; None = none is
     cycle_s       what the last cycle took, s
     faults        the newest first
     acknowledged  who said what about the last fault
@@ -40,6 +43,7 @@ class View:
     lost_s: float | None = 0.0
     seconds: Mapping[str, float] = field(default_factory=dict)
     counted_s: float = 0.0
+    entered_s: float = 0.0
     begun_s: float | None = None
     cycle_s: float | None = None
     faults: tuple[PastFault, ...] = ()
@@ -52,10 +56,18 @@ class View:
         """Whether the cell is there."""
         return self.lost_s is None
 
-    def after_status(self, status: Status, now_s: float) -> View:
-        """The view after a status that replaces all that was known of the cell."""
+    def after_status(self, status: Status, now_s: float, unix_s: float) -> View:
+        """The view after a status that replaces all that was known of the cell.
+
+        unix_s  now, Unix time
+        """
         view = replace(
-            self, status=status, lost_s=None, seconds=status.state_seconds, counted_s=now_s
+            self,
+            status=status,
+            lost_s=None,
+            seconds=status.state_seconds,
+            counted_s=now_s,
+            entered_s=now_s - max(0.0, unix_s - status.since_s),
         )
         if self.status is None or self.status.run != status.run:
             view = replace(view, begun_s=None, cycle_s=None, transitions={})
@@ -69,11 +81,11 @@ class View:
         view = replace(self, status=status_after(self.status, notice), lost_s=None)
         match notice.kind:
             case Kind.STATE:
-                return view._after_transition(self, notice.time_s)
+                return view._after_transition(self, notice.ran_s)
             case Kind.CYCLE:
-                return replace(view, begun_s=notice.time_s)
+                return replace(view, begun_s=notice.ran_s)
             case Kind.RESULT if self.begun_s is not None:
-                return replace(view, begun_s=None, cycle_s=notice.time_s - self.begun_s)
+                return replace(view, begun_s=None, cycle_s=notice.ran_s - self.begun_s)
             case Kind.FAULT if view.status is not None and view.status.fault is not None:
                 return view._with_fault(view.status.fault)
             case Kind.ACKNOWLEDGED:
@@ -91,7 +103,7 @@ class View:
         return replace(self, lost_s=None)
 
     def known_s(self, now_s: float) -> float:
-        """Now, or when the cell was lost, Unix time."""
+        """Now, or when the cell was lost."""
         return now_s if self.lost_s is None else min(now_s, self.lost_s)
 
     def seconds_at(self, now_s: float) -> dict[str, float]:
@@ -114,6 +126,7 @@ class View:
             self,
             seconds=before.seconds_at(now_s),
             counted_s=now_s,
+            entered_s=now_s,
             transitions={**self.transitions, level: newest},
         )
 
