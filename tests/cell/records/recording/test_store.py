@@ -357,3 +357,14 @@ def test_one_that_cannot_be_sent_stops_no_other(tmp_path, slow, monkeypatch):
     wait_until(lambda: not second.exists())
     sent.close()
     assert first.exists() and "not this one" in sent.notes[0]
+
+
+def test_a_store_that_fails_in_its_own_way_is_told_of(monkeypatch):
+    """As one whose profile is missing; fsspec knows no errors that all stores have."""
+
+    def refused(url):
+        raise LookupError("no such profile")
+
+    monkeypatch.setattr("fsspec.core.url_to_fs", refused)
+    with pytest.raises(StoreError, match="no such profile"):
+        Store("s3://recordings")
