@@ -222,6 +222,8 @@ def _differences(then: _Found, now: _Found) -> list[Difference]:
         pairs.append(("result", a, b))
     for name, a, b in pairs:
         found += _compared(name, a, b)
+    if len(now.models) < len(then.models):  # more of them: the recording ends before the cycle does
+        found.append(Difference("models", len(then.models), len(now.models)))
     return found
 
 

@@ -171,6 +171,10 @@ class Fork:
                     self._serve(os.fdopen(child_reads, "rb"), os.fdopen(child_writes, "wb"))
                 finally:
                     os._exit(0)
+        except OSError:
+            for descriptor in (child_reads, child_writes, here_reads, here_writes):
+                os.close(descriptor)
+            raise
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, former)
         os.close(child_reads)

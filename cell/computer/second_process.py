@@ -8,7 +8,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
-from multiprocessing import get_context, parent_process
+from multiprocessing import active_children, get_context, parent_process
 from typing import ParamSpec, TypeVar
 
 Given = ParamSpec("Given")
@@ -56,20 +56,28 @@ class SecondProcess(Executor):
             self._schedule(_NICE)
 
     def _schedule(self, nice: int) -> None:
-        if self._pool is None or not self._pid.done() or self._pid.exception() is not None:
+        if (process := self._process()) is None:
             return
-        with contextlib.suppress(OSError):  # not permitted, or it has ended
+        with contextlib.suppress(OSError):  # not permitted
             own = os.getpriority(os.PRIO_PROCESS, 0)
-            os.setpriority(os.PRIO_PROCESS, self._pid.result(), min(own + nice, _NICEST))
+            os.setpriority(os.PRIO_PROCESS, process, min(own + nice, _NICEST))
+
+    def _process(self) -> int | None:
+        """Number of the process; None = it does not run, and the number may be another's by now."""
+        if self._pool is None or not self._pid.done() or self._pid.exception() is not None:
+            return None
+        process = self._pid.result()
+        return process if any(child.pid == process for child in active_children()) else None
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the process: after its job if that is waited for, else at once."""
         if self._pool is None:
             return
+        process = self._process()
         pool, self._pool = self._pool, None
-        if not wait and self._pid.done() and self._pid.exception() is None:
+        if not wait and process is not None:
             with contextlib.suppress(ProcessLookupError):
-                os.kill(self._pid.result(), signal.SIGKILL)
+                os.kill(process, signal.SIGKILL)
         pool.shutdown(wait, cancel_futures=cancel_futures)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -34,6 +36,8 @@ def write_all(files: Mapping[Path, str | bytes]) -> None:
             target.parent.mkdir(parents=True, exist_ok=True)
             parts[target] = _part(target)
             parts[target].write_bytes(_bytes(content))
+            with suppress(FileNotFoundError):  # it is new
+                shutil.copymode(target, parts[target])
         for path in files:
             parts[path.resolve()].replace(path.resolve())
     except BaseException as error:
@@ -62,8 +66,8 @@ def write_new(path: Path, content: str | bytes) -> None:
 
 
 def _part(path: Path) -> Path:
-    """Where a file is written before it takes its place."""
-    return path.with_name(f"{path.name}.{os.getpid()}.part")
+    """Where a file is written before it takes its place; each thread has its own."""
+    return path.with_name(f"{path.name}.{threading.get_native_id()}.part")
 
 
 def _bytes(content: str | bytes) -> bytes:

@@ -16,10 +16,10 @@ from cell.records.recording import form
 
 #: What is put in place of a user's name and password in a URL, or of a word that is said to be one.
 REMOVED = "(removed)"
-_IN_URL = re.compile(r"(?<=://)[^/\s@'\"]+@")
+_IN_URL = re.compile(r"(?<=://)[^\s'\"]+@")
 _SAID = re.compile(
     r"(?im)(?P<name>\b[\w-]*(?:password|passwd|secret|token|api_?key)[\w-]*['\"]?\s*[:=]\s*)"
-    r"(?P<value>\"[^\"\n]*\"|'[^'\n]*'|[^\s,}{]+)"
+    r"(?P<value>\"(?:\\.|[^\"\\\n])*\"|'[^'\n]*'|(?:,(?!\s|$)|[^\s,}{])+)"
 )
 #: Text is cleaned of secrets; other files are taken as they are.
 _TEXT = frozenset({".csv", ".json", ".log", ".md", ".py", ".txt", ".yaml", ".yml", ""})

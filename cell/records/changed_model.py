@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,13 +67,12 @@ def worsenings(results: Sequence[Result]) -> list[Worsening]:
 
 
 def _newest_two(results: Sequence[Result]) -> tuple[list[Result], list[Result]]:
-    """Results of the newest model, and of the one before it."""
-    newest_first = dict.fromkeys(r.model for r in reversed(results) if r.model is not None)
-    models = list(newest_first)[:2]
-    if len(models) < 2:
+    """Results of the newest model, and of the one before it, each of the last time it was used."""
+    known = (r for r in results if r.model is not None)
+    runs = [list(run) for _, run in groupby(known, key=lambda r: r.model)]
+    if len(runs) < 2:
         return [], []
-    since, before = ([r for r in results if r.model == model] for model in models)
-    return since, before
+    return runs[-1], runs[-2]
 
 
 def _forecast_error_m(result: Result) -> float | None:

@@ -62,13 +62,12 @@ class LiveCamera:
         if self._growing is None or self._growing.path != path:
             self._growing, self.newest = GrowingRecording(path), None
         try:
-            found = self._growing.newest()
+            found, written_s = self._growing.newest(), path.stat().st_mtime
         except OSError:  # the cycle has just ended
             return
         if found is not None:
             number = self.newest.number + 1 if self.newest else time.time_ns()
-            taken_s = time.time() - found[0]
-            self.newest = LivePicture(number, taken_s, small_jpeg(found[1], _WIDTH_PX))
+            self.newest = LivePicture(number, written_s - found[0], small_jpeg(found[1], _WIDTH_PX))
 
     def _read(self) -> None:
         while True:

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Engine, func, insert, select
+from sqlalchemy import Connection, Engine, func, insert, select
 
 from cell.records.ledger.database import open_engine, told, url_of, writing
 from cell.records.ledger.tables import actions
@@ -80,14 +80,35 @@ def listed_actions(
 
 
 def _taken_over(engine: Engine, log: Path, line: str) -> int:
-    source = f"{platform.node()}:{log.resolve()}"[-300:]
-    newest = select(func.max(actions.c.place)).where(actions.c.source == source)
     with writing(engine) as connection:
-        rows = _rows(log, connection.scalar(newest))
+        source, after = _reached(connection, log)
+        rows = _rows(log, after)
         if rows:
             common = {"source": source, "line": line}
             connection.execute(insert(actions), [common | row for row in rows])
     return len(rows)
+
+
+def _reached(connection: Connection, log: Path) -> tuple[str, int | None]:
+    """What the ledger calls a log, and the place of its newest line there; None = there is none.
+
+    A log that was begun anew, because the one before was moved away, is another source: it is told
+    by when its first line was written.
+    """
+    source = f"{platform.node()}:{log.resolve()}"[-300:]
+    newest = select(actions).where(actions.c.source == source).order_by(actions.c.place.desc())
+    known = connection.execute(newest.limit(1)).first()
+    if known is None:
+        return source, None
+    with log.open("rb") as file:
+        first = _row(file.readline())
+        file.seek(known.place)
+        there = _row(file.readline())
+    if first is None or (there is not None and there == {k: getattr(known, k) for k in there}):
+        return source, known.place
+    source = f"{source} from {first['at'].isoformat()}"[-300:]
+    of_it = select(func.max(actions.c.place)).where(actions.c.source == source)
+    return source, connection.scalar(of_it)
 
 
 def _rows(log: Path, after: int | None) -> list[dict[str, Any]]:

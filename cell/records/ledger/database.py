@@ -73,8 +73,10 @@ def open_engine(url: URL, *, create: bool) -> Engine:
     if not create:
         need_file(url)
     read_only = in_file and not create and path is not None and not os.access(path.parent, os.W_OK)
-    if read_only:  # nobody writes there: no file beside it is needed for others that do
-        query = {"mode": "ro", "immutable": "1", "uri": "true"}
+    if path is not None and read_only:
+        query = {"mode": "ro", "uri": "true"}
+        if not path.with_name(f"{path.name}-wal").exists():  # nobody writes to it now
+            query["immutable"] = "1"  # no file beside it is needed for others that do
         url = url.set(database=f"file:{path}", query=query)
     try:
         engine = create_engine(url, **_arguments(in_file))
@@ -85,7 +87,10 @@ def open_engine(url: URL, *, create: bool) -> Engine:
         ) from error
     if in_file:
         if path is not None and create:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise LedgerError(f"{path.parent} cannot be made: {error.strerror}") from error
         _keep_transactions(engine, read_only)
     try:
         with told(engine):

@@ -178,7 +178,7 @@ class LedgerWriter:
             over = self._over.is_set()
             try:
                 self._write_waiting()
-            except LedgerError as error:
+            except (LedgerError, OSError) as error:
                 if not self._failed:
                     _LOG.warning("ledger: %s: the cell goes on, and writes to it later", error)
                 pause_s = min(_LAST_S, 2.0 * pause_s) if self._failed else _FIRST_S

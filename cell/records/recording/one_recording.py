@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -30,7 +31,7 @@ class RecordingUnderWay:
 
     def __init__(self, path: Path, begun: Mapping[str, str], part: Path | None = None) -> None:
         self._path = path
-        self._lost = self._all_lost = 0
+        self._lost = self._all_lost = self._lost_messages = 0
         self._cause = ""
         self._first_lost: int | None = None
         self._last_s = 0.0
@@ -89,6 +90,7 @@ class RecordingUnderWay:
     def end(self, keep: bool, complete: bool) -> dict[str, Any]:
         """Close the file, read it back and say what became of it."""
         report = {"path": str(self._path), "kept": keep, "complete": complete}
+        report["lost_messages"] = self._lost_messages
         if self._writer is None:
             report |= {"error": self._cause, "lost_frames": self._all_lost}
             if not keep:
@@ -122,6 +124,8 @@ class RecordingUnderWay:
                 self._first_lost = header[1]
             self._lost += 1
             self._all_lost += 1
+        else:
+            self._lost_messages += 1
 
     def _mark_gap(self) -> None:
         assert self._writer is not None
@@ -152,6 +156,9 @@ def _verify_apart(path: Path, counts: dict[str, int]) -> None:
     ]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     if done.returncode:
+        if done.returncode < 0:  # as by a system without memory
+            name = signal.Signals(-done.returncode).name
+            raise TornRecordingError(f"{path} is not verified: {name} has ended whoever did it")
         raise TornRecordingError(done.stderr.strip().splitlines()[-1])
 
 

@@ -92,6 +92,11 @@ class Recorder:
                 command, pass_fds=passed, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
             )
             self._ring = RingWriter(memory)
+        except OSError:
+            self.forget()
+            if self._file is not None:
+                self._file.unlink(missing_ok=True)
+            raise
         finally:
             for descriptor in passed:
                 os.close(descriptor)
@@ -118,13 +123,15 @@ class Recorder:
 
     def end(self, keep: bool = True) -> None:
         """Nothing more comes; the file is closed, verified and kept, or removed, meanwhile."""
-        if not self._under_way:
-            return
         if self._stream is not None:
             self._stream.end()
             self._stream = None
         for logger in _LOGGERS:
             logging.getLogger(logger).removeHandler(self._handler)
+        if not self._under_way:  # its process has ended meanwhile, or it was not begun
+            return
+        if self._lost_frames:
+            self._mark_gap(self._clock.now_s())
         self._put(("end", keep))
         self._under_way = False
 
@@ -251,8 +258,10 @@ class Recorder:
             self.note(
                 f"{path} is torn: {report['error']}; `cell recover {path}` reads what is there"
             )
-        elif report.get("lost_frames"):
-            self.note(f"{path}: {report['lost_frames']} frames are missing: {report['cause']}")
+        elif lost := [
+            f"{n} {kind}" for kind in ("frames", "messages") if (n := report.get(f"lost_{kind}"))
+        ]:
+            self.note(f"{path}: {' and '.join(lost)} are missing: {report['cause']}")
         elif report["kept"]:
             size = report["bytes"] / 1e6
             _LOG.info("%s: %d frames, %.0f MB, verified", path, report["frames"], size)

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -163,19 +164,20 @@ def recover(source: Path, target: Path) -> Recovered:
 def _rest_in_memory(source: Path) -> Path | None:
     """What the recorder of a torn recording was given and has not written, as a file beside it.
 
-    A recording that was begun in that memory and not on the disk becomes a file of its own.
+    It belongs to the recording that was begun last.  One that was begun in that memory and not on
+    the disk becomes a file of its own.
     """
     rest = source.with_name(form.REST)
     begun = _begun(source)
     ring = Path(begun.get(form.RING) or "/nowhere")
-    if not ring.exists() or being_written(ring):
+    if not ring.exists() or being_written(ring) or _is_another_later(source, begun):
         return rest if rest.exists() else None
     descriptor = os.open(ring, os.O_RDWR)
     try:
         reader = RingReader(descriptor)
         begins_at = reader.position
         reports = _write_what_waits(reader, rest, begun)
-        if refused := next((r for r in reports if "error" in r or r["lost_frames"]), None):
+        if refused := next((r for r in reports if not _is_whole(r)), None):
             reader.position = begins_at  # it stays in memory, for the next try
             for one in (Path(r["path"]) for r in reports):
                 one.unlink(missing_ok=True)
@@ -187,6 +189,23 @@ def _rest_in_memory(source: Path) -> Path | None:
         os.close(descriptor)
     ring.unlink()
     return rest
+
+
+def _is_another_later(source: Path, begun: Mapping[str, str]) -> bool:
+    """Whether another torn recording of the same recorder was begun later."""
+    others = (_begun(p) for p in source.parent.parent.glob(f"*/{form.PART}") if p != source)
+    of_same = [other for other in others if other.get(form.RING) == begun.get(form.RING)]
+    return any(_started_s(other) > _started_s(begun) for other in of_same)
+
+
+def _started_s(begun: Mapping[str, str]) -> float:
+    """When a recording was begun, s since 1970; 0 = it does not say that."""
+    said = begun.get("started")
+    return datetime.fromisoformat(said).timestamp() if said else 0.0
+
+
+def _is_whole(report: Mapping[str, Any]) -> bool:
+    return "error" not in report and not report["lost_frames"] and not report["lost_messages"]
 
 
 def _write_what_waits(

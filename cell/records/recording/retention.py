@@ -96,10 +96,17 @@ class Retention:
     def _listed(self) -> deque[_Known]:
         if self._known is None:
             files = self._runs.glob(f"*/{form.FILE}") if self._runs.is_dir() else ()
-            self._known = deque(sorted(map(_known, files), key=lambda k: k.written_s))
+            found = [known for path in files if (known := _known(path)) is not None]
+            self._known = deque(sorted(found, key=lambda k: k.written_s))
             return self._known
-        self._known += [_known(path) for path in self._ended if path.exists()]
-        self._ended = [path for path in self._ended if path.with_name(form.PART).exists()]
+        unfinished = []
+        for path in self._ended:
+            begun = path.with_name(form.PART).exists()  # asked first: it gets its name meanwhile
+            if (known := _known(path)) is not None:
+                self._known.append(known)
+            elif begun:
+                unfinished.append(path)
+        self._ended = unfinished
         return self._known
 
     def _too_much(self, oldest: _Known, total_bytes: int) -> str:
@@ -129,6 +136,10 @@ def remove_recording(path: Path, why: str) -> None:
         write_whole(path.with_name(form.REMOVED), json.dumps(said, ensure_ascii=False))
 
 
-def _known(path: Path) -> _Known:
-    found = path.stat()
+def _known(path: Path) -> _Known | None:
+    """A recording; None = it is not there, or not there any more."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
     return _Known(path, found.st_size, found.st_mtime)

@@ -12,6 +12,7 @@ record is
 
 from __future__ import annotations
 
+import errno
 import mmap
 import os
 import pickle
@@ -39,18 +40,34 @@ def shared_memory(size_bytes: int) -> tuple[int, Path | None]:
     """File descriptor of memory that a child can share, and its file in memory if it has one.
 
     The file outlives its processes: after they were killed at once, `cell recover` finds in it what
-    was not written.  Where the system has no such place, the memory ends with the last process.
+    was not written.  Where the system has no such place, or no room there, the memory ends with the
+    last process.
     raises  OSError: there is no room
     """
-    path = None
+    needed_bytes = _HEAD_BYTES + -(-size_bytes // _RECORD.size) * _RECORD.size
     if _IN_MEMORY.is_dir() and os.access(_IN_MEMORY, os.W_OK):
         path = _IN_MEMORY / f"{_NAME}{os.getpid()}-{os.urandom(4).hex()}"
         descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
-    else:
-        with tempfile.TemporaryFile() as file:
-            descriptor = os.dup(file.fileno())
-    os.ftruncate(descriptor, _HEAD_BYTES + -(-size_bytes // _RECORD.size) * _RECORD.size)
-    return descriptor, path
+        try:
+            _lengthen(descriptor, needed_bytes)
+            return descriptor, path
+        except OSError:
+            os.close(descriptor)
+            path.unlink()
+    with tempfile.TemporaryFile() as file:
+        _lengthen(file.fileno(), needed_bytes)
+        return os.dup(file.fileno()), None
+
+
+def _lengthen(descriptor: int, needed_bytes: int) -> None:
+    """Make a file so long.  Raises OSError: there is no room.
+
+    The system gives room only when it is written to, and ends the process if there is none then.
+    """
+    found = os.fstatvfs(descriptor)
+    if found.f_bavail * found.f_frsize < needed_bytes:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    os.ftruncate(descriptor, needed_bytes)
 
 
 def remove_forgotten() -> None:
@@ -156,7 +173,7 @@ class RingReader:
     def take(self) -> tuple[Any, bytes] | None:
         """Header and payload of the next record; None if there is none."""
         memory, ring = self._memory, self._memory.ring
-        written, read = (int(n) for n in memory.count)
+        written, read = self._counts()
         if written <= read:
             return None
         at = read % len(ring)
@@ -171,6 +188,13 @@ class RingReader:
         payload = ring[begin + head_length : at + length].tobytes()
         memory.count[1] = read + length
         return header, payload
+
+    def _counts(self) -> tuple[int, int]:
+        """What was written and read, of one moment: the writer may begin an empty ring anew."""
+        while True:
+            read, written = int(self._memory.count[1]), int(self._memory.count[0])
+            if read == int(self._memory.count[1]):
+                return written, read
 
 
 def _put(ring: NDArray[np.uint8], at: int, data: NDArray[np.uint8]) -> None:

@@ -61,7 +61,7 @@ class Store:
         except ImportError as error:
             package = "pip install 'cable-cell[s3]'" if url.startswith("s3") else str(error)
             raise StoreError(f"{url} needs a package that is not installed: {package}") from error
-        except (ValueError, OSError) as error:
+        except Exception as error:  # each store has errors of its own
             raise StoreError(f"{url}: {error}") from error
 
     def put(self, source: Path, name: str, turn: Turn = nullcontext) -> Stored:

@@ -51,6 +51,8 @@ def bring(store: Store, recording: Path, line: str, turn: Turn) -> Stored | None
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return None
+        if not recording.exists():  # the other has just done it
+            return None
         stored = store.put(recording, name_of(recording, line), turn)
         mark(recording.parent, stored)
         if not recording.with_name(KEPT).exists():

@@ -206,7 +206,7 @@ class RecordingWriter:
     def sync(self) -> None:
         """Have the system bring the file to the disk, beside what is written next."""
         if self._syncing is None or not self._syncing.is_alive():
-            self._syncing = threading.Thread(target=self._sink.sync, daemon=True)
+            self._syncing = threading.Thread(target=self._sync, daemon=True)
             self._syncing.start()
 
     def close(self, closed: Mapping[str, str]) -> None:
@@ -214,8 +214,8 @@ class RecordingWriter:
         try:
             self._writer.write_metadata(form.CLOSED, dict(closed))
             self._writer.close()
-            self._check()
             self._join()
+            self._check()
             self._sink.sync()
         finally:
             self.abandon()
@@ -224,6 +224,13 @@ class RecordingWriter:
         """Close the file as it is, without an index: `cell recover` makes it readable."""
         self._join()
         self._sink.close()
+
+    def _sync(self) -> None:
+        """The system says only once that it could not: whoever writes next is told."""
+        try:
+            self._sink.sync()
+        except OSError as error:
+            self._sink.refused = error
 
     def _join(self) -> None:
         """The file must stay open until the system has brought it to the disk."""

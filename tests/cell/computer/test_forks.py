@@ -128,3 +128,16 @@ def test_a_copy_in_the_middle_of_a_job_does_not_outlive_its_parent():
             return
         time.sleep(0.1)
     pytest.fail("it goes on")
+
+
+def test_copies_that_cannot_be_made_leave_nothing_open(monkeypatch):
+    """As where this user may have no more processes: a cell goes on for days."""
+
+    def refused():
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(os, "fork", refused)
+    before = set(Path("/proc/self/fd").iterdir())
+    with forks([abs], most=3) as beside:
+        assert beside.map(abs, [-1, -2]) == [1, 2]
+    assert set(Path("/proc/self/fd").iterdir()) == before

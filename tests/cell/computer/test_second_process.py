@@ -109,3 +109,22 @@ def test_one_that_has_ended_cannot_be_hurried(second: SecondProcess) -> None:
     os.kill(second.submit(os.getpid).result(), signal.SIGKILL)
     with second.hurried():
         pass
+
+
+def test_a_number_that_is_another_process_by_now_is_left_alone(
+    second: SecondProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The system gives the number of a process that has ended to another."""
+    process = second.submit(os.getpid).result()
+    job = second.submit(time.sleep, 60.0)
+    os.kill(process, signal.SIGKILL)
+    with pytest.raises(BrokenExecutor):
+        job.result(timeout=30.0)
+    until_s = time.monotonic() + 20.0
+    while Path(f"/proc/{process}").exists():  # until its number is free
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
+    killed = []
+    monkeypatch.setattr(os, "kill", lambda pid, number: killed.append(pid))
+    second.shutdown(wait=False)
+    assert killed == []

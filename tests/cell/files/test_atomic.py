@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import pytest
@@ -60,3 +61,30 @@ def test_a_new_file_is_whole_and_takes_nobodys_place(tmp_path: Path, full_disk: 
         write_new(path, "second")
     assert path.read_text() == "first"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_who_may_read_a_file_stays_so(tmp_path):
+    """Settings may hold a password."""
+    path = tmp_path / "settings.yaml"
+    path.write_text("former")
+    path.chmod(0o600)
+    write_whole(path, "new")
+    assert path.read_text() == "new"
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_two_threads_write_one_file(tmp_path, monkeypatch):
+    """One begins while the other has written its part and has not put it in its place."""
+    path, replace = tmp_path / "state.json", Path.replace
+
+    def beside(part, target):
+        monkeypatch.setattr(Path, "replace", replace)
+        other = threading.Thread(target=write_whole, args=(path, "of the other"))
+        other.start()
+        other.join()
+        return replace(part, target)
+
+    monkeypatch.setattr(Path, "replace", beside)
+    write_whole(path, "of the first")
+    assert path.read_text() == "of the first"
+    assert [p.name for p in tmp_path.iterdir()] == ["state.json"]

@@ -108,3 +108,20 @@ def test_a_full_disk_leaves_no_half_bundle(tmp_path, cycle, monkeypatch):
         written(items_of_cycle(cycle, recordings=True), tmp_path / "bundle.zip")
     assert (tmp_path / "bundle.zip").read_text() == "the one before"
     assert not list(tmp_path.glob("*.part"))
+
+
+@pytest.mark.parametrize(
+    ("text", "clean"),
+    [
+        (
+            "ledger: {url: postgresql://cell:s3/cret@db/plant}",
+            "ledger: {url: postgresql://(removed)@db/plant}",
+        ),
+        ("url: mqtt://cell:s3@cret@broker:1883", "url: mqtt://(removed)@broker:1883"),
+        ("password: s3,cret", "password: (removed)"),
+        ('{"password": "s3\\"cret", "port": 1}', '{"password": (removed), "port": 1}'),
+        ("broker: {password: s3cret, port: 1}", "broker: {password: (removed), port: 1}"),
+    ],
+)
+def test_no_part_of_a_password_is_left(text, clean):
+    assert without_secrets(text) == clean

@@ -118,3 +118,12 @@ def test_a_run_says_that_its_cycles_do_not_use_what_was_promoted_meanwhile(tmp_p
     )
     config.write_text(f"{text}\nmodel: {{effects: [", "utf-8")
     assert another_model(config, begun) == "", "half edited: whoever reads it next complains"
+
+
+def test_a_model_that_is_used_again_is_judged_by_its_cables_since_then() -> None:
+    """It did worse when it was used first; its data were mended, and it was promoted again."""
+    first = [*cycles("a", 20, 1e-4, 1), *cycles("b", 20, 5e-4, 2), *cycles("a", 20, 1e-4, 3)]
+    assert worsenings(first) == []
+    assert worsenings([*first, *cycles("b", 1, 1e-4, 4)]) == []
+    (told,) = worsenings([*first, *cycles("b", 15, 6e-4, 5)])
+    assert (told.cycles_before, told.cycles_since) == (20, 15)

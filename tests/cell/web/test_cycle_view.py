@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from datetime import datetime
 from pathlib import Path
 
@@ -78,3 +79,13 @@ def test_the_camera_shows_the_cycle_under_way_and_nothing_after_it(folder: Path)
     (folder / form.PART).rename(folder / form.FILE)
     camera.read()
     assert camera.newest is None
+
+
+def test_the_age_of_a_picture_counts_from_when_it_was_written(folder: Path) -> None:
+    """The recorder was killed an hour ago: whoever opens the page now sees an old picture."""
+    part = (folder / form.FILE).rename(folder / form.PART)
+    os.utime(part, (1_790_000_000.0, 1_790_000_000.0))
+    camera = LiveCamera(folder.parent)
+    camera.read()
+    assert camera.newest is not None
+    assert camera.newest.taken_s == pytest.approx(1_790_000_000.0, abs=10.0)

@@ -37,3 +37,21 @@ def test_actions_are_taken_over_once(tmp_path: Path) -> None:
     assert listed_actions(runs, since=now + timedelta(minutes=1)) == []
     said = CliRunner().invoke(app, ["actions", "--ledger", str(runs), "-n", "1"]).stdout
     assert "eve  stop  refused  you may not – do this" in said and "ada" not in said
+
+
+def test_actions_of_a_log_that_was_begun_anew_are_taken_over_too(tmp_path: Path) -> None:
+    """A program that rotates logs has moved the one before away."""
+    runs = tmp_path / "runs"
+    Ledger(runs, create=True).close()
+    log = Audit(audit_file(runs))
+    for n in range(3):
+        log.write("ada", "start", True, f"{n}")
+    assert take_over(runs, log.file, "line 3") == 3
+    for n in (3, 4):  # of the same length as those before
+        log.file.rename(tmp_path / f"{n}")
+        log.write("ada", "start", True, f"{n}")
+        assert take_over(runs, log.file, "line 3") == 1
+        log.write("ada", "start", True, f"{n}")
+        assert take_over(runs, log.file, "line 3") == 1
+        assert take_over(runs, log.file, "line 3") == 0
+    assert [a.note for a in listed_actions(runs)] == ["0", "1", "2", "3", "3", "4", "4"]

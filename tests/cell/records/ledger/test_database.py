@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -137,3 +138,24 @@ def test_a_ledger_of_an_older_version_keeps_what_is_in_it(place: str, version: s
     ledger.close()
     with engine_of(place) as engine, engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), metadata) == []
+
+
+def test_who_may_not_write_sees_what_is_written_at_the_moment(tmp_path: Path, monkeypatch) -> None:
+    """A person asks the ledger of the cell, which is another user's and runs."""
+    ledger = Ledger(tmp_path / "runs", create=True)
+    ledger.write([ended(1)])
+    may = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK and may(path, mode))
+    reader = Ledger(tmp_path / "runs")
+    assert reader.count(Wanted()) == {"inserted": 1}
+    reader.close()
+    ledger.close()
+    reader = Ledger(tmp_path / "runs")  # the cell has ended
+    assert reader.count(Wanted()) == {"inserted": 1}
+    reader.close()
+
+
+def test_a_folder_that_cannot_be_made_is_told_of(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(LedgerError, match="file"):
+        Ledger(tmp_path / "file" / "ledgers" / "line.sqlite", create=True)

@@ -204,3 +204,21 @@ def test_a_server_goes_away_and_comes_back(writer_to, server) -> None:
     until(lambda: ledger.count(Wanted()) == {"inserted": 3})
     assert [c.cycle for c in ledger.listed(Wanted())] == [1, 2, 3]
     ledger.close()
+
+
+def test_entries_that_cannot_be_removed_are_told_of(
+    writer_to, tmp_path, monkeypatch, caplog
+) -> None:
+    """As on a disk that the system has made read-only: the writer goes on to try."""
+
+    def refused(self: Outbox, file: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(file))
+
+    monkeypatch.setattr(Outbox, "remove", refused)
+    writer = writer_to(lambda entries: None)
+    writer.put(ended(1))
+    until(lambda: "the cell goes on" in caplog.text)
+    writer.close()
+    (note,) = writer.notes
+    assert "1 entries of the ledger wait" in note
+    assert "Permission denied" in note

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
+import logging
 import os
 import shutil
 import signal
+import subprocess
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -262,3 +266,98 @@ def test_a_disk_that_refuses_leaves_a_torn_file(tmp_path, monkeypatch):
     assert "No space left" in report["error"]
     assert report["lost_frames"] >= 2
     assert recover_in_place(tmp_path / form.PART).messages[form.IMAGE] == 3
+
+
+def test_after_a_killed_recorder_poses_are_recorded_once(tmp_path):
+    """What took poses for the recording that was torn does not go on in the next."""
+    recorder = Recorder(StillArm(), RealClock(), 2**20)
+    recorder.begin(tmp_path / form.FILE, {})
+    kill(recorder)
+    recorder.event(form.STATE, {"state": "execute", "step": "lower"})
+    recorder.end()
+    assert [t for t in threading.enumerate() if t.name == "poses"] == []
+    assert not any(recorder._handler in logging.getLogger(n).handlers for n in ("cell", "drivers"))
+    recorder.close()
+    (tmp_path / form.PART).unlink(missing_ok=True)
+    for ring in in_memory():
+        ring.unlink()
+
+
+def test_frames_that_are_missing_at_the_end_are_a_gap_too(recorder, tmp_path, monkeypatch):
+    """No frame comes after them that could tell."""
+    monkeypatch.setattr("cell.records.recording.recorder.PAUSE_S", 600.0)
+    recorder.begin(tmp_path / form.FILE, {})
+    recorder.pause()  # until it is waited for
+    for frame in frames(8, (512, 512)):
+        recorder.frame(frame)
+    recorder.end()
+    assert recorder.wait()
+    recording = read_recording(tmp_path)
+    (gap,) = recording.json(form.GAP)
+    assert 0 < gap["frames"] == 8 - recording.count(form.IMAGE)
+    assert "too slow" in recorder.notes[0]
+
+
+def test_a_recorder_that_cannot_be_started_leaves_nothing_open(monkeypatch, tmp_path):
+    """As where this user may have no more processes: every cycle tries again."""
+
+    def refused(*_, **__):
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("cell.records.recording.recorder.subprocess.Popen", refused)
+    recorder = Recorder(SilentArm(), RealClock(), 2**20)
+    before = set(Path("/proc/self/fd").iterdir())
+    recorder.begin(tmp_path / form.FILE, {})
+    assert "cannot be started" in recorder.notes[0]
+    assert set(Path("/proc/self/fd").iterdir()) == before
+    assert not in_memory()
+
+
+def test_a_full_disk_costs_messages_and_says_so(tmp_path, monkeypatch):
+    """The film is whole, and the disk fills up before it is said what was decided."""
+    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
+    recording.write(("frame", 0, 1.0, 48, 64), picture(0).tobytes())
+    with monkeypatch.context() as full:
+        full.setattr(writer, "LEAST_FREE_BYTES", 2**62)
+        recording.write(("event", form.DECISION, 2.0, {"offset_m": 0.01}), b"")
+    report = recording.end(True, True)
+    assert read_recording(tmp_path).last(form.DECISION) is None
+    assert report["lost_messages"] == 1
+    told = Recorder(SilentArm(), RealClock(), 2**20)
+    told._report(report)
+    assert "1 messages are missing" in told.notes[0]
+    assert "MiB are free" in told.notes[0]
+
+
+def test_a_disk_that_loses_what_was_written_is_told_of(tmp_path, monkeypatch):
+    """The system says so once, to whoever asks first to have it on the disk."""
+    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
+    recording.write(("frame", 0, 1.0, 48, 64), picture(0).tobytes())
+    asked = threading.Event()
+
+    def lost(descriptor):
+        if not asked.is_set():
+            asked.set()
+            raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(writer.os, "fdatasync", lost)
+    monkeypatch.setattr("cell.records.recording.one_recording.SYNC_S", 0.0)
+    recording.keep_up(now=True)
+    assert asked.wait(20.0)
+    report = recording.end(True, True)
+    assert "Input/output error" in report["error"]
+    assert not (tmp_path / form.FILE).exists()
+
+
+def test_a_verification_that_is_killed_is_told_of(tmp_path, monkeypatch):
+    """As by a system without memory: it says nothing itself."""
+    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
+    recording.write(("frame", 0, 1.0, 48, 64), picture(0).tobytes())
+    killed = subprocess.CompletedProcess([], -signal.SIGKILL, "", "")
+    with monkeypatch.context() as context:
+        context.setattr(
+            "cell.records.recording.one_recording.subprocess.run", lambda *_, **__: killed
+        )
+        report = recording.end(True, True)
+    assert "SIGKILL" in report["error"]
+    assert recover_in_place(tmp_path / form.PART).messages[form.IMAGE] == 1

@@ -112,12 +112,13 @@ def test_folders_are_searched_but_not_what_is_being_written(tmp_path: Path):
         torn_recordings(tmp_path / "c")
 
 
-def killed_with_a_full_ring(tmp_path: Path) -> tuple[Path, Path]:
+def killed_with_a_full_ring(tmp_path: Path, started: str = "") -> tuple[Path, Path]:
     """A torn recording, and the memory with three frames that nobody has written."""
     descriptor, ring = shared_memory(4 * 2**20)
     os.close(descriptor)
     torn = tmp_path / form.PART
-    writer = RecordingWriter(torn, {form.EPOCH: str(EPOCH_NS), form.RING: str(ring)})
+    begun = {form.EPOCH: str(EPOCH_NS), form.RING: str(ring), "started": started}
+    writer = RecordingWriter(torn, begun)
     fill(writer)
     writer.abandon()
     descriptor = os.open(ring, os.O_RDWR)
@@ -155,3 +156,19 @@ def test_a_disk_that_is_full_is_told_of(make_recording, tmp_path, monkeypatch):
         recover_in_place(torn)
     assert torn.exists()
     assert list(tmp_path.iterdir()) == [torn]
+
+
+def test_what_is_in_memory_goes_to_the_recording_that_was_under_way(tmp_path):
+    """An earlier one of the same run is torn too, as by a disk that was full for a while."""
+    (tmp_path / "2").mkdir()
+    later, ring = killed_with_a_full_ring(tmp_path / "2", "2026-11-26T10:01:00+01:00")
+    earlier = tmp_path / "1" / form.PART
+    earlier.parent.mkdir()
+    begun = {form.EPOCH: str(EPOCH_NS), form.RING: str(ring)}
+    # in the hour that comes twice the earlier one has the later time of day
+    writer = RecordingWriter(earlier, begun | {"started": "2026-11-26T10:59:00+02:00"})
+    fill(writer)
+    writer.abandon()
+    found = [recover_in_place(path) for path in torn_recordings(tmp_path)]
+    assert [f.messages[form.IMAGE] for f in found] == [12, 15]
+    assert found[1].source == later and not ring.exists()

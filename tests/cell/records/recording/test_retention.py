@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from pathlib import Path
 
 import pytest
 
@@ -73,3 +74,38 @@ def test_without_free_room_all_goes_and_it_says_so(runs, monkeypatch):
 
 def test_a_folder_that_is_not_there_yet(tmp_path):
     assert Retention(tmp_path / "runs", Room(max_bytes=1.0)).make_room() == ""
+
+
+def test_one_that_is_finished_between_two_looks_counts(runs, monkeypatch):
+    """Its recorder gives it its name after it was looked for, before its part is looked for."""
+    kept = Retention(runs, Room(max_bytes=5000))
+    kept.make_room()
+    new = runs / "cycle-9" / form.FILE
+    new.parent.mkdir()
+    part = new.with_name(form.PART)
+    part.write_bytes(bytes(1500))
+    kept.add(new)
+    look = Path.exists
+
+    def finished_after(path):
+        found = look(path)
+        if path in (new, part) and look(part):
+            part.rename(new)
+        return found
+
+    with monkeypatch.context() as between:
+        between.setattr(Path, "exists", finished_after)
+        kept.make_room()
+    kept.make_room()
+    assert days(runs) == [2, 3, 4, 9]
+
+
+def test_one_that_is_brought_to_a_store_meanwhile_is_left_out(runs, monkeypatch):
+    """It was there when it was looked for."""
+    kept = Retention(runs, Room(max_bytes=5000))
+    kept.make_room()
+    kept.add(runs / "cycle-9" / form.FILE)
+    look = Path.exists
+    monkeypatch.setattr(Path, "exists", lambda path: "cycle-9" in path.parts or look(path))
+    assert kept.make_room() == ""
+    assert days(runs) == [0, 1, 2, 3, 4]

@@ -357,3 +357,29 @@ def test_one_that_cannot_be_sent_stops_no_other(tmp_path, slow, monkeypatch):
     wait_until(lambda: not second.exists())
     sent.close()
     assert first.exists() and "not this one" in sent.notes[0]
+
+
+def test_a_store_that_fails_in_its_own_way_is_told_of(monkeypatch):
+    """As one whose profile is missing; fsspec knows no errors that all stores have."""
+
+    def refused(url):
+        raise LookupError("no such profile")
+
+    monkeypatch.setattr("fsspec.core.url_to_fs", refused)
+    with pytest.raises(StoreError, match="no such profile"):
+        Store("s3://recordings")
+
+
+def test_one_that_another_process_has_brought_meanwhile_is_left_alone(tmp_path, monkeypatch):
+    """It was opened here before the other process removed it, and gave it free."""
+    (tmp_path / "nas").mkdir()
+    recording = tmp_path / "runs" / "1" / form.FILE
+    recording.parent.mkdir(parents=True)
+    recording.write_bytes(b"frames")
+
+    def brought(file, how):
+        recording.unlink(missing_ok=True)
+
+    monkeypatch.setattr(fcntl, "flock", brought)
+    assert bring(Store(str(tmp_path / "nas")), recording, "line3", nullcontext) is None
+    assert list((tmp_path / "nas").iterdir()) == []
