@@ -210,6 +210,8 @@ class SimArm:
         if self._stop_reason is None:
             self._stop_reason = reason  # before anything that might wait
         with self._world.lock:
+            if self._stop_reason is None:  # a reset under way has cleared it meanwhile
+                self._stop_reason = reason
             self._world.halt(self._options.stop_s)
 
     def reset(self) -> None:
