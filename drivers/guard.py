@@ -123,8 +123,8 @@ class GuardedArm(ArmAround):
 
     def stop(self, reason: str) -> None:
         """Stop now; latched."""
-        _LOG.warning("%s: stop: %s", self.name, reason)
         self._arm.stop(reason)
+        _LOG.warning("%s: stop: %s", self.name, reason)  # which may wait for a disk
 
     def _check_start(self, path: Trajectory, here: Pose, not_begun: str) -> None:
         start = path.at(float(path.t_s[0]))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from drivers.guard import (
 )
 from drivers.interfaces import (
     Arm,
+    ArmMode,
     Camera,
     CameraError,
     Gripper,
@@ -267,3 +269,19 @@ def test_a_change_is_compared_between_the_points_of_the_present_path_too(guarded
     x, y, angle = (np.interp(t_s, still.t_s, c) for c in (still.x_m, still.y_m, still.angle_rad))
     with pytest.raises(LimitError, match=r"leaves the present one .* too early: x_m"):
         guarded.revise(Trajectory(t_s, x + aside, y, angle), start_s + 1.5)
+
+
+def test_a_stop_waits_for_no_log(guarded, cell) -> None:
+    stopped: list[ArmMode] = []
+
+    class SlowLog(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            stopped.append(cell.arm.state().mode)
+
+    log, handler = logging.getLogger("drivers.guard"), SlowLog()
+    log.addHandler(handler)
+    try:
+        guarded.stop("operator")
+    finally:
+        log.removeHandler(handler)
+    assert stopped == [ArmMode.STOPPED]
