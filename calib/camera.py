@@ -98,6 +98,7 @@ def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
         _fit(views[k::2], board, mean[_LENS], mean[_POSES].reshape(-1, 6)[k::2]).mean[_LENS]
         for k in (0, 1)
     ]
+    _check_whole_picture([lens, *map(Lens.of, halves)], size)
     return CameraFit(
         lens,
         cov[:9, :9],
@@ -279,4 +280,14 @@ def _check_fit(fit: RobustFit, lens: Lens) -> None:
             f"corners are {fit.noise_px:.2f} px rms beside where they must be, allowed "
             f"{MOST_NOISE_PX} px",
             "check that the board is flat and stiff, its description, focus and shutter",
+        )
+
+
+def _check_whole_picture(lenses: Sequence[Lens], size_px: tuple[int, int]) -> None:
+    """Raises OneSidedError: continued to the picture's edges, a lens has no point for a pixel."""
+    open_there = np.isnan([lens.ideal(picture_grid(size_px)) for lens in lenses]).any(axis=(0, 3))
+    if np.any(open_there):
+        raise OneSidedError(
+            f"in {np.mean(open_there):.0%} of the picture the lens stays unknown",
+            "show the board in all corners of the picture, up to its edges",
         )

@@ -80,7 +80,9 @@ def _lag_residuals(told: Trajectory, hand: Trajectory) -> Callable[[float], Floa
     keep = hand.t_s >= told.t_s[0]
 
     def left(lag_s: float) -> FloatArray:
-        meant = servo_response(told, max(lag_s, 0.0), start=start)
+        if lag_s < 0.0:  # no arm has such a lag; continued evenly, so that 0 has a slope
+            return np.asarray(2.0 * left(0.0) - left(-lag_s))
+        meant = servo_response(told, lag_s, start=start)
         path = np.stack([meant.x_m, meant.y_m], axis=1)
         return np.asarray(measured[keep] - _at(meant.t_s, path, hand.t_s[keep]))
 
@@ -129,12 +131,17 @@ def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of:
     grid = np.linspace(low_s, high_s, round((high_s - low_s) / _GRID_S) + 1)
     costs = [float(np.sum(left(s) ** 2)) for s in grid]
     at = int(np.argmin(costs))
-    if at in (0, len(grid) - 1):
-        raise MisfitError(
-            f"{of}: no delay within {low_s:g} … {high_s:g} s explains the motion",
-            "check the clocks of camera and robot",
-        )
+    none = MisfitError(
+        f"{of}: no delay within {low_s:g} … {high_s:g} s explains the motion",
+        "check the clocks of camera and robot",
+    )
+    # no delay is shorter than 0, so one next to it is nothing odd
+    if at == len(grid) - 1 or (at == 0 and low_s != 0.0):
+        raise none
     delay = _nearby(left, float(grid[at]))
+    if delay.value_s < low_s - delay.half_width_s:
+        raise none
+    delay = replace(delay, value_s=max(low_s, delay.value_s))
     if delay.rms_m > MOST_MISFIT_M:
         raise MisfitError(
             f"{of}: hand as seen and as told still differ by {delay.rms_m * 1e3:.2f} mm rms, "

@@ -19,7 +19,7 @@ from cell.records.result import Outcome, Result
 from cell.settings import Settings
 from cell.settings import devices as given
 from drivers.ur_identity import Identity, identify
-from drivers.ur_versions import is_proved, refusal
+from drivers.ur_versions import is_proved, refusal, version_text
 
 #: In the folder of the records.
 FILE = "allowed_versions.json"
@@ -56,21 +56,35 @@ class PassedDryRun:
 def check_arm_version(settings: Settings, config: Path, runs: Path, speed: float | None) -> None:
     """Whether the controller's version is proved, or was tried in a dry run at low speed.
 
-    A controller that does not answer, or is refused, is left to the driver, which says so.
+    A controller that is refused is left to the driver, which says so.  One that does not answer
+    yet may do so when a service connects to it: the version must have been tried at its address.
 
     speed   of the dry run that is to be made; None = a cable is to be moved
     raises  InputError: neither, with the command to type
     """
-    arm, found = settings.arm, _unproved(settings)
-    if found is None or (speed is not None and speed <= MOST_SPEED):
+    arm = settings.arm
+    if speed is not None and speed <= MOST_SPEED:
         return
-    assert isinstance(arm, given.UrArm)
-    if any(passed.is_of(found, arm.host) for passed in passed_dry_runs(runs)):
+    if not isinstance(arm, given.UrArm) or arm.allowed_version is None:
         return
+    if is_proved(arm.allowed_version):
+        return
+    tried = passed_dry_runs(runs)
+    try:
+        found = _unproved(settings)
+    except OSError as error:
+        release = f"{version_text(arm.allowed_version)}."
+        if any(str(p.version).startswith(release) and p.host == arm.host for p in tried):
+            return
+        which = f"{arm.allow_version} at {arm.host}, which does not answer ({error})"
+    else:
+        if found is None or any(passed.is_of(found, arm.host) for passed in tried):
+            return
+        which = f"{found.version_text} at {arm.host}"
     raise InputError.at(
         config,
         f"{arm.allow_version} is not proved: no dry run at a speed of at most {MOST_SPEED:g} has "
-        f"passed with PolyScope {found.version_text} at {arm.host}, as far as {runs / FILE} says; "
+        f"passed with PolyScope {which}, as far as {runs / FILE} says; "
         f"empty the jaws, then: cell run --config {config} --out {runs} --dry-run --speed 0.1",
         key="arm.allow_version",
     )
@@ -83,7 +97,12 @@ def remember_dry_run(settings: Settings, runs: Path, results: Sequence[Result]) 
     """
     for result in results:
         slow = result.speed is not None and result.speed <= MOST_SPEED
-        if result.outcome is Outcome.REHEARSED and slow and (found := _unproved(settings)):
+        if result.outcome is not Outcome.REHEARSED or not slow:
+            continue
+        found = None
+        with suppress(OSError):
+            found = _unproved(settings)
+        if found is not None:
             assert isinstance(settings.arm, given.UrArm) and result.speed is not None
             passed = PassedDryRun(
                 found.version_text,
@@ -106,13 +125,13 @@ def passed_dry_runs(runs: Path) -> tuple[PassedDryRun, ...]:
 
 
 def _unproved(settings: Settings) -> Identity | None:
-    """The controller, if it runs a version that is allowed by the settings alone."""
+    """The controller, if it runs a version that is allowed by the settings alone.
+
+    raises  OSError: it does not answer
+    """
     arm = settings.arm
     if not isinstance(arm, given.UrArm) or arm.allow_version is None:
         return None
-    try:
-        found = identify(arm.host)
-    except OSError:
-        return None
+    found = identify(arm.host)
     refused = refusal(found.release, arm.allowed_version) is not None
     return None if refused or is_proved(found.release) else found

@@ -162,8 +162,8 @@ class _Stream:
         raise_thread(_PRIORITY)
         try:
             source = self._open_source()
-        except DeviceError as error:
-            self._fail(error)
+        except Exception as error:
+            self._fail(self._named(error))
             return
         try:
             with self._changed:
@@ -173,10 +173,16 @@ class _Stream:
                 shot = source.grab(self._wanted)
                 if shot is not None:
                     self._take(ArrivedShot(shot, self._clock.now_s()))
-        except DeviceError as error:
-            self._fail(error)
+        except Exception as error:
+            self._fail(self._named(error))
         finally:
             source.close()
+
+    def _named(self, error: Exception) -> DeviceError:
+        """What a camera library raised, of which nobody hears in this thread, as a cause."""
+        if isinstance(error, DeviceError):
+            return error
+        return DeviceLostError(self._device, f"{type(error).__name__}: {error}", _LOST_REMEDY)
 
     def _wanted(self) -> bool:
         recording = self._recording

@@ -104,7 +104,9 @@ class GuardedArm(ArmAround):
         remedy = "its path is followed as it was"
         check_path(path, self._limits, self.name, remedy)
         until_s = from_s - start_s + float(present.t_s[0])
-        t_s = np.append(present.t_s[present.t_s < until_s], until_s)
+        # both are linear between their points, so that nothing else is left to be compared
+        points_s = np.union1d(present.t_s, path.t_s)
+        t_s = np.append(points_s[points_s < until_s], until_s)
         for name in ("x_m", "y_m", "angle_rad"):
             then, now = (np.interp(t_s, p.t_s, getattr(p, name)) for p in (present, path))
             at = int(np.argmax(np.abs(now - then)))
@@ -121,8 +123,8 @@ class GuardedArm(ArmAround):
 
     def stop(self, reason: str) -> None:
         """Stop now; latched."""
-        _LOG.warning("%s: stop: %s", self.name, reason)
         self._arm.stop(reason)
+        _LOG.warning("%s: stop: %s", self.name, reason)  # which may wait for a disk
 
     def _check_start(self, path: Trajectory, here: Pose, not_begun: str) -> None:
         start = path.at(float(path.t_s[0]))
@@ -208,8 +210,24 @@ def check_path(
 
 def _derivative_at_points(t_s: FloatArray, values: FloatArray, order: int) -> FloatArray:
     """(T,) largest size of a derivative near each point; `values` (T, k), norm over k."""
-    step_s = float(np.median(np.diff(t_s)))
+    steps_s = np.diff(t_s)
+    step_s = float(np.median(steps_s))
     stride = max(1, int(np.ceil(_SPAN_S / step_s / order)))
+    # where a path has fewer points than elsewhere, fewer of them span as much
+    least = max(1, min(stride, int(np.ceil(_SPAN_S / float(steps_s.max()) / order))))
+    out = np.zeros(len(t_s))
+    for k in range(least, stride + 1):
+        np.maximum(out, _differences(t_s, values, order, k, step_s), out=out)
+    return out
+
+
+def _differences(
+    t_s: FloatArray, values: FloatArray, order: int, stride: int, step_s: float
+) -> FloatArray:
+    """(T,) the same by every `stride`-th point, where such points span long enough.
+
+    step_s  between the points, at rest, that are added before the first and after the last
+    """
     pad = order * stride
     before = t_s[0] - step_s * np.arange(pad, 0, -1)
     after = t_s[-1] + step_s * np.arange(1, pad + 1)
@@ -221,6 +239,8 @@ def _derivative_at_points(t_s: FloatArray, values: FloatArray, order: int) -> Fl
         reach = t[k * stride :] - t[: -k * stride]
         difference = k * (difference[stride:] - difference[:-stride]) / reach[:, None]
     size = np.linalg.norm(difference, axis=-1)
+    if pad * step_s < _SPAN_S:  # only steps longer than usual make it long enough
+        size[t[pad:] - t[:-pad] < _SPAN_S] = 0.0
     out = np.zeros(len(t_s))
     centre = np.arange(len(size)) + (order * stride) // 2 - pad
     np.maximum.at(out, np.clip(centre, 0, len(t_s) - 1), size)

@@ -51,6 +51,8 @@ _FAULTS = {
     0x0E: "overcurrent",
     0x0F: "automatic release completed",
 }
+#: Codes from the first on hinder a motion; those from the second on end only with an activation.
+_FAULT, _NEEDS_ACTIVATION = 0x08, 0x0A
 #: What a line that has gone raises: pyserial's own errors, and one that it lets through.
 _LINE_ERRORS = (OSError, termios.error)
 _LOST_REMEDY = "check the gripper's cable, power, address and baud rate, then connect again"
@@ -197,12 +199,17 @@ class SerialGripper:
 
     def _wait(self, done: Callable[[_Status], bool], what: str) -> None:
         until_s = self._clock.now_s() + self._options.motion_s
-        while not done(status := self._status()):
-            if status.fault >= 0x08:
+        while True:
+            status = self._status()
+            finished = done(status)
+            # one that only an activation clears holds the jaws, whatever else the registers say
+            if status.fault >= (_NEEDS_ACTIVATION if finished else _FAULT):
                 reason = _FAULTS.get(status.fault, "unknown")
                 raise DeviceError(
                     self.name, f"fault 0x{status.fault:02X}: {reason}", "clear it and connect again"
                 )
+            if finished:
+                return
             if self._clock.now_s() > until_s:
                 raise DeviceTimeoutError(
                     self.name,

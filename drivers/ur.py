@@ -19,6 +19,7 @@ from drivers.interfaces import (
     ArmMode,
     ArmState,
     ConnectError,
+    DeviceError,
     DeviceLostError,
     FloatArray,
     LimitError,
@@ -163,11 +164,12 @@ class UrArm:
         """Raises LimitError: still moving, off the plane, out of reach, too late; StoppedError."""
         with self._lock:
             child = self._alive()
-            stops = child.shared.get(Slot.STOPS)
+            shared = child.shared
+            stops = shared.get(Slot.STOPS)
             self._check_ready(child)
             if self._busy(child):
                 raise LimitError(self.name, "still moving", "wait until it rests, or stop it")
-            (sample,) = child.shared.samples(1)
+            (sample,) = shared.samples(1)
             self._check_on_plane(sample)
             begun = _from_zero(path)
             self._check_reach(begun, sample[Column.Q1_RAD :])
@@ -175,7 +177,17 @@ class UrArm:
             if start_s is not None and start_s < now_s:
                 raise too_late(self.name, now_s - start_s)
             self._paths += 1
+            taken = shared.get(Slot.FOLLOWED)
             self._send(child, ("follow", begun, stops, start_s))
+            while shared.get(Slot.PATHS) != self._paths:  # at the child's next period
+                self._alive()
+                time.sleep(_POLL_S)
+            if shared.get(Slot.FOLLOWED) > taken:
+                return
+            self._check_ready(child)
+            if start_s is None:
+                raise StoppedError(self.name, "was stopped as it was told", ArmMode.STOPPED.remedy)
+            raise too_late(self.name, time.monotonic() - start_s)
 
     def revise(self, path: Trajectory, from_s: float) -> None:
         """Raises LimitError: no path is followed, out of reach, too late; StoppedError."""
@@ -224,16 +236,25 @@ class UrArm:
         """Raises StoppedError while the controller itself is stopped; DeviceLostError."""
         with self._lock:
             child = self._alive()
-            self._send(child, ("reset",))
-            answer = self._receive(child, _RESET_S)
-            if answer[0] == "refused":
-                cause, remedy = answer[1:]
-                if cause in set(ArmMode):
-                    cause, remedy = self._cause(child, ArmMode(cause)), ArmMode(cause).remedy
-                raise StoppedError(self.name, f"the controller reports {cause}", remedy)
-            self._stop_reason = None
+            # what is stopped from now on stays stopped, so it is not cleared when the answer comes
+            reason, self._stop_reason = self._stop_reason, None
+            try:
+                self._reset(child)
+            except DeviceError:
+                if self._stop_reason is None:
+                    self._stop_reason = reason
+                raise
 
     # --- the child ----------------------------------------------------------------------------
+
+    def _reset(self, child: ChildProcess) -> None:
+        self._send(child, ("reset",))
+        answer = self._receive(child, _RESET_S)
+        if answer[0] == "refused":
+            cause, remedy = answer[1:]
+            if cause in set(ArmMode):
+                cause, remedy = self._cause(child, ArmMode(cause)), ArmMode(cause).remedy
+            raise StoppedError(self.name, f"the controller reports {cause}", remedy)
 
     def _start_child(self) -> ChildProcess:
         o = self._options

@@ -208,11 +208,14 @@ class _Child:
         return True
 
     def _follow(self, path: Trajectory, stops: float, start_s: float | None) -> None:
-        # a stop that came after the parent had looked for one wins
+        # a stop that came after the parent had looked for one wins; a path is begun at its start
+        now_s = time.monotonic()
         free = self._mode is ArmMode.READY and self._shared.get(Slot.SLOWED) == 0.0
-        if free and stops == self._shared.get(Slot.STOPS):
-            self._motion = _Motion(path, time.monotonic() if start_s is None else start_s)
+        in_time = start_s is None or now_s <= start_s
+        if free and in_time and stops == self._shared.get(Slot.STOPS):
+            self._motion = _Motion(path, now_s if start_s is None else start_s)
             self._shared.put(Slot.STREAMING, 1.0)
+            self._shared.add(Slot.FOLLOWED)
         self._shared.add(Slot.PATHS)
 
     def _revise(self, path: Trajectory, stops: float, from_s: float) -> None:

@@ -47,9 +47,12 @@ def identify(host: str, seconds: float = 2.0) -> Identity:
 def _serial_number(host: str, seconds: float) -> str:
     with (
         socket.create_connection((host, DASHBOARD_PORT), seconds) as dashboard,
-        dashboard.makefile("rw", encoding="utf-8", newline="\n") as lines,
+        dashboard.makefile("rw", encoding="utf-8", errors="replace", newline="\n") as lines,
     ):
         lines.readline()  # its greeting
         lines.write("get serial number\n")
         lines.flush()
-        return lines.readline().strip()
+        number = lines.readline().strip()
+    if not number.isdecimal():
+        raise ConnectionError(f"the dashboard tells no serial number, but {number[:80]!r}")
+    return number

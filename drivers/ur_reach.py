@@ -29,11 +29,8 @@ def check_reach(
     X_FT    (4, 4) tool on the flange
     raises  LimitError: out of reach, or a joint too fast; with the time of the first such place
     """
-    turns = 0.1 * np.diff(path.angle_rad)
-    way_m = float(np.sum(np.hypot(np.hypot(np.diff(path.x_m), np.diff(path.y_m)), turns)))
-    steps = max(1, int(np.ceil(min(path.t_s[-1] / STEP_S, way_m / STEP_M))))
     before_s = None
-    for t_s in np.linspace(0.0, path.t_s[-1], steps + 1).tolist():
+    for t_s in _places_s(path).tolist():
         try:
             q_next = model.inverse(mount.to_base(path.at(t_s)), q_rad, X_FT)
         except OutOfReachError as error:
@@ -48,3 +45,17 @@ def check_reach(
                     _NOTHING_MOVED,
                 )
         before_s, q_rad = t_s, q_next
+
+
+def _places_s(path: Trajectory) -> FloatArray:
+    """(n,) times at which the joints are looked at, the first and the last of the path included.
+
+    Counted along the path, so that a rest in it takes no places from a fast part.
+    """
+    turns = 0.1 * np.diff(path.angle_rad)
+    ways_m = np.hypot(np.hypot(np.diff(path.x_m), np.diff(path.y_m)), turns)
+    steps = np.minimum(np.diff(path.t_s) / STEP_S, ways_m / STEP_M)
+    done = np.concatenate([[0.0], np.cumsum(steps)])
+    count = max(1, int(np.ceil(done[-1])))
+    inner = np.interp(np.linspace(0.0, done[-1], count + 1)[1:-1], done, path.t_s)
+    return np.concatenate([path.t_s[:1], inner, path.t_s[-1:]])

@@ -26,13 +26,14 @@ class Slot(IntEnum):
     SAMPLES = 2  # child: number of samples written so far
     MODE = 3  # child: index of the ArmMode
     STREAMING = 4  # child: 1 while it streams a path
-    PATHS = 5  # child: number of paths taken
+    PATHS = 5  # child: number of paths that were told
     WORST_PERIOD_S = 6  # child: longest time between two commands of a path
     LATE_PERIODS = 7  # child: number of such times above 1.25 periods
     PERIODS = 8  # child: number of such times
     SPEED = 9  # child: share of the full speed that the controller allows
     REVISIONS = 11  # child: number of changes of a path that were told
     REVISED = 12  # child: number of those that were taken
+    FOLLOWED = 13  # child: number of the paths told that were taken
     SLOWED = 10  # child: 1 from when a path was broken off because it was slowed until a reset
 
 

@@ -58,6 +58,7 @@ def show_cable(
         return None
     poses: list[ShownPose] = []
     with session.holding_cable():
+        assistant.clear()  # whoever held the cable has their hands between the jaws
         for number, goal in enumerate(goals, 1):
             rest = _at_rest(session, goal, view)
             picture = Picture(f"grip_{number:02d}.png", rest.image)

@@ -143,14 +143,21 @@ def save_move(folder: Path, move: SeenMove) -> None:
 def read_move(folder: Path) -> SeenMove:
     """What `save_move` wrote.  Raises InputError."""
     told, hand, seen = (
-        np.array([_numbers(folder / name, line, row) for line, row in _rows(folder / name, header)])
-        for name, header in (
-            (_TOLD, _PATH_COLUMNS),
-            (_HAND, _PATH_COLUMNS),
-            (_SEEN, _SEEN_COLUMNS),
+        np.array([numbers(folder / name, line, row) for line, row in _rows(folder / name, header)])
+        for name, header, numbers in (
+            (_TOLD, _PATH_COLUMNS, _numbers),
+            (_HAND, _PATH_COLUMNS, _numbers),
+            (_SEEN, _SEEN_COLUMNS, _seen),
         )
     )
     return SeenMove(Trajectory(*told.T), Trajectory(*hand.T), seen[:, 0], seen[:, 1:])
+
+
+def _seen(path: Path, line: int, cells: Sequence[str]) -> list[float]:
+    """Stamp and place of a frame; nan, nan where the jaw was not seen."""
+    if all(cell.lower() == "nan" for cell in cells[1:]):
+        return [*_numbers(path, line, cells[:1]), np.nan, np.nan]
+    return _numbers(path, line, cells)
 
 
 def _save(path: Path, image: Image) -> None:

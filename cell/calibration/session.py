@@ -35,6 +35,7 @@ _AT_GOAL_M, _AT_GOAL_RAD = 5e-5, 1e-3
 _AT_REST_M = 1e-4
 #: An arm is told a path so long before it starts, and a film begins and ends so long beside it, s.
 _AHEAD_S, _BESIDE_S = 0.25, 0.15
+_BROKEN_OFF = "calibration broken off"
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +118,9 @@ class Session:
         try:
             self.devices.gripper.grip(self.settings.gripper.force_n)
             yield
+        except BaseException:
+            self.devices.arm.stop(_BROKEN_OFF)  # before the jaws open, which takes its time
+            raise
         finally:
             self.devices.gripper.release()
 
@@ -186,7 +190,7 @@ def opened(
         yield Session(settings, devices)
     except BaseException:
         if moves:
-            devices.arm.stop("calibration broken off")
+            devices.arm.stop(_BROKEN_OFF)
         raise
     finally:
         for device in used:

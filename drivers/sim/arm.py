@@ -207,9 +207,9 @@ class SimArm:
 
     def stop(self, reason: str) -> None:
         """Decelerate now and stay stopped until `reset`."""
-        if self._stop_reason is None:
-            self._stop_reason = reason  # before anything that might wait
+        self._latch(reason)  # before anything that might wait
         with self._world.lock:
+            self._latch(reason)  # a reset under way may have cleared it meanwhile
             self._world.halt(self._options.stop_s)
 
     def reset(self) -> None:
@@ -221,6 +221,10 @@ class SimArm:
                 cause = f"the controller reports {mode.value}"
                 raise StoppedError(self.name, cause, mode.remedy)
             self._stop_reason = None
+
+    def _latch(self, reason: str) -> None:
+        if self._stop_reason is None:
+            self._stop_reason = reason
 
     def _mode(self) -> ArmMode:
         if self._controller_stop is not None:

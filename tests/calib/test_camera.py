@@ -88,3 +88,13 @@ def test_what_cannot_give_a_lens_is_named(eye):
         fit_camera(views_of(eye, rng, poses=flat), BOARD)
     with pytest.raises(MisfitError, match="px rms"):
         fit_camera(views_of(eye, rng, noise_px=0.9), BOARD)
+
+
+def test_a_wide_lens_seen_in_the_middle_only_stays_unknown_at_the_edges():
+    eye = standing(focal_px=900.0, distortion=(-0.32, 0.12, 0.0, 0.0, -0.02))
+    views = []
+    for view in views_of(eye, np.random.default_rng(2), count=12):
+        near = np.linalg.norm(view.pixels - np.array(SIZE_PX) / 2, axis=1) < 330.0
+        views.append(replace(view, ids=view.ids[near], pixels=view.pixels[near]))
+    with pytest.raises(OneSidedError, match=r"in \d+% of the picture the lens stays unknown"):
+        fit_camera(views, BOARD)

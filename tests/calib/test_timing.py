@@ -81,3 +81,18 @@ def test_what_says_nothing_about_time_is_named():
         camera_latency(stamps_s + 3.0, seen, hand)
     with pytest.raises(OneSidedError):
         arm_lag(told, still)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.002, 0.004])
+def test_an_arm_that_hardly_lags_is_no_misfit(lag_s):
+    told, hand, *_ = measured(np.random.default_rng(3), 0.0, lag_s)
+    found = arm_lag(told, hand)
+    assert found.value_s == pytest.approx(lag_s, abs=2e-4)
+    assert 0.0 < found.half_width_s < 5e-4
+
+
+def test_a_hand_that_is_there_before_it_is_told_is_one():
+    told, hand, *_ = measured(np.random.default_rng(3), 0.0, 0.0)
+    early = Trajectory(hand.t_s - 0.004, hand.x_m, hand.y_m, hand.angle_rad)
+    with pytest.raises(MisfitError, match="no delay within"):
+        arm_lag(told, early)

@@ -85,6 +85,25 @@ def test_a_torn_file_is_no_permission(controller: EmulatedController, tmp_path: 
             check_arm_version(settings(controller, "5.26"), CONFIG, tmp_path, None)
 
 
+def test_a_controller_that_does_not_answer_yet_must_have_been_tried(
+    controller: EmulatedController, tmp_path: Path
+) -> None:
+    """A service that is started before it connects much later, and asks nobody again."""
+    silent = settings(controller, "5.26").model_copy(
+        update={"arm": settings(controller, "5.26").arm.model_copy(update={"host": "127.0.0.77"})}
+    )
+    with pytest.raises(InputError, match=r"5\.26 at 127\.0\.0\.77, which does not answer"):
+        check_arm_version(silent, CONFIG, tmp_path, None)
+    check_arm_version(silent, CONFIG, tmp_path, 0.1)
+    controller.ask("version", version="5.26.0.9")
+    remember_dry_run(settings(controller, "5.26"), tmp_path, [rehearsed(0.1)])
+    with pytest.raises(InputError, match="does not answer"):
+        check_arm_version(silent, CONFIG, tmp_path, None)  # that was another one
+    file = tmp_path / FILE
+    file.write_text(file.read_text().replace(controller.host, silent.arm.host))
+    check_arm_version(silent, CONFIG, tmp_path, None)
+
+
 @pytest.mark.parametrize(
     ("given", "said"), [("5.20", "write the version in quotes"), ('"5"', "match"), ('"10.x"', "m")]
 )

@@ -322,3 +322,15 @@ def test_opening_that_hangs_is_given_up_and_released_when_it_returns() -> None:
 def test_impossible_options_are_named(name, value) -> None:
     with pytest.raises(ValueError, match=f"capture.{name} = {value}"):
         CaptureOptions(**{name: value})
+
+
+@pytest.mark.parametrize("opened", [False, True])
+def test_what_a_library_raises_is_named_at_once(opened) -> None:
+    """Not a silence that is put down to the cable, after the longest wait."""
+    rig = StreamRig(connect_s=60.0)
+    if opened:
+        rig.fail(ArithmeticError("bad tone"))
+    else:
+        rig._open = rig.camera._open_source = lambda: 1 // 0
+    with pytest.raises(ConnectError, match=r"ArithmeticError: bad|ZeroDivisionError: integer"):
+        rig.camera.connect()

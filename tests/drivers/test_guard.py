@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from drivers.guard import (
 )
 from drivers.interfaces import (
     Arm,
+    ArmMode,
     Camera,
     CameraError,
     Gripper,
@@ -241,3 +243,45 @@ def test_a_slow_reader_is_not_the_cameras_fault(cell) -> None:
     camera.start(8)
     cell.clock.sleep_s(60.0)
     assert len(list(iter(camera.read, None))) == 8
+
+
+def test_a_fast_part_with_few_points_is_judged_by_them() -> None:
+    """Not by as many points as span 8 ms where the path has many."""
+    rest = np.arange(0.0, 0.2, 0.001)
+    coarse = 0.2 + 0.01 * np.arange(8)
+    t_s = np.concatenate([rest, coarse])
+    y_m = 0.3 + np.concatenate([0.0 * rest, 0.006 * (np.arange(8) % 2)])  # to and fro
+    path = Trajectory(t_s, 0.3 + 0.0 * t_s, y_m, 0.0 * t_s)
+    limits = replace(LIMITS, max_acceleration_m_per_s2=np.inf, max_jerk_m_per_s3=np.inf)
+    with pytest.raises(LimitError, match=r"speed = 0.6000 m/s, allowed 0.0000..0.5000"):
+        check_path(path, limits)
+
+
+def test_a_change_is_compared_between_the_points_of_the_present_path_too(guarded, cell) -> None:
+    here = guarded.state().pose
+    still = Trajectory(
+        np.array([0.0, 2.0]), *(np.full(2, v) for v in (here.x_m, here.y_m, here.angle_rad))
+    )
+    start_s = cell.clock.now_s() + 0.1
+    guarded.follow(still, start_s)
+    t_s = np.arange(0.0, 2.0005, 0.002)
+    aside = 0.01 * 0.5 * (1.0 - np.cos(2.0 * np.pi * np.clip(t_s, 0.0, 1.5) / 1.5))
+    x, y, angle = (np.interp(t_s, still.t_s, c) for c in (still.x_m, still.y_m, still.angle_rad))
+    with pytest.raises(LimitError, match=r"leaves the present one .* too early: x_m"):
+        guarded.revise(Trajectory(t_s, x + aside, y, angle), start_s + 1.5)
+
+
+def test_a_stop_waits_for_no_log(guarded, cell) -> None:
+    stopped: list[ArmMode] = []
+
+    class SlowLog(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            stopped.append(cell.arm.state().mode)
+
+    log, handler = logging.getLogger("drivers.guard"), SlowLog()
+    log.addHandler(handler)
+    try:
+        guarded.stop("operator")
+    finally:
+        log.removeHandler(handler)
+    assert stopped == [ArmMode.STOPPED]

@@ -103,3 +103,17 @@ def test_a_cell_goes_before_other_sessions_too() -> None:
         pytest.skip("this user may not go before others")
     assert int(nice) <= -10
     assert session in ("none", "-10")
+
+
+_LESS = (
+    "import resource as r; from drivers.priority import bound_spinning\n"
+    "r.setrlimit(r.RLIMIT_RTTIME, (200_000, 200_000))\n"
+    "bound_spinning(0.5)\n"
+    "print(*r.getrlimit(r.RLIMIT_RTTIME))\n"
+)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no such limit here")
+def test_an_administrators_limit_is_kept() -> None:
+    done = subprocess.run([sys.executable, "-c", _LESS], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["200000", "200000"]

@@ -124,3 +124,19 @@ def test_nothing_to_grip(emulator, gripper) -> None:
 def test_a_line_that_is_not_there(port) -> None:
     with pytest.raises(ConnectError, match="no gripper on"):
         SerialGripper(SerialGripperOptions(port), RealClock()).connect()
+
+
+@pytest.mark.parametrize("act", [lambda gripper: gripper.grip(20.0), SerialGripper.release])
+def test_a_fault_that_only_an_activation_clears_is_no_motion_that_ended(
+    emulator, gripper, act
+) -> None:
+    act(gripper)
+    emulator.jaws.faults.fault_code = 0x0A  # and the other registers are as they were
+    with pytest.raises(DeviceError, match=r"fault 0x0A: supply voltage too low"):
+        act(gripper)
+
+
+def test_hot_jaws_that_arrived_have_arrived(emulator, gripper) -> None:
+    gripper.release()
+    emulator.jaws.faults.fault_code = 0x08
+    assert gripper.release().opening_m == pytest.approx(0.085, abs=0.0005)

@@ -7,6 +7,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -22,9 +23,11 @@ from drivers.interfaces import (
     DeviceLostError,
     LimitError,
     StoppedError,
+    TooLateError,
 )
 from drivers.plane_mount import PlaneMount
 from drivers.ur import UrArm
+from drivers.ur_shared import COLUMNS, SIZE_BYTES, SharedState, Slot
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 
@@ -428,3 +431,67 @@ def test_nothing_leaks_over_many_connections(ur_options, ur_emulator) -> None:
 def test_poses_are_those_of_the_plane(arm) -> None:
     pose = arm.state().pose
     assert (pose.x_m, pose.y_m) == pytest.approx((0.5, 0.5), abs=1e-4)
+
+
+class _Told:
+    """A child process of which only the answers are played: `act` on what it is told."""
+
+    def __init__(self, act) -> None:
+        with tempfile.TemporaryFile() as file:
+            file.truncate(SIZE_BYTES)
+            self.shared = SharedState(file.fileno())
+        self.shared.put(Slot.HEARTBEAT_S, np.inf)
+        self.process = self.connection = self
+        self._act = act
+
+    def send(self, request) -> None:
+        self._request = request
+
+    def poll(self, seconds: float | None = None) -> bool | None:
+        return None if seconds is None else True
+
+    def recv(self):
+        return self._act(self._request, self.shared)
+
+
+def test_a_stop_during_a_reset_is_not_cleared_by_it(ur_options) -> None:
+    arm = UrArm(ur_options)
+
+    def act(request, shared):
+        arm.stop("the watch")
+        return ("done",)
+
+    arm._child = _Told(act)
+    arm.stop("operator")
+    arm.reset()
+    assert arm._mode(arm._child) is ArmMode.STOPPED
+    with pytest.raises(StoppedError, match="the watch"):
+        arm._check_ready(arm._child)
+
+
+def test_a_reset_that_is_refused_leaves_the_stop(ur_options) -> None:
+    arm = UrArm(ur_options)
+    arm._child = _Told(lambda request, shared: ("refused", "the arm moved", "look"))
+    arm.stop("operator")
+    with pytest.raises(StoppedError, match="the arm moved"):
+        arm.reset()
+    with pytest.raises(StoppedError, match="operator"):
+        arm._check_ready(arm._child)
+
+
+def test_a_path_that_the_child_hears_of_too_late_is_an_error(ur_options, line, monkeypatch) -> None:
+    arm = UrArm(ur_options)
+    arm._child = told = _Told(None)
+    start_s = time.monotonic() + 0.5
+
+    def send(request) -> None:
+        told.shared.add(Slot.PATHS)  # and not `FOLLOWED`
+        monkeypatch.setattr(time, "monotonic", lambda: start_s + 0.02)
+
+    told.send = send
+    told.shared.write_sample(np.zeros(COLUMNS))
+    monkeypatch.setattr(UrArm, "_check_on_plane", lambda *_: None)
+    monkeypatch.setattr(UrArm, "_check_reach", lambda *_: None)
+    with pytest.raises(TooLateError, match=r"20.0 ms after .*nothing was moved"):
+        arm.follow(line(), start_s)
+    assert not arm._busy(told)

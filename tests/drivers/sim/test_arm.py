@@ -125,3 +125,23 @@ def test_a_stop_may_be_planned_on_the_clock(cell, line) -> None:
     cell.arm.follow(line(dy_m=-0.05))
     cell.clock.sleep_s(1.0)
     assert cell.world.hand_rests_from_s() == pytest.approx(0.35, abs=1e-6)
+
+
+def test_a_stop_that_waits_for_a_reset_is_not_cleared_by_it(cell) -> None:
+    arm, world = cell.arm, cell.world
+    arm.stop("operator")
+
+    class ResetFirst:
+        """The world's lock, got by somebody else's reset just before."""
+
+        def __enter__(self) -> None:
+            world.lock = lock
+            arm.reset()
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+    lock, world.lock = world.lock, ResetFirst()
+    arm.stop("the watch")
+    with pytest.raises(StoppedError, match="the watch"):
+        arm._check_ready()
