@@ -98,9 +98,8 @@ def _block(
     def each(value: Any) -> FloatArray:
         return np.array([value(m) for m in models], dtype=np.float64)
 
-    nominal = each(lambda m: m.cable.free_length_m)
-    total = nominal + each(lambda m: _sum(m, "extra_length"))
-    if np.any(total < 0.1 * nominal):
+    total = each(_total_length_m)
+    if any(slipped_out(m) for m in models):
         raise ValueError("extra_length of the effects leaves less than a tenth of the cable")
     length = total / n
     compliance, lag = np.array([_grip(m) for m in models]).T
@@ -203,6 +202,15 @@ def _connectors(
         for name in ("mass_kg", "length_m", "inertia_kg_m2")
     )
     return mass, last_m + 0.5 * length, inertia
+
+
+def slipped_out(model: CableModel) -> bool:
+    """Whether its effects leave less than a tenth of a cable, of which no mesh is made."""
+    return _total_length_m(model) < 0.1 * model.cable.free_length_m
+
+
+def _total_length_m(model: CableModel) -> float:
+    return model.cable.free_length_m + _sum(model, "extra_length")
 
 
 def _sum(model: CableModel, hook: str) -> float:

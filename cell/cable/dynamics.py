@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.assembly import Block, assemble
+from cell.cable.assembly import Block, assemble, slipped_out
 from cell.cable.geometry import Motion, Start
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, LanesError, Solver, threads
@@ -147,6 +147,10 @@ def _simulate(
         return
     begin_s, rests = how.time_s(first, swing.paths), how.start != "straight"
     left = list(range(len(swing.models)))
+    if spared:
+        for lane in [i for i in left if slipped_out(swing.models[i])]:
+            out[lane][:] = np.nan
+            left.remove(lane)
     while left:
         part, places = swing.of(left), [out[i] for i in left]
         failed = _moved(part, begin_s, rests, arc_length_m, out if part is swing else places)

@@ -37,12 +37,16 @@ class _Inlined(CPUDispatcher):
         raise TypeError(f"{self.py_func.__name__}: only compiled code can call it")
 
 
-def inline(function: Callable[..., Any]) -> Any:
+def inline(function: Callable[..., Any], *, checked: bool = False) -> Any:
     """Decorator of a function that becomes part of every compiled function that calls it.
 
     Nobody else can call it: entries from Python and C took more than half of its compilation.
+
+    checked  an index beyond an array raises IndexError, as in Python; else it reads what is there
     """
     options = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True}
+    if checked:
+        options["boundscheck"] = True
     dispatcher: Any = njit(**options)(function)
     dispatcher.__class__ = _Inlined
     return dispatcher

@@ -318,12 +318,15 @@ def variance_inflation(
         grid = block.reshape(-1, whitener.channels, whitener.frames)
         channels += [g.reshape(-1, g.shape[-1]) for g in whitener.own_rows(grid) if g.size]
         begin += whitener.rows
-    time, power = 1.0, sum(float(np.sum(c * c)) for c in channels)
-    for lag in range(1, min(c.shape[1] for c in channels) // 2):
-        correlation = sum(float(np.sum(c[:, lag:] * c[:, :-lag])) for c in channels) / power
-        if correlation < 2.0 / np.sqrt(count):
+    time, powers = 1.0, [float(np.sum(c * c)) for c in channels]
+    for lag in range(1, max(c.shape[1] for c in channels) // 2):
+        # a short trial tells nothing of long lags; the others do
+        told = [(c, p) for c, p in zip(channels, powers, strict=True) if lag < c.shape[1] // 2]
+        power = sum(p for _, p in told)
+        product = sum(float(np.sum(c[:, lag:] * c[:, :-lag])) for c, _ in told)
+        if power == 0.0 or product / power < 2.0 / np.sqrt(count):
             break
-        time += 2.0 * correlation
+        time += 2.0 * product / power
     return float(max(1.0, mean_square * time))
 
 

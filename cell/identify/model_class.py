@@ -95,7 +95,7 @@ def with_prior(
             f"{len(names)} names, {len(mean)} means and a covariance of shape {spread.shape}: "
             "needs one mean per name, and a row and a column of the covariance"
         )
-    if not np.allclose(spread, spread.T) or np.linalg.eigvalsh(spread).min() <= 0.0:
+    if not _is_covariance(spread):
         raise ValueError("the covariance is not symmetric and positive definite")
     index = [space.names.index(n) for n in names]
     natural = space.natural(space.mean)
@@ -109,6 +109,17 @@ def with_prior(
     precision[:, index] = 0.0
     precision[np.ix_(index, index)] = np.linalg.inv(spread)
     return replace(space, mean=space.coordinates(natural), precision=precision)
+
+
+def _is_covariance(spread: FloatArray) -> bool:
+    """Whether a matrix is symmetric and positive definite, whatever the units of its rows."""
+    variance = np.diag(spread)
+    if not (np.all(np.isfinite(spread)) and np.all(variance > 0.0)):
+        return False
+    size = np.sqrt(variance)
+    correlation = spread / np.outer(size, size)
+    alike = bool(np.allclose(correlation, correlation.T))
+    return alike and float(np.linalg.eigvalsh(correlation).min()) > 0.0
 
 
 def known_effects() -> Mapping[str, type[Effect]]:

@@ -42,7 +42,7 @@ class Freedom:
 class ChoiceOptions:
     """Options of the choice of an offset.
 
-    samples           of the uncertain parameters, more than there are of these
+    samples           of the uncertain parameters; at least twice as many as there are of these
     repeatability_m   standard deviation of the tip's height for reasons that are not the cable's:
                       arm, camera, draught
     model_error_growth   standard deviation of the tip's height for what the model lacks, per
@@ -268,11 +268,12 @@ def _tips(expected: Forecast, shift: FloatArray, raised_m: FloatArray) -> Iterat
 def deviates(dimensions: int, samples: int) -> FloatArray:
     """(samples, dimensions) standard normal deviates, one in every stratum, same every time.
 
-    Means, spreads and correlations are made those of the distribution itself, so more samples
-    than dimensions are needed.
+    Means, spreads and correlations are made those of the distribution itself, for which more
+    samples than dimensions are needed: there are at least twice as many, if fewer are asked for.
 
     source  McKay, Beckman & Conover 1979 (Latin hypercubes)
     """
+    samples = max(samples, 2 * dimensions)
     strata = normal_quantile((np.arange(samples) + 0.5) / samples)
     rng = np.random.default_rng(20260101)
     drawn = rng.permuted(np.tile(strata, (dimensions, 1)), axis=1)

@@ -80,10 +80,11 @@ def measured_passage(
     if margin_m <= 0.0:
         reason = f"the tip missed the destination by {-margin_m * 1e3:.2f} mm"
     else:
-        first, last = np.flatnonzero(inside)[[0, -1]]
-        around = t[max(0, first - 1) : last + 2]
+        x = tip[:, 0]
+        before = int(np.argmax((x[:-1] > destination.x_max_m) & (x[1:] <= destination.x_max_m)))
+        deep = before + int(np.argmax(x[before:] <= destination.x_min_m))
         period_s = float(np.median(np.diff(t_s)))
-        longest = round(float(np.diff(around).max()) / period_s) - 1 if len(around) > 1 else 0
+        longest = round(float(np.diff(t[before : deep + 1]).max()) / period_s) - 1
         if longest > MOST_UNSEEN:
             reason = f"the tip was not seen in {longest} frames while it passed"
     return Passage(margin_m, miss_m, error_m, reason)

@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 AT_GOAL_M = 5e-5
 #: A clamp angle this close to where it is sent is there already.
 SAME_ANGLE_RAD = 1e-3
+#: Derivatives of a sampled path are differences over so long, s: a stroke's last step is shorter.
+_SPAN_S = 0.004
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,9 @@ def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -
 def path_to_rest(path: Trajectory, from_s: float, limits: MotionLimits) -> Trajectory:
     """The same path until a moment, and then to rest as soon as the limits allow.
 
+    Where the path itself is brisker than the limits, it is left as briskly: a hand that is slowed
+    down already would otherwise go back.
+
     path    evenly sampled, its clamp angle constant
     from_s  from the path's beginning
     raises  ValueError: the path has ended by then, or ruckig finds no way to rest
@@ -134,11 +139,20 @@ def path_to_rest(path: Trajectory, from_s: float, limits: MotionLimits) -> Traje
     wish.current_position = here.tolist()
     wish.current_velocity = (0.5 * rate_hz * (after - before)).tolist()
     wish.current_acceleration = (rate_hz**2 * (after - 2.0 * here + before)).tolist()
-    wish.max_acceleration = [limits.acceleration_m_per_s2] * 2
-    wish.max_jerk = [limits.jerk_m_per_s3] * 2
+    acceleration, jerk = (_steepest(xy_m, rate_hz, order) for order in (2, 3))
+    wish.max_acceleration = np.maximum(limits.acceleration_m_per_s2, acceleration).tolist()
+    wish.max_jerk = np.maximum(limits.jerk_m_per_s3, jerk).tolist()
     braked = _sampled(wish, rate_hz)[1:]
     stopped = _path([xy_m[:first], braked], float(path.angle_rad[0]), rate_hz)
     return replace(stopped, t_s=stopped.t_s + path.t_s[0])
+
+
+def _steepest(xy_m: FloatArray, rate_hz: float, order: int) -> FloatArray:
+    """(2,) largest size of a derivative of places (T, 2) along each axis; 0 if they are too few."""
+    stride = max(1, int(np.ceil(_SPAN_S * rate_hz)))
+    for _ in range(order):
+        xy_m = (xy_m[stride:] - xy_m[:-stride]) * rate_hz / stride
+    return np.asarray(np.abs(xy_m).max(axis=0, initial=0.0))
 
 
 def path_to(goal: Pose, here: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory | None:

@@ -19,7 +19,7 @@ from cell.cable.layout import PX, PY, SPIN, TX, TY, UX, UY
 Values = namedtuple("Values", {fields!r})
 NUDGE = 1e-5  # m/s
 
-force = inline(EFFECT.force)
+force = inline(EFFECT.force, checked=True)
 
 
 @inline
@@ -76,7 +76,7 @@ Values = namedtuple("Values", {fields!r})
 Memory = namedtuple("Memory", {memory!r})
 NUDGE = 1e-4  # of curvature, 1/m, and of its rate, 1/(m·s)
 
-moment_hook = inline(EFFECT.moment)
+moment_hook = inline(EFFECT.moment, checked=True)
 
 
 @inline
@@ -86,7 +86,7 @@ def moment(curvature, rate, rigidity, arc, {z}cable, p):
 
 _MEMORY = """
 
-rate_hook = inline(EFFECT.memory_rate)
+rate_hook = inline(EFFECT.memory_rate, checked=True)
 {rest_hook}
 
 
@@ -215,7 +215,7 @@ def moment_source(name: str, fields: tuple[str, ...], memory: tuple[str, ...], r
         new = "".join(f"z{j} + t{j} * r[{j}], " for j in range(count))
         zeros = "0.0, " * count
         rest_hook = (
-            "rest_hook = inline(EFFECT.memory_at_rest)"
+            "rest_hook = inline(EFFECT.memory_at_rest, checked=True)"
             if rested
             else f"\n\n@inline\ndef rest_hook(cable, at, p):\n    return ({zeros})"
         )

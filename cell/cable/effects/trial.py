@@ -77,11 +77,21 @@ def _main_left_alone() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
+def limit_memory() -> None:
+    """Let this process take so much memory at most, or less where less is allowed already.
+
+    The hard limit stays: nobody but root may raise one.
+    """
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    most = MEMORY_BYTES if hard == resource.RLIM_INFINITY else min(MEMORY_BYTES, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+
+
 def _try(
     file: Path, load: Callable[[Path, Callable[[str, int, float], None]], None], to: Connection
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who listens ends this process
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, resource.RLIM_INFINITY))
+    limit_memory()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     def doing(what: str, line: int, seconds: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -92,7 +92,7 @@ def _is_plain_numpy(name: str) -> bool:
 
 def _beyond(node: ast.AST, modules: Mapping[str, str]) -> str:
     """What a node reaches beyond a computation; empty if it does not."""
-    if isinstance(node, ast.Name) and (node.id in _BEYOND or node.id.startswith("__")):
+    if isinstance(node, ast.Name) and node.id in _BEYOND:
         return f"`{node.id}`"
     if isinstance(node, ast.Attribute):
         if node.attr.startswith(_INNER) or node.attr in _OF_ARRAYS:
@@ -100,6 +100,27 @@ def _beyond(node: ast.AST, modules: Mapping[str, str]) -> str:
         of = node.value.id if isinstance(node.value, ast.Name) else ""
         if modules.get(of) == "numpy" and not _is_plain_numpy(node.attr):
             return f"`{of}.{node.attr}`"
+    if isinstance(node, ast.MatchClass):
+        for attribute in node.kwd_attrs:
+            if attribute.startswith(_INNER) or attribute in _OF_ARRAYS:
+                return f"`.{attribute}`"
+    for name in _identifiers(node):
+        if name.startswith("__"):
+            return f"`{name}`"
     if isinstance(node, ast.Global | ast.Nonlocal | ast.AsyncFunctionDef):
         return f"`{type(node).__name__.lower()}`"
     return ""
+
+
+def _identifiers(node: ast.AST) -> Iterator[str]:
+    """Names that a node reads or gives, wherever they stand in it.
+
+    A name of Python's own is as good as an attribute: numpy asks an object with a method of such a
+    name where its numbers are in memory.
+    """
+    if isinstance(node, ast.Constant):
+        return
+    for field, value in ast.iter_fields(node):
+        if field != "module":  # of an import: it is looked at there
+            values = value if isinstance(value, list) else [value]
+            yield from (v for v in values if isinstance(v, str))

@@ -336,3 +336,20 @@ def test_models_that_differ_in_what_no_step_calls_share_a_block(cable, arc, jerk
     together = simulate(batch, jerk, TIMES, arc)
     for model, found in zip(batch, together, strict=True):
         np.testing.assert_allclose(found, simulate(model, jerk, TIMES, arc)[0], atol=1e-12)
+
+
+def test_a_lane_whose_cable_slipped_out_of_the_jaws_does_not_spoil_the_others(arc, jerk):
+    """A fit may look as far as the bounds of a slip, which are as long as a short cable."""
+    short, slip = Cable(0.05, 0.0074, 0.016, 1e-4), library()["grip_slip"]
+    models = [
+        CableModel.uniform(short, 1e-5, 1.0, 1e-7, effects=(slip.active(length_m=slipped_m),))
+        for slipped_m in (0.001, -0.05, 0.0)
+    ]
+    times = [np.linspace(0.0, 0.2, 11)] * 3
+    nodes = arc / 0.1 * 0.05
+    held, out, also = simulate_each(models, jerk, times, nodes)
+    assert np.isnan(out).all()
+    alone = simulate_each(models[::2], jerk, times[:2], nodes)
+    np.testing.assert_array_equal([held, also], alone)
+    with pytest.raises(ValueError, match="less than a tenth of the cable"):
+        simulate(models, jerk, times[0], nodes)

@@ -7,10 +7,18 @@ import pytest
 from cell.cable.geometry import Cable, Connector, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
-from cell.identify.fit import FitError, FitOptions, fit, predict, still_noise
+from cell.identify.fit import (
+    FitError,
+    FitOptions,
+    fit,
+    predict,
+    still_noise,
+    variance_inflation,
+)
 from cell.identify.hand import HandErrors
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
+from cell.identify.whitener import Whitener
 from cell.study.data import Markers
 from cell.study.folder import read_study
 
@@ -173,3 +181,20 @@ def test_a_first_frame_in_which_nothing_is_seen_does_not_hide_the_others(
     gappy = replace(trial, markers=Markers(trial.markers.t_s, markers))
     whole = still_noise([trial], across_only=True)
     assert still_noise([gappy], across_only=True).std_m == pytest.approx(whole.std_m, rel=0.1)
+
+
+@pytest.mark.parametrize("short", [2, 12, 30])
+def test_a_short_trial_does_not_hide_that_errors_last_for_many_frames(short: int) -> None:
+    """As many frames at a time err alike, whatever other trials there are."""
+
+    def erring(frames: int) -> tuple[np.ndarray, Whitener]:
+        slow = np.cos(2.0 * np.pi * np.arange(frames) / 160.0)
+        return np.tile(slow, 6), Whitener(np.zeros((frames, 3, 2)), Noise(1e-4))
+
+    (long_error, long), (short_error, brief) = erring(400), erring(short)
+    alone = variance_inflation(long_error, [long], 8)
+    errors = np.concatenate([long_error, short_error])
+    assert alone > 20.0
+    assert variance_inflation(errors, [long, brief], 8) == pytest.approx(alone, rel=0.2)
+    errors = np.concatenate([short_error, long_error])
+    assert variance_inflation(errors, [brief, long], 8) == pytest.approx(alone, rel=0.2)

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from cell.cable.effects.air import AirDrag
+from cell.cable.effects.grip import GripSlip, TipMass
 from cell.cable.geometry import Cable
+from cell.identify.model_class import with_prior
 from cell.identify.parameters import ParameterSpace, Prior
 
 
@@ -48,3 +50,24 @@ def test_impossible_priors_are_refused(flat_cable: Cable) -> None:
         Prior(exponent_std=0.0)
     with pytest.raises(ValueError, match="gravity"):
         ParameterSpace.of(flat_cable, gravity_m_per_s2=(0.0, 0.0))
+
+
+SMALL = ("tip_mass.mass_kg", "grip_slip.length_m")
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        ((1e-12, 0.0), (9e-11, 1e-8)),  # its lower half only
+        ((1e-12, 2e-10), (2e-10, 1e-8)),
+        ((1e-12, 0.0), (0.0, 0.0)),
+        ((1e-12, 0.0), (0.0, -1e-8)),
+        ((1e-12, float("nan")), (float("nan"), 1e-8)),
+    ],
+)
+def test_a_covariance_of_small_numbers_is_checked_as_any_other(
+    flat_cable: Cable, covariance: tuple[tuple[float, ...], ...]
+) -> None:
+    space = ParameterSpace.of(flat_cable, effects=[TipMass, GripSlip])
+    with pytest.raises(ValueError, match="not symmetric and positive definite"):
+        with_prior(space, SMALL, (1e-5, 1e-4), covariance)

@@ -10,7 +10,7 @@ from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
-from cell.plan.choose import ChoiceOptions, Forecast, choose, forecast
+from cell.plan.choose import ChoiceOptions, Forecast, choose, deviates, forecast
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, insertion_path
 from drivers.interfaces import Pose
@@ -157,3 +157,11 @@ def test_what_the_model_misses_lowers_the_probability_and_is_the_reason(expected
     assert wrong.best.probability < 0.32
     assert "misses this cable's tip by 5.00 mm while it swings" in str(wrong.reason)
     assert wrong.model_misses
+
+
+@pytest.mark.parametrize("dimensions", [9, 63, 64, 104])
+def test_there_are_enough_deviates_for_as_many_parameters_as_a_model_has(dimensions: int) -> None:
+    """The paper's method has one for every node, of which there may be a hundred."""
+    drawn = deviates(dimensions, ChoiceOptions().samples)
+    assert len(drawn) == (64 if dimensions <= 32 else 2 * dimensions)
+    np.testing.assert_allclose(drawn.T @ drawn / len(drawn), np.eye(dimensions), atol=1e-9)

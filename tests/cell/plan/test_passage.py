@@ -66,3 +66,19 @@ def test_unseen_frames_far_from_the_destination_do_not_matter() -> None:
     tip = level(-0.1)
     tip[:20] = np.nan
     assert measured_passage(HOLE, T_S, tip, T_S, level(-0.1)).passed
+
+
+def test_frames_missing_before_a_tip_that_was_near_the_mouth_earlier_still_count() -> None:
+    """It hung nearer to the mouth at first than in any frame of the passage."""
+    tip = level(-0.1)
+    tip[:5, 0] = -0.1199
+    tip[38:62] = np.nan
+    passage = measured_passage(HOLE, T_S, tip, T_S, level(-0.1))
+    assert passage.reason == "the tip was not seen in 24 frames while it passed"
+
+
+def test_frames_missing_after_the_tip_was_deep_do_not_matter() -> None:
+    tip = level(-0.1)
+    tip[80:, 0] = -0.125  # it swings back within the hole
+    tip[65:80] = np.nan
+    assert measured_passage(HOLE, T_S, tip, T_S, level(-0.1)).passed

@@ -28,3 +28,14 @@ def test_it_is_the_path_until_then_and_rests_soon_after(from_s: float) -> None:
 def test_what_has_ended_is_not_left() -> None:
     with pytest.raises(ValueError, match="the path ends"):
         path_to_rest(PATH, float(PATH.t_s[-1]) + 0.1, BRISK)
+
+
+@pytest.mark.parametrize("from_s", np.arange(0.02, 0.4, 0.02))
+def test_a_hand_never_goes_back_though_the_path_is_brisker_than_the_limits(from_s: float) -> None:
+    brisk = MotionLimits(0.5, 5.0, 200.0)
+    gentle = MotionLimits(0.3, 1.0, 20.0)
+    path = insertion_path(Pose(0.0, -0.05), 0.02, 0.05, brisk, 500.0)
+    stopped = path_to_rest(path, min(from_s, float(path.t_s[-1]) - 0.006), gentle)
+    assert np.diff(stopped.x_m).max() < 1e-5
+    assert np.diff(stopped.y_m).max() < 1e-5
+    check_path(stopped, ALLOWED)

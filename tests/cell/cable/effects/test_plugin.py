@@ -12,6 +12,7 @@ import pytest
 from cell.cable.dynamics import simulate
 from cell.cable.effects import EffectError, load_effect
 from cell.cable.effects.compiled import loops_of
+from cell.cable.geometry import Cable
 from cell.cable.model import CableModel
 
 DOCS = Path(__file__).parents[4] / "docs" / "effects.md"
@@ -125,6 +126,18 @@ def test_an_exception_while_running_is_not_swallowed(tmp_path, cable, arc, jerk)
     model = CableModel.uniform(cable, 3e-5, effects=(effect.active(size=0.1),))
     with pytest.raises(ValueError, match="beyond the wall"):
         simulate(model, away, np.array([0.0, 0.1]), arc)
+
+
+def test_a_table_that_is_too_short_for_a_cable_is_no_numbers_from_elsewhere(tmp_path, jerk):
+    """Where it is tried, on a cable of 100 mm, its eleven values are enough."""
+    head = "import numpy as np\nTABLE = np.ones(11)\n" + FORCE
+    text = head + "        return 0.0, -1e-3 * p.size * TABLE[int(at.arc_length / 0.01)]\n"
+    effect = load_effect(written(tmp_path, text))
+    longer = CableModel.uniform(
+        Cable(0.2, 0.0074, 0.016, 1e-4), 2e-4, effects=(effect.active(size=0.5),)
+    )
+    with pytest.raises(EffectError, match=r"mine.py:7: .*index is out of bounds"):
+        simulate(longer, jerk, np.array([0.0, 0.1]), np.array([0.2]))
 
 
 MISTAKES = {
