@@ -11,7 +11,7 @@ from cell.files.input_error import InputError
 from cell.settings import load_settings
 from cell.settings.model import Settings
 from cell.web.calibration_view import WORDS, Part, parts
-from cell.web.guided import calibrate_command
+from cell.web.guided import OpenQuestion, calibrate_command
 from cell.web.pages.tables import table
 from cell.web.theme import BLUE, GREEN, N_, RED
 from cell.web.users import Role
@@ -53,6 +53,7 @@ class _Page:
         self._visit, self._t, self._settings = visit, visit.t, settings
         self._updates: list[Callable[[], None]] = []
         self._ran = False
+        self._question = OpenQuestion(visit.room.guided)
 
     def build(self) -> None:
         """Make the elements, and keep them up to date."""
@@ -170,7 +171,7 @@ class _Page:
             ended = "" if state.runs else self._ended(state.code)
             title.text = f"{t(state.title)}: {ended}" if ended else t(state.title)
             ask.text = t(state.ask)
-            answers.set_visibility(bool(state.ask))
+            answers.set_visibility(self._question.look())
             bar.set_visibility(state.runs and state.total > 0)
             bar.value = state.done / state.total if state.total else 0.0
             said.text = "\n".join(map(t, state.said[-(4 if state.runs else 12) :]))
@@ -200,14 +201,13 @@ class _Page:
 
     def _answer(self, words: str) -> Callable[[], Any]:
         async def answer() -> None:
-            guided = self._visit.room.guided
-            to = guided.state.ask
+            to = self._visit.room.guided.state.ask
             self._told(
                 await run.io_bound(
                     self._visit.do,
                     "answer calibration",
                     Role.engineer,
-                    lambda: guided.answer(words, to),
+                    lambda: self._question.answer(words),
                     f"{to} {words or 'done'}",
                 )
             )
