@@ -182,6 +182,11 @@ class Jobs:
         """Grows whenever a job changes: what pages compare before they look."""
         return self._version
 
+    @property
+    def moves(self) -> bool:
+        """Whether a job that moves the arm has not ended."""
+        return any(j.task.moves and j.state in OPEN for j in self.seen())
+
     def seen(self) -> tuple[Job, ...]:
         """All jobs that are remembered, the newest first."""
         with self._changed:

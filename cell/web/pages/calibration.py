@@ -135,9 +135,7 @@ class _Page:
             title = " ".join(("calibrate", part)).strip()
 
             def act() -> str:
-                if visit.room.watch.seen.there:
-                    return "a cell runs and has the devices: end it first"
-                return visit.room.guided.start(title, command)
+                return visit.room.with_devices(lambda: visit.room.guided.start(title, command))
 
             self._told(await run.io_bound(visit.do, title, Role.engineer, act))
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import MutableMapping
+import subprocess
+import sys
+from collections.abc import MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from cell.web.cycles import cycle_folder
 from cell.web.films import Films
 from cell.web.guard import MOST_BYTES, Guard
 from cell.web.guided import Guided
+from cell.web.jobs import Jobs, Task
 from cell.web.serve import may_be_served
 from cell.web.sessions import IDLE_S, LONGEST_S, MOST_WRONG, Session, Sessions, local_session
 from cell.web.users import Role, User, Users
@@ -285,3 +288,30 @@ def test_a_start_needs_control_and_a_stop_does_not(tmp_path: Path) -> None:
         Request(Event.CLEAR, "web:local (Ada)", "cable taken out"),
         Request(Event.RESET, "web:local (Ada)", "cable taken out"),
     ]
+
+
+MOVING = Task("Measure", "cell", (("run",),), moves=True)
+
+
+def test_what_moves_the_arm_begins_only_if_nothing_else_has_the_devices(tmp_path: Path) -> None:
+    """A cable could be measured while a calibration moved the arm, and the other way round."""
+    room = visit(tmp_path / "runs", local_session(), None).room
+    waits = [sys.executable, "-c", "input()"]
+    assert room.with_devices(lambda: room.guided.start("calibrate time", waits)) == ""
+    began: list[str] = []
+    assert "calibrate time is under way" in room.with_devices(lambda: began.append("run") or "")
+    room.guided.close()
+
+    def started(_: Sequence[str]) -> subprocess.Popen[str]:
+        pipe = subprocess.PIPE
+        return subprocess.Popen(
+            waits, stdin=pipe, stdout=pipe, stderr=pipe, text=True, start_new_session=True
+        )
+
+    with Jobs(started) as room.lab.jobs:
+        assert room.with_devices(lambda: room.lab.jobs.submit(MOVING, "ada")) == ""
+        refused = room.with_devices(lambda: room.guided.start("calibrate", waits))
+        assert "is being measured" in refused and not room.guided.state.runs
+    room.watch.found()
+    assert "a cell runs" in room.with_devices(lambda: began.append("run") or "")
+    assert began == []
