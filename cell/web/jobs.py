@@ -230,7 +230,8 @@ class Jobs:
                 if process is not None:
                     with suppress(ProcessLookupError):
                         process.send_signal(signal.SIGTERM)  # as Ctrl-C, and never ignored
-                    self._kill_later(process)
+                    if not job.task.moves:
+                        self._kill_later(process)
             elif process is not None:
                 with suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
