@@ -65,11 +65,17 @@ def worsenings(results: Sequence[Result]) -> list[Worsening]:
     return found
 
 
+def newest_models(results: Sequence[Result]) -> tuple[str, str] | None:
+    """Hashes of the newest model and of the one before it; None = there are no two."""
+    newest_first = dict.fromkeys(r.model for r in reversed(results) if r.model is not None)
+    newest, *before = newest_first or (None,)
+    return None if newest is None or not before else (newest, before[0])
+
+
 def _newest_two(results: Sequence[Result]) -> tuple[list[Result], list[Result]]:
     """Results of the newest model, and of the one before it."""
-    newest_first = dict.fromkeys(r.model for r in reversed(results) if r.model is not None)
-    models = list(newest_first)[:2]
-    if len(models) < 2:
+    models = newest_models(results)
+    if models is None:
         return [], []
     since, before = ([r for r in results if r.model == model] for model in models)
     return since, before
