@@ -266,6 +266,8 @@ def test_a_hold_as_long_as_needed_is_said_once(tmp_path: Path) -> None:
     assert load_settings(tmp_path / "good.yaml").motion.longest_hold_s == 0.8
     said = complaint(tmp_path, FAKE.replace("  hold_s: 1.0\n", f"  hold_s: 1.0\n{hold}"))
     assert "hold_s 1 contradicts hold.most_s 0.8; remove hold_s" in said
+    said = complaint(tmp_path, text.replace("most_s: 0.8", "most_s: 29"))
+    assert "motion.hold.most_s: 29 s at 200 Hz makes 5900 frames of a swing, limit 5000" in said
     said = complaint(tmp_path, text.replace("least_s: 0.4", "least_s: 0.9"))
     assert "least_s 0.9 is longer than most_s 0.8; lower least_s" in said
 
