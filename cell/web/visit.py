@@ -99,13 +99,17 @@ class Visit:
         """Do something that is written to the audit log, done or refused.
 
         act      does it; returns why it could not be done, or ""
-        returns  why it was not done, in English, or ""
+        returns  why it was not done, or that it was and is not in the log, in English, or ""
         """
         denied = "you may not do this, or your session has ended"
         refused = act() if self.may(role) else denied
-        self.room.audit.write(
-            self.name, what, not refused, "; ".join(filter(None, (note, refused)))
-        )
+        try:
+            self.room.audit.write(
+                self.name, what, not refused, "; ".join(filter(None, (note, refused)))
+            )
+        except OSError as error:
+            file, why = self.room.audit.file, error.strerror
+            return refused or f"done, but it cannot be written to {file}: {why}; make room there"
         return refused
 
     def acknowledge(self, by: str, note: str, possible: Container[Event]) -> str:

@@ -15,6 +15,8 @@ import pytest
 from cell.cli.passwords import typed_password
 from cell.plant.client import Client
 from cell.plant.messages import Answer, Request
+from cell.records.ledger.actions import listed_actions, take_over
+from cell.records.ledger.ledger import Ledger
 from cell.run.machine import CellState, Event
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
@@ -288,6 +290,33 @@ def test_a_start_needs_control_and_a_stop_does_not(tmp_path: Path) -> None:
         Request(Event.CLEAR, "web:local (Ada)", "cable taken out"),
         Request(Event.RESET, "web:local (Ada)", "cable taken out"),
     ]
+
+
+def test_a_line_torn_by_a_power_cut_tears_no_other(tmp_path: Path) -> None:
+    """The acknowledgement after the power cut was glued to the torn line, and lost with it."""
+    audit = Audit(audit_file(tmp_path / "runs"))
+    audit.write("ada", "start", True)
+    with audit.file.open("ab") as file:
+        file.write(b'{"at": "2026-11')
+    audit.write("ada", "reset", True, "cable taken out")
+    audit.write("ada", "start", True)
+    Ledger(tmp_path / "runs", create=True).close()
+    take_over(tmp_path / "runs", audit.file, "line")
+    assert [a.action for a in listed_actions(tmp_path / "runs")] == ["start", "reset", "start"]
+
+
+def test_what_is_done_and_not_in_the_log_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a full disk the cell was stopped, and whoever had stopped it was told nothing."""
+    operating = visit(tmp_path / "runs", local_session(), None)
+    monkeypatch.setattr("cell.web.audit.os.write", lambda *_: 3)
+    said = operating.command(Event.STOP)
+    assert said.startswith("done, but it cannot be written to") and "No space left" in said
+    assert operating.room.client.requests == [  # type: ignore[attr-defined]
+        Request(Event.STOP, "web:local")
+    ]
+    assert "take control" in operating.command(Event.START)
 
 
 MOVING = Task("Measure", "cell", (("run",),), moves=True)
