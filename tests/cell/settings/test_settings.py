@@ -151,6 +151,11 @@ MISTAKES = [
         "takes the hand to x_m = -0.07, outside limits.x_m",
     ),
     (
+        "advance_m: 0.050",
+        "advance_m: 0.050\n  aside: {x_m: 0.015, y_m: -0.05, angle_rad: 1.5}",
+        "motion.aside.angle_rad: takes the hand to angle_rad = 1.5, outside limits.angle_rad",
+    ),
+    (
         "velocity_m_per_s: 0.6",
         "velocity_m_per_s: 0.4",
         "motion.lowering.velocity_m_per_s: 0.5 is beyond limits.velocity",
