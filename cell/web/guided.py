@@ -159,10 +159,14 @@ class OpenQuestion:
         return self._guided.answer(words, self._read)
 
 
-def calibrate_command(part: str, config: Path) -> list[str]:
-    """The command that calibrates a part, or checks it, and speaks with this program."""
+def calibrate_command(part: str, config: Path, product: str = "") -> list[str]:
+    """The command that calibrates a part, or checks it, and speaks with this program.
+
+    product  whose grip it is; "" = the usual one's, or settings without products
+    """
     words = [sys.executable, "-m", "cell", "calibrate", *([part] if part else [])]
-    return [*words, "--config", str(config), "--dialogue"]
+    of = ["--product", product] if product else []
+    return [*words, *of, "--config", str(config), "--dialogue"]
 
 
 def _message(line: str) -> dict[str, Any]:

@@ -253,13 +253,15 @@ def _calibration_routes(app: FastAPI, room: Room) -> None:
     def shown(request: Request, name: str) -> Response:
         if request.state.session.user.role < Role.engineer:
             return Response(status_code=403)
-        given = load_settings(room.config).calibration
+        settings = load_settings(room.config)
+        given = settings.calibration
         if given is None:
             return Response(status_code=404)
+        reports = {*KINDS, *(f"grip.{product}" for product in settings.products)}
         if name == coverage.FILE and (given.folder / name).is_file():
             headers = {"cache-control": "no-store"}
             return FileResponse(given.folder / name, headers=headers)
-        if name in KINDS and (given.folder / f"{name}.html").is_file():
+        if name in reports and (given.folder / f"{name}.html").is_file():
             return FileResponse(given.folder / f"{name}.html", headers=_SANDBOX)
         return Response(status_code=404)
 

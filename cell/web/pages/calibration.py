@@ -82,7 +82,7 @@ class _Page:
         heads = [t("Calibration"), t("State"), t("Made"), t("Age"), t("Errors and bounds")]
         rows = [
             [
-                t(WORDS[p.kind]),
+                t(WORDS[p.kind]) + p.name.removeprefix(p.kind).replace(".", " ", 1),
                 self._state(p),
                 "" if p.made is None else f"{p.made:%Y-%m-%d %H:%M}",
                 "" if p.made is None else t(f"{_hours(p.age_h)} ≤ {_hours(p.most_h)}"),
@@ -94,7 +94,7 @@ class _Page:
         with ui.row().classes("gap-4"):
             for p in found:
                 if p.made is not None:
-                    ui.link(f"{t('Report')}: {p.kind}", f"/calibration/{p.kind}", new_tab=True)
+                    ui.link(f"{t('Report')}: {p.name}", f"/calibration/{p.name}", new_tab=True)
 
     def _state(self, part: Part) -> str:
         t = self._t
@@ -116,9 +116,13 @@ class _Page:
             buttons = []
             with ui.row():
                 for part, title in _STARTS:
-                    button = ui.button(t(title), on_click=self._start(part), color=BLUE)
-                    button.props(f'text-color=white data-test="start-{part or "all"}"')
-                    buttons.append(button)
+                    products = [*self._settings.products] if part == "grip" else []
+                    for product in products or [""]:
+                        words, name = f"{t(title)} {product}".strip(), f"{part or 'all'}{product}"
+                        start = self._start(part, product)
+                        button = ui.button(words, on_click=start, color=BLUE)
+                        button.props(f'text-color=white no-caps data-test="start-{name}"')
+                        buttons.append(button)
 
         def update() -> None:
             there = room.watch.seen.there
@@ -128,11 +132,11 @@ class _Page:
 
         self._updates.append(update)
 
-    def _start(self, part: str) -> Callable[[], Any]:
+    def _start(self, part: str, product: str = "") -> Callable[[], Any]:
         async def start() -> None:
             visit = self._visit
-            command = calibrate_command(part, visit.room.config)
-            title = " ".join(("calibrate", part)).strip()
+            command = calibrate_command(part, visit.room.config, product)
+            title = " ".join(filter(None, ("calibrate", part, product)))
 
             def act() -> str:
                 return visit.room.with_devices(lambda: visit.room.guided.start(title, command))

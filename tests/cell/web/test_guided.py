@@ -117,3 +117,20 @@ def test_age_errors_and_bounds_of_each_calibration(tmp_path: Path) -> None:
     assert "h ago" in parts(settings, now + timedelta(days=2))[2].why
     (tmp_path / "time.yaml").write_text("kind: time\n", "utf-8")
     assert parts(settings, now)[2].why
+
+
+def test_each_product_has_the_grip_that_its_cycles_use(tmp_path: Path) -> None:
+    """That of no product, which no cycle uses any more, was called valid; the others missing."""
+    settings = load_settings(CONFIG.with_name("products.yaml")).model_copy(
+        update={"calibration": Calibration(folder=tmp_path)}
+    )
+    now = datetime.now(UTC)
+    made = StoredCalibration("grip", now, {}, devices_of(settings), {}, {})
+    save(tmp_path / "grip.yaml", made)
+    save(tmp_path / "grip.stiff.yaml", made)
+    found = {p.name: p.valid for p in parts(settings, now)}
+    assert found == {
+        "camera": False, "cell": False, "time": False, "grip.soft": False, "grip.stiff": True
+    }  # fmt: skip
+    command = calibrate_command("grip", CONFIG, "stiff")
+    assert command[3:7] == ["calibrate", "grip", "--product", "stiff"]
