@@ -44,7 +44,7 @@ class Audit:
 
 
 def _torn(descriptor: int) -> bool:
-    """Whether the last line has no end, as after a power cut: what follows would be lost with it."""
+    """Whether the last line has no end, as after a power cut: the next would be lost with it."""
     if os.fstat(descriptor).st_size == 0:
         return False
     os.lseek(descriptor, -1, os.SEEK_END)
