@@ -27,7 +27,7 @@ from cell.lab.next.asked import select_asked
 from cell.lab.next.study_power import power_of
 from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
 from cell.lab.search.wrong_samples import without_wrong_samples
-from cell.lab.strength.compare import compare_model
+from cell.lab.strength.compare import compare_model, model_names
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose as examine
@@ -82,15 +82,16 @@ def compare(
     """Compare models with every trial of a study.
 
     models  in the order in which they were made
-    names   under which they are shown; without: their effects
+    names   under which they are shown, unlike each other; without: their effects
     raises  InputError, ValueError: a model is of another kind of cable, or cannot be read
     """
     opened = _opened(study, silent)
     shown = [_model(m, opened) for m in models]
-    pairs = zip(models, shown, strict=True)
-    titles = [_title(g, m) for g, m in pairs] if names is None else list(names)
+    titles = _titles(models, shown) if names is None else list(names)
     if len(titles) != len(shown):
         raise ValueError(f"names: {len(titles)} for {len(shown)} models; give one for each")
+    if names is not None and (twice := [n for n in titles if titles.count(n) > 1]):
+        raise ValueError(f"names: {twice[0]!r} is given twice; give each a name of its own")
     named = zip(shown, titles, strict=True)
     return CompareResult(tuple(compare_model(opened, m.model, name) for m, name in named))
 
@@ -283,8 +284,15 @@ def _model(given: FitResult | Identified | Path | str, study: Study) -> Identifi
     return model
 
 
-def _title(given: FitResult | Identified | Path | str, model: Identified) -> str:
-    """The name of a file without its ending; else the effects in it."""
-    if isinstance(given, Path | str):
-        return Path(given).stem
-    return " + ".join(e.name for e in model.space.effects) or "baseline"
+def _titles(
+    given: Sequence[FitResult | Identified | Path | str], models: Sequence[Identified]
+) -> list[str]:
+    """Names of files without their endings, else the effects in a model; unlike each other."""
+    files = [Path(g) for g in given if isinstance(g, Path | str)]
+    of_files, found = iter(model_names(files)), list[str]()
+    for one, model in zip(given, models, strict=True):
+        effects = " + ".join(e.name for e in model.space.effects) or "baseline"
+        name = next(of_files) if isinstance(one, Path | str) else effects
+        numbers = (f"{name} ({n})" for n in range(2, len(given) + 1))
+        found.append(next(n for n in (name, *numbers) if n not in found))
+    return found

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import getpass
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,6 +15,9 @@ from cell.cli.lab import refusing
 from cell.cli.ledger import LedgerPlace, ledger_errors, open_ledger
 from cell.cli.shared import AsJson, MaybeConfig, group
 from cell.cli.streams import emit
+
+if TYPE_CHECKING:
+    from cell.records.ledger.ledger import ListedCycle
 
 app = group()
 
@@ -24,6 +28,21 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return "somebody"
+
+
+def _ended_by_fault(faults: Sequence[ListedCycle], folder: Path) -> ListedCycle:
+    """The cycle of a folder, or that of its name: records may be on other computers.
+
+    raises  ValueError: there is none; or several lines have one of this name
+    """
+    named = [c for c in faults if c.folder.name == folder.name]
+    found = [c for c in named if c.folder.resolve() == folder] or named
+    if not found:
+        raise ValueError(f"{folder.name}: no cycle of this name was ended by a fault")
+    if len(found) > 1:
+        lines = " and of ".join(c.line for c in found)
+        raise ValueError(f"{folder.name}: is a cycle of {lines}; say which line with --config")
+    return found[0]
 
 
 @app.command()
@@ -67,10 +86,8 @@ def acknowledge(
             faults = listed.listed(wanted)
             chosen = faults if everything else faults[-1:]
             if folders:
-                names = {folder.resolve().name for folder in folders}
-                chosen = [c for c in faults if c.folder.name in names]
-                for name in sorted(names - {c.folder.name for c in chosen}):
-                    raise ValueError(f"{name}: no cycle of this name was ended by a fault")
+                each = [_ended_by_fault(faults, folder.resolve()) for folder in folders]
+                chosen = list({c.uid: c for c in each}.values())
             if not chosen:
                 raise ValueError("no fault is open: every one was acknowledged, or there was none")
             for cycle in chosen:

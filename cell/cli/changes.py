@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,7 @@ def changes(out: Path, results: Sequence[Result], config: Path, products: Produc
 
 
 def _changes(out: Path, results: Sequence[Result], config: Path, settings: Settings) -> list[str]:
-    from cell.records.changed_model import worsenings
+    from cell.records.changed_model import newest_models, worsenings
     from cell.records.chart import signals
     from cell.records.ledger.error import LedgerError
     from cell.records.ledger.ledger import Ledger
@@ -55,7 +56,9 @@ def _changes(out: Path, results: Sequence[Result], config: Path, settings: Setti
         )
     worse = worsenings(history)
     if worse:
-        lines += [*map(str, worse), _taken_back(config, settings)]
+        models = newest_models(history)
+        assert models is not None, "it is worse than another"
+        lines += [*map(str, worse), _taken_back(config, settings, models)]
     return lines
 
 
@@ -91,16 +94,24 @@ def _of(product: str | None) -> str:
     return "" if product is None else f" --product {product}"
 
 
-def _taken_back(config: Path, settings: Settings) -> str:
-    """Take a promoted model back if the settings say so; what was done, or can be."""
+def _taken_back(config: Path, settings: Settings, models: tuple[str, str]) -> str:
+    """Take a promoted model back if the settings say so; what was done, or can be.
+
+    models  hashes of the model that does worse, and of the one before it
+    """
     from cell.files.input_error import InputError
+    from cell.settings import load_settings
     from cell.settings.promotion import undo
 
     if not settings.promotion.withdraw:
+        with suppress(InputError):
+            now = _models(load_settings(config)).get(settings.product or "", models[0])
+            if now != models[0]:
+                return f"{config} has the model {now} by now, not {models[0]}"
         of = _of(settings.product)
         return f"to go back to the model before: cell promote --undo --config {config}{of}"
     try:
-        entry = undo(config, settings.product)
+        entry = undo(config, settings.product, meant=models)
     except InputError as error:
         return f"the model cannot be taken back: {error}"
     return f"withdrawn, as promotion.withdraw says: {config} has again the model of {entry}"

@@ -66,6 +66,13 @@ def worsenings(results: Sequence[Result]) -> list[Worsening]:
     return found
 
 
+def newest_models(results: Sequence[Result]) -> tuple[str, str] | None:
+    """Hashes of the newest model and of the one used before it; None = there are no two."""
+    since, before = _newest_two(results)
+    pair = next((r.model for r in since), None), next((r.model for r in before), None)
+    return None if pair[0] is None or pair[1] is None else (pair[0], pair[1])
+
+
 def _newest_two(results: Sequence[Result]) -> tuple[list[Result], list[Result]]:
     """Results of the newest model, and of the one before it, each of the last time it was used."""
     known = (r for r in results if r.model is not None)

@@ -23,6 +23,8 @@ FloatArray = NDArray[np.float64]
 
 #: 95 % of a circle's normal law lie within so many standard deviations over both axes together.
 CIRCLE_95 = 1.73
+#: A clock is set back by less from time to time, h.
+_SET_BACK_H = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +220,10 @@ def complaint_of(
         if stored.devices.get(name) != here[name]:
             return f"made with {name} {stored.devices.get(name)}, the settings say {here[name]}"
     limit_h = wanted.time_max_age_h if stored.kind == "time" else 24.0 * wanted.max_age_days
+    if stored.age_h(now) < -_SET_BACK_H:  # it would never be too old
+        return (
+            f"made {-stored.age_h(now):.1f} h after the time that this computer's clock has; set it"
+        )
     if stored.age_h(now) > limit_h:
         return f"made {stored.age_h(now):.0f} h ago, at most {limit_h:g} h are allowed"
     for name, limit in bounds_of(wanted).items():

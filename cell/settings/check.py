@@ -85,6 +85,7 @@ def _hand_within_limits(document: Document, settings: Settings) -> list[Problem]
         (("motion", "home", "angle_rad"), "angle_rad", home.angle_rad, limits.angle_rad),
         (("motion", "aside", "x_m"), "x_m", motion.aside.x_m, limits.x_m),
         (("motion", "aside", "y_m"), "y_m", motion.aside.y_m, limits.y_m),
+        (("motion", "aside", "angle_rad"), "angle_rad", motion.aside.angle_rad, limits.angle_rad),
         (("motion", "lower_m"), "y_m", lowered_m, limits.y_m),
         (("motion", "offsets", "last_m"), "y_m", deepest_m, limits.y_m),
         (("motion", "advance_m"), "x_m", home.x_m - motion.advance_m, limits.x_m),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from cell.files.input_error import Problem
-from cell.files.yaml_document import Document
+from cell.files.yaml_document import Document, Key
 from cell.identify.noise import FEWEST_STILL_FRAMES
 from cell.settings.model import Settings
 
@@ -27,13 +27,15 @@ def film_problems(document: Document, settings: Settings) -> list[Problem]:
             f"is rejected: give {least_s:g} s or more"
         )
         problems.append(document.problem(("motion", "still_s"), message))
-    frames = (motion.still_s + motion.lower_s + motion.hold_s) * rate_hz
+    longest_s = motion.longest_hold_s
+    frames = (motion.still_s + motion.lower_s + longest_s) * rate_hz
     if frames > MAX_FRAMES:
         message = (
-            f"{motion.hold_s:g} s at {rate_hz:g} Hz makes {frames:.0f} frames of a swing, limit "
+            f"{longest_s:g} s at {rate_hz:g} Hz makes {frames:.0f} frames of a swing, limit "
             f"{MAX_FRAMES}; hold for a shorter time or film at a lower rate"
         )
-        problems.append(document.problem(("motion", "hold_s"), message))
+        key: Key = ("hold_s",) if motion.hold is None else ("hold", "most_s")
+        problems.append(document.problem(("motion", *key), message))
     exposure_s = getattr(camera, "exposure_s", None) or 0.0
     if exposure_s > 1.0 / rate_hz:
         message = f"{exposure_s:g} s is longer than a frame at {rate_hz:g} Hz"

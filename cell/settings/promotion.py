@@ -19,7 +19,7 @@ from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, document_of, read_yaml, validate, yaml_text
 from cell.files.yaml_edit import last_line
 from cell.settings.line import differences, line_of
-from cell.settings.loading import load_product, load_settings, settings_of
+from cell.settings.loading import for_product, load_product, load_settings, settings_of
 from cell.settings.model import Model, Settings
 from cell.settings.translate import model_hash
 
@@ -135,12 +135,14 @@ def _of_another_line(candidate: CandidateModel, settings: Settings) -> Iterator[
             yield Problem(candidate.path, 1, None, "lines", message)
 
 
-def undo(config: Path, product: str | None = None) -> Path:
+def undo(config: Path, product: str | None = None, *, meant: tuple[str, str] | None = None) -> Path:
     """Give the settings the model that they had before the last promotion; the rest stays.
 
     product  whose model it is; None = that of settings without products
+    meant    hashes of the model that is to go, and of the one that is to come back; None = any
     returns  the file in the history that it was taken from, now marked as undone
-    raises   InputError: there is none, or the settings are wrong
+    raises   InputError: there is none, another one is meant, or the settings would be wrong;
+             nothing is written
     """
     config = config.resolve()
     text = read_exactly(config)
@@ -148,14 +150,35 @@ def undo(config: Path, product: str | None = None) -> Path:
     for entry in reversed(_entries(config, product)):
         former = section_of(entry, read_exactly(entry), product)
         if former != present:
-            write_whole(config, spliced(config, text, former, product).encode())
+            changed = spliced(config, text, former, product)
+            restored = _hash(config, changed, product)
+            if meant is not None:
+                _check_meant(config, meant, _hash(config, text, product), restored)
+            write_whole(config, changed.encode())
         entry.rename(entry.with_name(entry.name.replace(".yaml", ".undone.yaml")))
         if former != present:
-            load_settings(config)
             return entry
     raise InputError(
         [Problem(config, 1, None, _KEY, "nothing to undo: no model was promoted here")]
     )
+
+
+def _hash(config: Path, text: str, product: str | None) -> str:
+    """Hash of the model in a settings text.  Raises InputError: the text is wrong."""
+    settings = settings_of(document_of(text.removeprefix("\ufeff"), config))
+    return model_hash((settings if product is None else for_product(settings, product)).model)
+
+
+def _check_meant(config: Path, meant: tuple[str, str], present: str, restored: str) -> None:
+    """Raise InputError unless these are the model that is to go and the one to come back."""
+    told = ""
+    if present != meant[0]:
+        told = f"has the model {present} by now, not {meant[0]}"
+    elif restored != meant[1]:
+        told = f"undoing the last promotion would restore the model {restored}, not {meant[1]}"
+    if told:
+        remedy = f"choose one of those in {history_of(config)}"
+        raise InputError([Problem(config, 1, None, _KEY, f"{told}; {remedy}")])
 
 
 def history_of(config: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import threading
@@ -23,7 +24,7 @@ class Audit:
         self._lock = threading.Lock()
 
     def write(self, by: str, action: str, done: bool, note: str = "") -> None:
-        """Append an action.  Raises OSError: it cannot be written; the action is then not done.
+        """Append an action.  Raises OSError: it cannot be written, or not all of it.
 
         by      whoever did it, or tried to
         done    whether it was allowed and accepted
@@ -33,8 +34,18 @@ class Audit:
         line = json.dumps(row, ensure_ascii=False) + "\n"
         with self._lock:
             self.file.parent.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self.file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+            descriptor = os.open(self.file, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o600)
             try:
-                os.write(descriptor, line.encode())
+                data = (f"\n{line}" if _torn(descriptor) else line).encode()
+                if os.write(descriptor, data) < len(data):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.file))
             finally:
                 os.close(descriptor)
+
+
+def _torn(descriptor: int) -> bool:
+    """Whether the last line has no end, as after a power cut: the next would be lost with it."""
+    if os.fstat(descriptor).st_size == 0:
+        return False
+    os.lseek(descriptor, -1, os.SEEK_END)
+    return os.read(descriptor, 1) != b"\n"

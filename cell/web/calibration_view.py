@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from calib.store import KINDS, StoredCalibration, StoreError, load
-from cell.settings.calibrated import bounds_of, complaint_of
+from cell.settings.calibrated import bounds_of, calibration_file, complaint_of
+from cell.settings.loading import products_of
 from cell.settings.model import Settings
 from cell.web.theme import N_
 
@@ -28,6 +29,7 @@ _ALSO = ("spread_95_px", "noise_px", "held_out_rms_m")
 class Part:
     """One calibration.
 
+    name   of its file, without the ending
     made   local time; None = there is none
     valid  whether `cell run` may use it
     why    why not, or ""
@@ -35,6 +37,7 @@ class Part:
     """
 
     kind: str
+    name: str
     made: datetime | None
     age_h: float
     most_h: float
@@ -44,25 +47,29 @@ class Part:
 
 
 def parts(settings: Settings, now: datetime | None = None) -> tuple[Part, ...]:
-    """All calibrations of a cell, in the order in which they are made."""
-    return tuple(_part(kind, settings, now or datetime.now(UTC)) for kind in KINDS)
+    """All calibrations of a cell, in the order in which they are made; a grip for each product."""
+    now = now or datetime.now(UTC)
+    each = [(kind, settings) for kind in KINDS if kind != "grip"]
+    each += [("grip", of) for of in products_of(settings).values() or [settings]]
+    return tuple(_part(kind, of, now) for kind, of in each)
 
 
 def _part(kind: str, settings: Settings, now: datetime) -> Part:
     wanted = settings.calibration
     assert wanted is not None
     most_h = wanted.time_max_age_h if kind == "time" else 24.0 * wanted.max_age_days
-    path = wanted.folder / f"{kind}.yaml"
+    path = calibration_file(settings, kind)
+    name = path.stem
     if not path.exists():
-        return Part(kind, None, math.nan, most_h, False, "", ())
+        return Part(kind, name, None, math.nan, most_h, False, "", ())
     try:
         stored = load(path, kind)
         why = complaint_of(stored, wanted, settings, now) or ""
         errors = _errors(stored, settings)
     except (StoreError, ValueError) as error:
-        return Part(kind, None, math.nan, most_h, False, str(error), ())
+        return Part(kind, name, None, math.nan, most_h, False, str(error), ())
     made = stored.made.astimezone()
-    return Part(kind, made, stored.age_h(now), most_h, not why, why, errors)
+    return Part(kind, name, made, stored.age_h(now), most_h, not why, why, errors)
 
 
 def _errors(stored: StoredCalibration, settings: Settings) -> tuple[tuple[str, str], ...]:

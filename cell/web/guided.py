@@ -25,12 +25,14 @@ class GuidedState:
     """What a guided command has come to.
 
     ask    what a person is to do now; "" = nothing
+    asked  number of that question, from 1; 0 = nothing is asked
     said   its newest lines
     code   how it has ended; None = it runs
     """
 
     title: str = ""
     ask: str = ""
+    asked: int = 0
     said: tuple[str, ...] = ()
     done: int = 0
     total: int = 0
@@ -52,6 +54,7 @@ class Guided:
         self._process: subprocess.Popen[str] | None = None
         self._following: threading.Thread | None = None
         self._errors: deque[str] = deque(maxlen=_LINES)
+        self._questions = 0
 
     def start(self, title: str, command: Sequence[str]) -> str:
         """Start a command; why it cannot be, or ""."""
@@ -72,13 +75,13 @@ class Guided:
         self._following = follow
         return ""
 
-    def answer(self, words: str, to: str) -> str:
-        """Answer the question `to`; why that cannot be, or ""."""
+    def answer(self, words: str, to: int) -> str:
+        """Answer the question of the number `to`; why that cannot be, or ""."""
         with self._lock:
             process = self._process
-            if not self.state.ask or self.state.ask != to or process is None:
+            if not self.state.asked or self.state.asked != to or process is None:
                 return "this was answered already, or is asked no more"
-            self.state = replace(self.state, ask="")
+            self.state = replace(self.state, ask="", asked=0)
         assert process.stdin is not None
         try:
             process.stdin.write(words.replace("\n", " ") + "\n")
@@ -113,7 +116,8 @@ class Guided:
             with self._lock:
                 now = self.state
                 if "ask" in message:
-                    now = replace(now, ask=str(message["ask"]))
+                    self._questions += 1
+                    now = replace(now, ask=str(message["ask"]), asked=self._questions)
                 if said := str(message.get("say", "")).strip():
                     now = replace(now, said=(*now.said, said)[-_LINES:])
                 if message.get("total"):
@@ -125,7 +129,7 @@ class Guided:
         code = process.wait()
         with self._lock:
             last = (*self.state.said, *self._errors)[-_LINES:]
-            self.state = replace(self.state, ask="", said=last, code=code)
+            self.state = replace(self.state, ask="", asked=0, said=last, code=code)
 
     def _hear(self, process: subprocess.Popen[str]) -> None:
         assert process.stderr is not None
@@ -133,10 +137,36 @@ class Guided:
             self._errors.append(line.strip())
 
 
-def calibrate_command(part: str, config: Path) -> list[str]:
-    """The command that calibrates a part, or checks it, and speaks with this program."""
+class OpenQuestion:
+    """The question on an open page, which can be answered from the page's second look on.
+
+    A second click that was meant for the question before it so answers none that nobody has read.
+    """
+
+    def __init__(self, guided: Guided) -> None:
+        self._guided = guided
+        self._shown = self._read = 0
+
+    def look(self) -> bool:
+        """Take up what is asked now; whether it can be answered."""
+        asked = self._guided.state.asked
+        self._read = asked if asked == self._shown else 0
+        self._shown = asked
+        return self._read != 0
+
+    def answer(self, words: str) -> str:
+        """Answer what was read; why that cannot be, or ""."""
+        return self._guided.answer(words, self._read)
+
+
+def calibrate_command(part: str, config: Path, product: str = "") -> list[str]:
+    """The command that calibrates a part, or checks it, and speaks with this program.
+
+    product  whose grip it is; "" = the usual one's, or settings without products
+    """
     words = [sys.executable, "-m", "cell", "calibrate", *([part] if part else [])]
-    return [*words, "--config", str(config), "--dialogue"]
+    of = ["--product", product] if product else []
+    return [*words, *of, "--config", str(config), "--dialogue"]
 
 
 def _message(line: str) -> dict[str, Any]:

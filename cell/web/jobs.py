@@ -182,6 +182,11 @@ class Jobs:
         """Grows whenever a job changes: what pages compare before they look."""
         return self._version
 
+    @property
+    def moves(self) -> bool:
+        """Whether a job that moves the arm has not ended."""
+        return any(j.task.moves and j.state in OPEN for j in self.seen())
+
     def seen(self) -> tuple[Job, ...]:
         """All jobs that are remembered, the newest first."""
         with self._changed:
@@ -225,7 +230,8 @@ class Jobs:
                 if process is not None:
                     with suppress(ProcessLookupError):
                         process.send_signal(signal.SIGTERM)  # as Ctrl-C, and never ignored
-                    self._kill_later(process)
+                    if not job.task.moves:
+                        self._kill_later(process)
             elif process is not None:
                 with suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)

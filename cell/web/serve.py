@@ -169,13 +169,13 @@ def _login_routes(app: FastAPI, room: Room, users: Users, secure: bool) -> None:
         async with request.form(max_files=0, max_fields=4, max_part_size=4096) as form:
             name, password = str(form.get("name", "")), str(form.get("password", ""))
         whos = (f"name {name[:60]}", f"from {request.client.host if request.client else ''}")
-        if room.sessions.must_wait(*whos):
+        if not room.sessions.may_try(*whos):
             return shown(request, N_("Too many wrong passwords; wait a minute."), 429)
         user = await run_in_threadpool(users.known, name, password)
         room.audit.write(name[:60], "log in", user is not None)
         if user is None:
-            room.sessions.wrong(*whos)
             return shown(request, N_("Name or password is wrong."), 401)
+        room.sessions.right(*whos)
         answer = RedirectResponse("/", 303)
         token = room.sessions.begin(user)
         answer.set_cookie(COOKIE, token, httponly=True, secure=secure, samesite="strict")
@@ -253,13 +253,15 @@ def _calibration_routes(app: FastAPI, room: Room) -> None:
     def shown(request: Request, name: str) -> Response:
         if request.state.session.user.role < Role.engineer:
             return Response(status_code=403)
-        given = load_settings(room.config).calibration
+        settings = load_settings(room.config)
+        given = settings.calibration
         if given is None:
             return Response(status_code=404)
+        reports = {*KINDS, *(f"grip.{product}" for product in settings.products)}
         if name == coverage.FILE and (given.folder / name).is_file():
             headers = {"cache-control": "no-store"}
             return FileResponse(given.folder / name, headers=headers)
-        if name in KINDS and (given.folder / f"{name}.html").is_file():
+        if name in reports and (given.folder / f"{name}.html").is_file():
             return FileResponse(given.folder / f"{name}.html", headers=_SANDBOX)
         return Response(status_code=404)
 

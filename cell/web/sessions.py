@@ -89,22 +89,31 @@ class Sessions:
         with self._lock:
             self._open.pop(_key(token or ""), None)
 
-    def wrong(self, *whos: str) -> None:
-        """A password was wrong: for this name, from this address."""
+    def may_try(self, *whos: str) -> bool:
+        """Whether a password may be looked at: not too many were wrong lately.
+
+        It counts as wrong for this name and from this address until `right` is told, so that many
+        requests at once are no more tries than one after another.
+        """
         now = self._now_s()
         with self._lock:
             if len(self._wrong) > _MOST:
                 self._wrong = {w: t for w, t in self._wrong.items() if now - t[-1] < _LATELY_S}
+            lately = [sum(now - t < _LATELY_S for t in self._wrong.get(w, ())) for w in whos]
+            if any(number >= MOST_WRONG for number in lately):
+                return False
             for who in whos:
                 self._wrong.setdefault(who, []).append(now)
+            return True
 
-    def must_wait(self, *whos: str) -> bool:
-        """Whether too many passwords were wrong lately."""
-        since = self._now_s() - _LATELY_S
+    def right(self, *whos: str) -> None:
+        """A password was right: its try counts no more."""
         with self._lock:
-            return any(
-                sum(t > since for t in self._wrong.get(who, ())) >= MOST_WRONG for who in whos
-            )
+            for who in whos:
+                times = self._wrong.get(who, [])
+                del times[-1:]
+                if not times:
+                    self._wrong.pop(who, None)
 
 
 def local_session() -> Session:

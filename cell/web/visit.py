@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Container
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -35,6 +36,7 @@ class Room:
     """What all pages share.
 
     sessions  None = loopback without accounts
+    taking    held while something that moves the arm is begun
     """
 
     config: Path
@@ -48,11 +50,23 @@ class Room:
     camera: LiveCamera
     guided: Guided
     sessions: Sessions | None
+    taking: threading.Lock = field(default_factory=threading.Lock)
 
     @cached_property
     def lab(self) -> Lab:
         """What the lab's pages share; made when it is first asked for."""
         return Lab(Workspace.beside(self.runs))
+
+    def with_devices(self, begin: Callable[[], str]) -> str:
+        """Begin what moves the arm, unless something else has the devices; why not, or ""."""
+        with self.taking:
+            if self.watch.seen.there:
+                return "a cell runs and has the devices: end it first"
+            if self.guided.state.runs:
+                return f"{self.guided.state.title} is under way"
+            if self.lab.jobs.moves:
+                return "a cable is being measured: wait for its end"
+            return begin()
 
 
 @dataclass(frozen=True)
@@ -85,13 +99,17 @@ class Visit:
         """Do something that is written to the audit log, done or refused.
 
         act      does it; returns why it could not be done, or ""
-        returns  why it was not done, in English, or ""
+        returns  why it was not done, or that it was and is not in the log, in English, or ""
         """
         denied = "you may not do this, or your session has ended"
         refused = act() if self.may(role) else denied
-        self.room.audit.write(
-            self.name, what, not refused, "; ".join(filter(None, (note, refused)))
-        )
+        try:
+            self.room.audit.write(
+                self.name, what, not refused, "; ".join(filter(None, (note, refused)))
+            )
+        except OSError as error:
+            file, why = self.room.audit.file, error.strerror
+            return refused or f"done, but it cannot be written to {file}: {why}; make room there"
         return refused
 
     def acknowledge(self, by: str, note: str, possible: Container[Event]) -> str:

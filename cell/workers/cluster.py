@@ -77,8 +77,10 @@ class Cluster:
                     futures.append((number, future))
                 if not futures:
                     return
-                number, future = futures.popleft()
-                yield self._result(number, future, check)
+                number, future = futures[0]
+                result = self._result(number, future, check)
+                futures.popleft()  # until then it is under way, and is cancelled with the others
+                yield result
                 if number % _RELEASED == 0:
                     release_free_memory()
         finally:

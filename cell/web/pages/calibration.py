@@ -11,7 +11,7 @@ from cell.files.input_error import InputError
 from cell.settings import load_settings
 from cell.settings.model import Settings
 from cell.web.calibration_view import WORDS, Part, parts
-from cell.web.guided import calibrate_command
+from cell.web.guided import OpenQuestion, calibrate_command
 from cell.web.pages.tables import table
 from cell.web.theme import BLUE, GREEN, N_, RED
 from cell.web.users import Role
@@ -53,6 +53,7 @@ class _Page:
         self._visit, self._t, self._settings = visit, visit.t, settings
         self._updates: list[Callable[[], None]] = []
         self._ran = False
+        self._question = OpenQuestion(visit.room.guided)
 
     def build(self) -> None:
         """Make the elements, and keep them up to date."""
@@ -81,7 +82,7 @@ class _Page:
         heads = [t("Calibration"), t("State"), t("Made"), t("Age"), t("Errors and bounds")]
         rows = [
             [
-                t(WORDS[p.kind]),
+                t(WORDS[p.kind]) + p.name.removeprefix(p.kind).replace(".", " ", 1),
                 self._state(p),
                 "" if p.made is None else f"{p.made:%Y-%m-%d %H:%M}",
                 "" if p.made is None else t(f"{_hours(p.age_h)} ≤ {_hours(p.most_h)}"),
@@ -93,7 +94,7 @@ class _Page:
         with ui.row().classes("gap-4"):
             for p in found:
                 if p.made is not None:
-                    ui.link(f"{t('Report')}: {p.kind}", f"/calibration/{p.kind}", new_tab=True)
+                    ui.link(f"{t('Report')}: {p.name}", f"/calibration/{p.name}", new_tab=True)
 
     def _state(self, part: Part) -> str:
         t = self._t
@@ -115,9 +116,13 @@ class _Page:
             buttons = []
             with ui.row():
                 for part, title in _STARTS:
-                    button = ui.button(t(title), on_click=self._start(part), color=BLUE)
-                    button.props(f'text-color=white data-test="start-{part or "all"}"')
-                    buttons.append(button)
+                    products = [*self._settings.products] if part == "grip" else []
+                    for product in products or [""]:
+                        words, name = f"{t(title)} {product}".strip(), f"{part or 'all'}{product}"
+                        start = self._start(part, product)
+                        button = ui.button(words, on_click=start, color=BLUE)
+                        button.props(f'text-color=white no-caps data-test="start-{name}"')
+                        buttons.append(button)
 
         def update() -> None:
             there = room.watch.seen.there
@@ -127,16 +132,14 @@ class _Page:
 
         self._updates.append(update)
 
-    def _start(self, part: str) -> Callable[[], Any]:
+    def _start(self, part: str, product: str = "") -> Callable[[], Any]:
         async def start() -> None:
             visit = self._visit
-            command = calibrate_command(part, visit.room.config)
-            title = " ".join(("calibrate", part)).strip()
+            command = calibrate_command(part, visit.room.config, product)
+            title = " ".join(filter(None, ("calibrate", part, product)))
 
             def act() -> str:
-                if visit.room.watch.seen.there:
-                    return "a cell runs and has the devices: end it first"
-                return visit.room.guided.start(title, command)
+                return visit.room.with_devices(lambda: visit.room.guided.start(title, command))
 
             self._told(await run.io_bound(visit.do, title, Role.engineer, act))
 
@@ -170,7 +173,7 @@ class _Page:
             ended = "" if state.runs else self._ended(state.code)
             title.text = f"{t(state.title)}: {ended}" if ended else t(state.title)
             ask.text = t(state.ask)
-            answers.set_visibility(bool(state.ask))
+            answers.set_visibility(self._question.look())
             bar.set_visibility(state.runs and state.total > 0)
             bar.value = state.done / state.total if state.total else 0.0
             said.text = "\n".join(map(t, state.said[-(4 if state.runs else 12) :]))
@@ -200,14 +203,13 @@ class _Page:
 
     def _answer(self, words: str) -> Callable[[], Any]:
         async def answer() -> None:
-            guided = self._visit.room.guided
-            to = guided.state.ask
+            to = self._visit.room.guided.state.ask
             self._told(
                 await run.io_bound(
                     self._visit.do,
                     "answer calibration",
                     Role.engineer,
-                    lambda: guided.answer(words, to),
+                    lambda: self._question.answer(words),
                     f"{to} {words or 'done'}",
                 )
             )

@@ -139,8 +139,6 @@ class _Live:
             for event, button in buttons.items():
                 stop = event is Event.STOP
                 button.set_enabled(event in view.buttons and (mine or stop))
-            buttons[Event.UNHOLD].set_visibility(Event.UNHOLD in view.buttons)
-            buttons[Event.HOLD].set_visibility(Event.UNHOLD not in view.buttons)
 
         self._updates.append(update)
 

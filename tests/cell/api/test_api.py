@@ -144,6 +144,12 @@ def test_the_error_falls_from_fit_to_fit(
         before.model = diagnosed.model  # type: ignore[misc]
     with pytest.raises(ValueError, match="names: 1 for 2 models"):
         cell.compare(study, [before, diagnosed.model], names=["one"])
+    with pytest.raises(ValueError, match="names: 'one' is given twice"):
+        cell.compare(study, [before, diagnosed.model], names=["one", "one"])
+    # residuals of models of one name took each other's place
+    twice = cell.compare(study, [before, before])
+    assert [c.model for c in twice.comparisons] == ["baseline", "baseline (2)"]
+    assert len(set(twice.write_residuals(tmp_path / "left"))) == 2 * len(study.trials)
 
 
 def test_power_is_told_as_by_the_command(folder: Path) -> None:

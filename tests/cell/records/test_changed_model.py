@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -64,23 +65,26 @@ def test_nothing_is_said_of_few_or_of_the_first_model(better: int) -> None:
     assert worsenings([*cycles("a", 20, 1e-4, 1)[:better], *cycles("b", 30, 5e-4, 2)]) == []
 
 
-@pytest.mark.parametrize("withdraw", [False, True])
-def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
-    tmp_path: Path, withdraw: bool
-) -> None:
+def promoted(tmp_path: Path, config: Path, effect: str) -> str:
+    """Hash of the model of the settings, once a candidate with an effect has been promoted."""
+    candidate = tmp_path / "candidate.yaml"
+    candidate.write_text(
+        f"format: cell-candidate/1\nbeside: {model_hash(load_settings(config).model)}\ngates: []\n"
+        f"model: {{effects: [{{effect: {effect}}}]}}\n",
+        "utf-8",
+    )
+    promote(read_candidate(candidate), config, from_another_line=True)
+    return model_hash(load_settings(config).model)
+
+
+def worse_line(tmp_path: Path, withdraw: bool) -> tuple[Path, str, str, Callable[[], list[str]]]:
+    """Settings whose promoted model does worse, hashes of both, and what the end of a run says."""
     config = tmp_path / "cell.yaml"
     text = (ROOT / "config" / "fake.yaml").read_text(encoding="utf-8")
     config.write_text(f"{text}\npromotion: {{withdraw: {str(withdraw).lower()}}}\n", "utf-8")
     first = model_hash(load_settings(config).model)
-    candidate = tmp_path / "candidate.yaml"
-    candidate.write_text(
-        f"format: cell-candidate/1\nbeside: {first}\ngates: []\n"
-        "model: {effects: [{effect: air_drag}]}\n",
-        "utf-8",
-    )
-    promote(read_candidate(candidate), config, from_another_line=True)
+    second = promoted(tmp_path, config, "air_drag")
     settings = load_settings(config)
-    second = model_hash(settings.model)
     runs, found = tmp_path / "runs", []
     begun = datetime(2026, 11, 22)
     all_cycles = (*cycles(first, 20, 1e-4, 1), *cycles(second, 20, 8e-4, 2))
@@ -92,7 +96,15 @@ def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
     ledger = Ledger(runs, create=True)
     ledger.write([entry_of_folder(f, line) for f in sorted(runs.iterdir())], of_now=False)
     ledger.close()
-    lines = changes(runs, found[-1:], config, Products(settings))
+    return config, first, second, lambda: changes(runs, found[-1:], config, Products(settings))
+
+
+@pytest.mark.parametrize("withdraw", [False, True])
+def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
+    tmp_path: Path, withdraw: bool
+) -> None:
+    config, first, second, said = worse_line(tmp_path, withdraw)
+    lines = said()
     assert any(line.startswith("since the model was changed forecasts err") for line in lines)
     if withdraw:
         assert model_hash(load_settings(config).model) == first
@@ -100,6 +112,19 @@ def test_the_line_goes_back_by_itself_only_if_the_settings_say_so(
     else:
         assert model_hash(load_settings(config).model) == second
         assert lines[-1].endswith(f"cell promote --undo --config {config}")
+
+
+@pytest.mark.parametrize("withdraw", [False, True])
+def test_a_model_promoted_meanwhile_is_not_taken_back_for_a_worse_one(
+    tmp_path: Path, withdraw: bool
+) -> None:
+    """The run took it back, and gave the line the model that does worse again."""
+    config, _, second, said = worse_line(tmp_path, withdraw)
+    third = promoted(tmp_path, config, "tip_mass")
+    lines = said()
+    assert model_hash(load_settings(config).model) == third
+    assert f"has the model {third} by now, not {second}" in lines[-1]
+    assert "--undo" not in lines[-1]
 
 
 def test_a_run_says_that_its_cycles_do_not_use_what_was_promoted_meanwhile(tmp_path: Path) -> None:

@@ -89,6 +89,7 @@ def test_nothing_there_names_the_one_command(tmp_path):
     ("kind", "change", "message"),
     [
         ("time", {"made": NOW - timedelta(hours=30)}, "made 30 h ago, at most 24 h"),
+        ("time", {"made": NOW + timedelta(hours=30)}, "made 30.0 h after the time that this"),
         ("cell", {"made": NOW - timedelta(days=100)}, "made 2400 h ago, at most 2160 h"),
         ("cell", {"error": {"map_95_m": 4e-4}}, "map_95_m = 0.0004 m, at most 0.00015"),
         ("cell", {"error": {"map_95_m": float("nan")}}, "map_95_m = nan m"),

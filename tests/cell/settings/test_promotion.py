@@ -142,6 +142,31 @@ def test_a_gate_without_its_outcome_is_refused(tmp_path: Path, config: Path) -> 
         read_candidate(path)
 
 
+def test_a_former_model_that_cannot_be_used_any_more_is_not_written(
+    tmp_path: Path, config: Path
+) -> None:
+    """Its effect was removed meanwhile: the settings were wrong, and no cell began with them."""
+    entry = promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    former, promoted = entry.read_text("utf-8"), config.read_bytes()
+    entry.write_text(f"{former}\nmodel:\n  effects: [{{effect: removed}}]\n", "utf-8")
+    with pytest.raises(InputError, match="'removed': unknown effect"):
+        undo(config)
+    assert config.read_bytes() == promoted and entry.exists()
+
+
+def test_a_model_is_taken_back_only_for_the_one_that_is_meant(tmp_path: Path, config: Path) -> None:
+    first = model_hash(load_settings(config).model)
+    promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    second, promoted = model_hash(load_settings(config).model), config.read_bytes()
+    with pytest.raises(InputError, match=f"has the model {second} by now, not {first}"):
+        undo(config, meant=(first, second))
+    with pytest.raises(InputError, match=f"would restore the model {first}, not 0123"):
+        undo(config, meant=(second, "0123"))
+    assert config.read_bytes() == promoted
+    undo(config, meant=(second, first))
+    assert model_hash(load_settings(config).model) == first
+
+
 def test_a_wrong_model_is_not_written(tmp_path: Path, config: Path) -> None:
     before = config.read_bytes()
     wrong = {"effects": [{"effect": "air_drag", "parameters": {"drag_coefficient": {"fixed": -1}}}]}

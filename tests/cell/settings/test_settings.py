@@ -151,6 +151,11 @@ MISTAKES = [
         "takes the hand to x_m = -0.07, outside limits.x_m",
     ),
     (
+        "advance_m: 0.050",
+        "advance_m: 0.050\n  aside: {x_m: 0.015, y_m: -0.05, angle_rad: 1.5}",
+        "motion.aside.angle_rad: takes the hand to angle_rad = 1.5, outside limits.angle_rad",
+    ),
+    (
         "velocity_m_per_s: 0.6",
         "velocity_m_per_s: 0.4",
         "motion.lowering.velocity_m_per_s: 0.5 is beyond limits.velocity",
@@ -266,6 +271,8 @@ def test_a_hold_as_long_as_needed_is_said_once(tmp_path: Path) -> None:
     assert load_settings(tmp_path / "good.yaml").motion.longest_hold_s == 0.8
     said = complaint(tmp_path, FAKE.replace("  hold_s: 1.0\n", f"  hold_s: 1.0\n{hold}"))
     assert "hold_s 1 contradicts hold.most_s 0.8; remove hold_s" in said
+    said = complaint(tmp_path, text.replace("most_s: 0.8", "most_s: 29"))
+    assert "motion.hold.most_s: 29 s at 200 Hz makes 5900 frames of a swing, limit 5000" in said
     said = complaint(tmp_path, text.replace("least_s: 0.4", "least_s: 0.9"))
     assert "least_s 0.9 is longer than most_s 0.8; lower least_s" in said
 

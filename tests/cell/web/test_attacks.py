@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from collections.abc import Iterator
 from datetime import datetime
@@ -12,10 +13,12 @@ import pytest
 from starlette.websockets import WebSocketDisconnect
 
 from cell.plant.client import Client
+from cell.plant.messages import Status
 from cell.records.folder import Record
 from cell.records.recording import form
 from cell.records.recording.writer import RecordingWriter
 from cell.records.result import Outcome, Result
+from cell.run.machine import CellState, Event
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
 from cell.web.camera import LiveCamera
@@ -27,7 +30,7 @@ from cell.web.serve import application
 from cell.web.sessions import IDLE_S, Sessions
 from cell.web.users import Role, User, Users
 from cell.web.visit import Room, Visit
-from cell.web.watching import Watch
+from cell.web.watching import Seen, Watch
 
 with warnings.catch_warnings():  # starlette wishes for another client than we have
     warnings.simplefilter("ignore")
@@ -202,3 +205,19 @@ def test_a_script_as_part_id_is_text_in_the_report(served: Served) -> None:
 def test_a_body_of_a_gibibyte_is_refused_before_it_is_read(served: Served, path: str) -> None:
     headers = {**served.log_in("engineer"), "content-length": str(1 << 30)}
     assert served.web.post(path, content=b"", headers=headers).status_code == 413
+
+
+HELD = (CellState.HELD, (Event.UNHOLD, Event.STOP))
+
+
+@pytest.mark.parametrize("state, possible", [(CellState.EXECUTE, (Event.HOLD, Event.STOP)), HELD])
+def test_no_button_takes_the_place_of_its_opposite(
+    served: Served, state: CellState, possible: tuple[Event, ...]
+) -> None:
+    """Who pressed Hold twice could press Continue, which came where Hold had been."""
+    served.room.watch.seen = Seen(Status("run", 1, state, 0.0, possible=possible), True)
+    shown = served.web.get("/", headers=served.log_in("operate")).text
+    served.room.watch.seen = Seen()
+    for button in ("hold", "unhold"):
+        (classes,) = re.findall(rf'"class":(\[[^]]*\])[^[]*"data-test":"{button}"', shown)
+        assert json.loads(classes) == ["big-button"], f"{button} is hidden"

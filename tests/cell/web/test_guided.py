@@ -16,7 +16,7 @@ from cell.settings import load_settings
 from cell.settings.calibrated import devices_of
 from cell.settings.model import Calibration
 from cell.web.calibration_view import parts
-from cell.web.guided import Guided, calibrate_command
+from cell.web.guided import Guided, OpenQuestion, calibrate_command
 
 CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
 #: Speaks as `cell calibrate --dialogue` does.
@@ -52,15 +52,32 @@ def test_questions_are_answered_one_at_a_time(guided: Guided) -> None:
     assert "is under way" in guided.start("calibrate", [sys.executable, "-c", CHILD])
     until(lambda: guided.state.ask)
     assert guided.state.ask == "show the board; Enter"
-    assert "answered already" in guided.answer("n", "another question")
-    assert guided.answer("n\nx", guided.state.ask) == ""
+    assert "answered already" in guided.answer("n", guided.state.asked + 1)
+    assert guided.answer("n\nx", guided.state.asked) == ""
     until(lambda: guided.state.ask == "and now?")
     assert guided.state.said == ("--- camera", "heard 'n x'", "plain words")
     assert (guided.state.done, guided.state.total) == (1, 2)
-    assert guided.answer("", "and now?") == ""
+    assert guided.answer("", guided.state.asked) == ""
     until(lambda: not guided.state.runs)
     assert guided.state.code == 0 and "went wrong" in guided.state.said
     assert guided.start("calibrate", [sys.executable, "-c", CHILD]) == ""
+
+
+def test_a_second_click_answers_no_question_that_nobody_has_read(guided: Guided) -> None:
+    """It said that nobody is near, after which the robot moves."""
+    guided.start("calibrate", [sys.executable, "-c", CHILD])
+    question = OpenQuestion(guided)
+    until(lambda: guided.state.ask)
+    assert not question.look() and question.look()
+    assert question.answer("") == ""
+    until(lambda: guided.state.ask == "and now?")
+    assert "answered already" in question.answer("")
+    assert not question.look(), "it has just come in sight"
+    assert "answered already" in question.answer("")
+    assert guided.state.ask == "and now?"
+    assert question.look() and question.answer("") == ""
+    until(lambda: not guided.state.runs)
+    assert guided.state.code == 0
 
 
 def test_it_can_be_ended_before_its_time(guided: Guided) -> None:
@@ -100,3 +117,20 @@ def test_age_errors_and_bounds_of_each_calibration(tmp_path: Path) -> None:
     assert "h ago" in parts(settings, now + timedelta(days=2))[2].why
     (tmp_path / "time.yaml").write_text("kind: time\n", "utf-8")
     assert parts(settings, now)[2].why
+
+
+def test_each_product_has_the_grip_that_its_cycles_use(tmp_path: Path) -> None:
+    """That of no product, which no cycle uses any more, was called valid; the others missing."""
+    settings = load_settings(CONFIG.with_name("products.yaml")).model_copy(
+        update={"calibration": Calibration(folder=tmp_path)}
+    )
+    now = datetime.now(UTC)
+    made = StoredCalibration("grip", now, {}, devices_of(settings), {}, {})
+    save(tmp_path / "grip.yaml", made)
+    save(tmp_path / "grip.stiff.yaml", made)
+    found = {p.name: p.valid for p in parts(settings, now)}
+    assert found == {
+        "camera": False, "cell": False, "time": False, "grip.soft": False, "grip.stiff": True
+    }  # fmt: skip
+    command = calibrate_command("grip", CONFIG, "stiff")
+    assert command[3:7] == ["calibrate", "grip", "--product", "stiff"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -179,6 +180,32 @@ def test_what_moves_the_arm_closes_its_record_when_the_server_ends(tmp_path: Pat
     with Jobs(started) as jobs:
         jobs.submit(replace(task(program), moves=True), "ada")
         until(lambda: newest(jobs).progress)
+    assert closed.exists()
+
+
+def test_what_moves_the_arm_has_the_time_it_needs_to_stop_unless_asked_again(
+    tmp_path: Path,
+) -> None:
+    """It was killed while it still closed its record."""
+    go, closed = tmp_path / "go", tmp_path / "closed"
+    program = f"""
+import os, signal, time
+def stop(*_):
+    while not os.path.exists({str(go)!r}): time.sleep(0.01)
+    open({str(closed)!r}, 'w').close()
+    sys.exit(143)
+signal.signal(signal.SIGTERM, stop)
+print('work: begun', flush=True, file=sys.stderr)
+while True: time.sleep(0.01)
+"""
+    with Jobs(started, answering_s=0.0) as jobs:
+        jobs.submit(replace(task(program), moves=True), "ada")
+        until(lambda: newest(jobs).progress)
+        before = set(threading.enumerate())
+        jobs.cancel(newest(jobs).number)
+        until(lambda: set(threading.enumerate()) <= before)  # no timer kills it
+        go.touch()
+        until(lambda: newest(jobs).state is State.CANCELLED)
     assert closed.exists()
 
 

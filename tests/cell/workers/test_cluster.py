@@ -6,6 +6,7 @@ import re
 import shutil
 import signal
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,7 +14,7 @@ from cell.lab.line.identified_table import identified_table
 from cell.lab.line.identify_all import identify_all
 from cell.lab.line.recordings import packer, recordings_in
 from cell.study.folder import write_study
-from cell.workers.cluster import cluster
+from cell.workers.cluster import Cluster, cluster
 from cell.workers.executor import WorkersError
 from cell.workers.here import LocalCores, OneAfterAnother
 from cell.workers.identity import code_hash
@@ -77,6 +78,33 @@ def test_a_worker_that_would_give_other_results_is_refused_by_name(cluster_of_tw
     assert re.match(where + code, told[0])
     assert re.match(where + "OPENBLAS_NUM_THREADS 4; start it with OPENBLAS_NUM_THREADS=1", told[1])
     assert re.match(where + "2 threads; start it with `--nthreads 1 --nworkers 2`", told[2])
+
+
+class Endless:
+    """A cluster whose one worker comes to no end."""
+
+    def __init__(self):
+        self.jobs, self.cancelled = [], []
+
+    def nthreads(self):
+        return {"worker": 1}
+
+    def submit(self, function, *given, **options):
+        self.jobs.append(SimpleNamespace(add_done_callback=lambda told: None, release=lambda: None))
+        return self.jobs[-1]
+
+    def cancel(self, futures):
+        self.cancelled += futures
+
+
+def test_what_is_waited_for_is_cancelled_too():
+    """An interrupted command left its oldest job to the cluster."""
+    client, looks = Endless(), iter(range(2))
+    results = Cluster(client, "tcp://x:1").map(abs, [1, 2, 3], lambda: next(looks) and 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        next(results)
+    _, *jobs = client.jobs
+    assert len(jobs) == 3 and client.cancelled == jobs
 
 
 def test_where_nobody_answers_that_is_said(monkeypatch):

@@ -84,10 +84,11 @@ class Desk:
         """Put a job in the queue, audited; whether it was taken."""
         visit, jobs = self.visit, self.lab.jobs
 
-        def act() -> str:
-            if task.moves and visit.room.watch.seen.there:
-                return "a cell runs and has the devices: end it first"
+        def submit() -> str:
             return jobs.submit(task, visit.name)
+
+        def act() -> str:
+            return visit.room.with_devices(submit) if task.moves else submit()
 
         words = task.typed.splitlines()[-1]
         refused = visit.do(f"lab {task.title.lower()}", Role.engineer, act, words)
