@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -49,6 +49,8 @@ class NoiseModel:
     hidden    values are rounded so much that still frames do not show their error
     slow      degrees of freedom behind the level of its slow part; None: as of a known
               correlation
+    levels    per trial (markers,) noise of each marker over `noise.std_m`; empty where still frames
+              show no difference
     """
 
     noise: Noise
@@ -59,6 +61,7 @@ class NoiseModel:
     range_m: tuple[float, float] | None = None
     slow: float | None = None
     hidden: bool = False
+    levels: Mapping[str, FloatArray] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def stated(self) -> bool:
@@ -194,7 +197,10 @@ def still_blocks(trial: Trial, markers: slice) -> list[Block]:
         rows = _longest_run(seen[:, series], since[:, series])
         if len(rows) >= MIN_STILL_FRAMES:
             runs.setdefault(rows.tobytes(), (rows, []))[1].append(series)
-    return [Block(series_m[np.ix_(rows, np.array(alike))]) for rows, alike in runs.values()]
+    return [
+        Block(series_m[np.ix_(rows, np.array(alike))], tuple(alike))
+        for rows, alike in runs.values()
+    ]
 
 
 def _longest_run(seen: NDArray[np.bool_], since: NDArray[np.int_]) -> NDArray[np.intp]:

@@ -43,7 +43,9 @@ def with_noise_model(
     if weighed == prepared.noise and of_gauges is None:
         return replace(prepared, noise_model=noise_model)
     levelled = _levelled(prepared, noise_model.noise.std_m, of_gauges)
-    whiteners = whiteners_of(levelled.study, weighed, levelled.gauges, levelled.lines)
+    whiteners = whiteners_of(
+        levelled.study, weighed, levelled.gauges, levelled.lines, noise_model.levels
+    )
     return replace(levelled, noise_model=noise_model, noise=weighed, whiteners=whiteners)
 
 

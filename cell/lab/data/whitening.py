@@ -27,18 +27,20 @@ def whiteners_of(
     noise: Noise,
     gauges: Gauges | None = None,
     lines: Mapping[str, FloatArray] | None = None,
+    levels: Mapping[str, FloatArray] | None = None,
 ) -> dict[str, Whitener]:
     """What whitens each trial of a study.
 
     lines  per trial (times, markers, 2) change of markers' places by a metre of arc length, as a
            model has it; as measured where it is missing
+    levels per trial (markers,) noise of a marker over `noise`; 1 where it is missing
 
     The whitener of a trial knows nothing of the others, yet a marker's arc length is the same in
     all n of them.  So each trial may have one of its own, of n times the variance: no combination
     of trials is then believed more than it may, and what moves a marker alike in all of them as
     much as one standard deviation allows.  The same holds of a sensor's gain.
     """
-    lines = lines or {}
+    lines, levels = lines or {}, levels or {}
     std_m, markers = study.arc_length_std_m, len(study.arc_length_m)
     whiteners = {}
     for t in study.trials:
@@ -54,5 +56,7 @@ def whiteners_of(
         if carried is not None:
             carried = np.pad(carried, ((0, 0), (0, 0), *beside))
         sensors = None if gauges is None else gauges.sensors(t)
-        whiteners[t.name] = Whitener(t.markers.xy_m, noise, shift_m, carried, sensors)
+        whiteners[t.name] = Whitener(
+            t.markers.xy_m, noise, shift_m, carried, sensors, levels.get(t.name)
+        )
     return whiteners

@@ -67,7 +67,10 @@ def remainders(
         error[still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)] = np.nan
         errors.append(error)
     left_over = max(0.0, 1.0 - taken / max(prepared.count(trials), 1))
-    places = [prepared.of_markers(t, e) for t, e in zip(trials, errors, strict=True)]
+    places = [
+        prepared.of_markers(t, e) / prepared.levels.get(t.name, np.ones(1))[:, None]
+        for t, e in zip(trials, errors, strict=True)
+    ]
     found, gauges = [_remainder(places, left_over)], prepared.gauges
     if gauges is not None:
         rows = [gauges.joined[t.name].rows for t in trials]

@@ -40,7 +40,7 @@ def fitted_ratio(evidence: Evidence) -> Reading | None:
     prepared, fit = evidence.prepared, evidence.final.fit
     trials = fit_trials(prepared)
     by_hand = evidence.fits.hand().square_left(trials, fit) / prepared.count(trials)
-    return Reading(fit.rms_m / (prepared.expected.std_m * float(np.sqrt(1.0 + by_hand))))
+    return Reading(fit.rms_m / (prepared.expected_m("fit") * float(np.sqrt(1.0 + by_hand))))
 
 
 def heldout_smooth(evidence: Evidence) -> Reading | None:
@@ -79,13 +79,15 @@ def residual_level(evidence: Evidence) -> Reading | None:
     if final.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
         by_hand = evidence.fits.hand().square(prepared.study.role("validate"))
+        noise_m = prepared.expected_m("validate")
     else:
         count = prepared.count(fit_trials(prepared)) - len(final.fit.q)
         chi2, rms_m = final.fit.chi2, final.fit.rms_m
         by_hand = evidence.fits.hand().square_left(fit_trials(prepared), final.fit)
+        noise_m = prepared.expected_m("fit")
     expected = 1.0 + by_hand / count
     chi2, rms_m = chi2 / expected, rms_m / float(np.sqrt(expected))
-    ratio = max(rms_m / prepared.expected.std_m, float(np.sqrt(chi2 / count)))
+    ratio = max(rms_m / noise_m, float(np.sqrt(chi2 / count)))
     if ratio < evidence.rules.most_over_noise:
         return Reading(1.0)
     return Reading(_p_value(chi2, count, prepared.noise_model.dof))
