@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
 from cell.lab.data.noise_likelihood import Block, Rest
-from cell.lab.data.noise_model import NoiseModel, noise_model_of_blocks, still_blocks
-from cell.study.data import Study
+from cell.lab.data.noise_model import Level, NoiseModel, noise_model_of_blocks, still_blocks
+from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
 
@@ -70,6 +70,8 @@ def with_levels(study: Study, noise_model: NoiseModel) -> NoiseModel:
     if cells is None or cells.p_value >= DIFFER:
         return noise_model
     levels = _normalised(study, shrunk(cells, len(study.trials), len(study.arc_length_m)))
+    degree = noise_model.rest.degree
+    dof = [sum((len(b.z_m) - degree - 1) * len(b.series) for b in own) for own in blocks]
     level_blocks = [
         replace(b, z_m=b.z_m / level[np.asarray(b.series) // 2])
         for own, level in zip(blocks, levels, strict=True)
@@ -82,8 +84,28 @@ def with_levels(study: Study, noise_model: NoiseModel) -> NoiseModel:
     ]
     found = noise_model_of_blocks(level_blocks, series, None)
     assert found is not None  # there are blocks
-    names = [t.name for t in study.trials]
-    return replace(found, levels=dict(zip(names, levels, strict=True)))
+    return replace(
+        found,
+        levels={
+            t.name: Level(level, float(n))
+            for t, level, n in zip(study.trials, levels, dof, strict=True)
+        },
+    )
+
+
+def seen_in(noise_model: NoiseModel, told: NoiseModel, trials: Sequence[Trial]) -> NoiseModel:
+    """The noise that frames of some trials tell, as that of these: another trial has its own.
+
+    noise_model  before these frames were looked at
+    """
+    factor = told.noise.std_m / noise_model.noise.std_m
+    names = {t.name for t in trials}
+    levels = {
+        name: Level(factor * level.of_markers, level.dof) if name in names else level
+        for name, level in noise_model.levels.items()
+    }
+    noise = replace(told.noise, std_m=noise_model.noise.std_m)
+    return replace(told, noise=noise, levels=levels)
 
 
 def cells_of(blocks: Sequence[Sequence[Block]], rest: Rest, ar1: float) -> Cells | None:
@@ -128,9 +150,12 @@ def shrunk(cells: Cells, trials: int, markers: int) -> FloatArray:
     excess, dof = _heterogeneity(mean[known], spread[known])
     of_markers = _between(excess, dof, _information(1.0 / spread[known]))
     usual = float(np.average(mean[known], weights=1.0 / (spread[known] + of_markers)))
-    mean[known] = usual + (mean[known] - usual) * of_markers / (of_markers + spread[known])
+    kept = of_markers / (of_markers + spread[known]) if of_markers > 0.0 else 0.0 * spread[known]
+    mean[known] = usual + (mean[known] - usual) * kept
     found = np.tile(mean, (trials, 1))
-    found[cells.trial, whose] += (y - mean[whose]) * between / (between + v)
+    own = between / (between + v)
+    # what is divided by an uncertain mean square is too large on average, by half its variance
+    found[cells.trial, whose] += (y - mean[whose]) * own + 0.5 * v * own
     return np.asarray(np.exp(0.5 * found))
 
 
@@ -158,12 +183,12 @@ def _normalised(study: Study, levels: FloatArray) -> FloatArray:
     return np.asarray(levels / np.sqrt(np.average(levels**2, weights=np.array(seen))))
 
 
-def rms_level(levels: Mapping[str, FloatArray], seen: Mapping[str, NDArray[np.int_]]) -> float:
+def rms_level(levels: Mapping[str, Level], seen: Mapping[str, NDArray[np.int_]]) -> float:
     """Noise of some trials over that of all.
 
     seen  by trial (markers,) number of values
     """
     if not levels or not any(s.any() for s in seen.values()):
         return 1.0
-    square = sum(float(levels[name] ** 2 @ s) for name, s in seen.items())
+    square = sum(float(levels[name].of_markers ** 2 @ s) for name, s in seen.items())
     return float(np.sqrt(square / sum(int(s.sum()) for s in seen.values())))

@@ -19,7 +19,7 @@ from cell.identify.whitener import Whitener
 from cell.lab.data.gauges import Gauges, with_gauges, without_gauges
 from cell.lab.data.held_straight import placed
 from cell.lab.data.noise_levels import rms_level, with_levels
-from cell.lab.data.noise_model import NoiseModel, noise_model_of
+from cell.lab.data.noise_model import Level, NoiseModel, noise_model_of
 from cell.lab.data.unknown_start import InitialState, initial_state_of
 from cell.lab.data.whitening import whiteners_of
 from cell.lab.data.work import SOLVER, Work
@@ -94,7 +94,7 @@ class PreparedStudy:
         )
         level_m = noise_model.noise.std_m
         study, gauges = with_gauges(study, level_m, noise.std_m / level_m)
-        levels = noise_model.levels if noise == noise_model.noise else {}
+        levels = noise_model.levels if noise == noise_model.noise else None
         whiteners = whiteners_of(study, noise, gauges, levels=levels)
         return PreparedStudy(
             study, noise_model, noise, whiteners, solver or SOLVER, work or Work(), gauges=gauges
@@ -111,8 +111,8 @@ class PreparedStudy:
         return self.noise_model.noise if self.noise_is_measured else self.noise
 
     @property
-    def levels(self) -> Mapping[str, FloatArray]:
-        """Per trial (markers,) their noise over that of all, where it differs; else empty."""
+    def levels(self) -> Mapping[str, Level]:
+        """Noise of each trial's markers over that of all, where it differs; else empty."""
         return self.noise_model.levels if self.noise_is_measured else {}
 
     def noise_m(self, role: Literal["fit", "validate"]) -> float:

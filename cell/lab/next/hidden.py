@@ -77,7 +77,8 @@ class World:
         clean_m, lost = self.clean_m[trial.name], ~np.isfinite(trial.markers.xy_m)
         error_m, levels = self._errors_m(rng, clean_m.shape), self.prepared.levels
         if trial.name in levels:
-            error_m[:, : len(levels[trial.name])] *= levels[trial.name][:, None]
+            level = levels[trial.name].of_markers
+            error_m[:, : len(level)] *= level[:, None]
         seen_m = clean_m + error_m
         step_m = self._rounded_to_m
         if step_m > 0.0:
