@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.lab.data.noise_levels import with_levels
+from cell.lab.data.noise_levels import seen_in, with_levels
 from cell.lab.data.noise_model import noise_model_of
 from cell.lab.data.prepared import PreparedStudy
 from cell.study.data import Markers
@@ -44,7 +44,7 @@ def test_levels_of_markers_and_trials_are_found(make_study):
     factors /= np.sqrt(np.mean(factors**2))
     noisy = noisier(study, factors)
     noise_model = with_levels(noisy, noise_model_of(noisy))
-    found = np.array([noise_model.levels[t.name] for t in study.trials])
+    found = np.array([noise_model.levels[t.name].of_markers for t in study.trials])
     assert np.std(np.log(found / factors)) < 0.12  # 40 still frames tell a level to 8 %
     assert noise_model.noise.std_m == pytest.approx(1e-4, rel=0.1)
 
@@ -59,7 +59,7 @@ def test_a_marker_that_is_lost_at_rest_has_its_level_of_other_trials(make_study)
     xy_m[first.markers.t_s < 0.25, 0] = np.nan
     lost = replace(first, markers=Markers(first.markers.t_s, xy_m))
     noisy = replace(noisy, trials=(lost, *rest))
-    levels = with_levels(noisy, noise_model_of(noisy)).levels[first.name]
+    levels = with_levels(noisy, noise_model_of(noisy)).levels[first.name].of_markers
     assert levels[0] / np.median(levels[1:]) == pytest.approx(4.0, rel=0.15)
 
 
@@ -88,3 +88,18 @@ def test_whitened_noise_has_unit_size_in_every_marker(make_study):
         size = np.sqrt(np.mean(white.reshape(len(study.arc_length_m), -1) ** 2, axis=1))
         assert np.allclose(size, 1.0, atol=0.25)
     assert prepared.noise_m("fit") > prepared.noise_m("validate")
+
+
+def test_frames_of_fitted_trials_tell_nothing_of_the_noise_of_one_held_out(make_study):
+    study = make_study(noise_m=1e-9)
+    factors = np.ones((len(study.trials), len(study.arc_length_m)))
+    factors[:, 0] = 4.0
+    noisy = noisier(study, factors)
+    before = with_levels(noisy, noise_model_of(noisy))
+    told = replace(before, noise=replace(before.noise, std_m=0.9 * before.noise.std_m))
+    after = seen_in(before, told, noisy.role("fit"))
+    for trial in noisy.trials:
+        was, now = (m.noise.std_m * m.levels[trial.name].of_markers for m in (before, after))
+        assert now == pytest.approx(was * (0.9 if trial.role == "fit" else 1.0))
+    held = noisy.role("validate")
+    assert after.dof_in(held) == sum(after.levels[t.name].dof for t in held) < after.dof
