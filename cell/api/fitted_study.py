@@ -24,7 +24,7 @@ def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
     candidate = fits.baseline()
     prepared = fits.prepared
     _LOG.info("fitted %s: %.4f mm", prepared.study.name, candidate.fit.rms_m * 1e3)
-    if candidate.fit.rms_m <= ERRS * prepared.expected.std_m:
+    if candidate.fit.rms_m <= ERRS * prepared.expected_m("fit"):
         return identified(prepared, candidate.fit, fits.library.values()), candidate, prepared
     left = Noise(candidate.fit.rms_m)
     coarser = FitCache(

@@ -61,12 +61,14 @@ class Whitener:
         shift_m: FloatArray | None = None,
         together_m: FloatArray | None = None,
         sensors: Sensors | None = None,
+        levels: FloatArray | None = None,
     ) -> None:
         """`markers_m` (T, markers, 2) as measured, nan where not seen.
 
         shift_m  (T, markers, 2) by how much a standard deviation of its arc length moves a marker
         together_m  (shapes, T, markers, 2) independent movements of all of them, of one each
         sensors  of the last markers, if these are none; they have two axes
+        levels   (markers that are none of a sensor's,) noise over `noise`; None = 1
         """
         gauges = () if sensors is None else sensors.noises
         self.noise, self._gauges, self._sensors = noise, len(gauges), sensors
@@ -86,6 +88,8 @@ class Whitener:
         self.count = int(self.seen.sum()) - int(tares.sum())
         each = [noise] * (markers - len(gauges)) + list(gauges)
         self._memory, self._weight, self._gain = self._innovations(each)
+        if levels is not None:
+            self._weight[: len(levels)] /= levels[:, None, None]
         # what a constant looks like when white, and which part of a residual along it is taken out
         self._ones = self._weight.copy()
         if any(n.white > 0.0 for n in each):

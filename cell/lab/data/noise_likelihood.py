@@ -99,14 +99,26 @@ class Rest:
         square, dof, log_det = 0.0, 0, 0.0
         for block in self.blocks:
             frames, series = block.z_m.shape
-            u = np.linspace(-1.0, 1.0, frames)
-            powers, _ = _white(np.vander(u, self.degree + 1), ar1, white)
-            z, of_frames = _white(block.z_m, ar1, white)
-            q, r = np.linalg.qr(powers)
+            z, q, r, of_frames = self._parted(block, ar1, white)
             square += float(np.sum((z - q @ (q.T @ z)) ** 2))
             dof += (frames - self.degree - 1) * series
             log_det += of_frames + 2.0 * series * float(np.log(np.abs(np.diag(r))).sum())
         return square, dof, log_det
+
+    def whitened(self, block: Block, ar1: float) -> FloatArray:
+        """(frames, series) innovations of a block, beside its polynomials."""
+        z, q, _, _ = self._parted(block, ar1, 0.0)
+        return np.asarray(z - q @ (q.T @ z))
+
+    def _parted(
+        self, block: Block, ar1: float, white: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+        """A block made white; Q and R of its polynomials; ln of the determinant."""
+        u = np.linspace(-1.0, 1.0, len(block.z_m))
+        powers, _ = _white(np.vander(u, self.degree + 1), ar1, white)
+        z, log_det = _white(block.z_m, ar1, white)
+        q, r = np.linalg.qr(powers)
+        return z, q, r, log_det
 
     def _restricted(self, ar1: float) -> float:
         square, dof, log_det = self.sums(ar1)
@@ -274,6 +286,10 @@ def _innovation_sums(
 
 @dataclass(frozen=True)
 class Block:
-    """Still coordinates of one trial: (frames, series), all seen."""
+    """Still coordinates of one trial: (frames, series), all seen.
+
+    series  which of the trial's coordinates they are: 2 · marker + axis
+    """
 
     z_m: FloatArray
+    series: tuple[int, ...] = ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -36,6 +36,18 @@ class NoiseUnknownError(ValueError):
     """The study neither states its noise nor has frames in which nothing moves."""
 
 
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Noise of a trial's markers over that of the study.
+
+    of_markers  (markers,)
+    dof         degrees of freedom behind them: of the trial's still frames
+    """
+
+    of_markers: FloatArray
+    dof: float
+
+
 @dataclass(frozen=True)
 class NoiseModel:
     """The noise of the markers, and the uncertainty of its level.
@@ -49,6 +61,7 @@ class NoiseModel:
     hidden    values are rounded so much that still frames do not show their error
     slow      degrees of freedom behind the level of its slow part; None: as of a known
               correlation
+    levels    noise of each trial's markers over `noise`, where still frames show that they differ
     """
 
     noise: Noise
@@ -59,6 +72,7 @@ class NoiseModel:
     range_m: tuple[float, float] | None = None
     slow: float | None = None
     hidden: bool = False
+    levels: Mapping[str, Level] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def stated(self) -> bool:
@@ -104,7 +118,21 @@ class NoiseModel:
 
         That level is the innovations' variance over (1 − ρ)²; the variance of ρ is (1 − ρ²) / n.
         """
-        return self.slow or self.dof / (1.0 + 2.0 / self.effective_fraction)
+        return self.slow or self.dof / self._slower
+
+    def dof_in(self, trials: Sequence[Trial], *, slow: bool = False) -> float:
+        """Degrees of freedom behind the level in trials: theirs alone, where levels differ.
+
+        slow  of its slow part
+        """
+        if not self.levels:
+            return self.slow_dof if slow else self.dof
+        dof = sum(self.levels[t.name].dof for t in trials)
+        return dof / self._slower if slow else dof
+
+    @property
+    def _slower(self) -> float:
+        return 1.0 + 2.0 / self.effective_fraction
 
 
 def noise_model_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) -> NoiseModel:
@@ -194,7 +222,10 @@ def still_blocks(trial: Trial, markers: slice) -> list[Block]:
         rows = _longest_run(seen[:, series], since[:, series])
         if len(rows) >= MIN_STILL_FRAMES:
             runs.setdefault(rows.tobytes(), (rows, []))[1].append(series)
-    return [Block(series_m[np.ix_(rows, np.array(alike))]) for rows, alike in runs.values()]
+    return [
+        Block(series_m[np.ix_(rows, np.array(alike))], tuple(alike))
+        for rows, alike in runs.values()
+    ]
 
 
 def _longest_run(seen: NDArray[np.bool_], since: NDArray[np.int_]) -> NDArray[np.intp]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from cell.identify.noise import Noise
 from cell.identify.whitener import Whitener
 from cell.lab.data.gauges import Gauges, with_gauges, without_gauges
 from cell.lab.data.held_straight import placed
-from cell.lab.data.noise_model import NoiseModel, noise_model_of
+from cell.lab.data.noise_levels import rms_level, with_levels
+from cell.lab.data.noise_model import Level, NoiseModel, noise_model_of
 from cell.lab.data.unknown_start import InitialState, initial_state_of
 from cell.lab.data.whitening import whiteners_of
 from cell.lab.data.work import SOLVER, Work
@@ -85,7 +86,7 @@ class PreparedStudy:
         raises  NoiseUnknownError
         """
         study = placed(study)
-        noise_model = noise_model_of(study)
+        noise_model = with_levels(study, noise_model_of(study))
         noise = (
             misfit
             if misfit and misfit.std_m > ERRS * noise_model.noise.std_m
@@ -93,7 +94,8 @@ class PreparedStudy:
         )
         level_m = noise_model.noise.std_m
         study, gauges = with_gauges(study, level_m, noise.std_m / level_m)
-        whiteners = whiteners_of(study, noise, gauges)
+        levels = noise_model.levels if noise == noise_model.noise else None
+        whiteners = whiteners_of(study, noise, gauges, levels=levels)
         return PreparedStudy(
             study, noise_model, noise, whiteners, solver or SOLVER, work or Work(), gauges=gauges
         )
@@ -107,6 +109,24 @@ class PreparedStudy:
     def expected(self) -> Noise:
         """What a right model leaves: the measurement's noise or an earlier model's error."""
         return self.noise_model.noise if self.noise_is_measured else self.noise
+
+    @property
+    def levels(self) -> Mapping[str, Level]:
+        """Noise of each trial's markers over that of all, where it differs; else empty."""
+        return self.noise_model.levels if self.noise_is_measured else {}
+
+    def noise_m(self, role: Literal["fit", "validate"]) -> float:
+        """Root mean square of the measurement's noise in the trials of a role, m."""
+        markers = len(self.study.arc_length_m)
+        seen = {
+            t.name: np.isfinite(t.markers.xy_m[:, :markers]).sum(axis=(0, 2))
+            for t in self.study.role(role)
+        }
+        return self.noise_model.noise.std_m * rms_level(self.noise_model.levels, seen)
+
+    def expected_m(self, role: Literal["fit", "validate"]) -> float:
+        """Root mean square of what a right model leaves there, m; see `expected`."""
+        return self.noise_m(role) if self.noise_is_measured else self.noise.std_m
 
     @property
     def unjoined(self) -> Study:

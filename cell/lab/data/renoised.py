@@ -40,10 +40,13 @@ def with_noise_model(
     of_gauges  noise of force and moment, if there are gauges and it is another, too
     """
     weighed = noise_model.weighed
-    if weighed == prepared.noise and of_gauges is None:
+    same = noise_model.levels == prepared.noise_model.levels
+    if weighed == prepared.noise and same and of_gauges is None:
         return replace(prepared, noise_model=noise_model)
     levelled = _levelled(prepared, noise_model.noise.std_m, of_gauges)
-    whiteners = whiteners_of(levelled.study, weighed, levelled.gauges, levelled.lines)
+    whiteners = whiteners_of(
+        levelled.study, weighed, levelled.gauges, levelled.lines, noise_model.levels
+    )
     return replace(levelled, noise_model=noise_model, noise=weighed, whiteners=whiteners)
 
 

@@ -93,6 +93,7 @@ class Nearest:
 
     explained_share, left_rms_m  of all trials, fitted to them all
     errors                       fitted to the fit trials alone; nan if it never was
+    at_bound                     its parameters that are at a bound, which may be too narrow
     """
 
     effect: str
@@ -100,6 +101,7 @@ class Nearest:
     left_rms_m: float
     errors: Errors
     peak: Peak
+    at_bound: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

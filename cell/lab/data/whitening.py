@@ -12,6 +12,7 @@ from cell.identify.marker_shift import carried_m, slopes_along
 from cell.identify.noise import Noise
 from cell.identify.whitener import Whitener
 from cell.lab.data.gauges import Gauges
+from cell.lab.data.noise_model import Level
 from cell.study.data import Study
 
 FloatArray = NDArray[np.float64]
@@ -27,18 +28,20 @@ def whiteners_of(
     noise: Noise,
     gauges: Gauges | None = None,
     lines: Mapping[str, FloatArray] | None = None,
+    levels: Mapping[str, Level] | None = None,
 ) -> dict[str, Whitener]:
     """What whitens each trial of a study.
 
     lines  per trial (times, markers, 2) change of markers' places by a metre of arc length, as a
            model has it; as measured where it is missing
+    levels noise of a trial's markers over `noise`; 1 where it is missing
 
     The whitener of a trial knows nothing of the others, yet a marker's arc length is the same in
     all n of them.  So each trial may have one of its own, of n times the variance: no combination
     of trials is then believed more than it may, and what moves a marker alike in all of them as
     much as one standard deviation allows.  The same holds of a sensor's gain.
     """
-    lines = lines or {}
+    lines, levels = lines or {}, levels or {}
     std_m, markers = study.arc_length_std_m, len(study.arc_length_m)
     whiteners = {}
     for t in study.trials:
@@ -54,5 +57,6 @@ def whiteners_of(
         if carried is not None:
             carried = np.pad(carried, ((0, 0), (0, 0), *beside))
         sensors = None if gauges is None else gauges.sensors(t)
-        whiteners[t.name] = Whitener(t.markers.xy_m, noise, shift_m, carried, sensors)
+        level = levels[t.name].of_markers if t.name in levels else None
+        whiteners[t.name] = Whitener(t.markers.xy_m, noise, shift_m, carried, sensors, level)
     return whiteners

@@ -33,5 +33,7 @@ def with_gain_of(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
     points = prepared.predict_all(trials, [fit.model], best_initial_states(prepared, fit))
     there = {t.name: p[0] for t, p in zip(trials, points, strict=True) if np.isfinite(p).all()}
     gauges = gauges.as_expected(there)
-    whiteners = whiteners_of(prepared.study, prepared.noise, gauges, prepared.lines)
+    whiteners = whiteners_of(
+        prepared.study, prepared.noise, gauges, prepared.lines, prepared.levels
+    )
     return replace(prepared, gauges=gauges, whiteners=whiteners)

@@ -89,7 +89,7 @@ def without_mesh_error(
     study = replace(prepared.study, trials=tuple(shown))
     states = best_initial_states(prepared, fit)
     lines = lines_of(prepared, fit.model, states) if arcs_are_uncertain(study) else {}
-    whiteners = whiteners_of(study, prepared.noise, prepared.gauges, lines)
+    whiteners = whiteners_of(study, prepared.noise, prepared.gauges, lines, prepared.levels)
     taken = {n: e + prepared.mesh_m.get(n, 0.0) for n, e in error_m.items()}
     mesh_m = {**prepared.mesh_m, **taken}
     return replace(prepared, study=study, whiteners=whiteners, mesh_m=mesh_m, lines=lines)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.identify.noise import still_frames
+from cell.lab.data.noise_levels import seen_in
 from cell.lab.data.noise_likelihood import Remainder
 from cell.lab.data.noise_model import noise_model_of_all_frames
 from cell.lab.data.prepared import PreparedStudy
@@ -16,6 +17,7 @@ from cell.lab.data.renoised import with_noise_model
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
 from cell.lab.statistics.score import score_test
+from cell.study.data import Trial
 
 FloatArray = NDArray[np.float64]
 
@@ -33,6 +35,8 @@ def with_noise_beside(
         return prepared
     left = remainders(prepared, fit, effects)
     markers, *of_gauges = map(noise_model_of_all_frames, each, left)
+    if prepared.levels:
+        markers = seen_in(prepared.noise_model, markers, fit_trials(prepared))
     if not of_gauges:
         return with_noise_model(prepared, markers)
     return with_noise_model(prepared, markers, (of_gauges[0], of_gauges[1]))
@@ -67,7 +71,10 @@ def remainders(
         error[still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)] = np.nan
         errors.append(error)
     left_over = max(0.0, 1.0 - taken / max(prepared.count(trials), 1))
-    places = [prepared.of_markers(t, e) for t, e in zip(trials, errors, strict=True)]
+    places = [
+        prepared.of_markers(t, e) / level_of(prepared, t)
+        for t, e in zip(trials, errors, strict=True)
+    ]
     found, gauges = [_remainder(places, left_over)], prepared.gauges
     if gauges is not None:
         rows = [gauges.joined[t.name].rows for t in trials]
@@ -75,6 +82,12 @@ def remainders(
             own = [e[r, point] / scale for e, r in zip(errors, rows, strict=True)]
             found.append(_remainder(own, left_over))
     return tuple(found)
+
+
+def level_of(prepared: PreparedStudy, trial: Trial) -> FloatArray:
+    """(markers or 1, 1) noise of a trial's markers over that of all."""
+    known = prepared.levels.get(trial.name)
+    return np.ones((1, 1)) if known is None else known.of_markers[:, None]
 
 
 def _remainder(errors: Sequence[FloatArray], left_over: float) -> Remainder:

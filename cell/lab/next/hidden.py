@@ -75,7 +75,11 @@ class World:
 
     def _measured(self, trial: Trial, number: int, rng: np.random.Generator) -> Trial:
         clean_m, lost = self.clean_m[trial.name], ~np.isfinite(trial.markers.xy_m)
-        seen_m = clean_m + self._errors_m(rng, clean_m.shape)
+        error_m, levels = self._errors_m(rng, clean_m.shape), self.prepared.levels
+        if trial.name in levels:
+            level = levels[trial.name].of_markers
+            error_m[:, : len(level)] *= level[:, None]
+        seen_m = clean_m + error_m
         step_m = self._rounded_to_m
         if step_m > 0.0:
             places = seen_m[:, : len(self.study.arc_length_m)]
@@ -145,7 +149,9 @@ def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArr
             raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
         seen.append(replace(trial, markers=replace(trial.markers, xy_m=places)))
     study = replace(prepared.study, trials=tuple(seen))
-    whiteners = whiteners_of(study, prepared.noise, prepared.gauges, prepared.lines)
+    whiteners = whiteners_of(
+        study, prepared.noise, prepared.gauges, prepared.lines, prepared.levels
+    )
     quiet = replace(prepared, study=study, whiteners=whiteners, mesh_m={})
     space = replace(fit.space, mean=fit.q)  # the prior pulls whatever is hidden
     found = fit_model(quiet, space, fit.q, fit.initial_states, options=POLISH)

@@ -133,7 +133,7 @@ def _doubts(fits: FitCache) -> tuple[Doubt, ...]:
                 "mark one with another motion `role: validate`",
             )
         )
-    over = fits.baseline().fit.rms_m / prepared.expected.std_m
+    over = fits.baseline().fit.rms_m / prepared.expected_m("fit")
     if over > ERRS:
         found.append(
             Doubt(

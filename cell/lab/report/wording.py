@@ -195,9 +195,11 @@ def nearest_rows(diagnosis: Diagnosis) -> list[list[str]]:
 def nearest_note(diagnosis: Diagnosis) -> str:
     """What its columns say."""
     to = "all" if diagnosis.verdict == "unexplained" else "the fit trials"
+    bounds = [name for n in diagnosis.nearest for name in n.at_bound]
+    at = f". At a bound: {', '.join(bounds)}: the effect may be stronger than it allows"
     return (
         f"Error, mm rms per coordinate, with each effect alone beside the model. “all trials”: "
-        f"error on all trials, fitted to {to}; –: not fitted so"
+        f"error on all trials, fitted to {to}; –: not fitted so{at if bounds else ''}"
     )
 
 

@@ -89,7 +89,7 @@ class Baseline:
         found = self._beside_noise_and_mesh(BaselineFit(judged, fit))
         self.progress(f"weighing the model with {names}", 2, 3)
         count = found.prepared.count(fit_trials(found.prepared))
-        errs = found.fit.rms_m > ERRS * found.prepared.expected.std_m
+        errs = found.fit.rms_m > ERRS * found.prepared.expected_m("fit")
         if found.fit.chi2 > MISFIT * count or (self.added is not None and errs):
             best = self._from_other_starts(found, start, count)
             if self.added is not None and best.fit is not found.fit:
@@ -116,7 +116,7 @@ class Baseline:
         if self.settled:
             return found
         fit, prepared = found.fit, with_noise_beside(found.prepared, found.fit, self.others)
-        if fit.rms_m <= ERRS * prepared.expected.std_m:
+        if fit.rms_m <= ERRS * prepared.expected_m("fit"):
             prepared = without_mesh_error(prepared, fit, mesh_error_m(prepared, fit))
             prepared = with_gain_of(prepared, fit)
         try:

@@ -127,7 +127,7 @@ class FitCache:
 
     def explained_by(self, model: FittedModel) -> bool:
         """Whether a model leaves so little that the rest may be noise and the mesh's error."""
-        return model.fit.rms_m <= ERRS * self.prepared.expected.std_m
+        return model.fit.rms_m <= ERRS * self.prepared.expected_m("fit")
 
     @property
     def second(self) -> Fit | None:

@@ -81,5 +81,6 @@ class Evidence:
 
 def above_noise(fits: FitCache, candidate: FittedModel) -> float:
     """Larger of a candidate's fitted and held-out error over the measurement's noise."""
-    held_m = candidate.heldout.rms_m if candidate.heldout else 0.0
-    return max(candidate.fit.rms_m, held_m) / fits.prepared.noise_model.noise.std_m
+    prepared, held = fits.prepared, candidate.heldout
+    over = candidate.fit.rms_m / prepared.noise_m("fit")
+    return over if held is None else max(over, held.rms_m / prepared.noise_m("validate"))

@@ -103,7 +103,7 @@ class ConfirmedEffects:
         base = fits.baseline().heldout
         if small.heldout is None or large.heldout is None or base is None:
             return None
-        noise_m2, gain = fits.prepared.expected.std_m**2, fits.gain(small, large)
+        noise_m2, gain = fits.prepared.expected_m("validate") ** 2, fits.gain(small, large)
         least_m2 = rules.negligible_share * noise_m2
         if fits.added(small):
             excess_m2 = max(base.rms_m**2 - noise_m2, 0.0)

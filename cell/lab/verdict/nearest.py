@@ -9,6 +9,7 @@ from cell.lab.data.results import Errors, Nearest, RemainingError
 from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
+from cell.lab.verdict.fit_doubts import at_bound
 from cell.lab.verdict.partial import Partial
 from cell.lab.verdict.residual_summary import (
     log_variance_ratio,
@@ -112,8 +113,18 @@ def nearest(partial: Partial, tried: Sequence[FittedModel], rules: Rules) -> tup
             left_rms_m=after.rms_m,
             errors=strict[candidate.names].errors if candidate.names in strict else NOT_FITTED,
             peak=peak(prepared, candidate),
+            at_bound=_at_bound(candidate, added_effect(base, candidate).name),
         )
         for after, candidate in best[: rules.most_named]
+    )
+
+
+def _at_bound(candidate: FittedModel, effect: str) -> tuple[str, ...]:
+    """Parameters of an effect that are at a bound, with their values."""
+    return tuple(
+        f"{name} {value:.3g} {unit}"
+        for name, value, unit in at_bound(candidate.fit)
+        if name.startswith(f"{effect}.")
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
@@ -40,7 +41,7 @@ def fitted_ratio(evidence: Evidence) -> Reading | None:
     prepared, fit = evidence.prepared, evidence.final.fit
     trials = fit_trials(prepared)
     by_hand = evidence.fits.hand().square_left(trials, fit) / prepared.count(trials)
-    return Reading(fit.rms_m / (prepared.expected.std_m * float(np.sqrt(1.0 + by_hand))))
+    return Reading(fit.rms_m / (prepared.expected_m("fit") * float(np.sqrt(1.0 + by_hand))))
 
 
 def heldout_smooth(evidence: Evidence) -> Reading | None:
@@ -76,19 +77,21 @@ def residual_level(evidence: Evidence) -> Reading | None:
     if not _judged_by_rest(evidence):
         return None
     prepared, final = evidence.prepared, evidence.final
+    role: Literal["fit", "validate"] = "fit" if final.heldout is None else "validate"
+    trials, hand = prepared.study.role(role), evidence.fits.hand()
     if final.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
-        by_hand = evidence.fits.hand().square(prepared.study.role("validate"))
+        by_hand = hand.square(trials)
     else:
-        count = prepared.count(fit_trials(prepared)) - len(final.fit.q)
+        count = prepared.count(trials) - len(final.fit.q)
         chi2, rms_m = final.fit.chi2, final.fit.rms_m
-        by_hand = evidence.fits.hand().square_left(fit_trials(prepared), final.fit)
+        by_hand = hand.square_left(trials, final.fit)
     expected = 1.0 + by_hand / count
     chi2, rms_m = chi2 / expected, rms_m / float(np.sqrt(expected))
-    ratio = max(rms_m / prepared.expected.std_m, float(np.sqrt(chi2 / count)))
+    ratio = max(rms_m / prepared.expected_m(role), float(np.sqrt(chi2 / count)))
     if ratio < evidence.rules.most_over_noise:
         return Reading(1.0)
-    return Reading(_p_value(chi2, count, prepared.noise_model.dof))
+    return Reading(_p_value(chi2, count, prepared.noise_model.dof_in(trials)))
 
 
 def explained_of_earlier(evidence: Evidence) -> Reading | None:

@@ -74,11 +74,12 @@ def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     if not noise_was_seen(prepared) or not prepared.study.role("validate"):
         return None
     rows = heldout_rows(prepared, fit)
-    chi2, count = np.inf, 1
-    if np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.spread)):
-        coarse = _coarse(prepared, rows, rows.residual[None])
-        chi2, count = _chi2(coarse[0], _coarse(prepared, rows, rows.spread.T)), coarse.shape[1]
-    return SmoothPart(chi2, count, len(rows.residual), prepared.noise_model.slow_dof)
+    if not (np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.spread))):
+        return SmoothPart(np.inf, 1, len(rows.residual), prepared.noise_model.slow_dof)
+    coarse = _coarse(prepared, rows, rows.residual[None])
+    level, dof = _heldout_level(prepared, rows)
+    chi2 = _chi2(coarse[0], _coarse(prepared, rows, rows.spread.T)) / level
+    return SmoothPart(chi2, coarse.shape[1], len(rows.residual), dof)
 
 
 def noise_was_seen(prepared: PreparedStudy) -> bool:
@@ -114,6 +115,7 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     residual = _coarse(prepared, rows, (rows.residual + (1.0 + LEFT) * mesh)[None])[0]
     sizes = [_chi2(row, spread) for row in _coarse(prepared, rows, np.concatenate(changes))]
     expected = seen.count + LEFT**2 * sizes[0] + sum(sizes[1:]) / MOTIONS
+    expected *= _heldout_level(prepared, rows)[0]
     return replace(seen, chi2=_chi2(residual, spread) * seen.count / expected)
 
 
@@ -144,7 +146,8 @@ class AllTrialsResidual:
         noise_model = self.whole.prepared.noise_model
         if not noise_was_seen(self.whole.prepared):
             return 1.0, np.inf
-        return _slow_level(noise_model, [_Fast.of(w, p[0]) for w, p in self.by_trial])
+        fast = [_Fast.of(w, p[0]) for w, p in self.by_trial]
+        return _slow_level(noise_model, fast, noise_model.slow_dof)
 
     def part(self, coordinates: Callable[[Whitener, FloatArray], FloatArray]) -> SmoothPart:
         """χ² in orthonormal directions of each trial: (directions, n) coordinates of (rows, n)."""
@@ -222,8 +225,26 @@ class _Fast:
         return _Fast(square, products, values, neighbours, pairs)
 
 
-def _slow_level(noise_model: NoiseModel, parts: Sequence[_Fast]) -> tuple[float, float]:
+def _heldout_level(prepared: PreparedStudy, rows: HeldoutRows) -> tuple[float, float]:
+    """Of slow noise in the trials held out, and the degrees of freedom behind it.
+
+    By their still frames and by what is fast in their residual, where trials differ in noise.
+    """
+    trials, noise_model = prepared.study.role("validate"), prepared.noise_model
+    of_rest = noise_model.dof_in(trials, slow=True)
+    if not prepared.levels:
+        return 1.0, of_rest
+    parts = zip(trials, np.split(rows.residual, rows.ends[:-1]), strict=True)
+    fast = [_Fast.of(prepared.whiteners[t.name], part) for t, part in parts]
+    return _slow_level(noise_model, fast, of_rest)
+
+
+def _slow_level(
+    noise_model: NoiseModel, parts: Sequence[_Fast], of_rest: float
+) -> tuple[float, float]:
     """Mean square of the noise's smooth part once whitened, 1 if the noise is right; its dof.
+
+    of_rest  degrees of freedom of the noise's level as it was whitened for
 
     Noise of another correlation than it was whitened for stays correlated with the frame before,
     and is by so much stronger where it is slow.
@@ -239,8 +260,8 @@ def _slow_level(noise_model: NoiseModel, parts: Sequence[_Fast]) -> tuple[float,
     # Few pairs, as of cameras that take turns, tell little of how alike neighbours are.
     told = min(1.0, 2.0 * pairs / values)
     dof = told * values / (1.0 + 2.0 / noise_model.effective_fraction)
-    of_both = dof + noise_model.slow_dof
-    return (dof * slow + noise_model.slow_dof) / of_both, of_both
+    of_both = dof + of_rest
+    return (dof * slow + of_rest) / of_both, of_both
 
 
 def _followed(fit: Fit, changes: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
 from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.report.wording import nearest_note
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.screen import screen
 from cell.lab.verdict import forward_search
@@ -227,3 +228,28 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     assert with_ties(*given)[0] is pair
     ties[first] = ties[second] = ("a", "b", "c")
     assert with_ties(fits, None, alone, DEFAULT_RULES)[0] is alone
+
+
+def test_a_right_model_is_complete_though_a_trial_held_out_is_noisier(make_study):
+    """Noise of one level for all would make its residual too large, and another effect of it."""
+    study, rng = make_study(noise_m=1e-9), np.random.default_rng(1)
+    trials = []
+    for trial in study.trials:
+        std_m = 2e-4 if trial.role == "validate" else 1e-4
+        xy_m = trial.markers.xy_m + rng.normal(0.0, std_m, trial.markers.xy_m.shape)
+        trials.append(replace(trial, markers=replace(trial.markers, xy_m=xy_m)))
+    found = diagnose(explore(replace(study, trials=tuple(trials)))).diagnosis
+    assert found.verdict == "complete"
+    assert found.noise_m == pytest.approx(np.sqrt((1.0 + 1.0 + 4.0) / 3.0) * 1e-4, rel=0.15)
+
+
+def test_an_effect_that_is_stronger_than_its_bound_says_so(make_study):
+    """Pictures that come 0.15 s late, of which the library believes 0.1 s."""
+    study = make_study()
+    late = [replace(t, markers=replace(t.markers, t_s=t.markers.t_s + 0.15)) for t in study.trials]
+    fits = explore(replace(study, trials=tuple(late)), ("camera_latency", "tip_mass"))
+    found = diagnose(fits).diagnosis
+    assert found.verdict == "unexplained"
+    (latency,) = (n for n in found.nearest if n.effect == "camera_latency")
+    assert latency.at_bound == ("camera_latency.delay_s 0.1 s",)
+    assert "At a bound: camera_latency.delay_s 0.1 s: the effect" in nearest_note(found)

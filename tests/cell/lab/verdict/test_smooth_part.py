@@ -107,7 +107,8 @@ def test_the_level_of_slow_noise_is_seen_in_the_fast(told, lost):
         white = whiteners[-1](np.zeros((1, *noise_m.shape)))[0]
         fast.append(_Fast.of(whiteners[-1], white))
         slow.append(_of_trial(whiteners[-1], white[:, None])[:, 0])
-    level, dof = _slow_level(NoiseModel(Noise(1e-4, told), 1e-3), fast)
+    rest = NoiseModel(Noise(1e-4, told), 1e-3)
+    level, dof = _slow_level(rest, fast, rest.slow_dof)
     seen = np.concatenate(slow)
     expected = ((1.0 - told) / 0.4) ** 2 * (1.0 - 0.6**2) / (1.0 - told**2)
     assert level == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / dof) + 0.02)
@@ -122,7 +123,7 @@ def test_noise_of_markers_seen_in_every_second_frame_has_the_level_of_its_rest()
     whitener, rest = Whitener(noise_m, noise), NoiseModel(noise, 1e-3)
     fast = _Fast.of(whitener, whitener(np.zeros((1, *noise_m.shape)))[0])
     assert fast.pairs == 0
-    assert _slow_level(rest, [fast]) == (1.0, rest.slow_dof)
+    assert _slow_level(rest, [fast], rest.slow_dof) == (1.0, rest.slow_dof)
 
 
 @pytest.mark.parametrize(("angle_rad", "noise_m"), [(0.012, 1e-4), (0.02, 2e-4)])
