@@ -21,8 +21,8 @@ from cell.lab.next.strokes import Stroke, strokes
 from cell.lab.next.suggest import (
     DECIDED,
     _open,
-    _separation,
     _rest_low_m,
+    _separation,
     _trial,
     _weighed,
     _whitener,
