@@ -279,6 +279,38 @@ def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(result: LearningRes
     assert failed(few) == {"enough forecasts"}
 
 
+@pytest.mark.parametrize("nothing", [np.inf, np.nan])
+def test_a_cycle_of_which_nothing_can_be_forecast_stops_no_candidate(
+    result: LearningResult, nothing: float
+) -> None:
+    """One hold that no model identifies, or one tip unseen, was "inf → inf mm" and refused."""
+    destination = cell_task(SETTINGS).destination
+    better = [
+        ForecastPair(str(i), 1e-6 * (300 + i), 1e-4, 1.0, 1.0, 1e-6 * (200 + i), 5e-5)
+        for i in range(6)
+    ]
+    silent = ForecastPair("6", nothing, nothing, 1.0, 1.0, nothing, nothing)
+    lost = ForecastPair("7", 3e-4, np.inf, 1.0, 1.0, 2e-4, np.inf)
+    assert {g.found for g in gates(result, [*better, silent], destination)} == {
+        g.found for g in gates(result, better, destination)
+    }
+    assert all(g.passed for g in gates(result, [*better, silent], destination))
+    failed = {g.name for g in gates(result, [*better, lost], destination) if not g.passed}
+    assert "worst case no worse" in failed
+
+
+def test_a_tip_that_is_not_seen_tells_nothing_of_a_forecast(result: LearningResult) -> None:
+    task, cycle = cell_task(SETTINGS), result.cycles[0]
+    assert cycle.executed is not None
+    xy_m = cycle.executed.markers.xy_m.copy()
+    xy_m[:, 0] = np.nan
+    unseen = replace(cycle.executed, markers=Markers(cycle.executed.markers.t_s, xy_m))
+    one = replace(result, cycles=(replace(cycle, executed=unseen),))
+    (found,) = forecasts(one, task.cable, task.identification, task.destination)
+    assert np.isnan([found.present_m, found.candidate_m, found.present_rms_m]).all()
+    assert LineEvidence(result, [found]).told == []
+
+
 def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(
     result: LearningResult,
 ) -> None:
