@@ -613,6 +613,18 @@ def test_cycles_of_another_cable_or_none_are_refused(
         read_cycles([tmp_path], cable)
 
 
+def test_a_cycle_that_is_given_twice_is_one_cable(
+    tmp_path: Path, dragged: list[RecordedCycle]
+) -> None:
+    """It was learned from twice, and so was among the cables that had not seen it."""
+    cable, folders = cell_task(SETTINGS).cable, [tmp_path / "runs" / "a", tmp_path / "copy" / "a"]
+    for folder in folders:
+        write_study(dragged[0].study, folder)
+    found, left_out = read_cycles([folders[0], *folders], cable)
+    assert [c.folder for c in found] == folders[:1]
+    assert [line.partition(": the same as ")[0] for line in left_out] == [str(f) for f in folders]
+
+
 def test_cycles_of_another_product_are_left_out(
     tmp_path: Path, dragged: list[RecordedCycle]
 ) -> None:
