@@ -433,7 +433,7 @@ def test_learning_ends_at_its_limit_of_work_and_says_what_it_left_out(
     (untried,) = TRIED.keys() - {result.ranking[0].effect.name}
     limit = "for the limit of 1 s of simulated motion"
     rejected = "it cannot be identified, unseen frames: it left the picture"
-    assert f"{dragged[1].name}: {rejected}" in result.left_out
+    assert result.cables_left_out == (f"{dragged[1].name}: {rejected}",)
     assert f"a fit with {untried}, {limit}" in result.left_out
     nothing = replace(result, best=None)
     assert learning_lines(nothing)[-1].endswith("some were not tried")
@@ -544,8 +544,11 @@ def test_an_effect_that_does_not_help_unseen_cables_is_left_out(
         return identify(*args, options=options)
 
     monkeypatch.setattr("cell.lab.line.forecasts.identify", counted)
-    kept, judgement = best_judged(replace(result, simpler=result), SETTINGS)
-    assert kept is result
+    both = replace(result, simpler=result, left_out=("a fit",), cables_left_out=("c9",))
+    kept, judgement = best_judged(both, SETTINGS)
+    assert kept.best is result.best
+    assert kept.simpler is None
+    assert (kept.left_out, kept.cables_left_out) == (("a fit",), ("c9",)), "it was not told"
     assert judgement.fit_for_line
     assert sorted(identified) == [0] * 3 + [1] * 6
 
