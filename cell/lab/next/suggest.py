@@ -274,11 +274,11 @@ def _looked_at(
     returns  (models, times, markers, 2) and (models, more times, points, 2), m
     """
     shown, cable = everywhere(prepared, trial, models)
-    t_s, ends_s = trial.markers.t_s, trial.grip.t_s[[0, -1]]
+    t_s, hand_s = trial.markers.t_s, trial.grip.t_s
     if np.diff(t_s).max(initial=0.0) <= LOOK_S * (1.0 + 1e-9):
         return shown, cable
-    count = int(np.ceil((ends_s[1] - ends_s[0]) / LOOK_S)) + 1
-    often_s = np.union1d(t_s, np.linspace(*ends_s, count))
+    count = int(np.ceil((hand_s[-1] - hand_s[0]) / LOOK_S)) + 1
+    often_s = np.union1d(t_s, np.linspace(hand_s[0], hand_s[-1], count))
     blank = Markers(often_s, np.zeros((len(often_s), len(prepared.study.arc_length_m), 2)))
     often = replace(trial, markers=blank, row_means=None)
     return shown, everywhere(prepared, often, models)[1]
