@@ -90,4 +90,5 @@ def learn(
 def judged(result: LearningResult, settings: Settings, left_out: Sequence[str]) -> LearnResult:
     """What was learned, held against the conditions of the line."""
     result, judgement = best_judged(result, settings)
-    return LearnResult(result, judgement, settings, (*left_out, *result.left_out))
+    left_out = (*left_out, *result.cables_left_out, *result.left_out)
+    return LearnResult(result, judgement, settings, left_out)

@@ -21,6 +21,8 @@ SAME = 1e-6
 #: Why a cycle is left out that ended, or was killed, before its study was written.
 UNMEASURED = "nothing was measured"
 NONE_MEASURED = "no cycle here has measurements"
+#: Why a cycle is left out that has the name of another one.
+_TWICE = "the same as {}, or called so; if it is another cable, rename its folder"
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +53,17 @@ def read_cycles(
 ) -> tuple[list[RecordedCycle], list[str]]:
     """Cycles of folders or their subfolders, oldest first; and the cycles left out, with reasons.
 
+    Each counts once, however often it is given: a copy is no other cable.
     product  cycles that say another one, or none, are left out; None = those that say one are
     raises  InputError: a folder that holds no cycle, one of another data sheet, or none of use
     """
     found: list[RecordedCycle] = []
     left_out: list[str] = []
+    taken: dict[str, Path] = {}
     for folder in _folders(runs):
+        if there := taken.get(folder.resolve().name):
+            left_out.append(f"{folder}: {_TWICE.format(there)}")
+            continue
         cycle = _read(folder)
         if cycle is None:
             left_out.append(f"{folder}: {UNMEASURED}")
@@ -71,6 +78,7 @@ def read_cycles(
                 place = folder / "study" / "study.yaml"
                 raise InputError([Problem(place, 1, None, f"cable.{name}", message)])
         found.append(cycle)
+        taken[cycle.name] = folder
     if not found:
         why = NONE_MEASURED if product is None else f"{NONE_MEASURED} of product {product}"
         raise InputError([Problem(Path(runs[0]), 1, None, "", why)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -52,11 +52,12 @@ def merge_studies(runs: Sequence[Path], name: str) -> Study:
     """One study of the studies in cycles' folders (or of studies themselves).
 
     The first cycle's roles are kept; later cycles' trials are only compared with, so that what was
-    fitted stays what one cable showed.  Trials are named after their cycle's folder.  The noise is
-    the largest that any of them states.  Wrong samples of what the cell filmed are left out, and
-    the notes say which.
-    raises  InputError: a folder has no study or is given twice, or is of another cable, markers,
-            gravity, camera, arm, gripper or home, or shows another individual
+    fitted stays what one cable showed.  Trials are named after their cycle's folder.  The noise of
+    markers and wrenches, and the uncertainty of arc lengths, is the largest that any of them
+    states.  Wrong samples of what the cell filmed are left out, and the notes say which.
+    raises  InputError: a folder has no study or is given twice, two trials have one name then, or
+            it is of another cable, markers, gravity, camera, arm, gripper or home, or shows
+            another individual
     """
     if not runs:
         raise ValueError("no cycle given")
@@ -70,16 +71,41 @@ def merge_studies(runs: Sequence[Path], name: str) -> Study:
     trials = [
         replace(
             trial,
-            name=trial.name if len(cycles) == 1 else f"{cycle.name}_{trial.name}",
+            name=trial.name if len(cycles) == 1 else _merged_name(cycle, trial),
             role=trial.role if cycle is first else "validate",
         )
         for cycle in cycles
         for trial in cycle.study.trials
     ]
-    stated_m = max((n for c in cycles if (n := c.study.noise_std_m) is not None), default=None)
     notes = tuple(note for cycle in cycles for note in cycle.study.notes)
     made = replace(first.study, name=name, trials=tuple(trials), notes=notes)
-    return replace(made, noise_std_m=stated_m)
+    return _with_largest_errors(made, [cycle.study for cycle in cycles])
+
+
+def _merged_name(cycle: _Cycle, trial: Trial) -> str:
+    return f"{cycle.name}_{trial.name}"
+
+
+def _with_largest_errors(study: Study, merged: Sequence[Study]) -> Study:
+    """The study with the largest errors that any of those merged states."""
+    used = [s.sensor for s in merged if any(t.wrench is not None for t in s.trials)]
+    sensors = used or [study.sensor]
+    arcs = [s.arc_length_std_m for s in merged if s.arc_length_std_m is not None]
+    return replace(
+        study,
+        noise_std_m=_largest(s.noise_std_m for s in merged),
+        arc_length_std_m=np.max(arcs, axis=0) if arcs else None,
+        sensor=replace(
+            study.sensor,
+            force_std_n=_largest(s.force_std_n for s in sensors),
+            moment_std_nm=_largest(s.moment_std_nm for s in sensors),
+            gain_std=max(s.gain_std for s in sensors),
+        ),
+    )
+
+
+def _largest(stated: Iterable[float | None]) -> float | None:
+    return max((value for value in stated if value is not None), default=None)
 
 
 def merge_into(folder: Path, runs: Sequence[Path]) -> tuple[Study, list[str]]:
@@ -110,6 +136,15 @@ def _twice(cycles: Sequence[_Cycle]) -> Iterator[Problem]:
         if cycle.name in {c.name for c in cycles[:i]}:
             message = f"{cycle.name!r} is given twice; trials are named after it: leave one out"
             yield Problem(cycle.folder / "study.yaml", 1, None, "", message)
+            return
+    taken: dict[str, Path] = {}
+    for cycle in cycles:
+        for trial in cycle.study.trials:
+            name = _merged_name(cycle, trial)
+            there = taken.setdefault(name, cycle.folder)
+            if there != cycle.folder:
+                message = f"a trial of {there} would be called {name!r}, too; rename one folder"
+                yield Problem(cycle.folder / "study.yaml", 1, None, "trials", message)
 
 
 def _apart(first: _Cycle, other: _Cycle) -> Iterator[Problem]:

@@ -64,7 +64,7 @@ def write_candidate(
         ],
         "forecasts": [_plain(asdict(f)) for f in judgement.paired],
         "votes": [_plain(asdict(v)) for v in result.cycle_evidence],
-        "left_out": list(result.left_out),
+        "left_out": [*result.cables_left_out, *result.left_out],
         "lines": list(lines),
         "cycles": [str(c.folder.resolve()) for c in result.cycles],
     }

@@ -34,11 +34,13 @@ class Budget:
     """The limit of simulated work, and what was left out because of it.
 
     most_s  seconds of cables' motion
+    cables  those that are not learned from, and why: what is found is found of the others
     """
 
     most_s: float = MOST_SIMULATED_S
     work: Work = field(default_factory=Work)
     left_out: list[str] = field(default_factory=list)
+    cables: list[str] = field(default_factory=list)
 
     def allows(self, share: float, what: str) -> bool:
         """Whether less than a share of it is spent; if not, it is noted what is left out."""

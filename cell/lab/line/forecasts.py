@@ -20,6 +20,7 @@ from cell.lab.data.cycles import RecordedCycle
 from cell.lab.fit.shared import BIAS_M, along_end
 from cell.lab.line.effect_fit import EffectFit
 from cell.lab.line.learn import LearningResult
+from cell.lab.statistics.series import rms
 from cell.plan.destination import Destination
 from cell.plan.passage import height_at_mouth_m, measured_passage
 from cell.study.data import Markers, Trial
@@ -126,7 +127,7 @@ def with_effect(
 
 
 class _Forecast(NamedTuple):
-    """Errors of the tip, `inf` if there is no forecast, and the CPU time.
+    """Errors of the tip, `inf` if there is no forecast, nan if it is not seen; and the CPU time.
 
     largest_m  in the destination, or in the rest of the hold; rms_m in all frames
     above_m    see `ForecastPair`
@@ -165,9 +166,10 @@ def _forecast(
         return _Forecast(np.inf, np.inf, time.process_time() - begun_s)
     seen = markers.xy_m[:, 0] - _seen_beyond_m(first, held) * along_end(later)
     away_m = np.linalg.norm(seen - tip, axis=1)
-    rms_m = float(np.sqrt(np.nanmean(away_m**2)))
+    rms_m = rms(away_m)
     if cycle.executed is None:
-        return _Forecast(float(np.nanmax(away_m)), rms_m, spent_s)
+        largest_m = float(np.nanmax(away_m)) if np.isfinite(rms_m) else rms_m
+        return _Forecast(largest_m, rms_m, spent_s)
     passage = measured_passage(destination, markers.t_s, seen, markers.t_s, tip)
     above_m = passage.miss_m - height_at_mouth_m(destination, tip)
     return _Forecast(passage.error_m, rms_m, spent_s, above_m)
@@ -179,7 +181,8 @@ def _seen_beyond_m(held: Trial, tip: FloatArray) -> float:
     As a hold tells; no more than pictures may do so: the rest is an error of the model.
     """
     beyond = np.sum((held.markers.xy_m[:, 0] - tip) * along_end(held), axis=1)
-    return float(np.clip(np.nanmean(beyond), -2.0 * BIAS_M, 2.0 * BIAS_M))
+    seen = beyond[np.isfinite(beyond)]
+    return float(np.clip(seen.mean(), -2.0 * BIAS_M, 2.0 * BIAS_M)) if seen.size else 0.0
 
 
 def _parted(held: Trial) -> tuple[Trial, Trial]:

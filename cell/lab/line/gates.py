@@ -68,7 +68,10 @@ def best_judged(
     judgement = judge(result, settings, known)
     if result.simpler is None:
         return result, judgement
-    simpler, without = best_judged(result.simpler, settings, judgement.paired)
+    simpler = replace(
+        result.simpler, left_out=result.left_out, cables_left_out=result.cables_left_out
+    )
+    simpler, without = best_judged(simpler, settings, judgement.paired)
     pairs = zip(without.paired, judgement.paired, strict=True)
     gained = [
         replace(after, present_m=before.candidate_m, present_rms_m=before.candidate_rms_m)

@@ -65,12 +65,12 @@ def rows_of(path: Path) -> Iterator[IdentifiedAgain]:
 
     raises  InputError: a line is wrong
     """
-    with path.open(encoding="utf-8", newline="") as file:
+    with path.open("rb") as file:
         for number, line in enumerate(file, 1):
             if number == 1:
-                if line.rstrip("\r\n") != ",".join(COLUMNS):
+                if line.rstrip(b"\r\n") != ",".join(COLUMNS).encode():
                     raise _wrong(path, 1, "is no table of `cell identify --all`")
-            elif line.endswith("\n"):
+            elif line.endswith(b"\n"):  # one that is torn may end within a letter
                 yield _row(path, number, line)
 
 
@@ -95,8 +95,11 @@ def _line(row: IdentifiedAgain) -> str:
     return line.getvalue()
 
 
-def _row(path: Path, number: int, line: str) -> IdentifiedAgain:
-    cells = next(csv.reader([line]), [])
+def _row(path: Path, number: int, line: bytes) -> IdentifiedAgain:
+    try:
+        cells = next(csv.reader([line.decode()]), [])
+    except ValueError as error:
+        raise _wrong(path, number, f"is no text: {error}") from error
     if len(cells) != len(COLUMNS):
         raise _wrong(path, number, f"has {len(cells)} cells, must have {len(COLUMNS)}")
     said: dict[str, Any] = dict(zip(COLUMNS, cells, strict=True))

@@ -64,7 +64,8 @@ class LearningResult:
     spread    of the first parameter of each effect of `best` between cables
     cycle_evidence   for and against the last effect of `best`
     simpler   the result without the last effect; None = there is one effect, or none
-    left_out  what the limit of work has left out
+    left_out  what the limit of work has left out, and cables of which the model is none
+    cables_left_out   other cables that were not learned from, or not wholly, and why
     """
 
     cycles: tuple[RecordedCycle, ...]
@@ -76,6 +77,7 @@ class LearningResult:
     cycle_evidence: tuple[CycleEvidence, ...]
     simpler: LearningResult | None = None
     left_out: tuple[str, ...] = ()
+    cables_left_out: tuple[str, ...] = ()
 
     @property
     def between(self) -> FloatArray:
@@ -125,7 +127,8 @@ def learn(
         known,
     )
     result = line.learned([prepared_cycle(cycle.whole, budget.work) for cycle, _ in chosen])
-    return replace(result, left_out=tuple(budget.left_out))
+    left_out, cables = tuple(budget.left_out), tuple(budget.cables)
+    return replace(result, left_out=left_out, cables_left_out=cables)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
 from cell.identify.identified import Identified
-from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
+from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason, identify
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.line.cables_space import Progress
 from cell.lab.line.effect_fit import Budget
@@ -22,20 +22,28 @@ FITTED_TO = 12
 
 
 @dataclass(frozen=True)
+class _Unidentified:
+    """Why a cable cannot be identified, and whether by the model: then it may lack something."""
+
+    why: str
+    by_model: bool = False
+
+
+@dataclass(frozen=True)
 class _IdentifiedBy:
     """A cycle's cable as its hold shows it, or why it cannot be identified."""
 
     cable: Cable
     options: IdentifyOptions
 
-    def __call__(self, cycle: RecordedCycle) -> Identified | str:
+    def __call__(self, cycle: RecordedCycle) -> Identified | _Unidentified:
         if (unfit := _unfit(cycle.study)) is not None:
-            return unfit
+            return _Unidentified(unfit)
         trial = cycle.held or cycle.study.trials[0]
         try:
             return identify(trial, cycle.study.arc_length_m, self.cable, options=self.options)
         except CableRejectedError as error:
-            return str(error)
+            return _Unidentified(str(error), error.reason is Reason.NO_FIT)
 
 
 def _unfit(study: Study) -> str | None:
@@ -66,15 +74,16 @@ def identified_cables(
     with closing(executor.map(_IdentifiedBy(cable, options), cycles)) as results:
         for cycle, result in zip(cycles, results, strict=True):
             found = result.value
-            if isinstance(found, str):
-                budget.left_out.append(f"{cycle.name}: it cannot be identified, {found}")
+            if isinstance(found, _Unidentified):
+                told = budget.left_out if found.by_model else budget.cables
+                told.append(f"{cycle.name}: it cannot be identified, {found.why}")
                 continue
             if any(t.wrench is not None for t in cycle.study.trials):
-                budget.left_out.append(f"{cycle.name}: its wrench; a line weighs markers alone")
+                budget.cables.append(f"{cycle.name}: its wrench; a line weighs markers alone")
             progress(f"identified {cycle.name}")
             usable.append((cycle, found))
     if not usable:
-        why = "; ".join(dict.fromkeys(budget.left_out))
+        why = "; ".join(dict.fromkeys([*budget.left_out, *budget.cables]))
         raise ValueError(f"none of these cables can be learned from: {why}")
     return usable
 
@@ -95,5 +104,5 @@ def learned_from(
     ranked = sorted(usable, key=rank)
     if more := ranked[FITTED_TO:]:
         named = ", ".join(sorted(cycle.name for cycle, _ in more))
-        budget.left_out.append(f"{named}: {FITTED_TO} cables are learned from at most")
+        budget.cables.append(f"{named}: {FITTED_TO} cables are learned from at most")
     return ranked[:FITTED_TO]

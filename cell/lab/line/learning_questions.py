@@ -81,11 +81,16 @@ class LineEvidence:
         return self.result.best
 
     @property
+    def told(self) -> list[ForecastPair]:
+        """The forecasts by which the models differ: where neither has one, nothing is told."""
+        return [f for f in self.paired if np.isfinite([f.present_m, f.candidate_m]).any()]
+
+    @property
     def errors_m(self) -> tuple[FloatArray, FloatArray]:
-        """(forecasts,) of the tip in the destination, of the present model and the candidate."""
+        """(told,) of the tip in the destination, of the present model and the candidate."""
         return (
-            np.array([f.present_m for f in self.paired]),
-            np.array([f.candidate_m for f in self.paired]),
+            np.array([f.present_m for f in self.told]),
+            np.array([f.candidate_m for f in self.told]),
         )
 
 
@@ -117,14 +122,14 @@ def noise_range(evidence: LineEvidence) -> Reading | None:
 
 def forecast_count(evidence: LineEvidence) -> Reading | None:
     """Number of forecasts."""
-    paired = evidence.paired
+    paired = evidence.told
     executions = sum(f.of == "execution" for f in paired)
     found = f"{executions} executions, {len(paired)} in all, needs {evidence.rules.fewest}"
     return Reading(float(len(paired)), found=found)
 
 
 def _enough(evidence: LineEvidence) -> bool:
-    return len(evidence.paired) >= evidence.rules.fewest
+    return len(evidence.told) >= evidence.rules.fewest
 
 
 def chance_of_gain(evidence: LineEvidence) -> Reading | None:
@@ -140,7 +145,7 @@ def forecast_better(evidence: LineEvidence) -> Reading:
     rules = evidence.rules
     before, after = evidence.errors_m
     path_before, path_after = np.array(
-        [(f.present_rms_m, f.candidate_rms_m) for f in evidence.paired]
+        [(f.present_rms_m, f.candidate_rms_m) for f in evidence.told]
     ).T
     rms = [float(np.sqrt(np.mean(v**2))) for v in (before, after)]
     if len(before) >= RANKED_FROM:
@@ -173,7 +178,7 @@ def lost_passages(evidence: LineEvidence) -> Reading | None:
         return None
     half_m = 0.5 * (mouth.y_max_m - mouth.y_min_m)
     before, after = (int(np.sum(v < half_m)) for v in evidence.errors_m)
-    count = len(evidence.paired)
+    count = len(evidence.told)
     found = f"{before} → {after} of {count} forecast within ± {half_m * 1e3:.1f} mm"
     return Reading(float(before - after), found=found)
 

@@ -311,7 +311,7 @@ def _verdict(
         return "cannot_tell", f"{names} explains all studies, but so do {others}"
     shows = [p.study for p in parts if p.says == "shows"]
     excludes = [p.study for p in parts if p.says == "excludes"]
-    confirmed = len(shows) > 1 or any(p.alone == "missing" for p in parts)
+    confirmed = len(shows) > 1 or any(p.finds(best.effects) for p in parts)
     if not confirmed:
         return "cannot_tell", f"only {_listed(shows) or 'all together'} shows {names}"
     if excludes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -31,6 +32,15 @@ class StudyPart:
     delta_chi2: float
     explained: bool
     says: Says | Literal[""]
+
+    def finds(self, effects: Sequence[str]) -> bool:
+        """Whether the study alone says that each of these effects is missing, or one tied with it.
+
+        Then its held-out trials have confirmed them.
+        """
+        return self.alone == "missing" and all(
+            any(effect in names for names in self.missing) for effect in effects
+        )
 
 
 @dataclass(frozen=True)

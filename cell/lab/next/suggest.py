@@ -46,6 +46,9 @@ MOST_CANDIDATES = 4
 SURELY = 3.0
 #: Error of a prediction beyond its standard deviation: what the candidates lack, m.
 MODEL_ERROR_M = 0.001
+#: The cable is looked at this often at least, s, however slow the camera: between two looks it
+#: turns back within a fifth of `MODEL_ERROR_M`.
+LOOK_S = 1.0 / 60.0
 
 
 def suggest_motion(examination: Examination, surroundings: Surroundings) -> Suggestion:
@@ -183,7 +186,7 @@ def _weighed(
     """A stroke from where it is safe, and what it tells; or what it is refused for."""
     # The likeliest cable shows quickly where the stroke could begin, if anywhere.
     known, trial = _trial(prepared, stroke, surroundings)
-    (shown,), cable = everywhere(known, trial, [candidates[0].model])
+    (shown,), cable = _looked_at(known, trial, [candidates[0].model])
     start = _start(stroke, cable, np.zeros_like(cable), surroundings, rest_low_m)
     if isinstance(start, str):
         return start
@@ -246,9 +249,10 @@ def _rest_low_m(
         blank = Markers(t_s, np.zeros((len(t_s), len(prepared.study.arc_length_m), 2)))
         trial = Trial("rest", "validate", "equilibrium", motion, blank)
         for model in models:
-            low = min(
-                low, float(np.nan_to_num(everywhere(prepared, trial, [model])[1][..., 0]).min())
-            )
+            rest_m = everywhere(prepared, trial, [model])[1][..., 0]
+            if not np.isfinite(rest_m).all():  # where it rests is not known: as far as it reaches
+                return -prepared.study.cable.length_m
+            low = min(low, float(rest_m.min()))
     return low - MODEL_ERROR_M
 
 
@@ -260,6 +264,24 @@ def _trial(
     frame_s = None if rate_hz is None else 1.0 / rate_hz
     known, (trial,) = planned_trials(prepared, [("stroke", stroke.motion())], frame_s)
     return known, trial
+
+
+def _looked_at(
+    prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel]
+) -> tuple[FloatArray, FloatArray]:
+    """What models show in the trial's frames, and their cables, as often as is safe.
+
+    returns  (models, times, markers, 2) and (models, more times, points, 2), m
+    """
+    shown, cable = everywhere(prepared, trial, models)
+    t_s, hand_s = trial.markers.t_s, trial.grip.t_s
+    if np.diff(t_s).max(initial=0.0) <= LOOK_S * (1.0 + 1e-9):
+        return shown, cable
+    count = int(np.ceil((hand_s[-1] - hand_s[0]) / LOOK_S)) + 1
+    often_s = np.union1d(t_s, np.linspace(hand_s[0], hand_s[-1], count))
+    blank = Markers(often_s, np.zeros((len(often_s), len(prepared.study.arc_length_m), 2)))
+    often = replace(trial, markers=blank, row_means=None)
+    return shown, everywhere(prepared, often, models)[1]
 
 
 def _whitener(prepared: PreparedStudy, trial: Trial, shown_m: FloatArray) -> Whitener:
@@ -285,7 +307,7 @@ def _open(
     space, q = candidate.space, candidate.q
     step = space.difference_steps(q, candidate.covariance)
     lanes = [space.model(row) for row in difference_points(q, step)]
-    markers, cable = everywhere(prepared, trial, lanes)
+    markers, cable = _looked_at(prepared, trial, lanes)
     root = covariance_root(candidate.covariance)
     rows = whitener(markers)
     open_rows = ((rows[1:] - rows[0]).T / step) @ root

@@ -54,7 +54,7 @@ def errors_line(prepared: PreparedStudy, errors: Errors) -> str:
 def comparison_sentence(comparisons: Sequence[Comparison]) -> str:
     """What models miss, from the first to the last."""
     first, last = comparisons[0], comparisons[-1]
-    held = np.isfinite(first.heldout_rms_m)
+    held = not np.isnan(first.heldout_rms_m)
     where = "motions not fitted to" if held else "the motions fitted to"
     noise = f"the {noise_label(first.noise_is_stated)} is {short(first.noise_m * 1e3)} mm"
     if first is last:

@@ -90,10 +90,11 @@ def sentence(
 def _worst_place(comparison: Comparison) -> str:
     """Which part of the cable, and which phase of the motion, have the largest error."""
     squares = np.array([w.by_arc_length.rms_m**2 for w in comparison.where])
-    squares = squares[np.isfinite(squares).any(axis=1)]
-    if len(squares) == 0:
+    seen = np.isfinite(squares)
+    if not seen.any():
         return ""
-    by_marker = np.sqrt(np.mean(squares, axis=0))
+    total, count = np.where(seen, squares, 0.0).sum(axis=0), seen.sum(axis=0)
+    by_marker = np.sqrt(np.where(count > 0, total, np.nan) / np.maximum(count, 1))
     share = comparison.study.arc_length_m[int(np.nanargmax(by_marker))]
     part = place_in_words(share / comparison.study.cable.length_m)
     phases = list(comparison.where[0].by_phase)
@@ -231,4 +232,4 @@ def steps_text(steps: Sequence[Step]) -> str:
 def _shown_mm(errors: Errors) -> float:
     """The error on motions not fitted to, if there are any."""
     held_m = errors.heldout_rms_m
-    return 1e3 * (held_m if np.isfinite(held_m) else errors.fit_rms_m)
+    return 1e3 * (errors.fit_rms_m if np.isnan(held_m) else held_m)

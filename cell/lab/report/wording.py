@@ -204,8 +204,8 @@ def nearest_note(diagnosis: Diagnosis) -> str:
 
 
 def mm(value_m: float) -> str:
-    """An error in a table."""
-    return f"{value_m * 1e3:.3f}" if np.isfinite(value_m) else "–"
+    """An error in a table; infinite where the model cannot be simulated."""
+    return "–" if np.isnan(value_m) else f"{value_m * 1e3:.3f}"
 
 
 def limit_rows(diagnosis: Diagnosis) -> list[list[str]]:

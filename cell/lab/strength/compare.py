@@ -57,8 +57,11 @@ class Comparison:
 
     @property
     def error_m(self) -> float:
-        """rms error on the motions not fitted to, on those fitted to if there are no others."""
-        return self.heldout_rms_m if np.isfinite(self.heldout_rms_m) else self.fit_rms_m
+        """rms error on the motions not fitted to, on those fitted to if there are no others.
+
+        Infinite where the model cannot be simulated.
+        """
+        return self.fit_rms_m if np.isnan(self.heldout_rms_m) else self.heldout_rms_m
 
     @property
     def noise_is_stated(self) -> bool:
@@ -77,6 +80,8 @@ class Comparison:
         excess = before.error_m**2 - self.noise_m**2
         if before.error_m < NOISY * self.noise_m:
             return float("nan")
+        if not np.isfinite(excess):  # the former could not be simulated
+            return 1.0 if np.isfinite(self.error_m) else 0.0
         return float(min((before.error_m**2 - self.error_m**2) / excess, 1.0))
 
     def to_json(self) -> dict[str, Any]:

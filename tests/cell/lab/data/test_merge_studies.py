@@ -11,7 +11,7 @@ from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.data.merge_studies import merge_studies
 from cell.lab.data.opened_study import open_study
-from cell.study.data import Markers
+from cell.study.data import Markers, Wrench
 from cell.study.folder import write_study
 
 FAKE = Path(__file__).parents[4] / "config" / "fake.yaml"
@@ -116,6 +116,38 @@ def test_a_marker_that_is_never_seen_at_rest_tells_nothing(record, measured):
 def test_a_cycle_given_twice_is_refused(record):
     run = record("first")
     assert "given twice" in refused([run, run])
+
+
+def test_trials_that_would_have_one_name_are_refused(record, measured):
+    """One was written over the other, and the study named a trial twice."""
+    first, second = (
+        replace(measured[0], trials=(replace(measured[0].trials[0], name=name),))
+        for name in ("b_identify", "identify")
+    )
+    message = refused([record("a", study=first), record("a_b", study=second)])
+    assert "a_b/study/study.yaml:1: trials: a trial of" in message
+    assert "would be called 'a_b_identify', too; rename one folder" in message
+
+
+def test_the_largest_error_that_any_study_states_is_that_of_all(record, measured):
+    """Only that of markers was: arc lengths and wrenches were as certain as the first study's."""
+    arcs = np.full(len(measured[0].arc_length_m), 1e-3)
+
+    def pulling(force_std_n, gain_std):
+        trial = measured[0].trials[0]
+        t_s = trial.markers.t_s
+        noise = 0.1 * np.random.default_rng(1).normal(size=(len(t_s), 3))
+        trial = replace(trial, wrench=Wrench(t_s, noise))
+        sensor = replace(measured[0].sensor, force_std_n=force_std_n, gain_std=gain_std)
+        return replace(measured[0], trials=(trial,), sensor=sensor)
+
+    studies = [pulling(0.1, 0.0), replace(pulling(0.3, 0.01), arc_length_std_m=arcs), measured[0]]
+    runs = [record(name, study=made) for name, made in zip("abc", studies, strict=True)]
+    merged = merge_studies(runs, "x")
+    np.testing.assert_allclose(merged.arc_length_std_m, arcs)
+    assert (merged.sensor.force_std_n, merged.sensor.gain_std) == (0.3, 0.01)
+    assert merged.sensor.moment_std_nm is None
+    assert merge_studies(runs[2:], "x").arc_length_std_m is None
 
 
 def test_a_cycle_that_was_killed_before_it_measured_is_left_out_and_said(record, tmp_path):

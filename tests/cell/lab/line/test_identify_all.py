@@ -95,6 +95,21 @@ def test_an_interrupted_run_goes_on_and_a_torn_line_is_done_again(runs, table, e
     assert table.read_bytes() == expected
 
 
+def test_a_line_that_was_torn_within_a_letter_is_done_again(table: Path) -> None:
+    """A killed run could not go on: "can't decode byte 0xe2"."""
+    done = IdentifiedAgain("a", "k", "identified")
+    with identified_table(table) as to:
+        to.add(done)
+        to.add(IdentifiedAgain("b", "k", "rejected", why="…"))
+    table.write_bytes(table.read_bytes()[:-2])
+    with identified_table(table) as to:
+        assert to.known == {"a": done}
+    assert list(rows_of(table)) == [done]
+    table.write_bytes(table.read_bytes() + b"\xe2\n")
+    with pytest.raises(InputError, match=r"identified\.csv:3.*is no text"):
+        list(rows_of(table))
+
+
 def test_what_a_result_depends_on_is_looked_at(runs, table, expected, tmp_path, monkeypatch):
     table.write_bytes(expected)
     assert all_of(runs, table, OneAfterAnother()).known == 3

@@ -279,6 +279,38 @@ def test_a_forecast_that_is_no_better_is_stopped_at_the_gate(result: LearningRes
     assert failed(few) == {"enough forecasts"}
 
 
+@pytest.mark.parametrize("nothing", [np.inf, np.nan])
+def test_a_cycle_of_which_nothing_can_be_forecast_stops_no_candidate(
+    result: LearningResult, nothing: float
+) -> None:
+    """One hold that no model identifies, or one tip unseen, was "inf → inf mm" and refused."""
+    destination = cell_task(SETTINGS).destination
+    better = [
+        ForecastPair(str(i), 1e-6 * (300 + i), 1e-4, 1.0, 1.0, 1e-6 * (200 + i), 5e-5)
+        for i in range(6)
+    ]
+    silent = ForecastPair("6", nothing, nothing, 1.0, 1.0, nothing, nothing)
+    lost = ForecastPair("7", 3e-4, np.inf, 1.0, 1.0, 2e-4, np.inf)
+    assert {g.found for g in gates(result, [*better, silent], destination)} == {
+        g.found for g in gates(result, better, destination)
+    }
+    assert all(g.passed for g in gates(result, [*better, silent], destination))
+    failed = {g.name for g in gates(result, [*better, lost], destination) if not g.passed}
+    assert "worst case no worse" in failed
+
+
+def test_a_tip_that_is_not_seen_tells_nothing_of_a_forecast(result: LearningResult) -> None:
+    task, cycle = cell_task(SETTINGS), result.cycles[0]
+    assert cycle.executed is not None
+    xy_m = cycle.executed.markers.xy_m.copy()
+    xy_m[:, 0] = np.nan
+    unseen = replace(cycle.executed, markers=Markers(cycle.executed.markers.t_s, xy_m))
+    one = replace(result, cycles=(replace(cycle, executed=unseen),))
+    (found,) = forecasts(one, task.cable, task.identification, task.destination)
+    assert np.isnan([found.present_m, found.candidate_m, found.present_rms_m]).all()
+    assert LineEvidence(result, [found]).told == []
+
+
 def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(
     result: LearningResult,
 ) -> None:
@@ -401,7 +433,7 @@ def test_learning_ends_at_its_limit_of_work_and_says_what_it_left_out(
     (untried,) = TRIED.keys() - {result.ranking[0].effect.name}
     limit = "for the limit of 1 s of simulated motion"
     rejected = "it cannot be identified, unseen frames: it left the picture"
-    assert f"{dragged[1].name}: {rejected}" in result.left_out
+    assert result.cables_left_out == (f"{dragged[1].name}: {rejected}",)
     assert f"a fit with {untried}, {limit}" in result.left_out
     nothing = replace(result, best=None)
     assert learning_lines(nothing)[-1].endswith("some were not tried")
@@ -512,8 +544,11 @@ def test_an_effect_that_does_not_help_unseen_cables_is_left_out(
         return identify(*args, options=options)
 
     monkeypatch.setattr("cell.lab.line.forecasts.identify", counted)
-    kept, judgement = best_judged(replace(result, simpler=result), SETTINGS)
-    assert kept is result
+    both = replace(result, simpler=result, left_out=("a fit",), cables_left_out=("c9",))
+    kept, judgement = best_judged(both, SETTINGS)
+    assert kept.best is result.best
+    assert kept.simpler is None
+    assert (kept.left_out, kept.cables_left_out) == (("a fit",), ("c9",)), "it was not told"
     assert judgement.fit_for_line
     assert sorted(identified) == [0] * 3 + [1] * 6
 
@@ -579,6 +614,18 @@ def test_cycles_of_another_cable_or_none_are_refused(
         read_cycles([tmp_path / "a"], replace(cable, width_m=0.02))
     with pytest.raises(InputError, match="holds no recorded cycle"):
         read_cycles([tmp_path], cable)
+
+
+def test_a_cycle_that_is_given_twice_is_one_cable(
+    tmp_path: Path, dragged: list[RecordedCycle]
+) -> None:
+    """It was learned from twice, and so was among the cables that had not seen it."""
+    cable, folders = cell_task(SETTINGS).cable, [tmp_path / "runs" / "a", tmp_path / "copy" / "a"]
+    for folder in folders:
+        write_study(dragged[0].study, folder)
+    found, left_out = read_cycles([folders[0], *folders], cable)
+    assert [c.folder for c in found] == folders[:1]
+    assert [line.partition(": the same as ")[0] for line in left_out] == [str(f) for f in folders]
 
 
 def test_cycles_of_another_product_are_left_out(

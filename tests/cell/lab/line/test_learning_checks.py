@@ -7,12 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason
 from cell.lab.data.check import Check
+from cell.lab.line.effect_fit import Budget
 from cell.lab.line.learn import LearningResult
+from cell.lab.line.learned_cables import FITTED_TO, identified_cables, learned_from
 from cell.lab.line.learning_checks import GATES, LEARNING, learning_answers, learning_verdict
 from cell.lab.line.learning_questions import LineEvidence, LineRules
 from cell.lab.report.learning_tables import learning_lines, learning_parts
 from cell.lab.verdict.checks import CHECKS
+from cell.workers.here import OneAfterAnother
 
 
 @pytest.mark.parametrize("check", [*LEARNING, *GATES], ids=lambda c: c.name)
@@ -66,3 +70,40 @@ def test_a_result_is_complete_only_if_every_question_is_answered_so(
 def test_nothing_is_complete_while_effects_were_left_out() -> None:
     found = replace(result(), left_out=("a fit with draught, for the limit",))
     assert learning_verdict(found, learning_answers(found)) == "cannot_tell"
+
+
+def test_a_line_of_more_cables_than_are_learned_from_can_be_complete() -> None:
+    """From the thirteenth cable on no model was complete, and "some were not tried" of effects."""
+    found: Any = SimpleNamespace(model_error_m=1e-5)
+    cables: Any = [
+        (SimpleNamespace(name=f"c{i:02d}", held=1, executed=1), found) for i in range(FITTED_TO + 1)
+    ]
+    budget = Budget()
+    assert len(learned_from(cables, budget)) == FITTED_TO
+    (told,) = budget.cables
+    assert told.startswith("c12: ")
+    assert budget.left_out == []
+    of_some = replace(result(), cables_left_out=(told,))
+    assert learning_verdict(of_some, learning_answers(of_some)) == "complete"
+    assert "the model is complete" in learning_lines(of_some)[-1]
+
+
+@pytest.mark.parametrize(
+    ("reason", "by_model"), [(Reason.UNSEEN_FRAMES, False), (Reason.NO_FIT, True)]
+)
+def test_a_cable_that_the_model_does_not_fit_leaves_a_doubt_of_it(
+    reason: Reason, by_model: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def rejected(*_: Any, **__: Any) -> None:
+        raise CableRejectedError(reason, "…")
+
+    monkeypatch.setattr("cell.lab.line.learned_cables.identify", rejected)
+    monkeypatch.setattr("cell.lab.line.learned_cables._unfit", lambda _: None)
+    cycle: Any = SimpleNamespace(
+        name="c1", held=1, study=SimpleNamespace(arc_length_m=1, trials=()), cable=None
+    )
+    budget, options, nobody = Budget(), IdentifyOptions(), OneAfterAnother()
+    given: Any = None
+    with pytest.raises(ValueError, match="c1: it cannot be identified"):
+        identified_cables([cycle], given, options, lambda _: None, budget, nobody)
+    assert (len(budget.left_out), len(budget.cables)) == ((1, 0) if by_model else (0, 1))

@@ -19,6 +19,9 @@ from cell.files.input_error import InputError
 from cell.lab.data import named_effects
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.progress import no_progress
+from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.line.together import _verdict
+from cell.lab.line.together_results import Hypothesis, StudyPart
 from cell.study.data import Markers, Study
 from cell.study.folder import write_study
 
@@ -100,6 +103,24 @@ def test_what_one_study_leaves_unexplained_is_told(batch) -> None:
     assert found.verdict == "unexplained"
     assert [p.explained for p in found.studies] == [True, False]
     assert found.why.startswith("the model with tip_mass leaves more than noise in cable_1")
+
+
+@pytest.mark.parametrize(
+    ("alone", "verdict"),
+    [(("tip_mass",), "cannot_tell"), (("draught", "air_drag"), "missing")],
+)
+def test_an_effect_of_one_study_is_not_confirmed_by_what_another_lacks(
+    alone: tuple[str, ...], verdict: str
+) -> None:
+    """A study that lacks a tip mass alone was taken for one that confirms air drag."""
+    parts = [
+        StudyPart("one", "missing", (alone,), 1.0, True, "cannot tell"),
+        StudyPart("two", "cannot_tell", (), 50.0, True, "shows"),
+    ]
+    best = Hypothesis(("air_drag",), 20.0, 51.0)
+    found, why = _verdict(best, (), parts, DEFAULT_RULES)
+    assert found == verdict
+    assert ("only two shows air_drag" in why) == (verdict == "cannot_tell")
 
 
 def test_bad_input_is_refused(batch, tmp_path: Path) -> None:

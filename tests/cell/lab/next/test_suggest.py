@@ -21,8 +21,10 @@ from cell.lab.next.strokes import Stroke, strokes
 from cell.lab.next.suggest import (
     DECIDED,
     _open,
+    _rest_low_m,
     _separation,
     _trial,
+    _weighed,
     _whitener,
     suggest_motion,
 )
@@ -265,3 +267,38 @@ def test_a_motion_counts_with_the_wrench_that_the_study_has():
     swing, rest = Stroke(0.0, 0.0, -0.1, 0.4), Stroke(0.0, 0.0, -1e-9, 0.4)
     assert apart(study, swing) > 1.1 * apart(bare, swing)
     assert apart(study, rest) == pytest.approx(apart(bare, rest), rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def soft(make_study):
+    """A study, and two soft cables that it leaves open."""
+    study = make_study(seed=1)
+    coarse = Solver(segments=20, step_s=2e-3, threads=1)
+    prepared, space = PreparedStudy.of(study, solver=coarse), ParameterSpace.of(study.cable)
+    far = np.zeros_like(space.mean)
+    far[: space.knots] = 1.5
+    return prepared, [
+        Rival(name, space, space.mean - size * far, 1e-8 * np.eye(len(far)))
+        for name, size in (("soft", 1.0), ("less", 0.9))
+    ]
+
+
+def test_a_slow_camera_does_not_hide_where_the_cable_turns_back(soft):
+    """At 10 pictures a second it was 15 mm beyond where it was seen, and 5 mm are kept clear."""
+    prepared, rivals = soft
+    stroke = Stroke(np.pi / 2, -0.08, 0.0, 0.31)
+
+    def begins_m(rate_hz):
+        cell = Surroundings(x_m=(-0.3, 0.3), workpiece_m=-0.11, frame_rate_hz=rate_hz)
+        return _weighed(prepared, rivals, stroke, cell, -0.01).motion.x_m
+
+    assert begins_m(200.0) > 0.005
+    assert begins_m(10.0) == pytest.approx(begins_m(200.0), abs=5e-4)
+
+
+def test_a_cable_that_rests_nobody_knows_where_may_be_as_far_as_it_reaches(soft, monkeypatch):
+    prepared, rivals = soft
+    lost = np.full((1, 3, 21, 2), np.nan)
+    monkeypatch.setattr("cell.lab.next.suggest.everywhere", lambda *_: (lost, lost))
+    low_m = _rest_low_m(prepared, [rivals[0].model], Surroundings(), 0.0)
+    assert low_m == -prepared.study.cable.length_m

@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from cell.cable.effects import library
@@ -12,11 +14,17 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt, Errors, MissingEffect
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.discover import Discovery
-from cell.lab.report.model_tables import discovery_sentence
-from cell.lab.report.tables import diagnosis_parts, sentence, steps_text, verdict_line
-from cell.lab.report.wording import apart, left_in_words, noise_in_words
+from cell.lab.report.model_tables import comparison_sentence, discovery_sentence
+from cell.lab.report.tables import (
+    _worst_place,
+    diagnosis_parts,
+    sentence,
+    steps_text,
+    verdict_line,
+)
+from cell.lab.report.wording import apart, left_in_words, mm, noise_in_words
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.strength.compare import compare_model
+from cell.lab.strength.compare import Comparison, compare_model
 from cell.lab.verdict.checks import CHECKS
 from cell.study.hand_drift import HandDrift
 
@@ -151,3 +159,41 @@ def test_what_a_law_leaves_is_called_noise_only_if_it_is(
 ) -> None:
     law = Discovery("hb", (), (), 5e-5, 4.5e-3, after_m, True, complete, "")
     assert discovery_sentence(law).endswith(left)
+
+
+def test_a_model_that_cannot_be_simulated_where_it_was_not_fitted_has_no_small_error():
+    """It was given the error on the motions fitted to, as if there were no others."""
+    study = SimpleNamespace(noise_std_m=1e-4)
+    sound = Comparison(study, 1e-4, 3e-4, 5e-4, {}, {}, (), model="sound")
+    lost = replace(sound, fit_rms_m=1e-4, heldout_rms_m=np.inf, model="lost")
+    assert lost.error_m == np.inf
+    assert lost.removed_share(sound) < 0.0 and sound.removed_share(lost) == 1.0
+    assert "on motions not fitted to rises from 0.50 to inf mm" in comparison_sentence(
+        [sound, lost]
+    )
+    assert "on motions not fitted to falls from inf to 0.50 mm" in comparison_sentence(
+        [lost, sound]
+    )
+    assert (mm(np.inf), mm(np.nan)) == ("inf", "–")
+    none = replace(sound, heldout_rms_m=np.nan)
+    assert none.error_m == 3e-4
+    assert "the motions fitted to" in comparison_sentence([none, none])
+
+
+def test_the_worst_place_is_found_where_a_marker_is_lost_in_one_trial():
+    """What one trial did not see was the worst place of none; none at all ended the command."""
+    study = SimpleNamespace(arc_length_m=np.array([0.1, 0.05]), cable=SimpleNamespace(length_m=0.1))
+
+    def worst(*rms_mm):
+        where = [
+            SimpleNamespace(
+                by_arc_length=SimpleNamespace(rms_m=1e-3 * np.array(values)),
+                by_phase={"still": 1e-4, "moving": 2e-4},
+            )
+            for values in rms_mm
+        ]
+        return _worst_place(SimpleNamespace(study=study, where=where))
+
+    assert worst((0.9, 0.1), (np.nan, 0.2)) == ", most of it at the tip while the hand moves"
+    assert worst((0.9, np.nan), (np.nan, 0.2)) == ", most of it at the tip while the hand moves"
+    assert worst((np.nan, np.nan)) == ""
