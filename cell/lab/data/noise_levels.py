@@ -15,9 +15,10 @@ from cell.study.data import Study, Trial
 
 FloatArray = NDArray[np.float64]
 
-#: Levels differ if chance makes them differ so much with this probability.  Eight still frames with
-#: outliers reach 1e-4; markers of which some have twice the noise of others reach 1e-13.
-DIFFER = 1e-5
+#: Levels differ if chance makes them differ so much with this probability.  Few still frames with
+#: outliers reach 1e-3 in 1 of 100 studies; markers of which some have twice the noise of others
+#: reach 1e-13.
+DIFFER = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +70,11 @@ def with_levels(study: Study, noise_model: NoiseModel) -> NoiseModel:
     cells = cells_of(blocks, noise_model.rest, noise_model.noise.ar1)
     if cells is None or cells.p_value >= DIFFER:
         return noise_model
-    levels = _normalised(study, shrunk(cells, len(study.trials), len(study.arc_length_m)))
-    degree = noise_model.rest.degree
-    dof = [sum((len(b.z_m) - degree - 1) * len(b.series) for b in own) for own in blocks]
+    levels, variance = shrunk(cells, len(study.trials), len(study.arc_length_m))
+    levels = _normalised(study, levels)
+    # of a mean square over the markers, each of which is so uncertain
+    share = levels**2 / np.sum(levels**2, axis=1, keepdims=True)
+    dof = 2.0 / np.sum(share**2 * variance, axis=1)
     level_blocks = [
         replace(b, z_m=b.z_m / level[np.asarray(b.series) // 2])
         for own, level in zip(blocks, levels, strict=True)
@@ -127,8 +130,10 @@ def cells_of(blocks: Sequence[Sequence[Block]], rest: Rest, ar1: float) -> Cells
     return Cells(trials, markers, mean, count, of_one / max(int(count.sum()) - len(each), 1))
 
 
-def shrunk(cells: Cells, trials: int, markers: int) -> FloatArray:
-    """(trials, markers) noise over that of all, as far as it is known.
+def shrunk(cells: Cells, trials: int, markers: int) -> tuple[FloatArray, FloatArray]:
+    """(trials, markers) noise over that of all, as far as it is known, and how uncertain it is.
+
+    returns  levels, and variances of the logarithms of their squares
 
     A marker has a level of its own, from which its trials differ.  Both are drawn to what is usual
     by as much as they are uncertain; a cell without still frames has its marker's level.
@@ -153,10 +158,13 @@ def shrunk(cells: Cells, trials: int, markers: int) -> FloatArray:
     kept = of_markers / (of_markers + spread[known]) if of_markers > 0.0 else 0.0 * spread[known]
     mean[known] = usual + (mean[known] - usual) * kept
     found = np.tile(mean, (trials, 1))
+    variance = np.full((trials, markers), of_markers + between)
+    variance[:, known] = between + spread[known]
     own = between / (between + v)
+    found[cells.trial, whose] += (y - mean[whose]) * own
+    variance[cells.trial, whose] = v * own + (1.0 - own) ** 2 * spread[whose]
     # what is divided by an uncertain mean square is too large on average, by half its variance
-    found[cells.trial, whose] += (y - mean[whose]) * own + 0.5 * v * own
-    return np.asarray(np.exp(0.5 * found))
+    return np.exp(0.5 * found + 0.25 * variance), variance
 
 
 def _heterogeneity(y: FloatArray, variance: FloatArray) -> tuple[float, int]:

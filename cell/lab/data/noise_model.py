@@ -41,7 +41,8 @@ class Level:
     """Noise of a trial's markers over that of the study.
 
     of_markers  (markers,)
-    dof         degrees of freedom behind them: of the trial's still frames
+    dof         degrees of freedom behind their mean square: of the trial's still frames, if it has
+                any
     """
 
     of_markers: FloatArray

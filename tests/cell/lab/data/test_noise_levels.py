@@ -90,6 +90,20 @@ def test_whitened_noise_has_unit_size_in_every_marker(make_study):
     assert prepared.noise_m("fit") > prepared.noise_m("validate")
 
 
+def test_a_trial_without_rest_has_the_level_of_its_markers_and_is_little_known(make_study):
+    study = make_study(noise_m=1e-9)
+    rng = np.random.default_rng(3)
+    factors = np.exp(rng.uniform(-0.6, 0.6, (len(study.trials), len(study.arc_length_m))))
+    noisy = noisier(study, factors)
+    *rest, last = noisy.trials
+    late = last.markers.t_s > 0.2
+    cut = Markers(last.markers.t_s[late], last.markers.xy_m[late])
+    noisy = replace(noisy, trials=(*rest, replace(last, markers=cut)))
+    found = with_levels(noisy, noise_model_of(noisy))
+    known, unknown = found.levels[rest[0].name], found.levels[last.name]
+    assert np.all(np.isfinite(unknown.of_markers)) and unknown.dof < 0.3 * known.dof
+
+
 def test_frames_of_fitted_trials_tell_nothing_of_the_noise_of_one_held_out(make_study):
     study = make_study(noise_m=1e-9)
     factors = np.ones((len(study.trials), len(study.arc_length_m)))
