@@ -19,6 +19,12 @@ FloatArray = NDArray[np.float64]
 #: outliers reach 1e-3 in 1 of 100 studies; markers of which some have twice the noise of others
 #: reach 1e-13.
 DIFFER = 1e-4
+#: A marker at rest whose values are rounded to more than so many standard deviations shows the more
+#: noise the nearer it is to a step: no level of its own.
+ROUNDED = 1.0
+#: Farther from the middle one than by this factor no level is believed: what repeats its values has
+#: not been seen anew.
+FARTHEST = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +65,11 @@ class Cells:
 def with_levels(study: Study, noise_model: NoiseModel) -> NoiseModel:
     """The noise of a study, with the level of each marker of each trial, if they differ.
 
-    As it was where the study states the noise, or where rounding hides it.
+    As it was where the study states the noise, or where rounding changes what still frames show.
     """
     if noise_model.stated or noise_model.rest is None:
         return noise_model
-    if noise_model.rest.is_hidden(noise_model.noise.std_m):
+    if noise_model.rest.resolution_m > ROUNDED * noise_model.noise.std_m:
         return noise_model
     markers = slice(0, len(study.arc_length_m))
     blocks = [still_blocks(t, markers) for t in study.trials]
@@ -123,7 +129,11 @@ def cells_of(blocks: Sequence[Sequence[Block]], rest: Rest, ar1: float) -> Cells
     if not roots:
         return None
     each = [np.concatenate(values) for values in roots.values()]
-    mean = np.maximum([float(v.mean()) for v in each], 1e-12 * max(v.max() for v in each))
+    mean = np.array([float(v.mean()) for v in each])
+    middle = float(np.median(mean))
+    if middle == 0.0:
+        return None
+    mean = np.clip(mean, middle / np.sqrt(FARTHEST), middle * np.sqrt(FARTHEST))
     count = np.array([len(v) for v in each])
     of_one = sum(float(np.sum((v / m - 1.0) ** 2)) for v, m in zip(each, mean, strict=True))
     trials, markers = np.array(list(roots), dtype=np.intp).T

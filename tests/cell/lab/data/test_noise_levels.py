@@ -117,3 +117,29 @@ def test_frames_of_fitted_trials_tell_nothing_of_the_noise_of_one_held_out(make_
         assert now == pytest.approx(was * (0.9 if trial.role == "fit" else 1.0))
     held = noisy.role("validate")
     assert after.dof_in(held) == sum(after.levels[t.name].dof for t in held) < after.dof
+
+
+def test_a_marker_that_repeats_its_values_at_rest_is_not_believed_to_be_exact(make_study):
+    study = make_study(noise_m=1e-9)
+    noisy = noisier(study, np.ones((len(study.trials), len(study.arc_length_m))))
+    first, *rest = noisy.trials
+    xy_m = first.markers.xy_m.copy()
+    xy_m[first.markers.t_s < 0.3, 0] = xy_m[0, 0]
+    held = replace(noisy, trials=(replace(first, markers=Markers(first.markers.t_s, xy_m)), *rest))
+    level = with_levels(held, noise_model_of(held)).levels[first.name].of_markers
+    assert level[0] > 0.15 * np.median(level)
+
+
+def test_rounded_to_more_than_its_noise_no_marker_has_a_level_of_its_own(make_study):
+    """At rest one stays within a step, which it seems to be without noise, and one does not."""
+    study = make_study(noise_m=1e-9)
+    noisy = noisier(study, np.ones((len(study.trials), len(study.arc_length_m))))
+    step_m = 2.2e-4
+    rounded = tuple(
+        replace(t, markers=Markers(t.markers.t_s, np.round(t.markers.xy_m / step_m) * step_m))
+        for t in noisy.trials
+    )
+    coarse = replace(noisy, trials=rounded)
+    noise_model = noise_model_of(coarse)
+    assert not noise_model.rest.is_hidden(noise_model.noise.std_m)
+    assert with_levels(coarse, noise_model) is noise_model

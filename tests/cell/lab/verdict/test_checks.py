@@ -66,12 +66,16 @@ def test_a_limit_is_met_as_its_sign_says(value, passes, passed):
 def fake(**given):
     """Evidence of a study with held-out trials, at the noise, whose parts can be set."""
     noise = SimpleNamespace(std_m=1e-4)
-    noise_model = SimpleNamespace(stated=False, noise=noise, allowed_over_level=None, dof=np.inf)
+    noise_model = SimpleNamespace(
+        stated=False, noise=noise, allowed_over_level=None, dof_in=lambda _: np.inf
+    )
     study = SimpleNamespace(role=lambda _: [1, 2])
     prepared = SimpleNamespace(
         noise_is_measured=True,
         noise_model=noise_model,
         expected=noise,
+        expected_m=lambda _: 1e-4,
+        noise_m=lambda _: 1e-4,
         study=study,
         count=lambda _: 1000,
     )

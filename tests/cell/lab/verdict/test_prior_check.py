@@ -83,7 +83,9 @@ def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_tol
 
     base, grip = fitted(chi2=18000.0), fitted("grip_compliance", chi2=13237.0)
     angle, roll = fitted("grip_angle", chi2=13047.0), fitted("camera_roll", chi2=13300.0)
-    prepared = SimpleNamespace(noise_model=SimpleNamespace(noise=SimpleNamespace(std_m=1e-4)))
+    prepared = SimpleNamespace(
+        noise_model=SimpleNamespace(noise=SimpleNamespace(std_m=1e-4)), noise_m=lambda _: 1e-4
+    )
     alone = SimpleNamespace(
         prepared=prepared,
         baseline=lambda: base,
