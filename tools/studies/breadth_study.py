@@ -1,7 +1,7 @@
 """What the lab says of studies over the breadth of what users bring; a table by condition.
 
     python -m tools.studies.breadth_study FILE.csv [--complete 200] [--one 100] [--outside 50]
-                                          [--seed 1]
+                                          [--seed 1] [--uneven 0.6]
     python -m tools.studies.breadth_study FILE.csv --table [--beside EARLIER.csv]
 
 With `--beside` the table has both files' shares, and the power of a study that stands in the
@@ -11,6 +11,8 @@ earlier file is not worked out again.
 out of it (even numbers) or that it never had (`outside_laws.py`); both move the markers by 5 … 50
 times the noise.  Each study is a row of the file as soon as it is judged; rows that are there
 already are kept, so that a stopped study goes on.  Two processes work side by side.
+
+With `--uneven` each marker of each trial has noise of its own level, up to 1.8 times more or less.
 
 Only effects that a test which knows the truth would see (power 0.8, as in `confusion_study.py`)
 count as seen.  A study that the lab refuses, with an error that says why, is `refused`.
@@ -199,13 +201,18 @@ def _judge(task: tuple[str, Conditions, int, float | None]) -> Row:
 
 
 def run(
-    file: Path, counts: dict[str, int], seed: int, workers: int, beside: Path | None = None
+    file: Path,
+    counts: dict[str, int],
+    seed: int,
+    workers: int,
+    beside: Path | None = None,
+    uneven: float = 0.0,
 ) -> None:
     """Judge what the file lacks."""
     powers = {(r.kind, r.number): r.power for r, _ in read(beside)} if beside else {}
     done = {(r.kind, r.number) for r, _ in read(file)} if file.exists() else set()
     tasks = [
-        (kind, conditions, seed, powers.get((kind, conditions.number)))
+        (kind, replace(conditions, uneven=uneven), seed, powers.get((kind, conditions.number)))
         for place, kind in enumerate(KINDS)
         for conditions in hypercube(counts[kind], 100 * seed + place)
         if (kind, conditions.number) not in done
@@ -238,7 +245,7 @@ def read(file: Path) -> list[tuple[Row, dict[str, float]]]:
     with file.open(newline="") as lines:
         for line in csv.DictReader(lines):
             told = {f.name: _value(line[f.name], f.type) for f in fields(Row)}
-            rest = {f.name: line[f.name] for f in fields(Conditions) if f.name != "number"}
+            rest = {f.name: line.get(f.name, "0") for f in fields(Conditions) if f.name != "number"}
             numbers = {k: float(v == "True") if v in ("True", "False") else float(v)
                        for k, v in rest.items()}  # fmt: skip
             out.append((Row(**told), numbers))
@@ -331,13 +338,14 @@ def main() -> int:
     for kind, count in zip(KINDS, (200, 100, 50), strict=True):
         parser.add_argument(f"--{kind}", type=int, default=count)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--uneven", type=float, default=0.0)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--beside", type=Path)
     given = parser.parse_args()
     if not given.table:
         counts = {kind: getattr(given, kind) for kind in KINDS}
-        run(given.file, counts, given.seed, given.workers, given.beside)
+        run(given.file, counts, given.seed, given.workers, given.beside, given.uneven)
     print_table(given.file, given.beside)
     return 0
 

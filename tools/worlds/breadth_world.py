@@ -52,6 +52,7 @@ class Conditions:
     log_hz, log_m   rate and noise of the hand's log
     held_out    whether trials are held out (never of one trial)
     shift       of a hidden effect: rms displacement of the markers over the noise
+    uneven      each marker of each trial has exp(−uneven … uneven) times the noise of another
     """
 
     number: int
@@ -70,6 +71,7 @@ class Conditions:
     log_hz: float
     log_m: float
     shift: float
+    uneven: float = 0.0
 
     @property
     def noise_m(self) -> float:
@@ -175,7 +177,8 @@ class World:
         conditions, trials = self.conditions, []
         rng = np.random.default_rng([seed, conditions.number, 2])
         for number, (points, hand) in enumerate(zip(clean, self.hands, strict=True)):
-            seen = points + conditions.noise_m * coloured(rng, points.shape, conditions.colour)
+            noise = self._levels(seed, number) * coloured(rng, points.shape, conditions.colour)
+            seen = points + conditions.noise_m * noise
             if conditions.pixel > 0.0:
                 step_m = conditions.pixel * conditions.noise_m
                 seen = step_m * np.round(seen / step_m)
@@ -194,6 +197,13 @@ class World:
             )
         return Study(f"breadth_{conditions.number}", self.model.cable, self.arc_length_m,
                      tuple(trials), noise_std_m=conditions.noise_m if quiet else None)  # fmt: skip
+
+    def _levels(self, seed: int, trial: int) -> np.ndarray:
+        """(markers, 1) noise of a trial's markers over that of all, whose mean square is 1."""
+        conditions, shape = self.conditions, (len(self.hands), len(self.arc_length_m))
+        rng = np.random.default_rng([seed, conditions.number, 3])
+        levels = np.exp(rng.uniform(-conditions.uneven, conditions.uneven, shape))
+        return (levels / np.sqrt(np.mean(levels**2)))[trial, :, None]
 
     def showing(self, effect: type[Effect]) -> tuple[ActiveEffect, list[np.ndarray], float]:
         """An effect as strong as `conditions.shift` asks, what it does, and its shift in noises."""

@@ -51,6 +51,18 @@ def test_a_study_is_measured_as_its_conditions_say(world):
     assert np.nanmax(np.abs(seen - np.round(seen))) < 1e-6
 
 
+def test_uneven_noise_has_a_level_for_each_marker_of_each_trial(world):
+    conditions = replace(world.conditions, pixel=0.0, colour=0.0, uneven=0.6)
+    uneven, clean = replace(world, conditions=conditions), world.clean()
+    study, quiet = uneven.study(clean, 1), uneven.study(clean, 1, quiet=True)
+    size = np.array(
+        [np.nanstd(a.markers.xy_m - b.markers.xy_m, axis=(0, 2))
+         for a, b in zip(study.trials, quiet.trials, strict=True)]
+    )  # fmt: skip
+    assert np.sqrt(np.mean(size**2)) == pytest.approx(conditions.noise_m, rel=0.1)
+    assert 1.3 < size.max() / size.min() < 3.7
+
+
 def test_an_effect_is_as_strong_as_asked(world):
     _, there, shift = world.showing(library()["tip_mass"])
     assert shift == pytest.approx(8.0, rel=0.25)
