@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtrik
 
 from cell.files.input_error import InputError, Problem
 from cell.study.data import Source, Study, Trial
@@ -17,8 +16,8 @@ from cell.study.wrong_samples import wrong_samples
 FloatArray = NDArray[np.float64]
 
 #: A marker that is wrong in a larger share of its rows is badly tracked: that is no slip, and no
-#: noise either.  By chance a trial shows more than its share, with this probability too many.
-MOST_WRONG, _BY_CHANCE = 0.02, 0.01
+#: noise either.  So many rows always may be wrong, as in a short trial.
+MOST_WRONG, FEW = 0.02, 3
 #: Rows and columns that are told of a trial.
 TOLD = 3
 
@@ -63,13 +62,13 @@ def leaving_out(study: Study, wrong: Sequence[FloatArray]) -> Study:
 
 
 def most_wrong(seen: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Of so many rows seen, how many may be wrong: what a rate of `MOST_WRONG` may give."""
-    return np.asarray(np.ceil(bdtrik(1.0 - _BY_CHANCE, seen, MOST_WRONG)), dtype=int)
+    """Of so many rows seen, how many may be wrong."""
+    return np.maximum(FEW, np.floor(MOST_WRONG * seen).astype(int))
 
 
 def limit_said(most: int) -> str:
     """The limit of wrong rows, as a message says it."""
-    return f"limit {most}, as {MOST_WRONG:.0%} of them and chance give"
+    return f"limit {MOST_WRONG:.0%}" if most > FEW else f"limit {most}"
 
 
 def _across_only(trial: Trial, apart_m: FloatArray) -> FloatArray:
@@ -95,7 +94,7 @@ def _too_many(trial: Trial, apart_m: FloatArray, source: Source) -> Problem | No
     rows = np.asarray(np.isfinite(apart_m).any(axis=2))
     seen = np.isfinite(trial.markers.xy_m).any(axis=2).sum(axis=0)
     count = rows.sum(axis=0)
-    most = most_wrong(np.maximum(seen, 1))
+    most = most_wrong(seen)
     if not np.any(count > most):
         return None
     marker = int(np.argmax(count - most))

@@ -47,7 +47,7 @@ def without_slips(study: Study, folder: Path) -> Study:
 def _too_many(file: Path, trial: Trial, there: NDArray[np.bool_]) -> list[Problem]:
     assert trial.wrench is not None
     seen = np.isfinite(trial.wrench.values).sum(axis=0)
-    count, most = there.sum(axis=0), most_wrong(np.maximum(seen, 1))
+    count, most = there.sum(axis=0), most_wrong(seen)
     for i, name in enumerate(COLUMNS):
         if count[i] > most[i]:
             message = (

@@ -188,10 +188,10 @@ def test_a_single_wrong_row_is_left_out_and_told(made, tmp_path):
 def test_a_sensor_that_slips_often_is_refused(made, tmp_path):
     first, *rest = made.trials
     values = first.wrench.values.copy()
-    values[20::15, 2] += 0.05
+    values[20::30, 2] += 0.05
     write_study(replace(made, trials=(replace(first, wrench=replace(first.wrench, values=values)),
                                       *rest)), tmp_path)  # fmt: skip
-    with pytest.raises(InputError, match=r"wrench.csv:22: moment_nm: .*limit [0-9]+, as 2%"):
+    with pytest.raises(InputError, match=r"wrench.csv:22: moment_nm: .*limit 2%"):
         open_study(tmp_path)
 
 
