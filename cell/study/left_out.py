@@ -63,7 +63,7 @@ def leaving_out(study: Study, wrong: Sequence[FloatArray]) -> Study:
 
 def most_wrong(seen: NDArray[np.int_]) -> NDArray[np.int_]:
     """Of so many rows seen, how many may be wrong."""
-    return np.maximum(FEW, np.floor(MOST_WRONG * seen).astype(int))
+    return np.asarray(np.maximum(FEW, np.floor(MOST_WRONG * seen)), dtype=int)
 
 
 def limit_said(most: int) -> str:
