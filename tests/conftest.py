@@ -143,8 +143,22 @@ def _give_way() -> None:
         os.nice(19)
 
 
+class _AtOnce:
+    """Says what failed as soon as it fails: a run that is ended from outside has no last page."""
+
+    def __init__(self, terminal: pytest.TerminalReporter) -> None:
+        self._terminal = terminal
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            self._terminal.write_line(f"\n{report.nodeid}, {report.when}: {report.longreprtext}")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     _hear_signals()
+    terminal = config.pluginmanager.get_plugin("terminalreporter")
+    if terminal is not None and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(_AtOnce(terminal))
     if config.getoption("--spare-time"):
         _give_way()
     if config.getoption("--hardware") != (config.getoption("--config") is not None):
