@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import sqlite3
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +23,8 @@ from cell.records.ledger.tables import HEAD
 _SUFFIX = ".sqlite"
 #: How long another process may keep the database for itself, s.
 BUSY_S = 5.0
+#: A file that is not changed to a log of its own because another process writes is tried again, s.
+_AGAIN_S = 0.01
 #: How long a server may take to answer a connection, s.
 CONNECT_S = 3
 #: A server's lock that whoever writes holds meanwhile, as SQLite has one of its own.
@@ -136,14 +140,32 @@ def _keep_transactions(engine: Engine, read_only: bool) -> None:
     @event.listens_for(engine, "connect")
     def connect(connection: Any, _record: object) -> None:
         connection.isolation_level = None
-        writing = ("journal_mode = WAL", "synchronous = FULL")
-        for pragma in (*(() if read_only else writing), "foreign_keys = ON"):
-            connection.execute(f"PRAGMA {pragma}")
+        if not read_only:
+            _write_ahead(connection)
+            connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA foreign_keys = ON")
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
         writes = connection.get_execution_options().get("writing", False)
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+def _write_ahead(connection: Any) -> None:
+    """Have a file's changes written to a log beside it first.
+
+    While another process begins with a new file, SQLite refuses this at once instead of waiting.
+    raises  sqlite3.OperationalError: after `BUSY_S`, too
+    """
+    until_s = time.monotonic() + BUSY_S
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() >= until_s:
+                raise
+        time.sleep(_AGAIN_S)
 
 
 def _bring_up_to_date(engine: Engine, create: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -159,3 +160,23 @@ def test_a_folder_that_cannot_be_made_is_told_of(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     with pytest.raises(LedgerError, match="file"):
         Ledger(tmp_path / "file" / "ledgers" / "line.sqlite", create=True)
+
+
+def test_a_new_file_that_another_cell_begins_with_is_waited_for(tmp_path: Path) -> None:
+    """SQLite does not wait by itself there: the second of two new cells was refused."""
+    other = sqlite3.connect(tmp_path / "runs.sqlite", isolation_level=None, check_same_thread=False)
+    other.execute("BEGIN IMMEDIATE")
+    ends = threading.Timer(0.3, other.execute, ["COMMIT"])
+    ends.start()
+    Ledger(tmp_path / "runs", create=True).close()
+    ends.join()
+    other.close()
+
+
+def test_a_file_that_another_process_keeps_is_said(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("cell.records.ledger.database.BUSY_S", 0.05)
+    other = sqlite3.connect(tmp_path / "runs.sqlite", isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(LedgerError, match=r"runs\.sqlite: database is locked"):
+        Ledger(tmp_path / "runs", create=True)
+    other.close()
