@@ -207,7 +207,7 @@ class Tests:
         """Of a hidden change (rows,), its own slopes and those of other effects."""
         functions: list[FloatArray] = []
         effects = tuple(_test_of(linear, s, functions) for s in (own, *rivals))
-        looks = (None, own.rows) if linear.sees_noise else ()
+        looks = (None, own.of_parameters) if linear.sees_noise else ()
         half_seen = tuple(_half_seen(linear, look, functions, rules) for look in looks)
         every = np.concatenate(functions)
         root = covariance_root(linear.covariance(every))

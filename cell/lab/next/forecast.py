@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.fit.fitting import fit_trials
-from cell.lab.fit.sensitivity import changes
+from cell.lab.fit.sensitivity import changes, is_shape
 from cell.lab.next.asked import AskedEffect
 from cell.lab.next.decisions import Chances, Circumstances, Tests
 from cell.lab.next.hidden import left_of
@@ -32,6 +32,8 @@ POWER = 0.95
 ROUNDS, MOST_AT_ONCE, NEARLY = 8, 10.0, 0.02
 #: Steps of the search for a size, and how far it goes from where it begins.
 _HALVINGS, _FARTHEST = 30, 1e4
+#: Share by which a shape parameter is changed for its slope.
+_BENT = 0.02
 #: Other effects that are told apart by draws: of the most collinear.
 _RIVALS = 8
 
@@ -108,25 +110,38 @@ class _At:
         refitted  by what a fit leaves of the effect, and not by what slopes say that it leaves
         """
         linear, effect = self.linear, self.asked.effect
-        alone = self._change(size)
+        moved = self._changes(size)
+        if moved is None:
+            return None
+        alone, shapes = moved
         hidden = self._left(size) if refitted else alone
-        if alone is None or hidden is None:
+        if hidden is None:
             return None
         amplitudes = [p for p in effect.parameters if p.amplitude]
         which = amplitudes.index(self.asked.parameter)
         own = own_slopes(linear, effect, which, hidden, alone)
         if own is None:
             return None
+        own = replace(own, shapes=shapes)
         known = {effect.name, *(e.name for e in self.fits.space.effects)}
         others = [e for name, e in self.fits.library.items() if name not in known]
         rivals = rivals_of(linear, hidden, others)[:_RIVALS]
         given = self._circumstances(hidden)
         return Tests.of(linear, hidden, own, rivals, given, self.rules), hidden, rivals
 
-    def _change(self, size: float) -> FloatArray | None:
-        linear = self.linear
-        change = changes(linear.whole.prepared, linear.whole.fit, [self.asked.at(size)])[0]
-        return change if np.all(np.isfinite(change)) else None
+    def _changes(self, size: float) -> tuple[FloatArray, FloatArray] | None:
+        """(rows,) by the effect, and (shape parameters, rows) by a little of each of its shapes."""
+        linear, effect = self.linear, self.asked.at(size)
+        values = effect.values
+        shaped = [
+            replace(effect, values=(*values[:i], (1.0 + _BENT) * values[i], *values[i + 1 :]))
+            for i, p in enumerate(self.asked.effect.parameters)
+            if is_shape(p)
+        ]
+        found = changes(linear.whole.prepared, linear.whole.fit, [effect, *shaped])
+        if not np.all(np.isfinite(found)):
+            return None
+        return found[0], found[1:] - found[0]
 
     def _left(self, size: float) -> FloatArray | None:
         try:

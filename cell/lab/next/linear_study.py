@@ -34,6 +34,7 @@ class Slopes:
     """An effect in one shape: (amplitudes, rows) whitened change of all trials by each amplitude.
 
     alone      the same with nothing refitted; None = as `rows`
+    shapes     (shape parameters, rows) change by each shape parameter at the hidden size
     collinear  share of the hidden effect's change, of what no fitted parameter imitates, that
                these imitate: a correlation, 0 … 1
     """
@@ -42,6 +43,12 @@ class Slopes:
     rows: FloatArray
     collinear: float = 1.0
     alone: FloatArray | None = None
+    shapes: FloatArray | None = None
+
+    @property
+    def of_parameters(self) -> FloatArray:
+        """(parameters, rows) by each amplitude and shape parameter."""
+        return self.rows if self.shapes is None else np.vstack([self.rows, self.shapes])
 
 
 @dataclass(frozen=True, eq=False)
