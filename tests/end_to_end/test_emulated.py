@@ -75,7 +75,7 @@ def emulating(light_config: Path) -> Iterator[subprocess.Popen[str]]:
     )
     yield process
     process.kill()
-    process.communicate()
+    process.communicate(timeout=30)
     eventually_silent(light_config)
 
 
@@ -104,7 +104,7 @@ def test_emulators_end_with_whoever_started_them(light_config: Path) -> None:
     assert parent.stdout is not None
     assert parent.stdout.readline().startswith("arm")
     parent.kill()
-    parent.communicate()
+    parent.communicate(timeout=30)
     eventually_silent(light_config)
 
 

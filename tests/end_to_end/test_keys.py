@@ -61,11 +61,11 @@ class Run:
     def until(self, holds: Callable[[dict[str, Any]], bool]) -> None:
         until_s = time.monotonic() + 120.0
         while not holds(self.state()):
-            assert self.process.poll() is None, self.process.communicate()
+            assert self.process.poll() is None, self.process.communicate(timeout=30)
             assert time.monotonic() < until_s, self.state()
             if select.select([self.master], [], [], 0.0)[0]:
                 os.read(self.master, 4096)  # else whoever prints there would wait
-            time.sleep(0.005)
+            time.sleep(0.02)
 
     def end(self) -> tuple[int, list[dict[str, Any]]]:
         out, _ = self.process.communicate(timeout=120)
@@ -83,7 +83,7 @@ def run(quick_config: Path, tmp_path: Path) -> Iterator[Callable[..., Run]]:
     yield start
     for one in runs:
         one.process.kill()
-        one.process.wait()
+        one.process.wait(30)
         os.close(one.master)
         os.close(one.slave)
 

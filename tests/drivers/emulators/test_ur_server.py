@@ -96,7 +96,7 @@ def test_a_client_that_dies_leaves_the_arm_stopped_by_the_watchdog(emulator, eve
     finally:
         killed_s = time.monotonic()
         client.kill()
-        client.wait()
+        client.wait(30)
     eventually(lambda: emulator.ask("state")["runtime"] == "STOPPED")
     time.sleep(0.2)
     assert emulator.ask("state")["last_moved_s"] - killed_s < 0.2
