@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +17,8 @@ from cell.cli import app
 from cell.flight import decide
 from cell.settings import Settings, load_settings
 from cell.simulated.twins import build_twins
+
+from .forked import Forking
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 EMULATED = CONFIG.parent / "emulated.yaml"
@@ -71,6 +73,13 @@ def run(*words: object, typed: str | None = None) -> subprocess.CompletedProcess
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         raise done.exception
     return subprocess.CompletedProcess(given, done.exit_code, done.stdout, done.stderr)
+
+
+@pytest.fixture(scope="session")
+def forking() -> Iterator[Forking]:
+    """Commands in processes of their own that need not import all modules again."""
+    with Forking() as forking:
+        yield forking
 
 
 @pytest.fixture(scope="session")
