@@ -1,4 +1,4 @@
-"""A simulated cell that is quick: fewer and smaller pictures, fewer offsets, else as shipped."""
+"""A simulated cell that is quick: fewer, smaller pictures, fewer offsets, a coarser world."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ _QUICK = [
     ("frame_rate_hz: 200.0", "frame_rate_hz: 60.0"),
     ("hold_s: 1.0", "hold_s: 0.4"),
     ("step_m: 0.002", "step_m: 0.004"),
+    ("damping_ratio: [0.02, 0.06]\n", "damping_ratio: [0.02, 0.06]\n  segments: 60\n"),
 ]
 
 
@@ -45,6 +46,7 @@ _MORE_FRAMES = ("frame_rate_hz: 60.0", "frame_rate_hz: 100.0")
 #: A world in which a few good chances are wrong.
 WINDY = [
     _MORE_FRAMES,
+    ("  segments: 60\n", ""),
     ("effects: {}", "effects: {draught: {wind_x_m_per_s: 1.6, wind_y_m_per_s: 1.6}}"),
     ("gripper:\n", "choice: {min_probability: 0.3}\n\ngripper:\n"),
 ]
