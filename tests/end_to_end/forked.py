@@ -101,13 +101,20 @@ class Forking:
         self._door.close()  # upon which it ends
         self._process.wait(LONGEST_S)
 
-    def start(self, *words: object, environment: Mapping[str, str] | None = None) -> Forked:
-        """Begin `cell words`, with nobody at its standard input."""
+    def start(
+        self, *words: object, environment: Mapping[str, str] | None = None, first: str = ""
+    ) -> Forked:
+        """Begin `cell words`, with nobody at its standard input.
+
+        environment   beside our own
+        first         a program that the process runs before it opens its standard streams
+        """
         told, tell = os.pipe()
         out, err = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115  # see Forked
         wanted = {
             "words": [str(word) for word in words],
             "folder": os.getcwd(),  # noqa: PTH109  # a path as it is
+            "first": first,
             "environment": dict(os.environ) | dict(environment or {}),
         }
         socket.send_fds(
@@ -164,6 +171,7 @@ def main() -> None:
     os.environ.clear()
     os.environ.update(wanted["environment"])
     os.chdir(wanted["folder"])
+    exec(wanted["first"], {})
     for name, mode, fd in (("stdin", "r", 0), ("stdout", "w", 1), ("stderr", "w", 2)):
         setattr(sys, name, open(fd, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
     sys.argv[1:] = wanted["words"]
