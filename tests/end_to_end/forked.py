@@ -19,8 +19,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import IO, Any
 
+ROOT = Path(__file__).parents[2]
 #: What a run and a service import sooner or later.
 MODULES = (
     *("cell.build", "cell.cli", "cell.cli.making", "cell.cli.plant_end", "cell.lab.next"),
@@ -93,7 +95,7 @@ class Forking:
         self._door, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "tests.end_to_end.forked"], stdin=theirs
+                [sys.executable, "-m", "tests.end_to_end.forked"], cwd=ROOT, stdin=theirs
             )
         return self
 
