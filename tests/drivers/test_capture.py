@@ -100,13 +100,14 @@ class StreamRig:
                 if not self._script.unfinished_tasks:
                     self.clock.sleep_s(1.0)
 
-        passing = threading.Thread(target=pass_time)
+        passing = threading.Thread(target=pass_time, daemon=True)
         passing.start()
         try:
             yield
         finally:
             over.set()
-            passing.join()
+            passing.join(30)
+            assert not passing.is_alive()
 
 
 @pytest.fixture

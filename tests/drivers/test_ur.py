@@ -135,7 +135,7 @@ def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, t
     finally:
         killed_s = time.monotonic()
         cell.kill()
-        cell.wait()
+        cell.wait(30)
     time.sleep(0.5)
     state = ur_emulator.ask("state")
     assert state["last_moved_s"] - killed_s < 0.2

@@ -1,10 +1,10 @@
-"""A simulated cell that is quick: fewer and smaller pictures, fewer offsets, else as shipped."""
+"""A simulated cell that is quick: fewer, smaller pictures, fewer offsets, a coarser world."""
 
 from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +18,8 @@ from cell.flight import decide
 from cell.settings import Settings, load_settings
 from cell.simulated.twins import build_twins
 
+from .forked import Forking
+
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 EMULATED = CONFIG.parent / "emulated.yaml"
 
@@ -25,6 +27,7 @@ _QUICK = [
     ("frame_rate_hz: 200.0", "frame_rate_hz: 60.0"),
     ("hold_s: 1.0", "hold_s: 0.4"),
     ("step_m: 0.002", "step_m: 0.004"),
+    ("damping_ratio: [0.02, 0.06]\n", "damping_ratio: [0.02, 0.06]\n  segments: 60\n"),
 ]
 
 
@@ -43,6 +46,7 @@ _MORE_FRAMES = ("frame_rate_hz: 60.0", "frame_rate_hz: 100.0")
 #: A world in which a few good chances are wrong.
 WINDY = [
     _MORE_FRAMES,
+    ("  segments: 60\n", ""),
     ("effects: {}", "effects: {draught: {wind_x_m_per_s: 1.6, wind_y_m_per_s: 1.6}}"),
     ("gripper:\n", "choice: {min_probability: 0.3}\n\ngripper:\n"),
 ]
@@ -71,6 +75,13 @@ def run(*words: object, typed: str | None = None) -> subprocess.CompletedProcess
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         raise done.exception
     return subprocess.CompletedProcess(given, done.exit_code, done.stdout, done.stderr)
+
+
+@pytest.fixture(scope="session")
+def forking() -> Iterator[Forking]:
+    """Commands in processes of their own that need not import all modules again."""
+    with Forking() as forking:
+        yield forking
 
 
 @pytest.fixture(scope="session")

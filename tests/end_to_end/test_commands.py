@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,8 @@ from typer.testing import CliRunner
 from cell.cli import app
 from cell.records.folder import read_record
 from cell.settings import Settings
+
+from .forked import Forked, Forking
 
 FIELDS = {
     "cycle",
@@ -144,16 +146,12 @@ def test_help_names_the_exit_codes_and_is_quick() -> None:
 
 
 @pytest.fixture
-def running(quick_config: Path, tmp_path: Path) -> subprocess.Popen[str]:
-    command = "from cell.cli import main; main()"
-    arguments = ["run", "-c", quick_config, "--json", "--cycles", "50", "--out", tmp_path / "runs"]
-    return subprocess.Popen(
-        [sys.executable, "-c", command, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )
+def running(forking: Forking, quick_config: Path, tmp_path: Path) -> Iterator[Forked]:
+    words = ("--json", "--cycles", 50, "--out", tmp_path / "runs")
+    process = forking.start("run", "-c", quick_config, *words)
+    yield process
+    process.kill()
+    process.wait(30)
 
 
 def until_running(runs: Path, cycle: int) -> None:
@@ -167,11 +165,11 @@ def until_running(runs: Path, cycle: int) -> None:
 
 @pytest.mark.parametrize("given", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_the_arm_closes_the_record_and_ends_with_1(
-    running: subprocess.Popen[str], tmp_path: Path, given: signal.Signals
+    running: Forked, tmp_path: Path, given: signal.Signals
 ) -> None:
     until_running(tmp_path / "runs", 1)
     running.send_signal(given)
-    out, err = running.communicate(timeout=180)
+    out, err = (said.decode() for said in running.communicate(timeout=180))
     assert running.returncode == 1, err
     last = json.loads(out.splitlines()[-1])
     assert last["outcome"] == "failed"
@@ -182,9 +180,7 @@ def test_a_signal_stops_the_arm_closes_the_record_and_ends_with_1(
     assert read.state["arm"] in ("stopped", "lost"), "lost: not connected yet"
 
 
-def test_a_killed_run_leaves_a_readable_record(
-    running: subprocess.Popen[str], tmp_path: Path
-) -> None:
+def test_a_killed_run_leaves_a_readable_record(running: Forked, tmp_path: Path) -> None:
     until_running(tmp_path / "runs", 2)
     running.kill()
     running.communicate(timeout=180)

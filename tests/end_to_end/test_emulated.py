@@ -75,7 +75,7 @@ def emulating(light_config: Path) -> Iterator[subprocess.Popen[str]]:
     )
     yield process
     process.kill()
-    process.communicate()
+    process.communicate(timeout=30)
     eventually_silent(light_config)
 
 
@@ -104,7 +104,7 @@ def test_emulators_end_with_whoever_started_them(light_config: Path) -> None:
     assert parent.stdout is not None
     assert parent.stdout.readline().startswith("arm")
     parent.kill()
-    parent.communicate()
+    parent.communicate(timeout=30)
     eventually_silent(light_config)
 
 
@@ -112,8 +112,7 @@ def test_addresses_that_are_taken_are_named_and_end_with_2(
     light_config: Path, tmp_path: Path
 ) -> None:
     with socket.create_server((host_of(light_config), 5600)):
-        command = cell("run", "--config", light_config, "--out", tmp_path / "runs")
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        done = run("run", "--config", light_config, "--out", tmp_path / "runs")
     assert done.returncode == 2
     assert f"{light_config}:1: emulated: the emulated camera: OSError" in done.stderr
     assert "in use" in done.stderr
@@ -122,7 +121,6 @@ def test_addresses_that_are_taken_are_named_and_end_with_2(
 
 def test_settings_of_real_devices_are_not_emulated(tmp_path: Path) -> None:
     line3 = CONFIG.with_name("line3.yaml")
-    command = cell("emulate", "--config", line3)
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = run("emulate", "--config", line3)
     assert done.returncode == 2
     assert f"{line3}:1: emulated: is missing; add `emulated: {{}}`" in done.stderr

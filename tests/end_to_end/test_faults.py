@@ -53,7 +53,8 @@ def interrupt(it: SimpleNamespace) -> None:
 def stop_from_another_thread(it: SimpleNamespace) -> None:
     thread = threading.Thread(target=it.cell.command, args=(Event.STOP, "guard opened"))
     thread.start()
-    thread.join()
+    thread.join(30)
+    assert not thread.is_alive()
 
 
 def lose_the_arm(it: SimpleNamespace) -> None:

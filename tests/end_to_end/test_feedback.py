@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cell.build import build_cell
 from cell.cli import app
 from cell.flight import decide
 from cell.flight.correct import Tail
@@ -62,16 +63,37 @@ def test_what_goes_well_goes_no_worse(live: Live, quick: Settings) -> None:
     assert result.prediction_error_m is not None and result.prediction_error_m < 5e-4
 
 
-def test_without_feedback_nothing_is_said_of_it(live: Live) -> None:
-    assert live().cell.run_cycle(1).corrections is None
+def without_feedback(settings: Settings, runs: Path) -> Result:
+    cell = build_cell(settings, runs, seed=1, cycles=1)
+    try:
+        return cell.run_cycle(1)
+    finally:
+        cell.close()
+
+
+@pytest.fixture(scope="module")
+def plain(quick: Settings, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return without_feedback(quick, tmp_path_factory.mktemp("plain"))
+
+
+@pytest.fixture(scope="module")
+def plain_dense(dense_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return without_feedback(load_settings(dense_config), tmp_path_factory.mktemp("dense"))
+
+
+def test_without_feedback_nothing_is_said_of_it(plain: Result) -> None:
+    assert plain.corrections is None
 
 
 @pytest.mark.parametrize("rise_m", [0.002, -0.002])
 def test_a_change_in_flight_moves_the_tip_as_foretold(
-    live: Live, dense_config: Path, monkeypatch: pytest.MonkeyPatch, rise_m: float
+    live: Live,
+    dense_config: Path,
+    plain_dense: Result,
+    monkeypatch: pytest.MonkeyPatch,
+    rise_m: float,
 ) -> None:
-    dense = load_settings(dense_config)
-    plain = live(settings=dense).cell.run_cycle(1)
+    dense, plain = load_settings(dense_config), plain_dense
     monkeypatch.setattr(decide, "best_tail", one_change(rise_m))
     result = live(settings=seeing(dense)).cell.run_cycle(1)
     assert result.corrections is not None and len(result.corrections) == 1
@@ -89,10 +111,13 @@ def test_a_change_in_flight_moves_the_tip_as_foretold(
 
 
 def test_what_the_arm_refuses_leaves_the_path_as_it_is(
-    live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    live: Live,
+    quick: Settings,
+    plain: Result,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Too fast for the limits of the settings, or told too late."""
-    plain = live().cell.run_cycle(1)
     monkeypatch.setattr(decide, "best_tail", one_change(0.5))
     with caplog.at_level(logging.WARNING):
         result = live(settings=seeing(quick)).cell.run_cycle(1)

@@ -75,8 +75,14 @@ def imported(own, film: str, *words: object):
     return done, out
 
 
-def test_pictures_become_a_recording_that_decides_as_the_cell_did(own):
-    done, out = imported(own, "film")
+@pytest.fixture(scope="module")
+def of_pictures(own):
+    """What the import of the pictures said, and its recording."""
+    return imported(own, "film")
+
+
+def test_pictures_become_a_recording_that_decides_as_the_cell_did(own, of_pictures):
+    done, out = of_pictures
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)["result"]
     _, then, _ = own
@@ -96,12 +102,11 @@ def test_pictures_become_a_recording_that_decides_as_the_cell_did(own):
     assert shown.returncode == 0, shown.stderr
 
 
-def test_a_video_is_the_same_film(own):
+def test_a_video_is_the_same_film(own, of_pictures):
     done, out = imported(own, "film.avi")
     assert done.returncode == 0, done.stderr
     frames = [f.image for f in read_recording(out).frames()]
-    imported(own, "film", "--force")
-    pictures = [f.image for f in read_recording(own[0] / "film.mcap").frames()]
+    pictures = [f.image for f in read_recording(of_pictures[1]).frames()]
     assert len(frames) == len(pictures)
     assert all(np.abs(a.astype(int) - b).max() <= 1 for a, b in zip(frames, pictures, strict=True))
 

@@ -72,7 +72,7 @@ def emulators(light_config: Path, tmp_path: Path) -> Iterator[Callable[..., Emul
     yield start
     for one in started:
         one.process.kill()
-        one.process.communicate()
+        one.process.communicate(timeout=30)
 
 
 @pytest.mark.real_time

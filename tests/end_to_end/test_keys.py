@@ -6,11 +6,10 @@ import json
 import os
 import pty
 import select
-import subprocess
-import sys
 import termios
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,31 +17,30 @@ import pytest
 
 from cell.records.folder import read_record
 
+from .forked import Forked, Forking
+
+Start = Callable[..., Forked]
+
 #: Opens the terminal as the controlling one of a new session, as a login shell does; for keys
 #: only, or for what is printed too.
-AT_TERMINAL = (
-    "import os, sys; from cell.cli import main; "
-    "terminal = os.open(sys.argv.pop(1), os.O_RDWR); "
-    "[os.dup2(terminal, int(n)) for n in sys.argv.pop(1)]; main()"
-)
+AT_TERMINAL = """
+import os
+os.setsid()
+terminal = os.open({terminal!r}, os.O_RDWR)
+for stream in {streams}:
+    os.dup2(terminal, stream)
+"""
 
 
 class Run:
     """A `cell run` at a terminal of its own."""
 
-    def __init__(self, config: Path, runs: Path, *options: str, streams: str = "0") -> None:
+    def __init__(self, start: Start, runs: Path, *options: str, streams: Sequence[int]) -> None:
         self.runs = runs
         self.master, self.slave = pty.openpty()
         self.before = termios.tcgetattr(self.slave)
-        arguments = ["run", "-c", str(config), "--json", "--out", str(runs), *options]
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", AT_TERMINAL, os.ttyname(self.slave), streams, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+        first = AT_TERMINAL.format(terminal=os.ttyname(self.slave), streams=streams)
+        self.process = start("--json", "--out", runs, *options, first=first)
 
     def hang_up(self) -> None:
         """Close the terminal, as its window or an ssh connection that is gone does."""
@@ -61,11 +59,11 @@ class Run:
     def until(self, holds: Callable[[dict[str, Any]], bool]) -> None:
         until_s = time.monotonic() + 120.0
         while not holds(self.state()):
-            assert self.process.poll() is None, self.process.communicate()
+            assert self.process.poll() is None, self.process.communicate(timeout=30)
             assert time.monotonic() < until_s, self.state()
             if select.select([self.master], [], [], 0.0)[0]:
                 os.read(self.master, 4096)  # else whoever prints there would wait
-            time.sleep(0.005)
+            time.sleep(0.02)
 
     def end(self) -> tuple[int, list[dict[str, Any]]]:
         out, _ = self.process.communicate(timeout=120)
@@ -73,17 +71,18 @@ class Run:
 
 
 @pytest.fixture
-def run(quick_config: Path, tmp_path: Path) -> Iterator[Callable[..., Run]]:
+def run(forking: Forking, quick_config: Path, tmp_path: Path) -> Iterator[Callable[..., Run]]:
     runs: list[Run] = []
+    begin = partial(forking.start, "run", "-c", quick_config)
 
-    def start(*options: str, streams: str = "0") -> Run:
-        runs.append(Run(quick_config, tmp_path / "runs", *options, streams=streams))
+    def start(*options: str, streams: Sequence[int] = (0,)) -> Run:
+        runs.append(Run(begin, tmp_path / "runs", *options, streams=streams))
         return runs[-1]
 
     yield start
     for one in runs:
         one.process.kill()
-        one.process.wait()
+        one.process.wait(30)
         os.close(one.master)
         os.close(one.slave)
 
@@ -126,7 +125,7 @@ def test_a_stop_while_held_stops_and_u_clears_nothing(run: Callable[..., Run]) -
 
 
 def test_a_closed_terminal_stops_the_arm_and_closes_the_record(run: Callable[..., Run]) -> None:
-    it = run("--cycles", "50", streams="012")
+    it = run("--cycles", "50", streams=(0, 1, 2))
     it.until(lambda state: state.get("cycle", 0) >= 2 and state.get("step") == "hold_and_capture")
     it.hang_up()
     it.process.communicate(timeout=60)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,8 +24,7 @@ from cell.run.machine import Event
 from cell.settings import Settings
 
 from .conftest import run
-
-CELL = [sys.executable, "-m", "cell"]
+from .forked import Forking
 
 
 def is_begun(place: Path) -> bool:
@@ -127,18 +124,22 @@ def test_folders_of_before_are_taken_in(runs: Path, tmp_path: Path) -> None:
     assert [c.part for c in now] == [c.part for c in then]
 
 
-def test_a_killed_run_is_never_listed_as_finished(quick_config: Path, tmp_path: Path) -> None:
+def test_a_killed_run_is_never_listed_as_finished(
+    forking: Forking, quick_config: Path, tmp_path: Path
+) -> None:
     text = quick_config.read_text(encoding="utf-8")
     paced = tmp_path / "paced.yaml"
     paced.write_text(text.replace("\nworld: ", "\nworld:\n  real_time_factor: 1.0\n#"), "utf-8")
     runs = tmp_path / "runs"
-    command = [*CELL, "run", "--config", str(paced), "--cycles", "5", "--out", str(runs)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+    process = forking.start("run", "--config", paced, "--cycles", 5, "--out", runs)
+    try:
         end_s = time.monotonic() + 60.0
         while not any(runs.glob("*/state.json")) or not is_begun(runs):
             assert time.monotonic() < end_s
             time.sleep(0.05)
+    finally:
         process.kill()
+        process.wait(30)
     (cycle,) = listed(runs)
     assert cycle.outcome == UNFINISHED
     assert not (cycle.folder / "result.json").exists()

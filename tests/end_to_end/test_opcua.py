@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,22 +14,24 @@ from cell.plant.opcua.server import OWN_URI
 from cell.settings.plant import OpcUa
 from tests.cell.plant.opcua.conftest import NAME, Seen, free_port, served, settings_with
 
+from .forked import Forking
+
 EXECUTE = "BaseStateMachine.MachineState.ExecuteState"
 MACHINE = "BaseStateMachine.MachineState"
 
 
 @pytest.fixture
-def port(quick_config: Path, tmp_path: Path) -> Iterator[int]:
+def port(forking: Forking, quick_config: Path, tmp_path: Path) -> Iterator[int]:
     """That of a server beside a cell that waits for starts."""
     runs, port = tmp_path / "runs", free_port()
-    command = [sys.executable, "-m", "cell", "run", "-c", str(quick_config)]
-    command += ["--cycles", "forever", "--out", str(runs)]
     opcua = OpcUa(port=port, folder=tmp_path / "opcua", name=NAME)
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    process = forking.start("run", "-c", quick_config, "--cycles", "forever", "--out", runs)
+    try:
         with served(settings_with(opcua), runs):
             yield port
+    finally:
         process.kill()
-        process.communicate()
+        process.wait(30)
 
 
 class Changes:

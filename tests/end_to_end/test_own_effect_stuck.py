@@ -1,8 +1,5 @@
 """An effect of one's own that gets stuck, or fails, only in a fit is named by the command."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +11,9 @@ from cell.cable.model import CableModel
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
 
-PROGRAM = """
-import sys
-from cell.computer import watched
-watched.PATIENCE_S = 1.0
-from cell.cli import main
-sys.argv = ["cell", *sys.argv[1:]]
-main()
-"""
+from .forked import Forking
+
+IMPATIENT = "from cell.computer import watched; watched.PATIENCE_S = 1.0"
 
 HEAD = '''"""Mine."""
 from cell.cable.effects import Effect, Parameter
@@ -84,16 +76,14 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ids=["compiled", "python", "in C", "raises compiled", "raises in Python"],
 )
 def test_the_command_ends_and_names_effect_file_and_line(
-    study: Path, tmp_path: Path, text: str, line: int, said: str
+    forking: Forking, study: Path, tmp_path: Path, text: str, line: int, said: str
 ) -> None:
     path, out = tmp_path / "mine.py", tmp_path / "model.json"
     path.write_text(text)
-    command = [sys.executable, "-c", PROGRAM, "fit", study, "--effect", path, "-o", out]
-    done = subprocess.run(
-        [str(c) for c in command], capture_output=True, text=True, timeout=120, check=False
-    )
+    done = forking.start("fit", study, "--effect", path, "-o", out, first=IMPATIENT)
+    _, err = done.communicate(timeout=120)
     assert done.returncode == 2
-    assert done.stderr.splitlines()[-1] == f"{path}:{line}: {said}"
+    assert err.decode().splitlines()[-1] == f"{path}:{line}: {said}"
     assert not out.exists()
 
 
@@ -106,14 +96,14 @@ LATER = HEAD.replace('"""Mine."""', '"""Mine."""\nimport os') + (
 
 
 @pytest.fixture(scope="module")
-def tried(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tried(forking: Forking, study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with a study, and a model fitted to it with an effect that has passed its trial."""
     folder = tmp_path_factory.mktemp("tried")
     (folder / "mine.py").write_text(LATER)
     (folder / "study").symlink_to(study)
-    fit = ["fit", "study", "--effect", "mine.py", "-o", "model.json"]
-    command = [sys.executable, "-c", PROGRAM, *fit]
-    subprocess.run(command, cwd=folder, timeout=120, check=True, capture_output=True)
+    fit = ("fit", "study", "--effect", "mine.py", "-o", "model.json")
+    done = forking.start(*fit, first=f"{IMPATIENT}; import os; os.chdir({str(folder)!r})")
+    assert done.wait(120) == 0, done.communicate()
     return folder
 
 
@@ -121,13 +111,12 @@ def tried(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     "words", [["effects", "--effect", "mine.py"], ["compare", "study", "--model", "model.json"]]
 )
 def test_an_effect_that_was_tried_before_and_is_stuck_now_is_named(
-    tried: Path, words: list[str]
+    forking: Forking, tried: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
 ) -> None:
     """It is not tried elsewhere again; loading it hung for ever."""
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *words], cwd=tried, env=os.environ | {"STUCK": "1"},
-        capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
-    assert (done.returncode, done.stderr.splitlines()[-1:]) == (
+    monkeypatch.chdir(tried)
+    done = forking.start(*words, environment={"STUCK": "1"}, first=IMPATIENT)
+    _, err = done.communicate(timeout=120)
+    assert (done.returncode, err.decode().splitlines()[-1:]) == (
         2, [f"{tried / 'mine.py'}:13: mine.extra_length {ENDS}"],
     )  # fmt: skip

@@ -120,11 +120,12 @@ def serving(config: Path, tmp_path: Path) -> Iterator[SimpleNamespace]:
         select_product=it.made.change_product,
     )
     it.until = until
-    working = threading.Thread(target=it.service.run, args=(it.results.append,))
+    working = threading.Thread(target=it.service.run, args=(it.results.append,), daemon=True)
     working.start()
     yield it
     it.service.end()
     working.join(60.0)
+    assert not working.is_alive(), it.status
     it.made.cell.close()
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from datetime import datetime
@@ -21,33 +19,44 @@ from cell.records.ledger.ledger import Ledger, Wanted
 from cell.run.machine import CellState, Event
 
 from .conftest import run
+from .forked import Forked, Forking
 
-Start = Callable[..., subprocess.Popen[bytes]]
+Start = Callable[..., Forked]
 
 
 @pytest.fixture
-def start(quick_config: Path, tmp_path: Path) -> Iterator[Start]:
-    begun: list[subprocess.Popen[bytes]] = []
+def start(forking: Forking, quick_config: Path, tmp_path: Path) -> Iterator[Start]:
+    begun: list[Forked] = []
 
-    def start(
-        cycles: str = "forever", config: Path = quick_config, **environment: str
-    ) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "cell", "run", "-c", str(config)]
-        command += ["--cycles", cycles, "--json", "--out", str(tmp_path / "runs")]
-        if environment:
-            command = ["env", *(f"{k}={v}" for k, v in environment.items()), *command]
-        begun.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE))
+    def start(cycles: str = "forever", config: Path = quick_config, **environment: str) -> Forked:
+        words = ("--cycles", cycles, "--json", "--out", tmp_path / "runs")
+        begun.append(forking.start("run", "-c", config, *words, environment=environment))
         return begun[-1]
 
     yield start
     for process in begun:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
+        process.kill()
+        process.wait(30)
+
+
+#: What a cell does not reach after so long it never does, s.
+LONGEST_S = 120.0
 
 
 def until(client: Client, reached: Callable[[Notice | Status], bool]) -> Notice | Status:
-    return next(message for message in client.follow() if reached(message))
+    """What happens first that is as it should be; if it is late the client is closed."""
+    late = threading.Timer(LONGEST_S, client.close)
+    late.daemon = True
+    late.start()
+    last: list[Notice | Status] = []
+    try:
+        for message in client.follow():
+            if reached(message):
+                return message
+            last = [message] if isinstance(message, Status) else [*last[:1], message]
+    finally:
+        late.cancel()
+    raise AssertionError(f"it did not happen within {LONGEST_S} s; last came {last}")
 
 
 def waits_for(what: str) -> Callable[[Notice | Status], bool]:
@@ -79,7 +88,7 @@ def test_two_starts_then_an_end_within_the_third_cycle(start: Start, tmp_path: P
             said.append(told.recv(1000))
 
     told.settimeout(60.0)
-    hearing = threading.Thread(target=hear)
+    hearing = threading.Thread(target=hear, daemon=True)
     hearing.start()
     process = start(NOTIFY_SOCKET=str(tmp_path / "notify"), WATCHDOG_USEC="600000")
     client = Client(runs).connect(wait_s=60.0)
@@ -103,7 +112,8 @@ def test_two_starts_then_an_end_within_the_third_cycle(start: Start, tmp_path: P
     assert [json.loads(line)["outcome"] for line in out.splitlines()] == ["inserted"] * 3
     assert all(read_record(folder).closed for folder in runs.iterdir())
     assert run("status", "--runs", runs).returncode == 3
-    hearing.join()
+    hearing.join(30)
+    assert not hearing.is_alive(), said
     assert {b"READY=1", b"WATCHDOG=1", b"STATUS=idle, cycle 1"} <= set(said)
     told.close()
 
@@ -116,7 +126,7 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     client.send(Request(Event.START, "plc", part="A-1"))
     until(client, in_step("hold_and_capture"))
     killed.kill()
-    killed.wait()
+    killed.wait(30)
     Record(runs, 1, datetime(2001, 1, 1))  # another one, from before the clock was set
 
     again = start()
@@ -169,7 +179,7 @@ def test_after_a_kill_while_it_is_made_ready_nothing_moves(start: Start, tmp_pat
     client = Client(tmp_path / "runs").connect(wait_s=60.0)
     until(client, in_step("warm_up"))
     killed.kill()
-    killed.wait()
+    killed.wait(30)
     start()
     status = client.connect(wait_s=60.0).status()
     assert (status.state, status.waiting_for) == (CellState.STOPPED, ("acknowledgement",))
@@ -187,7 +197,7 @@ def test_a_stop_in_idle_outlives_the_service(start: Start, tmp_path: Path) -> No
     client.send(Request(Event.STOP, "plc", "guard opened"))
     until(client, waits_for("acknowledgement"))
     stopped.kill()
-    stopped.wait()
+    stopped.wait(30)
     start()
     status = client.connect(wait_s=60.0).status()
     assert (status.state, status.waiting_for) == (CellState.STOPPED, ("acknowledgement",))

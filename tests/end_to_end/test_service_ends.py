@@ -19,6 +19,7 @@ from cell.run.machine import CellState, Event
 from tests.cell.plant.opcua.conftest import free_port, wait_until
 
 from .conftest import run
+from .forked import Forked
 from .test_service import Start, in_step, start, until, waits_for
 
 __all__ = ["start"]
@@ -31,7 +32,7 @@ def client(tmp_path: Path) -> Iterator[Client]:
     client.close()
 
 
-def ended(process: subprocess.Popen[bytes]) -> list[tuple[str, str | None]]:
+def ended(process: Forked) -> list[tuple[str, str | None]]:
     """Outcome and cause of every cycle that a service had told of when it ended."""
     out, _ = process.communicate(timeout=60)
     results = [json.loads(line) for line in out.splitlines()]
@@ -134,7 +135,7 @@ def test_an_adapter_is_kept_running_and_dies_with_the_service(
     wait_until(lambda: listens(port) and adapter not in children(process.pid))
     until(client, waits_for("start"))
     process.kill()
-    process.wait()
+    process.wait(30)
     wait_until(lambda: not listens(port))
     process = start(config=config)
     client.connect(wait_s=60.0)
@@ -182,4 +183,4 @@ def test_a_device_that_fails_in_idle_aborts_and_is_recorded(
         assert ended(process) == []
     finally:
         at.kill()
-        at.communicate()
+        at.communicate(timeout=30)

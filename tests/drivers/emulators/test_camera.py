@@ -163,7 +163,7 @@ def test_it_ends_with_its_parent(tmp_path, eventually) -> None:
     assert parent.stdout is not None
     pid = int(parent.stdout.readline())
     parent.kill()
-    parent.communicate()
+    parent.communicate(timeout=30)
     eventually(lambda: not _runs(pid))
 
 
