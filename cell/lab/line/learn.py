@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
 from cell.cable.solver import threads
+from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.individual import IdentifyOptions
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.cycles import RecordedCycle
@@ -183,7 +185,10 @@ class _Line:
             return result
         alone, baseline = self._fitted(moving)
         tried = [result.best, *result.ranking[1:]]
-        again = self._space(alone, baseline).fitted_to_all(self._none(baseline), tried)
+        try:
+            again = self._space(alone, baseline).fitted_to_all(self._none(baseline), tried)
+        except UNSIMULATED:
+            return result
         return replace(again, tied=result.tied, ranking=result.ranking)
 
     def _fitted(self, prepared: Sequence[PreparedStudy]) -> tuple[list[SharedFit], SharedFit]:
@@ -235,11 +240,16 @@ class _LearningSpace:
     def kept(self, result: LearningResult, tried: Sequence[EffectFit]) -> list[LearningResult]:
         """The result with the best of these, fitted to all cables; none if that is chance.
 
+        One with which not all of them can be simulated is not the cause.
         Where the last effect explains as much without the one before it, it is the only one.
         """
         if not tried or tried[0].p_value >= SIGNIFICANCE:
             return []
-        found = self.fitted_to_all(result, tried)
+        try:
+            found = self.fitted_to_all(result, tried)
+        except UNSIMULATED:
+            self.search.progress(f"not all cables can be simulated with {tried[0].name}")
+            return self.kept(result, tried[1:])
         if result.best is None:
             return [found]
         single = self.search.last_alone(self.alone, tried[0])
@@ -248,8 +258,10 @@ class _LearningSpace:
         none = replace(
             result, best=None, ranking=(), tied=(), spread=(), cycle_evidence=(), simpler=None
         )
-        # what is as good as it beside the first is as good without
-        return [replace(self.fitted_to_all(none, [single]), tied=found.tied)]
+        with suppress(*UNSIMULATED):  # not all cables can be with it alone
+            # what is as good as it beside the first is as good without
+            found = replace(self.fitted_to_all(none, [single]), tied=found.tied)
+        return [found]
 
     def fitted_to_all(self, before: LearningResult, tried: Sequence[EffectFit]) -> LearningResult:
         """The result with the best of these, fitted to all cables."""

@@ -47,7 +47,7 @@ from cell.lab.line.candidate import lines_of, section, write_candidate
 from cell.lab.line.effect_fit import TIE, Budget, EffectFit
 from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.gates import Judgement, best_judged, gates, judge
-from cell.lab.line.learn import LearningResult, learn, negligible
+from cell.lab.line.learn import LearningResult, _LearningSpace, learn, negligible
 from cell.lab.line.learning_checks import learning_answers, learning_verdict
 from cell.lab.line.learning_questions import LineEvidence
 from cell.lab.line.next_cable import asked, open_to
@@ -167,6 +167,25 @@ def one_coordinate(study: Study) -> Study:
             for t in study.trials
         ),
     )
+
+
+def test_an_effect_with_which_not_all_cables_can_be_simulated_is_not_the_cause(monkeypatch) -> None:
+    """It was found on four of them, and ended the command with a traceback."""
+
+    def fitted(space: _LearningSpace, before: object, tried: list[SimpleNamespace]) -> str:
+        if tried[0].name == "first":
+            raise UnsimulatedError("cable 5")
+        return str(tried[0].name)
+
+    monkeypatch.setattr(_LearningSpace, "fitted_to_all", fitted)
+    said: list[str] = []
+    search = cast(CablesSpace, SimpleNamespace(progress=said.append))
+    space = _LearningSpace(search, (), (), np.empty(0), ())
+    none = cast(LearningResult, SimpleNamespace(best=None))
+    tried = [cast(EffectFit, SimpleNamespace(name=n, p_value=0.0)) for n in ("first", "second")]
+    assert space.kept(none, tried) == ["second"]
+    assert space.kept(none, tried[:1]) == []
+    assert said == 2 * ["not all cables can be simulated with first"]
 
 
 @pytest.mark.parametrize(
