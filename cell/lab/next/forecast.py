@@ -32,7 +32,7 @@ POWER = 0.95
 ROUNDS, MOST_AT_ONCE, NEARLY = 8, 10.0, 0.02
 #: Steps of the search for a size, and how far it goes from where it begins.
 _HALVINGS, _FARTHEST = 30, 1e4
-#: Share by which a shape parameter is changed for its slope.
+#: Share by which a shape parameter is changed for its slope, of its range where it is 0.
 _BENT = 0.02
 #: Other effects that are told apart by draws: of the most collinear.
 _RIVALS = 8
@@ -119,10 +119,9 @@ class _At:
             return None
         amplitudes = [p for p in effect.parameters if p.amplitude]
         which = amplitudes.index(self.asked.parameter)
-        own = own_slopes(linear, effect, which, hidden, alone)
+        own = own_slopes(linear, effect, which, hidden, alone, shapes)
         if own is None:
             return None
-        own = replace(own, shapes=shapes)
         known = {effect.name, *(e.name for e in self.fits.space.effects)}
         others = [e for name, e in self.fits.library.items() if name not in known]
         rivals = rivals_of(linear, hidden, others)[:_RIVALS]
@@ -132,12 +131,12 @@ class _At:
     def _changes(self, size: float) -> tuple[FloatArray, FloatArray] | None:
         """(rows,) by the effect, and (shape parameters, rows) by a little of each of its shapes."""
         linear, effect = self.linear, self.asked.at(size)
-        values = effect.values
-        shaped = [
-            replace(effect, values=(*values[:i], (1.0 + _BENT) * values[i], *values[i + 1 :]))
-            for i, p in enumerate(self.asked.effect.parameters)
-            if is_shape(p)
-        ]
+        values, shaped = effect.values, []
+        for i, p in enumerate(self.asked.effect.parameters):
+            if is_shape(p):
+                step = _BENT * (abs(values[i]) or p.high - p.low)
+                bent = values[i] + (step if values[i] + step <= p.high else -step)
+                shaped.append(replace(effect, values=(*values[:i], bent, *values[i + 1 :])))
         found = changes(linear.whole.prepared, linear.whole.fit, [effect, *shaped])
         if not np.all(np.isfinite(found)):
             return None

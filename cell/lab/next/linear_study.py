@@ -213,12 +213,18 @@ def rivals_of(
 
 
 def own_slopes(
-    linear: LinearStudy, effect: type[Effect], which: int, hidden: FloatArray, alone: FloatArray
+    linear: LinearStudy,
+    effect: type[Effect],
+    which: int,
+    hidden: FloatArray,
+    alone: FloatArray,
+    shapes: FloatArray,
 ) -> Slopes | None:
-    """A hidden effect's own: its change (rows,) as it is, and slopes of its other amplitudes.
+    """A hidden effect's own: its change (rows,) as it is, and slopes of its other parameters.
 
     which   number of the amplitude that is hidden, among the effect's amplitudes
     hidden  what a refit leaves of the change; alone: the change itself
+    shapes  (shape parameters, rows) changes by a little of each of them
     returns  None where nothing of it is left beside the parameters
     """
     (found,) = linear.whole.sensitivities([effect])
@@ -229,4 +235,18 @@ def own_slopes(
     left = np.linalg.norm(linear.unlike_all(rows), axis=1)
     if not size[0] > 0.0 or left[0] < LEAST_LEFT:
         return None
-    return Slopes(effect, rows[left > LEAST_LEFT], alone=direct[left > LEAST_LEFT])
+    rows, direct = rows[left > LEAST_LEFT], direct[left > LEAST_LEFT]
+    return Slopes(effect, rows, alone=direct, shapes=_not_imitated(linear, rows, shapes))
+
+
+def _not_imitated(linear: LinearStudy, rows: FloatArray, shapes: FloatArray) -> FloatArray:
+    """Unit changes by shape parameters that neither parameters nor others (n, rows) imitate."""
+    kept, known = [], list(linear.unlike_all(rows))
+    for shape in shapes[np.linalg.norm(shapes, axis=1) > 0.0]:
+        unit = shape / np.linalg.norm(shape)
+        left = linear.unlike_all(unit[None])[0]
+        left = left - np.linalg.lstsq(np.array(known).T, left, rcond=None)[0] @ np.array(known)
+        if np.linalg.norm(left) > LEAST_LEFT:
+            kept.append(unit)
+            known.append(left)
+    return np.array(kept).reshape(-1, rows.shape[1])

@@ -5,9 +5,10 @@ from __future__ import annotations
 from cell.cable.effects import library
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.next.asked import AskedEffect
-from cell.lab.next.forecast import _At
+from cell.lab.next.forecast import _At, forecast
 
 SIZE_RAD_PER_N_M = 40.0
+AMPLITUDE_M = 4e-4
 
 
 def test_half_of_an_effect_is_looked_for_with_its_shape_free(fitted, linear):
@@ -18,3 +19,13 @@ def test_half_of_an_effect_is_looked_for_with_its_shape_free(fitted, linear):
     assert found is not None
     plain, beside = (look.scores.stop - look.scores.start for look in found[0].half_seen)
     assert beside == plain + len(effect.parameters) * len(fitted.prepared.study.trials)
+
+
+def test_an_effect_with_a_shape_of_nothing_is_forecast(fitted, linear):
+    """A stroke's phase is 0 at first: no share of that changes anything."""
+    effect = library()["robot_ringing"]
+    asked = AskedEffect(effect, effect.parameters[0], AMPLITUDE_M)
+    assert 0.0 in asked.at(AMPLITUDE_M).values
+    said = forecast(fitted, asked, linear)
+    assert said.chances is not None
+    assert said.chances.significant > 0.5

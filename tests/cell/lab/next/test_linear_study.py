@@ -101,7 +101,18 @@ def test_an_effect_of_one_sign_cannot_imitate_the_other(linear, hidden):
 def test_a_change_that_parameters_make_is_no_effect_of_its_own(linear):
     by_viscosity = linear.slopes[:, list(linear.whole.fit.space.names).index("viscosity")]
     hidden = 1e3 * by_viscosity
-    assert own_slopes(linear, library()["air_drag"], 0, hidden, hidden) is None
+    none = np.empty((0, len(hidden)))
+    assert own_slopes(linear, library()["air_drag"], 0, hidden, hidden, none) is None
+
+
+def test_a_shape_that_the_amplitude_or_another_imitates_is_asked_once(linear, hidden):
+    """Directions that are the same leave no covariance to be inverted."""
+    other = linear.whole.sensitivities([library()["tip_mass"]])[0].rows[0][:1, : len(hidden)]
+    shapes = np.vstack([0.0 * hidden, 2.0 * hidden, other, 3.0 * other])
+    own = own_slopes(linear, library()["air_drag"], 0, hidden, hidden, shapes)
+    assert own is not None
+    assert len(own.of_parameters) == 2
+    np.testing.assert_allclose(own.shapes, other / np.linalg.norm(other))
 
 
 def test_the_covariance_of_white_functions_is_theirs_and_the_hand_adds_to_it(linear, hidden):
