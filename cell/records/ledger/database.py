@@ -23,7 +23,7 @@ from cell.records.ledger.tables import HEAD
 _SUFFIX = ".sqlite"
 #: How long another process may keep the database for itself, s.
 BUSY_S = 5.0
-#: A file that is not changed to a log of its own because another process writes is tried again, s.
+#: Pause before a file that another process begins with is asked again for write-ahead logging, s.
 _AGAIN_S = 0.01
 #: How long a server may take to answer a connection, s.
 CONNECT_S = 3
