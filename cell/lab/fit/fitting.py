@@ -133,20 +133,16 @@ def _minimised_in_two(
 ) -> Solution | None:
     """The minimum of a problem from that of a coarser one; None if one cannot be simulated there.
 
-    From where the coarser one has not converged it is not gone on: it would not have arrived.
+    From where the coarser one was still on its way it is not gone on: it would not have arrived.
     """
     try:
         near = gauss_newton.minimise(coarse, begin, options)
-        left = options.most_passes - near.passes if near.converged else 0
+        left = options.most_passes - near.passes if near.settled else 0
         few = replace(options, most_passes=1 + max(0, left))
         found = gauss_newton.minimise(problem, near.q, few, near.jacobian)
     except gauss_newton.UnsimulatedError:
         return None
-    return replace(
-        found,
-        passes=near.passes + found.passes - 1,
-        settled=found.settled or (near.settled and not near.converged),
-    )
+    return replace(found, passes=near.passes + found.passes - 1)
 
 
 def problem_of(

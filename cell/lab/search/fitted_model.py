@@ -49,6 +49,11 @@ class FittedModel:
         return Errors(self.fit.markers_rms_m, held_m)
 
     @property
+    def promised_evidence(self) -> float:
+        """The evidence where the fit would end, were the model linear where the fit was left."""
+        return self.evidence + 0.5 * (self.fit.objective - self.fit.promised_objective)
+
+    @property
     def chi2(self) -> float:
         """−2 ln likelihood of all trials, without penalty."""
         return self.fit.objective - 2.0 * (self.heldout.log_likelihood if self.heldout else 0.0)

@@ -96,7 +96,7 @@ class Refits:
             beside.map(refitted, sorted(rest, key=lambda j: -shapes_of(j.effect)), was_fitted)
             found = self._fitted(effects)
             far = self._far(effects)
-            likely = sorted(found, key=lambda c: -c.evidence)[:POLISHED]
+            likely = sorted(found, key=lambda c: -c.promised_evidence)[:POLISHED]
             beside.map(taken_on, [c for c in likely if self._unpolished(c, far)], was_taken_on)
         return [models[c.names] for c in found]
 

@@ -7,6 +7,7 @@ import pytest
 
 from cell.cable.effects import library
 from cell.cable.geometry import Motion
+from cell.identify import gauss_newton
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
@@ -52,3 +53,30 @@ def test_a_long_way_gone_coarsely_ends_where_a_fine_one_does(make_study, monkeyp
     from_afar = [models for step_s, models in simulated if step_s < 2e-3]
     assert len(from_afar) < len(simulated) / 2
     assert set(from_afar) == {1}
+
+
+@pytest.mark.parametrize("passes", [3, 12])
+def test_a_coarse_fit_that_gains_no_more_is_gone_on_with_or_said_to_be_unfinished(
+    make_study, monkeypatch, passes
+):
+    """Such fits were called settled 40 above a minimum one step away, and effects lost by it."""
+    study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=8, **LONG)
+    prepared, space = PreparedStudy.of(study), ParameterSpace.of(study.cable)
+    start = cold_start(prepared, space)
+    options = gauss_newton.Options(most_passes=12)
+    fine = fit_model(prepared, space, start, options=options)
+    prepared = replace(prepared, slopes=replace(prepared.solver, step_s=3e-3))
+    minimise, stages = gauss_newton.minimise, []
+
+    def stuck_at_first(problem, begin, options, *jacobian):
+        stages.append(options.most_passes)
+        if len(stages) > 1:
+            return minimise(problem, begin, options, *jacobian)
+        early = minimise(problem, begin, replace(options, most_passes=3))
+        return replace(early, passes=passes, settled=True, converged=False)
+
+    monkeypatch.setattr(gauss_newton, "minimise", stuck_at_first)
+    found = fit_model(prepared, space, start, options=options, from_far=True)
+    assert stages == [12, 1 + 12 - passes]
+    arrived = found.objective == pytest.approx(fine.objective, rel=1e-4)
+    assert arrived or found.promised_objective < found.objective - 10.0

@@ -94,6 +94,34 @@ def test_a_fit_on_its_way_is_taken_on_before_it_is_compared_with_one_that_has_ar
     assert found.fit.objective == kept
 
 
+def test_refits_are_taken_on_in_the_order_of_what_they_promise(make_study, monkeypatch):
+    """A giving grip, still above the model without it, was never taken to its minimum far below."""
+    names = ("tip_mass", "air_drag", "added_mass", "grip_angle")
+    effects = {name: library()[name] for name in names}
+    study = make_study(seed=2)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    base = fits.baseline()
+    fits.screened(base)
+    taken = []
+
+    def by(self, effect, screens, options):
+        on_its_way = effect is effects["grip_angle"]
+        away, promised = (50.0, 100.0) if on_its_way else (-1.0, 0.0)
+        solution = replace(base.fit.solution, settled=not on_its_way, promised=promised)
+        fit = replace(base.fit, objective=base.fit.objective + away, solution=solution)
+        return FittedModel((*base.effects, effect), fit, None, base.evidence - 0.5 * away)
+
+    def continued(prepared, model, options):
+        taken.append(model.names)
+        return model
+
+    monkeypatch.setattr(Extension, "by", by)
+    monkeypatch.setattr("cell.lab.search.refits.continued", continued)
+    monkeypatch.setattr(side_by_side, "threads", lambda: 1)
+    fits.fit_extended(base, list(effects.values()))
+    assert taken == [frozenset({"grip_angle"})]
+
+
 def test_what_models_are_selected_by_does_not_depend_on_held_out_trials(make_study):
     study = make_study(seed=2)
     fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
@@ -129,6 +157,7 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
         made.append(options["options"])
         return SimpleNamespace(
             objective=1.0,
+            promised_objective=0.5,
             initial_states={},
             space=None,
             q=None,
