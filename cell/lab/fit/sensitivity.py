@@ -22,11 +22,10 @@ FloatArray = NDArray[np.float64]
 PERTURBATION = 0.05
 
 
-#: A perturbation that moves a marker by more than this many standard deviations of the noise, or
-#: that cannot be simulated, is made smaller, so often at most.
-LARGEST_CHANGE = 300.0
-
-
+#: A perturbation that moves a marker by more than so many standard deviations of the noise, or all
+#: markers by more than so many of its own, what the parameters imitate left out, is no slope: it is
+#: made smaller, so often at most.  So is one that cannot be simulated.
+LARGEST_CHANGE, MOST_SHOWN = 300.0, 10.0
 TRIES = 6
 
 
@@ -49,20 +48,22 @@ def sensitivities(
 ) -> list[Sensitivity]:
     """Slopes of what is seen in every effect's amplitudes, at every guess of its shape."""
     guesses = [g for effect in effects for g in _guesses(effect)]
-    change = np.full((len(guesses), len(fit.solution.residual)), np.nan)
+    nuisance, behind = nuisance_of(fit), len(fit.solution.residual)
+    rows = np.full((len(guesses), len(nuisance.residual)), np.nan)
+    rows[:, behind:] = 0.0  # those of the prior
+    undone = list(range(len(guesses)))
     for _ in range(TRIES):
-        undone = [i for i in range(len(guesses)) if not _usable(change[i])]
-        if not undone:
-            break
-        change[undone] = changes(
+        rows[undone, :behind] = changes(
             prepared, fit, [ActiveEffect(guesses[i].effect, guesses[i].values) for i in undone]
         )
-        for i in undone:
-            if not _usable(change[i]):
-                guesses[i] = guesses[i].smaller()
-    change[[not _usable(row) for row in change]] = 0.0
-    priors = np.zeros((len(guesses), len(fit.solution.q)))
-    rows = np.hstack([change, priors]) / np.array([g.perturbation for g in guesses])[:, None]
+        shares = [_share_of_slope(nuisance, rows[i]) for i in undone]
+        undone = [i for i, share in zip(undone, shares, strict=True) if share < 1.0]
+        for i, share in zip(undone, (s for s in shares if s < 1.0), strict=True):
+            guesses[i] = guesses[i].smaller(share)
+        if not undone:
+            break
+    rows[undone] = 0.0
+    rows /= np.array([g.perturbation for g in guesses])[:, None]
     found = []
     for effect in effects:
         mine = [i for i, g in enumerate(guesses) if g.effect is effect]
@@ -91,17 +92,23 @@ class _Guess:
     which: int
     perturbation: float
 
-    def smaller(self) -> _Guess:
-        """A tenth of the perturbation, for a cable that is more sensitive than a typical one."""
+    def smaller(self, share: float) -> _Guess:
+        """With a share of the perturbation, for a cable more sensitive than a typical one."""
         default = self.effect.parameters[self.which].default
-        smaller = 0.1 * self.perturbation
+        smaller = share * self.perturbation
         values = (*self.values[: self.which], default + smaller, *self.values[self.which + 1 :])
         return _Guess(self.effect, self.shape, values, self.which, smaller)
 
 
-def _usable(change: FloatArray) -> bool:
-    """Whether a perturbation's effect could be simulated, and is small enough to be a slope."""
-    return bool(np.all(np.isfinite(change)) and np.max(np.abs(change)) < LARGEST_CHANGE)
+def _share_of_slope(nuisance: Nuisance, row: FloatArray) -> float:
+    """Share of a perturbation that is small enough for a slope: 1 = all of it, else half of that.
+
+    row  (values,) its change, the prior's rows included
+    """
+    if not (np.all(np.isfinite(row)) and np.max(np.abs(row)) < LARGEST_CHANGE):
+        return 0.1
+    shown = float(np.linalg.norm(nuisance.remove(row)))
+    return 1.0 if shown <= MOST_SHOWN else 0.5 * MOST_SHOWN / shown
 
 
 def changes(prepared: PreparedStudy, fit: Fit, active: Sequence[ActiveEffect]) -> FloatArray:

@@ -94,13 +94,14 @@ def _last_known(searches: Sequence[FitCache]) -> FitCache | None:
 def _examined(searches: list[FitCache], rules: Rules) -> Examination:
     """The diagnosis by the last of the searches; one that it needs is added to them."""
     fits = searches[-1]
+    began_s = fits.work.simulated_s
     base = fits.baseline()
     _LOG.info("study %s, baseline: %s", fits.prepared.study.name, errors_in_words(base))
     if is_no_model(fits, base.fit):
         return _unsearched(fits, base, rules, "unexplained", no_model_doubt())
     screened = fits.screened(base)
     singles = fits.fit_extended(base, fits.shortlist(base, rules.max_refits))
-    found = searched(fits, base, len(screened), rules)
+    found = searched(fits, base, len(screened), rules, began_s)
     if found.again is not None:
         searches.append(found.again)
         return _examined(searches, rules)

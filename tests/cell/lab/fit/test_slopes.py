@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cell.cable.effects import library
 from cell.cable.solver import Solver
 from cell.identify.gauss_newton import jacobian_at
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model, fit_trials, problem_of
 from cell.lab.fit.heldout import heldout
+from cell.lab.fit.sensitivity import sensitivities
 from cell.lab.fit.slopes import HARMLESS, with_slopes
 
 
@@ -53,3 +55,15 @@ def test_how_far_a_search_goes_does_not_depend_on_the_step_of_slopes(fitted):
         study.white_near(trials, [fit.model] * 3)
         counted.append(study.work.simulated_s - before)
     assert counted[0] == counted[1] > 0.0
+
+
+@pytest.mark.parametrize("times", [0.1, 30.0])
+def test_a_slope_is_one_however_strong_an_effect_usually_is(fitted, times):
+    """Of a stiff cord half a radian per newton metre was a bend, and its grip was not seen."""
+    prepared, fit = fitted
+    grip = library()["grip_compliance"]
+    strength, time = grip.parameters
+    stronger = replace(strength, starts=(times * strength.starts[0],))
+    unusual = type("Unusual", (grip,), {"parameters": (stronger, time)})
+    usual, other = sensitivities(prepared, fit, [grip, unusual])
+    assert np.linalg.norm(usual.rows - other.rows) < 0.05 * np.linalg.norm(usual.rows)

@@ -17,6 +17,7 @@ from cell.lab.report.wording import nearest_note
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.screen import screen
 from cell.lab.verdict import forward_search
+from cell.lab.verdict import diagnose as diagnosing
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.forward_search import with_ties
 from cell.lab.verdict.limits_and_agreement import with_agreement
@@ -101,6 +102,26 @@ def test_an_effect_that_was_refitted_is_weighed_however_much_that_took(make_stud
     found = diagnose(fits, replace(DEFAULT_RULES, max_simulated_s=0.0)).diagnosis
     assert [f.effect for f in found.missing] == ["air_drag"]
     assert "cut_short" in [w.code for w in found.warnings]
+
+
+def test_a_second_search_is_not_cut_short_by_the_work_of_the_first(make_study, monkeypatch):
+    """Models that left noise were dropped so: the search anew ended at the first effect."""
+    drag = library()["air_drag"].active(drag_coefficient=2.0)
+    study, names, ends_s = make_study([drag], seed=6, **LONG), ("air_drag", "tip_mass"), []
+    searched = diagnosing.searched
+
+    def noted(fits, *given):
+        found = searched(fits, *given)
+        ends_s.append(fits.work.simulated_s)
+        return found
+
+    monkeypatch.setattr(diagnosing, "searched", noted)
+    diagnose(explore(study, names))
+    first_s, _ = ends_s
+    found = diagnose(explore(study, names), replace(DEFAULT_RULES, max_simulated_s=first_s))
+    assert [f.effect for f in found.diagnosis.missing] == ["air_drag"]
+    assert "cut_short" not in found.diagnosis.codes
+    assert ends_s[-1] > first_s
 
 
 def test_a_complete_model_is_called_complete(make_study):
