@@ -6,7 +6,7 @@ import logging
 
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
-from cell.lab.data.prepared import ERRS, PreparedStudy
+from cell.lab.data.prepared import ERRS, PreparedStudy, as_measured
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.strength.kept_model import identified
@@ -28,7 +28,7 @@ def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
         return identified(prepared, candidate.fit, fits.library.values()), candidate, prepared
     left = Noise(candidate.fit.rms_m)
     coarser = FitCache(
-        PreparedStudy.of(prepared.measured, misfit=left, solver=prepared.solver),
+        PreparedStudy.of(as_measured(prepared), misfit=left, solver=prepared.solver),
         fits.space,
         fits.library,
         fits.progress,

@@ -137,21 +137,6 @@ class PreparedStudy:
         """(frames, markers, …) of (times, all points, …) of a trial: without those of gauges."""
         return rows if self.gauges is None else self.gauges.of_markers(trial.name, rows)
 
-    def of_frames(self, trial: Trial, rows: FloatArray) -> FloatArray:
-        """(frames, …) of (times, …) of a trial: without the times of a wrench alone."""
-        return rows if self.gauges is None else rows[self.gauges.joined[trial.name].frames]
-
-    @property
-    def measured(self) -> Study:
-        """The study as it was measured: what its mesh errs by is in it again."""
-        trials = [
-            replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + self.mesh_m[t.name]))
-            if t.name in self.mesh_m
-            else t
-            for t in self.study.trials
-        ]
-        return replace(self, study=replace(self.study, trials=tuple(trials))).unjoined
-
     def initial_state(self, trial: Trial) -> InitialState:
         """What is unknown of how a trial begins."""
         return initial_state_of(trial, self.study.cable, self.study.scale_m_per_s2)
@@ -267,6 +252,24 @@ def once_per_study(
         return result
 
     return known
+
+
+def as_measured(prepared: PreparedStudy) -> Study:
+    """The study as it was measured: what its mesh errs by is in it again."""
+    trials = [
+        replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + prepared.mesh_m[t.name]))
+        if t.name in prepared.mesh_m
+        else t
+        for t in prepared.study.trials
+    ]
+    study = replace(prepared.study, trials=tuple(trials))
+    return replace(prepared, study=study).unjoined
+
+
+def of_frames(prepared: PreparedStudy, trial: Trial, rows: FloatArray) -> FloatArray:
+    """(frames, …) of (times, …) of a trial: without the times of a wrench alone."""
+    gauges = prepared.gauges
+    return rows if gauges is None else rows[gauges.joined[trial.name].frames]
 
 
 def pooled(prepared: PreparedStudy) -> PreparedStudy:

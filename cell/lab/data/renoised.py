@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.lab.data.gauges import scaled
 from cell.lab.data.noise_model import NoiseModel, noise_model_of_residuals
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, of_frames
 from cell.lab.data.whitening import whiteners_of
 
 FloatArray = NDArray[np.float64]
@@ -24,7 +24,7 @@ def judged_by(prepared: PreparedStudy, errors: Sequence[FloatArray]) -> Prepared
     if not prepared.noise_is_measured:
         return prepared
     fitted, columns = prepared.study.role("fit"), 2 * len(prepared.study.arc_length_m)
-    places = [prepared.of_frames(t, e)[:, :columns] for t, e in zip(fitted, errors, strict=True)]
+    places = [of_frames(prepared, t, e)[:, :columns] for t, e in zip(fitted, errors, strict=True)]
     noise_model = noise_model_of_residuals(prepared.noise_model, places)
     unchanged = noise_model == prepared.noise_model
     return prepared if unchanged else with_noise_model(prepared, noise_model)

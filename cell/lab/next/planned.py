@@ -9,7 +9,7 @@ import numpy as np
 
 from cell.cable.geometry import Motion
 from cell.lab.data.planned_trials import planned_trials, usual_step_s
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.next.hidden import World
 from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study
@@ -27,7 +27,7 @@ def with_motions(fits: FitCache, hands: Sequence[tuple[str, Motion]]) -> FitCach
     raises  ValueError: a name that a trial or another motion has; UnsimulatedError
     """
     prepared = fits.prepared
-    measured = prepared.measured
+    measured = as_measured(prepared)
     names = [t.name for t in measured.trials]
     for name, _ in hands:
         if name in names:

@@ -259,10 +259,7 @@ def agreement_heads(found: Sequence[Agreement]) -> list[str]:
 
 
 def agreement_rows(found: Sequence[Agreement]) -> list[list[str]]:
-    """What every trial says of every parameter, all together, their spread, and whether it is one.
-
-    By `agreement_heads`.
-    """
+    """Rows below `agreement_heads`: each trial, all together, their spread, whether they agree."""
     trials = zip(*(a.by_trial for a in found), strict=True)
     return [
         *([values[0].trial, *map(_own_value, values)] for values in trials),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import residuals_m
 from cell.study.data import Study
@@ -33,7 +33,7 @@ def without_wrong_samples(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
     told: tuple[str, ...] = ()
     for _ in range(_MOST_ROUNDS):
         wrong = _wrong(fits)
-        study = fits.prepared.measured
+        study = as_measured(fits.prepared)
         if not any(np.isfinite(w).any() for w in wrong.values()):
             break
         cleaner = leaving_out(study, [wrong[t.name] for t in study.trials])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cell.cable.model import CableModel
 from cell.files.plain import plain
 from cell.lab.data.noise_model import NoiseUnknownError, noise_model_of
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, of_frames
 from cell.lab.fit.everywhere import everywhere
 from cell.lab.fit.fitting import best_initial_state
 from cell.lab.statistics.series import overall
@@ -136,7 +136,7 @@ def compare_model(study: Study, model: CableModel, name: str = "model") -> Compa
         points, shapes = everywhere(prepared, joined, [model], initial_states)
         places = prepared.of_markers(joined, points[0])
         predicted[trial.name] = places
-        cable[trial.name] = prepared.of_frames(joined, shapes[0])
+        cable[trial.name] = of_frames(prepared, joined, shapes[0])
         if not np.isfinite(points).all():
             found.append(unsimulated_trial(trial, study.arc_length_m, noise))
             continue

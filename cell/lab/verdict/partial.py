@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
-from cell.lab.data.prepared import PreparedStudy, all_fitted
+from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.starts import taken_from
@@ -189,7 +189,7 @@ def _finished(
 def _weighed_by(fits: FitCache, error: Noise) -> FitCache:
     """The fits of all trials together, with a model's own error for noise."""
     weighed = PreparedStudy.of(
-        all_fitted(fits.prepared.measured),
+        all_fitted(as_measured(fits.prepared)),
         misfit=error,
         solver=COARSE,
         work=fits.prepared.work,

@@ -9,7 +9,7 @@ from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import space_with
 from cell.lab.search.fit_cache import FitCache
@@ -54,7 +54,7 @@ def _without_prior(fits: FitCache) -> FitCache:
         pull_m_per_s2=space.pull_m_per_s2,
     )
     return FitCache(
-        PreparedStudy.of(prepared.measured, solver=prepared.solver, work=prepared.work),
+        PreparedStudy.of(as_measured(prepared), solver=prepared.solver, work=prepared.work),
         space_with(free, space.effects),
         fits.library,
         fits.progress,

@@ -8,7 +8,7 @@ import pytest
 from cell.cable.model import CableModel
 from cell.identify.fit import variance_inflation
 from cell.lab.data.noise_model import NoiseUnknownError
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.data.renoised import with_noise_model
 from cell.lab.data.wrench_rows import joined, row_means
 from cell.lab.verdict.smooth_part import _Fast
@@ -128,8 +128,8 @@ def test_noise_is_that_of_each_kind_and_as_a_length_the_markers(study, truth):
 
 def test_a_study_comes_back_from_its_points(study):
     prepared = PreparedStudy.of(study)
-    again = PreparedStudy.of(prepared.measured)
-    for one, other in zip(study.trials, prepared.measured.trials, strict=True):
+    again = PreparedStudy.of(as_measured(prepared))
+    for one, other in zip(study.trials, as_measured(prepared).trials, strict=True):
         np.testing.assert_array_equal(one.wrench.values, other.wrench.values)
         np.testing.assert_array_equal(one.markers.t_s, other.markers.t_s)
         np.testing.assert_array_equal(one.markers.xy_m, other.markers.xy_m)

@@ -8,7 +8,7 @@ import pytest
 from cell.cable.effects import library
 from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.mesh import mesh_error_m, without_mesh_error
 from cell.lab.fit.starts import cold_start
@@ -66,7 +66,7 @@ def test_a_copy_of_the_study_has_a_wrench_of_the_same_noise_and_colour(study):
     """Fresh noise on the fitted cable's wrench; it is a study as the one that was measured."""
     prepared, fit = fitted(study)
     world = World.of(prepared, fit, None)
-    (copy,), (measured,) = world.copy(1).trials, prepared.measured.trials
+    (copy,), (measured,) = world.copy(1).trials, as_measured(prepared).trials
     assert np.isin(copy.wrench.t_s, measured.wrench.t_s).all()
     np.testing.assert_array_equal(copy.markers.t_s, measured.markers.t_s)
     gauges = world.prepared.gauges
@@ -85,7 +85,7 @@ def test_a_copy_of_a_fast_sensor_has_its_rows_not_their_means():
     prepared, fit = fitted(replace(made, trials=made.trials[:1]))
     assert prepared.study.trials[0].row_means is not None
     world = World.of(prepared, fit, None)
-    (copy,), (measured,) = world.copy(1).trials, prepared.measured.trials
+    (copy,), (measured,) = world.copy(1).trials, as_measured(prepared).trials
     filmed = measured.wrench.t_s >= measured.markers.t_s[0]
     filmed &= measured.wrench.t_s <= measured.markers.t_s[-1]
     np.testing.assert_array_equal(copy.wrench.t_s, measured.wrench.t_s[filmed])

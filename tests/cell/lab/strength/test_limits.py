@@ -10,7 +10,7 @@ import pytest
 from cell.cable.effects import library
 from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy, all_fitted
+from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured
 from cell.lab.data.renoised import with_noise_model
 from cell.lab.data.results import to_json
 from cell.lab.fit.all_trials_fit import AllTrialsFit
@@ -69,7 +69,7 @@ def test_at_its_limit_an_effect_costs_what_excludes_it(fitted, name):
     prepared, fit = fitted
     effect = KNOWN[name]
     (found,) = limits(AllTrialsFit(prepared, fit), [effect])
-    finer = PreparedStudy.of(prepared.measured, solver=Solver(segments=64, step_s=5e-4))
+    finer = PreparedStudy.of(as_measured(prepared), solver=Solver(segments=64, step_s=5e-4))
     prepared = with_noise_model(finer, prepared.noise_model)
     rise = misfit(prepared, fit, effect, found.high) - misfit(prepared, fit, effect)
     reach = 1.960 if name == "camera_scale" else 1.645

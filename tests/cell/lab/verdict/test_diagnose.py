@@ -16,8 +16,8 @@ from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.report.wording import nearest_note
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.screen import screen
-from cell.lab.verdict import forward_search
 from cell.lab.verdict import diagnose as diagnosing
+from cell.lab.verdict import forward_search
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.forward_search import with_ties
 from cell.lab.verdict.limits_and_agreement import with_agreement
