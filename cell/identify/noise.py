@@ -55,6 +55,12 @@ class Noise:
         return 1.0 / (self.white + (1.0 - self.white) * slow)
 
 
+def rms(residual_m: FloatArray) -> float:
+    """Root mean square over what is not nan; nan if nothing is."""
+    seen = residual_m[np.isfinite(residual_m)]
+    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
+
+
 def still_frames(t_s: FloatArray, grip: Motion, release_s: float | None = None) -> slice:
     """Frames before anything moves: the hand, or a cable held straight until `release_s`."""
     until = moves_from_s(grip) - 0.01

@@ -16,11 +16,11 @@ from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.identify.model_class import ModelClass
+from cell.identify.noise import rms
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.fit.shared import BIAS_M, along_end
 from cell.lab.line.effect_fit import EffectFit
 from cell.lab.line.learn import LearningResult
-from cell.lab.statistics.series import rms
 from cell.plan.destination import Destination
 from cell.plan.passage import height_at_mouth_m, measured_passage
 from cell.study.data import Markers, Trial

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtr as normal_cdf
 
-from cell.identify.noise import Noise
+from cell.identify.noise import Noise, rms
 
 FloatArray = NDArray[np.float64]
 
@@ -29,12 +29,6 @@ class Spectrum:
     frequency_hz: FloatArray
     residual: FloatArray
     noise: FloatArray
-
-
-def rms(residual_m: FloatArray) -> float:
-    """Root mean square over what is not nan; nan if nothing is."""
-    seen = residual_m[np.isfinite(residual_m)]
-    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
 
 
 def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:

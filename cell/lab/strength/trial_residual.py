@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from cell.cable.geometry import Motion
 from cell.cable.still import moves_from_s
-from cell.identify.noise import Noise, still_frames
+from cell.identify.noise import Noise, rms, still_frames
 from cell.lab.statistics.series import (
     LAGS,
     Spectrum,
     correlation,
     ljung_box,
-    rms,
     smoothed,
     spectrum,
 )

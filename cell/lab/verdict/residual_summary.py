@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.identify.noise import rms
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.data.results import Peak
 from cell.lab.search.fitted_model import FittedModel, residuals_m
-from cell.lab.statistics.series import rms, spectrum
+from cell.lab.statistics.series import spectrum
 from cell.lab.strength.trial_residual import TIME_BINS
 from cell.study.data import Study
 
