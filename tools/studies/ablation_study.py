@@ -53,7 +53,14 @@ from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.forward_search import with_ties
 from cell.study.folder import write_study
 from tools.studies.breadth_study import _hidden, _power
-from tools.studies.confusion_study import ONE_CLASS, _class_of, _drawn, evidence, power_of
+from tools.studies.confusion_study import (
+    ONE_CLASS,
+    _class_of,
+    _drawn,
+    evidence,
+    power_of,
+    without_noise,
+)
 from tools.worlds.breadth_world import Conditions, World, hypercube
 from tools.worlds.made_studies import hidden, make_study
 
@@ -142,11 +149,10 @@ def _made(case: Case, folder: Path, known: dict[str, type[Effect]]) -> tuple[str
     taken = _class_of(e.name for e in effects) if case.kind == "unknown" else ()
     offered = {n: e for n, e in known.items() if n not in taken}
     clean = make_study(number, active, noise_m=1e-9, colour=0.0)
-    quiet = PreparedStudy.of(replace(clean, noise_std_m=prepared.noise.std_m))
+    quiet = without_noise(clean, prepared.noise)
     lacking = [[e] for e in effects] if case.kind == "pairs" else [[]]
     spaces = [ParameterSpace.of(study.cable, effects=rest) for rest in lacking]
-    independent = prepared.noise_model.effective_fraction
-    power = min(power_of(independent * evidence(quiet, s), quiet, len(known)) for s in spaces)
+    power = min(power_of(evidence(quiet, s), quiet, len(known)) for s in spaces)
     fits = FitCache(prepared, ParameterSpace.of(study.cable), offered)
     return "+".join(e.name for e in effects), power, fits
 

@@ -38,16 +38,17 @@ from cell.cable.effects import Effect, library
 from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
+from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.opened_study import open_study
-from cell.lab.data.prepared import PreparedStudy, all_fitted
+from cell.lab.data.prepared import all_fitted
 from cell.lab.data.results import Diagnosis
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import write_study
-from tools.studies.confusion_study import ONE_CLASS, evidence, power_of
+from tools.studies.confusion_study import ONE_CLASS, evidence, power_of, without_noise
 from tools.worlds.breadth_world import Conditions, World, hypercube
 from tools.worlds.outside_laws import LAWS
 
@@ -180,9 +181,10 @@ def _hidden(
 def _power(world: World, clean: Sequence[np.ndarray], seed: int, tests: int) -> float:
     conditions = world.conditions
     study = all_fitted(world.study(clean, seed, quiet=True))
-    quiet = PreparedStudy.of(replace(study, noise_std_m=_true_noise_m(conditions)))
-    independent = (1.0 - conditions.colour) / (1.0 + conditions.colour)
-    return power_of(independent * evidence(quiet, ParameterSpace.of(study.cable)), quiet, tests)
+    rounding = conditions.pixel**2 / 12.0
+    noise = Noise(_true_noise_m(conditions), conditions.colour, white=rounding / (1.0 + rounding))
+    quiet = without_noise(study, noise)
+    return power_of(evidence(quiet, ParameterSpace.of(study.cable)), quiet, tests)
 
 
 def _unmade(kind: str, conditions: Conditions, hidden: str, why: str) -> Row:

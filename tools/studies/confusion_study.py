@@ -27,12 +27,15 @@ from scipy import stats
 from scipy.optimize import linear_sum_assignment
 
 from cell.cable.effects import Effect, library
+from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import MissingEffect
+from cell.lab.data.whitening import whiteners_of
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
+from cell.study.data import Study
 from tools.worlds.made_studies import hidden, make_study
 
 SIGNIFICANCE = 0.01
@@ -114,9 +117,8 @@ def one(seed: int, hide: str) -> Outcome:
     lacking = {"pair": [[e] for e in effects], "mixed": [effects[:1]]}.get(hide, [[]])
     spaces = [ParameterSpace.of(study.cable, effects=rest) for rest in lacking]
     clean = make_study(seed, active, noise_m=1e-9, colour=0.0)
-    quiet = PreparedStudy.of(replace(clean, noise_std_m=prepared.noise.std_m))
-    independent = prepared.noise_model.effective_fraction
-    power = min(power_of(independent * evidence(quiet, s), quiet, len(known)) for s in spaces)
+    quiet = without_noise(clean, prepared.noise)
+    power = min(power_of(evidence(quiet, s), quiet, len(known)) for s in spaces)
     names = tuple(e.name for e in effects)
     count = 1 if hide == "mixed" else len(names)
     return Outcome(hide, names[:count], power, found.verdict, classes(found.missing),
@@ -151,13 +153,21 @@ def classes(found: Sequence[MissingEffect]) -> tuple[frozenset[str], ...]:
     return tuple(frozenset({f.effect, *f.tied_with}) for f in found)
 
 
-def evidence(quiet: PreparedStudy, space: ParameterSpace) -> float:
-    """χ² that a study without noise, told its level, leaves when `space` is fitted to it.
+def without_noise(quiet: Study, noise: Noise) -> PreparedStudy:
+    """A study whose measurements have no noise, told what noise they have otherwise.
 
-    Its level is taken for seen: what is left there is no noise to learn correlations from.
+    Its level is taken for seen, and its colour is not looked for in what is not there.
     """
-    told = replace(quiet, noise_model=replace(quiet.noise_model, dof=1e9))
-    return FitCache(told, space, {}).baseline().fit.chi2
+    prepared = PreparedStudy.of(replace(quiet, noise_std_m=noise.std_m))
+    noise = replace(noise, bias_m=0.0)
+    whiteners = whiteners_of(prepared.study, noise, prepared.gauges)
+    model = replace(prepared.noise_model, noise=noise, dof=1e9)
+    return replace(prepared, noise=noise, noise_model=model, whiteners=whiteners)
+
+
+def evidence(quiet: PreparedStudy, space: ParameterSpace) -> float:
+    """χ² of independent values that a study without noise leaves when `space` is fitted to it."""
+    return FitCache(quiet, space, {}).baseline().fit.chi2
 
 
 def least_evidence(quiet: PreparedStudy, tests: int) -> float:
@@ -166,9 +176,9 @@ def least_evidence(quiet: PreparedStudy, tests: int) -> float:
     return float(stats.chi2.isf(SIGNIFICANCE / tests, 1) + np.log(count))
 
 
-def power_of(independent: float, quiet: PreparedStudy, tests: int) -> float:
+def power_of(chi2: float, quiet: PreparedStudy, tests: int) -> float:
     """Of a test that knows the truth, by the χ² of independent values that the effect leaves."""
-    return float(stats.ncx2.sf(least_evidence(quiet, tests), 1, independent))
+    return float(stats.ncx2.sf(least_evidence(quiet, tests), 1, chi2))
 
 
 def main() -> int:

@@ -44,7 +44,14 @@ from cell.lab.data.results import Diagnosis, Errors
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import write_study
-from tools.studies.confusion_study import Outcome, classes, evidence, least_evidence, power_of
+from tools.studies.confusion_study import (
+    Outcome,
+    classes,
+    evidence,
+    least_evidence,
+    power_of,
+    without_noise,
+)
 from tools.worlds.made_studies import hidden
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import Rig, rig_study
@@ -121,8 +128,8 @@ def that_shows(rig: Rig, effect: type[Effect], tests: int) -> tuple[ActiveEffect
 
     def shown(size: float) -> tuple[ActiveEffect, PreparedStudy, float]:
         active = hidden(effect, size, rig.cable)
-        quiet = PreparedStudy.of(rig_study(rig, active, quiet=True))
-        return active, quiet, rig.independent * evidence(quiet, space)
+        quiet = without_noise(rig_study(rig, active, quiet=True), rig.noise)
+        return active, quiet, rig.fresh * evidence(quiet, space)
 
     active, quiet, chi2 = shown(size)
     wanted = (np.sqrt(least_evidence(quiet, tests)) + stats.norm.ppf(POWER)) ** 2

@@ -15,6 +15,7 @@ from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.modes import mode_curvature
 from cell.cable.wrench import Gauge, Tool
+from cell.identify.noise import Noise
 from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
 from tools.worlds.made_studies import (
     STROKES,
@@ -152,13 +153,17 @@ class Rig:
         return self.counts > 0 or self.turns_rad is not None
 
     @property
-    def independent(self) -> float:
-        """Independent values per value of its noise."""
+    def noise(self) -> Noise:
+        """Of its markers, as if each value were new."""
         colour = max(self.colour, self.sensor.colour if self.sensor else 0.0)
-        in_time = (1.0 - colour) / (1.0 + colour) / self.updates
+        return Noise(self.noise_m, colour)
+
+    @property
+    def fresh(self) -> float:
+        """Share of its values that are new: not the last once more, nor of the same shape."""
         if self.updates == 1:
-            return in_time
-        return in_time * min(1.0, ERRING_SHAPES / len(self.arc_length_m))
+            return 1.0
+        return min(1.0, ERRING_SHAPES / len(self.arc_length_m)) / self.updates
 
     @property
     def words(self) -> str:
