@@ -48,20 +48,20 @@ def sensitivities(
 ) -> list[Sensitivity]:
     """Slopes of what is seen in every effect's amplitudes, at every guess of its shape."""
     guesses = [g for effect in effects for g in _guesses(effect)]
-    nuisance, behind = nuisance_of(fit), len(fit.solution.residual)
+    nuisance, seen = nuisance_of(fit), len(fit.solution.residual)
     rows = np.full((len(guesses), len(nuisance.residual)), np.nan)
-    rows[:, behind:] = 0.0  # those of the prior
+    rows[:, seen:] = 0.0  # those of the prior
     undone = list(range(len(guesses)))
     for _ in range(TRIES):
-        rows[undone, :behind] = changes(
+        rows[undone, :seen] = changes(
             prepared, fit, [ActiveEffect(guesses[i].effect, guesses[i].values) for i in undone]
         )
-        shares = [_share_of_slope(nuisance, rows[i]) for i in undone]
-        undone = [i for i, share in zip(undone, shares, strict=True) if share < 1.0]
-        for i, share in zip(undone, (s for s in shares if s < 1.0), strict=True):
-            guesses[i] = guesses[i].smaller(share)
+        shares = {i: _share_of_slope(nuisance, rows[i]) for i in undone}
+        undone = [i for i in undone if shares[i] < 1.0]
         if not undone:
             break
+        for i in undone:
+            guesses[i] = guesses[i].smaller(shares[i])
     rows[undone] = 0.0
     rows /= np.array([g.perturbation for g in guesses])[:, None]
     found = []
