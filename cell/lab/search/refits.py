@@ -18,7 +18,7 @@ from cell.lab.search.extension import ENOUGH_PASSES, Extension, continued
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel
 from cell.lab.search.screen import ScreenedEffect
 
-#: So many of the first refits are taken to convergence.
+#: So many of the first refits, those that promise most, are taken to convergence.
 POLISHED = 3
 #: A first refit is given up if it is soon far above the best of the first few effects, which are
 #: the likeliest by the screen.
