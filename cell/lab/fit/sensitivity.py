@@ -52,17 +52,17 @@ def sensitivities(
     rows = np.full((len(guesses), len(nuisance.residual)), np.nan)
     rows[:, seen:] = 0.0  # those of the prior
     undone = list(range(len(guesses)))
-    for _ in range(TRIES):
+    for attempt in range(TRIES):
         rows[undone, :seen] = changes(
             prepared, fit, [ActiveEffect(guesses[i].effect, guesses[i].values) for i in undone]
         )
         shares = {i: _share_of_slope(nuisance, rows[i]) for i in undone}
         undone = [i for i in undone if shares[i] < 1.0]
-        if not undone:
+        if not undone or attempt == TRIES - 1:
             break
         for i in undone:
             guesses[i] = guesses[i].smaller(shares[i])
-    rows[undone] = 0.0
+    rows[[i for i in undone if not _usable(rows[i])]] = 0.0
     rows /= np.array([g.perturbation for g in guesses])[:, None]
     found = []
     for effect in effects:
@@ -100,12 +100,17 @@ class _Guess:
         return _Guess(self.effect, self.shape, values, self.which, smaller)
 
 
+def _usable(row: FloatArray) -> bool:
+    """Whether a perturbation's change could be simulated, and is not far too large for a slope."""
+    return bool(np.all(np.isfinite(row)) and np.max(np.abs(row)) < LARGEST_CHANGE)
+
+
 def _share_of_slope(nuisance: Nuisance, row: FloatArray) -> float:
     """Share of a perturbation that is small enough for a slope: 1 = all of it, else half of that.
 
     row  (values,) its change, the prior's rows included
     """
-    if not (np.all(np.isfinite(row)) and np.max(np.abs(row)) < LARGEST_CHANGE):
+    if not _usable(row):
         return 0.1
     shown = float(np.linalg.norm(nuisance.remove(row)))
     return 1.0 if shown <= MOST_SHOWN else 0.5 * MOST_SHOWN / shown

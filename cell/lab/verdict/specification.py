@@ -78,8 +78,8 @@ def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> Smo
     left = None if effect.wider is None else all_trials_residual(prepared, fit)
     if effect.wider is None or left is None:
         return None
-    rows = left.whole.sensitivities([effect.wider])[0].rows[0]
-    return left.judged(_directions(left, rows) @ left.every.T)
+    directions = _directions(left, left.whole.sensitivities([effect.wider])[0].rows[0])
+    return left.judged(directions @ left.every.T) if len(directions) else None
 
 
 def of_effects(
@@ -87,16 +87,18 @@ def of_effects(
 ) -> dict[str, tuple[SmoothPart, float]]:
     """Of what each of some effects would explain beside the model: the plainest of its shapes.
 
-    returns  by name, with the p-value of the plainest of so many; empty where a trial cannot be
-             simulated
+    returns  by name, with the p-value of the plainest of so many; without those that change nothing
+             that the parameters do not, and empty where a trial cannot be simulated
     """
     left = all_trials_residual(prepared, fit)
     found: dict[str, tuple[SmoothPart, float]] = {}
     for slopes in [] if left is None else left.whole.sensitivities(effects):
         assert left is not None
-        parts = [left.judged(_directions(left, rows) @ left.every.T) for rows in slopes.rows]
-        best = min(parts, key=lambda part: part.p_value)
-        found[slopes.effect.name] = best, min(1.0, len(parts) * best.p_value)
+        ways = [d for rows in slopes.rows if len(d := _directions(left, rows))]
+        parts = [left.judged(directions @ left.every.T) for directions in ways]
+        if parts:
+            best = min(parts, key=lambda part: part.p_value)
+            found[slopes.effect.name] = best, min(1.0, len(parts) * best.p_value)
     return found
 
 

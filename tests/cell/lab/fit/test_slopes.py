@@ -10,10 +10,12 @@ from cell.cable.solver import Solver
 from cell.identify.gauss_newton import jacobian_at
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit import sensitivity
 from cell.lab.fit.fitting import fit_model, fit_trials, problem_of
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.sensitivity import sensitivities
 from cell.lab.fit.slopes import HARMLESS, with_slopes
+from cell.lab.verdict.specification import of_effects
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +69,23 @@ def test_a_slope_is_one_however_strong_an_effect_usually_is(fitted, times):
     unusual = type("Unusual", (grip,), {"parameters": (stronger, time)})
     usual, other = sensitivities(prepared, fit, [grip, unusual])
     assert np.linalg.norm(usual.rows - other.rows) < 0.05 * np.linalg.norm(usual.rows)
+
+
+@pytest.mark.parametrize(("change", "name"), [(1.0, "air_drag"), (0.0, "tip_mass")])
+def test_a_change_that_no_smaller_effect_makes_smaller_is_kept_and_none_is_asked_for_nothing(
+    fitted, monkeypatch, change, name
+):
+    """A limp cable whips: friction of nothing lets it end elsewhere.  A diagnosis crashed there."""
+    prepared, fit = fitted
+    rows = sum(prepared.whiteners[t.name].rows for t in prepared.study.trials)
+    count = len(fit.solution.residual)
+
+    def changed(study, fit, active):
+        return np.full((len(active), len(fit.solution.residual)), change)
+
+    monkeypatch.setattr(sensitivity, "changes", changed)
+    effect = library()[name]
+    (found,) = sensitivities(prepared, fit, [effect])
+    assert np.any(found.rows) == (change > 0.0)
+    assert rows > count  # trials are held out, which are fitted to as well here
+    assert set(of_effects(prepared, fit, [effect])) == ({name} if change else set())
