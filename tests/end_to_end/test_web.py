@@ -45,7 +45,7 @@ def free_port() -> int:
 
 
 def until(reached: Callable[[], Any], within_s: float = 90.0) -> Any:
-    """What it is; looked for ever more rarely, because each look costs whoever shows it time."""
+    """The first true result; polled ever more rarely, because each look costs processor time."""
     end_s, pause_s = time.monotonic() + within_s, 0.05
     while not (found := reached()):
         assert time.monotonic() < end_s

@@ -30,8 +30,8 @@ from cell.cable.effects import Effect, library
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.renoised import with_noise_model
 from cell.lab.data.results import MissingEffect
-from cell.lab.data.whitening import whiteners_of
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
@@ -159,10 +159,7 @@ def without_noise(quiet: Study, noise: Noise) -> PreparedStudy:
     Its level is taken for seen, and its colour is not looked for in what is not there.
     """
     prepared = PreparedStudy.of(replace(quiet, noise_std_m=noise.std_m))
-    noise = replace(noise, bias_m=0.0)
-    whiteners = whiteners_of(prepared.study, noise, prepared.gauges)
-    model = replace(prepared.noise_model, noise=noise, dof=1e9)
-    return replace(prepared, noise=noise, noise_model=model, whiteners=whiteners)
+    return with_noise_model(prepared, replace(prepared.noise_model, noise=noise, dof=1e9))
 
 
 def evidence(quiet: PreparedStudy, space: ParameterSpace) -> float:

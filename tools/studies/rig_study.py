@@ -129,7 +129,7 @@ def that_shows(rig: Rig, effect: type[Effect], tests: int) -> tuple[ActiveEffect
     def shown(size: float) -> tuple[ActiveEffect, PreparedStudy, float]:
         active = hidden(effect, size, rig.cable)
         quiet = without_noise(rig_study(rig, active, quiet=True), rig.noise)
-        return active, quiet, rig.fresh * evidence(quiet, space)
+        return active, quiet, rig.independent * evidence(quiet, space)
 
     active, quiet, chi2 = shown(size)
     wanted = (np.sqrt(least_evidence(quiet, tests)) + stats.norm.ppf(POWER)) ** 2

@@ -159,8 +159,8 @@ class Rig:
         return Noise(self.noise_m, colour)
 
     @property
-    def fresh(self) -> float:
-        """Share of its values that are new: not the last once more, nor of the same shape."""
+    def independent(self) -> float:
+        """Share of its values that are, colour apart: shapes are repeated, and err in few ways."""
         if self.updates == 1:
             return 1.0
         return min(1.0, ERRING_SHAPES / len(self.arc_length_m)) / self.updates

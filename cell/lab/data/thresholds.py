@@ -60,8 +60,9 @@ class Rules:
     max_unconfirmed  effects that no held-out trial confirms, or that only an earlier cable's model
                      asks for
     max_refits       of the screen that are refitted, besides all that are not smooth
-    max_simulated_s  after so many seconds of motion simulated a search seeks no further effect;
-                     some twenty seconds on two cores, and as much again for what was begun
+    max_simulated_s  after so many seconds of motion simulated a search seeks no further effect,
+                     and after so many of all searches a partial explanation exchanges none; some
+                     twenty seconds on two cores, and as much again for what was begun
 
     own              a user's own questions, asked beside those of the lab
     """

@@ -77,8 +77,6 @@ def test_a_change_that_no_smaller_effect_makes_smaller_is_kept_and_none_is_asked
 ):
     """A limp cable whips: friction of nothing lets it end elsewhere.  A diagnosis crashed there."""
     prepared, fit = fitted
-    rows = sum(prepared.whiteners[t.name].rows for t in prepared.study.trials)
-    count = len(fit.solution.residual)
 
     def changed(study, fit, active):
         return np.full((len(active), len(fit.solution.residual)), change)
@@ -87,5 +85,4 @@ def test_a_change_that_no_smaller_effect_makes_smaller_is_kept_and_none_is_asked
     effect = library()[name]
     (found,) = sensitivities(prepared, fit, [effect])
     assert np.any(found.rows) == (change > 0.0)
-    assert rows > count  # trials are held out, which are fitted to as well here
     assert set(of_effects(prepared, fit, [effect])) == ({name} if change else set())
