@@ -108,6 +108,17 @@ def browser(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
     driver.quit()
 
 
+#: Is an element where it was two pictures ago, and nothing that holds it animated?
+_STANDS_STILL = """
+const [element, done] = arguments;
+const place = () => JSON.stringify(element.getBoundingClientRect());
+const before = place();
+requestAnimationFrame(() => requestAnimationFrame(() => done(
+    place() === before && !document.getAnimations().some(
+        (a) => a.playState === 'running' && a.effect.target.contains(element)))));
+"""
+
+
 class LivePage:
     """The live page, as a person uses it."""
 
@@ -124,7 +135,8 @@ class LivePage:
         return str(self._browser.execute_script(script, css))
 
     def click(self, what: str) -> None:
-        self._do(what, lambda element: element.click())
+        """Once it stands still: a click at where a moving element was goes to what is behind it."""
+        self._do(what, lambda element: element.click(), still=True)
 
     def type(self, what: str, text: str) -> None:
         self._do(what, lambda element: element.send_keys(text))
@@ -145,14 +157,16 @@ class LivePage:
 
         until(done)
 
-    def _do(self, what: str, act: Callable[[Any], None]) -> None:
-        """Once the element is there, and can be used."""
+    def _do(self, what: str, act: Callable[[Any], None], still: bool = False) -> None:
+        """Once the element is there, and can be used; `still`: does not move as dialogs do."""
         from selenium.common.exceptions import WebDriverException
 
         def done() -> bool:
             try:
                 element = self._browser.find_element("css selector", f"[data-test='{what}']")
                 if not (element.is_enabled() and element.is_displayed()):
+                    return False
+                if still and not self._browser.execute_async_script(_STANDS_STILL, element):
                     return False
                 act(element)
             except WebDriverException:  # made anew at this moment, or covered
