@@ -24,7 +24,7 @@ UNCHANGED = 0.005
 #: confidence set of level, correlation and white share (χ² of 3 degrees of freedom; Wilks 1938).
 ALLOWED = 16.3
 #: The same of what is told of a level: a 95 % interval (χ² of 1 degree of freedom).
-TOLD = 3.84
+CHI2_95 = 3.84
 #: AR(1) correlations that are compared, evenly in the logarithm of 1 − ρ, on which slow noise
 #: depends; and white shares beside them, of values that are rounded.
 AR1_GRID = 1.0 - (1.0 - MAX_AR1) ** np.linspace(0.0, 1.0, 121)
@@ -202,7 +202,7 @@ class Allowed:
     @property
     def range_m(self) -> tuple[float, float]:
         """95 % interval of the level, whatever correlation and share."""
-        least, largest = self.within(TOLD)
+        least, largest = self.within(CHI2_95)
         there = least <= largest
         return float(np.sqrt(least[there].min())), float(np.sqrt(largest[there].max()))
 

@@ -13,8 +13,8 @@ from cell.identify.noise import Noise, still_frames
 from cell.lab.data.noise_likelihood import (
     ALLOWED,
     AR1_GRID,
+    CHI2_95,
     MAX_AR1,
-    TOLD,
     Block,
     Remainder,
     Rest,
@@ -97,7 +97,7 @@ class NoiseModel:
     def differs_from(self, other: NoiseModel) -> bool:
         """Whether this noise makes another's level unlikely (95 %), by a likelihood ratio."""
         ratio = (other.noise.std_m / self.noise.std_m) ** 2
-        return not self.stated and bool(self.dof * (ratio - 1.0 - np.log(ratio)) > TOLD)
+        return not self.stated and bool(self.dof * (ratio - 1.0 - np.log(ratio)) > CHI2_95)
 
     @property
     def weighed(self) -> Noise:
@@ -187,7 +187,8 @@ def noise_model_of(study: Study) -> NoiseModel:
     if found is None:
         raise NoiseUnknownError(
             f"study {study.name}: no trial has {MIN_STILL_FRAMES} frames before the hand "
-            "moves, so the camera's noise is unknown; give noise_std_m in study.yaml"
+            "moves, so the camera's noise is unknown; give noise_std_m in study.yaml, "
+            f"or record at least {MIN_STILL_FRAMES} frames at rest first"
         )
     return found
 

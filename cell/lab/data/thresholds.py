@@ -18,10 +18,11 @@ class Rules:
     """Limits at which an effect is accepted and a model called complete, and how far a search goes.
 
     Probabilities:
-    significance         family-wise, over the library (Holm), on the fit trials; and at which the
-                         trials must show half of an effect's smooth part, or else it is not told
-                         from effects of no library
-    residual_significance  of what a model leaves; of less than a tenth of it `significance`
+    significance         of an effect on the fit trials, family-wise over the library (Holm); and of
+                         the smooth part of half an effect: if the trials would not show it, no
+                         claim is made, because an effect of no library might look the same
+    residual_significance  below which what a model leaves is more than noise; where it leaves more
+                         than `small_share` of the baseline's excess, `significance` is the limit
 
     Likelihoods:
     heldout_gain     ln of how much likelier an effect must make the held-out trials: in all, and by
@@ -58,7 +59,7 @@ class Rules:
     most_named       effects added one after another, tied, or told as nearest: more than three
                      cannot be tested; the last is looked for only where a small part is left
     max_unconfirmed  effects that no held-out trial confirms, or that only an earlier cable's model
-                     asks for
+                     asks for: none, because this study alone is no evidence for them
     max_refits       of the screen that are refitted, besides all that are not smooth
     max_simulated_s  after so many seconds of motion simulated a search seeks no further effect,
                      and after so many of all searches a partial explanation exchanges none; some

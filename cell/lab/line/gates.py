@@ -1,4 +1,4 @@
-"""A candidate model held against the conditions under which a line uses it."""
+"""A candidate model held against the gates of a line, which `learning_checks.GATES` lists."""
 
 from __future__ import annotations
 

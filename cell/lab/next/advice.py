@@ -16,7 +16,8 @@ VERDICTS: dict[Verdict, str] = {
     "missing": "the effects named are missing in the model, confirmed on motions not fitted to",
     "unexplained": "the model lacks an effect, and no effect that was tried explains the error "
     "down to the noise",
-    "cannot_tell": "the model lacks an effect, and these motions cannot decide which one",
+    "cannot_tell": "these motions cannot decide whether the model lacks an effect, or which one; "
+    "the checks that failed say why",
 }
 #: What the status of a single effect means.
 STATUSES: dict[Status, str] = {

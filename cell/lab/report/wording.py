@@ -94,7 +94,7 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
             f"{it} and {short(left.rms_m * 1e3)} mm with {it}, {left.over_noise:.1f} times the "
             f"noise, most {peak_in_words(left.peak)}"
         )
-    return f"{said}. The rest is explained by no effect that was tried."
+    return f"{said}. No effect that was tried explains the remaining error."
 
 
 def interrupted(diagnosis: Diagnosis, misses: str) -> str:

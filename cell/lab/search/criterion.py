@@ -1,4 +1,4 @@
-"""What an effect must bring to be taken into a model: significance and BIC, of its fall of χ²."""
+"""Significance and BIC penalty of a fall of χ² by an effect; `ConfirmedEffects` decides by them."""
 
 from __future__ import annotations
 

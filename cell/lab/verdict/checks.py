@@ -2,7 +2,8 @@
 
 If a check of the first part fails, the model leaves more than noise: `unexplained`.  If a check of
 the second part fails, nothing is claimed, and the check says why: `cannot_tell`.  The verdict is
-the worst of these.  Text, page, JSON and the reference in docs print these rows.
+the worst of these (`worst_verdict` in `cell.lab.data.check`, which `learn` uses too).  Text, page,
+JSON and the reference in docs print these rows.
 """
 
 from __future__ import annotations
@@ -125,7 +126,10 @@ def explains(evidence: Evidence) -> bool:
 
 
 def _prior_driven(evidence: Evidence) -> Reading | None:
-    """Number of effects that only an earlier cable's model asks for; which."""
+    """Number of effects that only an earlier cable's model asks for; which: `prior_driven_effects`.
+
+    It is 0 if one does, and the cable agrees with that model.
+    """
     if evidence.fits.prior_q is None or evidence.is_base:
         return None
     asked = prior_driven_effects(evidence, explains)

@@ -21,9 +21,6 @@ from cell.lab.verdict.rivals import close_rivals
 
 Explains = Callable[[Evidence], bool]
 
-#: A cable is not the prior's if its parameters are as far from it with less chance than this.
-ANOTHER = 1e-3
-
 
 def prior_driven_effects(evidence: Evidence, explains: Explains) -> tuple[str, ...]:
     """Effects that are not needed, or explain nothing, if the cable is not that of the prior.
@@ -32,7 +29,8 @@ def prior_driven_effects(evidence: Evidence, explains: Explains) -> tuple[str, .
     needed, each unless another, not `tied` with it, explains as much or more in its place.
     Where, with all of them in, parameters that agree with the prior explain the study to the
     measurement's noise, they account for all that sets this cable apart; then one that the prior
-    alone asks for is what a prior is for.  Several are not: that the cable is another says less.
+    alone asks for is what a prior is for.  Several are never spared: that the cable is not the
+    prior's is the simpler explanation.
     """
     fits, final, rules = evidence.fits, evidence.final, evidence.rules
     if fits.prior_q is None or evidence.is_base:
@@ -106,4 +104,5 @@ def _of_this_cable(fits: FitCache, final: FittedModel, rules: Rules) -> bool:
     own = [final.fit.space.names.index(n) for n in space.names]
     away = final.fit.q[own] - space.mean
     square = float(away @ space.precision @ away)
-    return bool(np.isfinite(square) and float(chi2_sf(len(away), square)) > ANOTHER)
+    chance = float(chi2_sf(len(away), square))
+    return bool(np.isfinite(square) and chance > rules.residual_significance)
