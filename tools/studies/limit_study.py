@@ -7,7 +7,8 @@ of it; those of one sign do anyway.  Then one effect, another in each study or t
 hidden at 0.5, 1 and 2 times its limit, the same cable and other noise for each: the limits found
 must contain it.  A limit of one sign is never below what the study can show, so that it holds up to
 about that size whatever the noise; it is asked only at twice its size, one of both signs at every
-size.  The diagnosis has no part in it: whatever is there, the limits must hold.
+size.  The mesh's error is subtracted as in a diagnosis; that has no other part in it: whatever is
+there, the limits must hold.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import Limit
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import Fit
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, settled_beside
 from cell.lab.strength.limits import limits
 from cell.study.data import Study
 from tools.worlds.made_studies import make_study
@@ -122,8 +123,9 @@ def _one(
 
 def _fitted(study: Study) -> tuple[PreparedStudy, Fit]:
     prepared = PreparedStudy.of(all_fitted(study))
-    space = ParameterSpace.of(study.cable)
-    return prepared, FitCache(prepared, space, {}).baseline().fit
+    fits = FitCache(prepared, ParameterSpace.of(study.cable), library())
+    fits = settled_beside(fits, fits.baseline()) or fits
+    return fits.prepared, fits.baseline().fit
 
 
 def _holds(limit: Limit, values: dict[str, float]) -> bool:

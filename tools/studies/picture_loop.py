@@ -67,6 +67,7 @@ def world(folder: Path, effect: str, size: float, cables: int, seed: int) -> Wor
 def _config(folder: Path, name: str, hidden: Mapping[str, Mapping[str, float]]) -> Path:
     text, empty = CONFIG.read_text("utf-8"), "effects: {}  "
     assert empty in text
+    text = f"recording: null  # films of all worlds are 40 GB, and nothing here needs them\n{text}"
     path = folder / f"{name}.yaml"
     path.write_text(text.replace(empty, f"effects: {json.dumps(hidden)}  "), "utf-8")
     return path

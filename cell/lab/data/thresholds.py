@@ -50,14 +50,14 @@ class Rules:
                        and of the baseline's excess, that a claimed effect may leave in a smooth
                        part that is not noise
     small_share        a small part: of the baseline's excess, above which a smooth part that is
-                       left counts at `significance`, and no third effect is sought; of the χ² that
-                       an effect explains, below which held-out trials cannot show it
+                       left counts at `significance`; of the χ² that an effect explains, below
+                       which held-out trials cannot show it
     most_share         most: of an error that a partial effect removes; that is left where of two
                        effects none is exchanged, because one alone explains half
 
     Numbers:
     most_named       effects added one after another, tied, or told as nearest: more than three
-                     cannot be tested; the last is looked for only where a small part is left
+                     cannot be tested; a partial explanation has one less
     max_unconfirmed  effects that no held-out trial confirms, or that only an earlier cable's model
                      asks for: none, because this study alone is no evidence for them
     max_refits       of the screen that are refitted, besides all that are not smooth
@@ -87,8 +87,8 @@ class Rules:
     own: tuple[OwnCheck, ...] = ()
 
     @property
-    def first_effects(self) -> int:
-        """Number of effects after which a search ends that leaves more than a small part."""
+    def most_partial(self) -> int:
+        """Number of effects of a partial explanation."""
         return self.most_named - 1
 
 

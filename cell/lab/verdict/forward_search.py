@@ -149,7 +149,7 @@ def searched(
         if better is None:
             return []
         several = len(fits.added(better)) > 1
-        if several and not _cannot_succeed(fits, better, rules, rules.most_share):
+        if several and not _leaves_most(fits, better, rules):
             better = exchanged(space, better, criterion.better, in_time)
         better = pruned(space, better, criterion.needed)
         _LOG.info("with %s: %s", ", ".join(sorted(better.names)), errors_in_words(better))
@@ -161,28 +161,20 @@ def searched(
             return Searched(current, again=again)
         if step == rules.most_named or Evidence(fits, base, current, rules).below_stated:
             break
-        if _cannot_succeed(fits, current, rules, rules.small_share):
-            break
         if current is not base and not in_time():  # beside the baseline all were refitted already
             return Searched(current, cut_short=True)
     unasked = current is not base and not fits.explained_by(current)
     return Searched(current, again=settled_beside(fits, current) if unasked else None)
 
 
-def _cannot_succeed(fits: FitCache, current: FittedModel, rules: Rules, most_left: float) -> bool:
-    """Whether no further effect, nor another for one found, can be hoped to leave noise.
-
-    So it is if two have been found, and still more than a share `most_left` of the error is left.
-    """
-    if len(fits.added(current)) < rules.first_effects:
-        return False
+def _leaves_most(fits: FitCache, current: FittedModel, rules: Rules) -> bool:
+    """Whether a model leaves most of the baseline's error: exchanging one effect is hopeless."""
     prepared = fits.prepared
     before, after = (
         residual_summary(prepared, fits.baseline()),
         residual_summary(prepared, current),
     )
-    left = 1.0 - removed_share(prepared.noise_model.noise.std_m, before, after)
-    return left > most_left
+    return 1.0 - removed_share(prepared.noise_model.noise.std_m, before, after) > rules.most_share
 
 
 def steps_to(fits: FitCache, final: FittedModel, rules: Rules) -> tuple[FittedModel, ...]:

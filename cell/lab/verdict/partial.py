@@ -109,7 +109,7 @@ def _added(
 
     for (model,) in levels(base, extended, kept):
         steps.append(model)
-        if len(steps) > rules.first_effects:
+        if len(steps) > rules.most_partial:
             break
     if len(steps) < 3:
         return steps

@@ -162,6 +162,20 @@ def test_two_effects_are_both_found(make_study):
         assert parameters[name].low < true < parameters[name].high
 
 
+def test_three_effects_are_all_found_though_two_of_them_leave_much(make_study):
+    """The search ended after two where more than a tenth of the error was left."""
+    known = library()
+    strengths = {
+        "tip_mass": {"mass_kg": 1e-4},
+        "grip_angle": {"angle_rad": 0.1},
+        "air_drag": {"drag_coefficient": 6.0},
+    }
+    hidden = [known[name].active(**values) for name, values in strengths.items()]
+    found = diagnose(explore(make_study(hidden, seed=7))).diagnosis
+    assert found.verdict == "missing"
+    assert {f.effect for f in found.missing} == set(strengths)
+
+
 def test_nothing_is_claimed_below_the_noise_that_the_study_states(make_study):
     slip = library()["grip_slip"].active(length_m=2e-5)
     study = make_study([slip], seed=4, noise_m=1e-5, ar1=0.0)
