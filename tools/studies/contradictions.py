@@ -20,7 +20,7 @@ NOISE_ALONE = 1.10
 #: How each verdict's sentence reads.
 HEADLINES = {
     "complete": r"^The model is complete: ",
-    "unexplained": r"no effect that was tried|no effect was looked for",
+    "unexplained": r"[Nn]o effect that was tried|no effect was looked for",
     "missing": r" with .+ in it ",
     "cannot_tell": r"[Tt]hese motions cannot (?:tell|show)|too few to decide|not confirmed"
     r"|(?:does|do) not confirm|cannot identify its cause|^Interrupted",

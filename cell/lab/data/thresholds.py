@@ -18,9 +18,10 @@ class Rules:
     """Limits at which an effect is accepted and a model called complete, and how far a search goes.
 
     Probabilities:
-    significance         of an effect on the fit trials, family-wise over the library (Holm); and of
-                         the smooth part of half an effect: if the trials would not show it, no
-                         claim is made, because an effect of no library might look the same
+    significance         of an effect on the fit trials, or on all of them beside what was found,
+                         family-wise over the library (Holm); and of the smooth part of half an
+                         effect: if the trials would not show it, no claim is made, because an
+                         effect of no library might look the same
     residual_significance  below which what a model leaves is more than noise; where it leaves more
                          than `small_share` of the baseline's excess, `significance` is the limit
 

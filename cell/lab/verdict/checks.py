@@ -201,7 +201,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "p",
         questions.possibly_omitted,
         ">=",
-        "residual_significance",
+        "significance",
         "cannot_tell",
         "All trials together show another effect, but the held-out trials do not confirm it.",
         "a score test of each effect of the library (Lagrange multiplier), Holm-corrected",

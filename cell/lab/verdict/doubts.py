@@ -159,7 +159,7 @@ def omitted_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     return (
         Doubt(
             "possibly_omitted",
-            f"all trials together show {' or '.join(effects[:TOLD])}{more} far beyond chance, but "
+            f"all trials together show {' or '.join(effects[:TOLD])}{more} beyond chance, but "
             "the held-out trials do not confirm it: it remains open whether more is missing; add "
             "a motion that decides, as `cell suggest STUDY` finds",
         ),

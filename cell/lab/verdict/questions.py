@@ -176,7 +176,7 @@ def possibly_omitted(evidence: Evidence) -> Reading | None:
         name: p if part.chi2 - part.count > rules.negligible_share * fall else 1.0
         for (name, (part, _)), p in zip(asked.items(), adjusted, strict=True)
     }
-    plain = sorted((p, name) for name, p in chances.items() if p < rules.residual_significance)
+    plain = sorted((p, name) for name, p in chances.items() if p < rules.significance)
     return Reading(min(chances.values(), default=1.0), tuple(name for _, name in plain))
 
 

@@ -71,7 +71,7 @@ def diagnosed(make_study):
 def test_its_warnings_stand_at_its_head(diagnosed):
     """They were printed and in the JSON, and whoever was sent the page never saw them."""
     words = " ".join(Page(diagnosed[-1]).text)
-    warned = words.index("Warning: all trials together show air_drag far beyond chance")
+    warned = words.index("Warning: all trials together show air_drag beyond chance")
     assert warned < words.index("Error as effects are added")
 
 
