@@ -53,8 +53,8 @@ class Rules:
     small_share        a small part: of the baseline's excess, above which a smooth part that is
                        left counts at `significance`; of the χ² that an effect explains, below
                        which held-out trials cannot show it
-    most_share         most: of an error that a partial effect removes; that is left where of two
-                       effects none is exchanged, because one alone explains half
+    most_share         most: of an error that a partial effect removes; that two effects leave,
+                       where a search ends, and none of them is exchanged
 
     Numbers:
     most_named       effects added one after another, tied, or told as nearest: more than three

@@ -148,8 +148,7 @@ def searched(
         better = criterion.accepted(current, options)
         if better is None:
             return []
-        several = len(fits.added(better)) > 1
-        if several and not _leaves_most(fits, better, rules):
+        if len(fits.added(better)) > 1 and not _two_leave_most(fits, better, rules):
             better = exchanged(space, better, criterion.better, in_time)
         better = pruned(space, better, criterion.needed)
         _LOG.info("with %s: %s", ", ".join(sorted(better.names)), errors_in_words(better))
@@ -161,14 +160,18 @@ def searched(
             return Searched(current, again=again)
         if step == rules.most_named or Evidence(fits, base, current, rules).below_stated:
             break
+        if _two_leave_most(fits, current, rules):
+            break
         if current is not base and not in_time():  # beside the baseline all were refitted already
             return Searched(current, cut_short=True)
     unasked = current is not base and not fits.explained_by(current)
     return Searched(current, again=settled_beside(fits, current) if unasked else None)
 
 
-def _leaves_most(fits: FitCache, current: FittedModel, rules: Rules) -> bool:
-    """Whether a model leaves most of the baseline's error: exchanging one effect is hopeless."""
+def _two_leave_most(fits: FitCache, current: FittedModel, rules: Rules) -> bool:
+    """Whether two effects leave most of the error: one more, or exchanged, will not explain it."""
+    if len(fits.added(current)) < 2:
+        return False
     prepared = fits.prepared
     before, after = (
         residual_summary(prepared, fits.baseline()),
