@@ -19,7 +19,6 @@ from calib.errors import CalibrationError
 from calib.plane import PlaneView
 from calib.store import StoredCalibration, StoreError, load, save
 from calib.timing import Delay
-from cell.build import staged_devices
 from cell.calibration import conclude, grip, measure, raw
 from cell.calibration.conclude import Drift
 from cell.calibration.coverage import Look
@@ -40,6 +39,7 @@ from cell.settings.calibrated import (
     view_of_stored,
 )
 from cell.settings.translate import vision_of
+from cell.wiring.build import staged_devices
 from drivers.emulators.launch import EmulatorError
 from drivers.interfaces import DeviceError
 

@@ -41,10 +41,10 @@ def emulate(
     ends.  Exit codes: 0; 1 if an emulator ended by itself; 2 if the settings or a fault are wrong
     or the addresses are in use.
     """
-    from cell.build import emulating
     from cell.files.input_error import InputError
     from cell.settings import load_settings
     from cell.simulated.faults import Faults, read_fault
+    from cell.wiring.build import emulating
 
     parent = os.getppid()
     try:

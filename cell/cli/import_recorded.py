@@ -39,9 +39,9 @@ class Recorded:
 
 def film_study(given: Recorded) -> NoReturn:
     """A video of a cable becomes a recording, by the cell's own vision, and that a study."""
-    from cell.filmed import record_film
     from cell.settings import load_settings
     from cell.simulated.filmed import read_film
+    from cell.wiring.filmed import record_film
 
     with refusing(), working("import") as progress:
         if len(given.files) > 1 or given.config is None or given.hand is None:

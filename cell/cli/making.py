@@ -100,9 +100,9 @@ def made_cell(
     known   calibration of the first product
     cycles  number of simulated cables; None = there is always another
     """
-    from cell.build import build_cell, product_task
     from cell.settings.devices import SimulatedArm
     from cell.simulated.twins import build_twins
+    from cell.wiring.build import build_cell, product_task
 
     settings = products.whole if first is None else products.settings[first]
     tasks = {n: product_task(s, products.known[n]) for n, s in products.settings.items()}

@@ -20,7 +20,7 @@ from cell.files.rescue import why_not_written
 if TYPE_CHECKING:
     from cell.records.recording.recover import Recovered
     from cell.records.result import Result
-    from cell.replay import Replayed
+    from cell.wiring.replay import Replayed
 
 app = group()
 
@@ -106,7 +106,7 @@ def replay(options: ReplayOptions) -> None:
     if options.imported:
         _import(options)
     from cell.records.recording.reading import read_recording
-    from cell.replay import replay as replay_cycle
+    from cell.wiring.replay import replay as replay_cycle
 
     of_import = (options.poses, options.frame_rate_hz, options.out)
     with refusing(), working("replay") as progress, TemporaryDirectory() as folder:
@@ -130,10 +130,10 @@ def replay(options: ReplayOptions) -> None:
 
 
 def _import(options: ReplayOptions) -> NoReturn:
-    from cell.filmed import record_film
     from cell.records.result import Outcome
     from cell.settings import load_settings
     from cell.simulated.filmed import read_film
+    from cell.wiring.filmed import record_film
 
     film = options.recording
     target = film.with_name(f"{film.name}.mcap") if options.out is None else options.out

@@ -148,8 +148,6 @@ def run(options: RunOptions) -> None:
     what it holds.  Press u to continue.  A hold never clears a stop.  Ctrl-C stops the arm and
     closes the record.
     """
-    from cell.arm_version import check_arm_version, remember_dry_run
-    from cell.build import emulators_asked_for
     from cell.cli.making import made_cell, products_in
     from cell.cli.plant_end import PlantEnd
     from cell.lab.next.motion_file import load_motion
@@ -157,6 +155,8 @@ def run(options: RunOptions) -> None:
     from cell.settings.calibrated import calibrated
     from cell.terminal.console import RunProgress, troubles
     from cell.terminal.logs import to_file
+    from cell.wiring.arm_version import check_arm_version, remember_dry_run
+    from cell.wiring.build import emulators_asked_for
 
     _refuse_contradictions(options)
     results: list[Result] = []

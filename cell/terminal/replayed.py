@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cell.records.result import Result
-from cell.replay import Replayed
+from cell.wiring.replay import Replayed
 
 
 def replayed_parts(replayed: Replayed, most: int) -> list[RenderableType]:

@@ -16,7 +16,7 @@ _CHECK = """
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from cell.build import real_devices
+from cell.wiring.build import real_devices
 from cell.cable.effects import library
 from cell.run.findings import Findings
 from cell.run.plans import INSERTING

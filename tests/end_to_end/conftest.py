@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from cell.build import cell_with, twin_devices
 from cell.cli import app
 from cell.flight import decide
 from cell.settings import Settings, load_settings
 from cell.simulated.twins import build_twins
+from cell.wiring.build import cell_with, twin_devices
 
 from .forked import Forking
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.build import cell_with, twin_devices
 from cell.cli import app
 from cell.lab.next.motion_file import load_motion
 from cell.records.folder import read_record
@@ -23,6 +22,7 @@ from cell.run.plans import INSERTING, measuring
 from cell.run.waiting import POLL_S
 from cell.settings import Settings
 from cell.simulated.twins import build_twins
+from cell.wiring.build import cell_with, twin_devices
 from drivers.interfaces import Pose
 from drivers.servo import SETTLING_LAGS
 from drivers.sim.arm import ArmFaults, ArmTwinOptions, SimArm

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.build import cell_with, real_devices
 from cell.lab.next.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
@@ -22,6 +21,7 @@ from cell.run.cycle import Cell
 from cell.run.machine import CellState, Event
 from cell.run.plans import INSERTING, Plan, measuring
 from cell.settings import Settings, load_settings
+from cell.wiring.build import cell_with, real_devices
 from drivers.interfaces import Pose
 from drivers.sim.camera import Staging
 

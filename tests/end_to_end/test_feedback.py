@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.build import build_cell
 from cell.cli import app
 from cell.flight import decide
 from cell.flight.correct import Tail
@@ -23,6 +22,7 @@ from cell.records.result import Outcome, Result
 from cell.run import correcting
 from cell.run.machine import Event
 from cell.settings import Settings, load_settings
+from cell.wiring.build import build_cell
 from drivers.interfaces import Trajectory, revised_too_late
 from drivers.sim.arm import SimArm
 

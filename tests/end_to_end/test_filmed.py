@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from cell.build import build_cell
 from cell.records.recording import form
 from cell.records.recording.reading import read_recording
 from cell.settings import Settings
 from cell.study.folder import read_study
 from cell.study.table import table_text
+from cell.wiring.build import build_cell
 from drivers.files import write_frames
 from drivers.interfaces import Frame
 

@@ -12,7 +12,6 @@ import pyarrow.parquet
 import pytest
 
 import cell
-from cell.build import build_cell
 from cell.records.ledger.entry import Entry
 from cell.records.ledger.error import LedgerError
 from cell.records.ledger.ledger import Ledger, Wanted
@@ -22,6 +21,7 @@ from cell.records.result import Fault, Outcome, Result
 from cell.run.commands import InterruptedByCommandError
 from cell.run.machine import Event
 from cell.settings import Settings
+from cell.wiring.build import build_cell
 
 from .conftest import run
 from .forked import Forking

@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from cell.build import build_cell
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.reading import read_recording
 from cell.records.result import Outcome
-from cell.replay import replay
 from cell.settings import Settings, load_settings
 from cell.settings.records import Recording
 from cell.terminal.fitting import show
 from cell.terminal.replayed import replayed_parts
+from cell.wiring.build import build_cell
+from cell.wiring.replay import replay
 from tools.faults.kill_study import kill_once
 
 from .conftest import changed, run

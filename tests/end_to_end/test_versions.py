@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.arm_version import FILE
+from cell.wiring.arm_version import FILE
 
 from .conftest import run
 

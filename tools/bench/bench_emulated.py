@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from cell.build import cell_with, real_devices
 from cell.computer.stalls import StallProbe
 from cell.records.result import Outcome
 from cell.run.plans import HOLD, IDENTIFY
 from cell.settings import Settings, load_settings
 from cell.simulated.emulated import EmulatedCell
+from cell.wiring.build import cell_with, real_devices
 from drivers.priority import take_precedence
 from tools.bench.bench_wait import cpu_of, processes
 

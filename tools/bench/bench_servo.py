@@ -28,7 +28,6 @@ import numpy as np
 import yaml
 
 from calib.plane import PlaneView
-from cell.build import real_devices
 from cell.computer.stalls import StallProbe, Stalls
 from cell.flight.correct import Tail
 from cell.records.recording import form
@@ -40,6 +39,7 @@ from cell.settings.translate import vision_of
 from cell.simulated.emulated import EmulatedCell
 from cell.vision.detect import VisionOptions, detect
 from cell.vision.sighting import Sighting
+from cell.wiring.build import real_devices
 from drivers.interfaces import Arm, Camera, DeviceError, TooLateError, Trajectory
 from tools.plant.around import Plant, published
 

@@ -34,11 +34,9 @@ from typing import Any
 
 import numpy as np
 
-from cell.build import cell_with, twin_devices
 from cell.cli.making import MadeCell, Products
 from cell.cli.plant_end import PlantEnd
 from cell.computer.stalls import StallProbe
-from cell.evidence import with_recorder
 from cell.plant.client import Client
 from cell.records.result import Result
 from cell.run.archive import Archive
@@ -47,6 +45,8 @@ from cell.run.plans import EXECUTE, HOLD, IDENTIFY
 from cell.settings import Settings, load_settings
 from cell.settings.model import Start
 from cell.simulated.twins import build_twins
+from cell.wiring.build import cell_with, twin_devices
+from cell.wiring.evidence import with_recorder
 from drivers.interfaces import Camera, Frame
 from drivers.priority import take_precedence
 from drivers.sim.clock import SimClock

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cell.build import cell_task
 from cell.cable.effects import library
 from cell.cable.solver import Solver
 from cell.identify.hand import HandErrors
@@ -31,6 +30,7 @@ from cell.run.station import Task, Timing
 from cell.settings import Settings, load_settings
 from cell.settings.model import BatchPrior, Model, ModelEffect
 from cell.study.data import Markers, Trial
+from cell.wiring.build import cell_task
 from drivers.interfaces import Trajectory
 from tools.bench.bench_task import best_of
 from tools.studies.line_study import CONFIG

@@ -28,7 +28,6 @@ from typing import Any
 
 import numpy as np
 
-from cell.build import cell_with, real_devices
 from cell.cli.making import MadeCell, Products
 from cell.cli.plant_end import PlantEnd
 from cell.flight import decide
@@ -42,6 +41,7 @@ from cell.run.machine import Event
 from cell.run.plans import INSERTING
 from cell.settings import Settings, load_settings
 from cell.simulated.emulated import EmulatedCell
+from cell.wiring.build import cell_with, real_devices
 from drivers.interfaces import Trajectory
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions

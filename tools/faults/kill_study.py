@@ -43,7 +43,7 @@ MOST_LOST_S = 0.05
 _CHILD = """
 import mmap, struct, sys, threading, time
 from pathlib import Path
-from cell.build import build_cell
+from cell.wiring.build import build_cell
 from cell.settings import load_settings
 
 config, runs, shared = map(Path, sys.argv[1:4])

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cell.build import cell_task
 from cell.cable.dynamics import simulate
 from cell.flight.estimate import Deviation, deviation
 from cell.settings import Settings, load_settings
+from cell.wiring.build import cell_task
 from tools.studies.cable_rows import options, written
 from tools.studies.flight_study import EVENTS, NOTHING, hidden_in, settings_of, worlds
 from tools.studies.mouth_study import with_mouth

@@ -22,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.build import cell_task
 from cell.cable.effects import library
 from cell.cable.model import CableModel
 from cell.plan.passage import height_at_mouth_m
@@ -32,6 +31,7 @@ from cell.run.progress import parameters_of
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.simulated.hidden import hidden_cable
+from cell.wiring.build import cell_task
 from tools.studies.line_study import CONFIG
 from tools.studies.loop_study import SEEN
 from tools.worlds.fast_cell import FastCycle, fast_cycle, typical, with_world

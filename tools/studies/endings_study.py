@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from cell.build import cell_with, twin_devices
 from cell.cable.effects import library
 from cell.lab.data.cycles import read_cycles
 from cell.lab.line.learn import learn
@@ -27,6 +26,7 @@ from cell.records.result import Outcome, Result
 from cell.settings import Settings, load_settings
 from cell.settings.translate import cable_of, identification_of
 from cell.simulated.twins import build_twins
+from cell.wiring.build import cell_with, twin_devices
 from tools.studies.line_study import CONFIG
 from tools.worlds.fast_cell import typical, with_world
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cell.build import cell_task
 from cell.cable.effects.library import library
 from cell.cable.model import CableModel
 from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
 from cell.simulated.hidden import hidden_cable
+from cell.wiring.build import cell_task
 from tools.studies.cable_rows import options, written
 from tools.studies.mouth_study import with_mouth
 from tools.worlds.fast_cell import fast_cycle, typical, with_world

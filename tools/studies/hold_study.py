@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cell.build import cell_task
 from cell.cable.effects.library import library
 from cell.plan.choose import Freedom
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
+from cell.wiring.build import cell_task
 from tools.studies.cable_rows import options, written
 from tools.studies.mouth_study import with_mouth
 from tools.worlds.fast_cell import fast_cycle, typical, with_world

@@ -24,12 +24,12 @@ from typing import IO
 import matplotlib.pyplot as plt
 import numpy as np
 
-from cell.build import cell_task
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.identify.individual import identify
 from cell.records.folder import read_record
 from cell.settings import load_settings
+from cell.wiring.build import cell_task
 from tools.worlds.fast_cell import typical
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"

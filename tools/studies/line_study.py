@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.build import cell_task
 from cell.cable.effects import library
 from cell.settings import load_settings
+from cell.wiring.build import cell_task
 from tools.worlds.fast_cell import fast_cycle, typical, with_world
 
 #: A cable counts as one that a perfect model could insert if its best offset passes by this, m:

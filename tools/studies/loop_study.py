@@ -24,7 +24,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.build import cell_task
 from cell.cable.effects import ActiveEffect, library
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.line.candidate import section
@@ -37,6 +36,7 @@ from cell.settings import Settings, load_settings
 from cell.settings.surroundings import Surroundings
 from cell.simulated.hidden import hidden_cable
 from cell.study.data import Study
+from cell.wiring.build import cell_task
 from tools.studies.coverage_study import Errors
 from tools.studies.line_study import CONFIG, INSERTABLE_M
 from tools.worlds.fast_cell import FastCycle, fast_cycle, fast_measured, typical, with_world

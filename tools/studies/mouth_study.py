@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cell.build import cell_task
 from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
+from cell.wiring.build import cell_task
 from tools.studies.cable_rows import options, written
 from tools.worlds.fast_cell import fast_cycle
 from tools.worlds.fast_flight import Flown

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.build import cell_task
 from cell.cable.dynamics import simulate
 from cell.cable.effects import Effect
 from cell.cable.geometry import Motion
@@ -31,6 +30,7 @@ from cell.run.station import Task, Timing
 from cell.settings import Settings
 from cell.simulated.hidden import hidden_cable
 from cell.study.data import Trial
+from cell.wiring.build import cell_task
 from tools.studies.coverage_study import Errors
 from tools.worlds.fast_flight import Flown, Look, View, inserted
 from tools.worlds.fast_truth import (

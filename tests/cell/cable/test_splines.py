@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from cell.build import cell_task
 from cell.cable.splines import Steps, fit, refit, spread_steps
 from cell.plan.paths import executed_motion, identification_path
 from cell.settings import load_settings
+from cell.wiring.build import cell_task
 
 T = np.arange(0.0, 0.8, 0.002)
 FINE = np.linspace(0.0, 0.798, 3001)

@@ -18,11 +18,11 @@ from calib.errors import MisfitError
 from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.store import load
-from cell.build import cell_task
 from cell.calibration.raw import read_cell
 from cell.cli import app
 from cell.settings import load_settings
 from cell.settings.calibrated import calibrated
+from cell.wiring.build import cell_task
 from drivers.interfaces import DeviceLostError
 from drivers.sim.camera import SimCamera
 from drivers.sim.pinhole import Pinhole

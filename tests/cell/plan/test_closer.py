@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.build import cell_task
 from cell.plan import closer
 from cell.plan.choose import Freedom
 from cell.plan.closer import ALIKE_S, MOST
 from cell.plan.paths import insertion_path
 from cell.settings import load_settings
+from cell.wiring.build import cell_task
 from drivers.interfaces import Pose
 from tools.worlds.fast_cell import fast_cycle
 

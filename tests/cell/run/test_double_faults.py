@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from cell.build import cell_with, twin_devices
 from cell.records.folder import RecordError
 from cell.run.cycle import Cell
 from cell.run.findings import Findings
@@ -18,6 +17,7 @@ from cell.run.progress import Progress
 from cell.run.station import Station
 from cell.settings import load_settings
 from cell.simulated.twins import build_twins
+from cell.wiring.build import cell_with, twin_devices
 from drivers.interfaces import DeviceLostError
 
 FAKE = Path(__file__).parents[3] / "config" / "fake.yaml"

@@ -12,7 +12,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell.build import cell_task
 from cell.cable.dynamics import simulate
 from cell.cable.effects.library import load_effect
 from cell.cable.geometry import Motion
@@ -29,6 +28,7 @@ from cell.run.findings import EarlyEstimate, FilmedMotion, Filming
 from cell.run.station import Timing
 from cell.settings import load_settings
 from cell.study.data import Markers, Trial
+from cell.wiring.build import cell_task
 from drivers.interfaces import Trajectory
 
 CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"

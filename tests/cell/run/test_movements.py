@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell.build import cell_task
 from cell.plan.measuring import Measuring, Move
 from cell.plan.paths import MotionLimits
 from cell.run.movements import (
@@ -22,6 +21,7 @@ from cell.run.movements import (
 )
 from cell.run.station import Task
 from cell.settings import load_settings
+from cell.wiring.build import cell_task
 from drivers.guard import ArmLimits, check_path
 from drivers.interfaces import Pose, Trajectory
 

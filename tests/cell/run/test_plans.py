@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from cell.build import cell_task
 from cell.plan.measuring import Measuring, Move
 from cell.run.findings import Findings, required
 from cell.run.plans import INSERTING, Plan, Repeat, changing_over, measuring
 from cell.settings import load_settings
+from cell.wiring.build import cell_task
 from drivers.interfaces import Pose
 
 FORMER = cell_task(load_settings(Path(__file__).parents[3] / "config" / "fake.yaml"))

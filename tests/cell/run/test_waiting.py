@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.build import cell_with, twin_devices
 from cell.plan.paths import path_to
 from cell.run import steps
 from cell.run.findings import Findings
@@ -16,6 +15,7 @@ from cell.run.station import Station
 from cell.run.waiting import await_rest
 from cell.settings import load_settings
 from cell.simulated.twins import build_twins
+from cell.wiring.build import cell_with, twin_devices
 from drivers.interfaces import ArmState, DeviceTimeoutError, GripperState
 
 FAKE = Path(__file__).parents[3] / "config" / "fake.yaml"

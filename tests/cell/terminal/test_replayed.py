@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from cell.records.result import Fault, Outcome, Result
-from cell.replay import Difference, Replayed
 from cell.terminal.replayed import replayed_parts
+from cell.wiring.replay import Difference, Replayed
 
 SAME = Replayed(Path("recording.mcap"), Result(1, Outcome.INSERTED, "f"), True, True, (), {})
 FAILED = Result(1, Outcome.FAILED, "f", fault=Fault("execute", "frame 3 is missing"))

@@ -13,7 +13,7 @@ INTERRUPTED = """
 import random, signal, sys
 from pathlib import Path
 import numpy as np
-from cell.build import cell_task
+from cell.wiring.build import cell_task
 from cell.settings import load_settings
 from cell.vision.detect import detect
 from cell.vision.marks import find_jaw

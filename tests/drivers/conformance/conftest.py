@@ -229,8 +229,8 @@ def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
 @pytest.fixture
 def real_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Station:
     """The devices of the settings, not connected yet, within the settings' limits."""
-    from cell.build import cell_with, real_devices
     from cell.settings import load_settings
+    from cell.wiring.build import cell_with, real_devices
 
     settings = load_settings(request.config.getoption("--config"))
     return cell_with(settings, real_devices(settings), tmp_path, lambda number, step: None)._station

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.build import cell_task
 from cell.cable.effects import library, load_effect
 from cell.cable.solver import Solver
 from cell.cli import app
@@ -65,6 +64,7 @@ from cell.settings.surroundings import Surroundings
 from cell.settings.translate import identification_of
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
+from cell.wiring.build import cell_task
 from tools.studies.coverage_study import Errors
 from tools.studies.loop_study import SEEN, cycles_of, recorded_cycle
 from tools.worlds.fast_cell import fast_cycle, with_world

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from cell.arm_version import FILE, check_arm_version, passed_dry_runs, remember_dry_run
 from cell.files.input_error import InputError
 from cell.records.result import Outcome, Result
 from cell.settings import Settings, load_settings
+from cell.wiring.arm_version import FILE, check_arm_version, passed_dry_runs, remember_dry_run
 from drivers.emulators.launch import EmulatedController
 
-EMULATED = Path(__file__).parents[2] / "config" / "emulated.yaml"
+EMULATED = Path(__file__).parents[3] / "config" / "emulated.yaml"
 CONFIG = Path("yours.yaml")
 
 

@@ -11,7 +11,6 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from cell.build import cell_with
 from cell.files.input_error import InputError
 from cell.files.plain import plain
 from cell.records.recording import form
@@ -25,6 +24,7 @@ from cell.run.recorded import RecordingSetup
 from cell.settings import Settings, load_settings
 from cell.settings.calibrated import Calibrated, calibrated
 from cell.simulated.replayed import replayed_devices
+from cell.wiring.build import cell_with
 
 #: Of a result these tell what was found; the rest is time and place.
 _OF_RESULT = (

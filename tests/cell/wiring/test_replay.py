@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cell.replay import _differences, _Found
+from cell.wiring.replay import _differences, _Found
 
 
 def test_a_model_that_was_found_then_and_is_not_found_now_is_a_difference() -> None:

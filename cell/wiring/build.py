@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cell.computer.memory import use_one_arena
 from cell.computer.second_process import SecondProcess
-from cell.evidence import in_real_time, listed, with_recorder
 from cell.plan.choose import ChoiceOptions, Freedom
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
@@ -36,6 +35,7 @@ from cell.settings.translate import (
 from cell.simulated.emulated import EmulatedCell, runs_already
 from cell.simulated.showing import SimulatedAssistant
 from cell.simulated.twins import Twins, build_twins
+from cell.wiring.evidence import in_real_time, listed, with_recorder
 from drivers.clock import RealClock
 from drivers.emulators.launch import EmulatorError
 from drivers.files import FilesCamera

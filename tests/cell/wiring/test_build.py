@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cell.build import real_devices
 from cell.settings import load_settings
+from cell.wiring.build import real_devices
 from drivers.genicam_camera import GenicamCamera
 from drivers.opencv_camera import OpenCvCamera
 from drivers.serial_gripper import SerialGripper
 from drivers.ur import UrArm
 
-CONFIG = Path(__file__).parents[2] / "config"
+CONFIG = Path(__file__).parents[3] / "config"
 
 
 def test_hardware_is_built_as_the_settings_say_and_not_touched(tmp_path: Path) -> None:

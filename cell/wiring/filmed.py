@@ -9,8 +9,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from cell.build import cell_task, cell_with
-from cell.evidence import PATIENCE_S
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.devices import recorded_devices
@@ -24,6 +22,8 @@ from cell.settings import Settings
 from cell.settings.calibrated import calibrated
 from cell.settings.records import Recording
 from cell.simulated.filmed import Film, filmed_devices
+from cell.wiring.build import cell_task, cell_with
+from cell.wiring.evidence import PATIENCE_S
 from drivers.interfaces import Pose
 
 #: From here an offset can be chosen: so far the hand may be from where insertions begin, m and rad.

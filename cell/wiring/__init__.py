@@ -1,0 +1,1 @@
+"""A cell put together from its settings: with real, simulated, filmed or replayed devices."""
