@@ -97,11 +97,6 @@ class LinearStudy:
             slopes.T @ slopes + known,
         )
 
-    @property
-    def is_confirmed(self) -> bool:
-        """Whether trials are held out."""
-        return not bool(self.fitted.all())
-
     def unlike_fitted(self, rows: FloatArray) -> FloatArray:
         """(n, rows) without what the coordinates imitate in the trials fitted to; 0 elsewhere."""
         inside = np.where(self.fitted, rows, 0.0)
