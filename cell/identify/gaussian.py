@@ -38,3 +38,13 @@ def marginal_chi2(residual: FloatArray, spread: FloatArray) -> tuple[float, floa
     against = spread.T @ residual
     chi2 = float(residual @ residual - against @ np.linalg.solve(inner, against))
     return chi2, float(np.linalg.slogdet(inner)[1])
+
+
+def whitening_root(spread: FloatArray) -> FloatArray:
+    """(n, n) symmetric R with R Rᵀ the inverse of the covariance I + spread·spreadᵀ.
+
+    spread  (n, k) what k standard normal unknowns add to n values
+    """
+    units, sizes, _ = np.linalg.svd(spread, full_matrices=False)
+    shrunk = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
+    return np.asarray(np.eye(len(spread)) + (units * shrunk) @ units.T)

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri as chi2_quantile
-from scipy.special import fdtri as f_quantile
 from scipy.special import ndtri as normal_quantile
 
 from cell.cable.effects.base import Effect
@@ -290,16 +288,10 @@ def _half_seen(
     linear: LinearStudy, beside: FloatArray | None, functions: list[FloatArray], rules: Rules
 ) -> HalfSeen:
     """The check by what single trials' own parameters explain; its functions are added."""
-    scores, count, by_errors, dof = linear.scores_of_trials(beside)
-    if np.isfinite(dof):
-        ratio = float(f_quantile(count, dof, 1.0 - rules.significance))
-    else:
-        ratio = float(chi2_quantile(count, rules.significance)) / count
-    excess = 2.0 * (ratio - 1.0)
+    scores, least = linear.scores_of_trials(beside, rules.significance)
     begin = sum(map(len, functions))
     functions.append(scores)
-    # χ² is compared per independent value, beside what hand and mesh add
-    return HalfSeen(slice(begin, begin + len(scores)), (1.0 + excess) * (count + by_errors))
+    return HalfSeen(slice(begin, begin + len(scores)), least)
 
 
 def _square(values: FloatArray, inner: FloatArray) -> FloatArray:

@@ -157,12 +157,11 @@ class LinearStudy:
                 best = Slopes(effect, usable[seen], size_of)
         return best
 
-    def scores_of_trials(self, beside: FloatArray | None) -> tuple[FloatArray, float, float, float]:
+    def scores_of_trials(self, beside: FloatArray | None, p: float) -> tuple[FloatArray, float]:
         """Functions (n, rows) of the residual that single trials' own parameters would explain.
 
         beside   (amplitudes, rows) of an effect whose own values are asked as well
-        returns  with the count of independent ones, what hand and mesh add to their χ², and the
-                 degrees of freedom behind the level of noise
+        returns  with the sum of their squares of which half has a p-value of `p`
         """
         asked = self.slopes if beside is None else np.column_stack([self.slopes, beside.T])
         known, count = asked.T @ asked, self.slopes.shape[1]
@@ -171,10 +170,7 @@ class LinearStudy:
         parts = directions_of_trials(asked, np.linalg.inv(known), ends)
         directions = np.asarray(block_diag(*[part.T for part in parts]))
         functions = self.unlike_all(directions)
-        imitated = float(np.sum(directions * (directions - functions)))
-        errors = self.left.every[1 : 1 + self.left.errors, : ends[-1]]
-        by_errors = float(np.sum((directions @ errors.T) ** 2))
-        return functions, len(directions) - imitated, by_errors, self.left.level[1]
+        return functions, self.left.half_shows_from(functions @ functions.T, directions, p)
 
     @property
     def sees_noise(self) -> bool:

@@ -12,7 +12,7 @@ from scipy.special import chdtrc as chi2_sf
 from scipy.special import fdtrc as f_sf
 
 from cell.identify.gauss_newton import UNSIMULATED
-from cell.identify.gaussian import marginal_chi2
+from cell.identify.gaussian import marginal_chi2, whitening_root
 from cell.identify.whitener import Whitener
 from cell.lab.data.noise_likelihood import MAX_AR1
 from cell.lab.data.noise_model import NoiseModel
@@ -23,7 +23,8 @@ from cell.lab.fit.hand_error import MOTIONS
 from cell.lab.fit.heldout import HeldoutRows, heldout_rows
 from cell.lab.fit.mesh import LEFT
 from cell.lab.fit.sensitivity import prior_root
-from cell.lab.fit.systematic_error import systematic_error
+from cell.lab.fit.systematic_error import SystematicError, systematic_error
+from cell.lab.statistics.quadratic import ExpectedSquare
 
 FloatArray = NDArray[np.float64]
 
@@ -34,13 +35,16 @@ class SmoothPart:
 
     chi2     about `count` if the model is right; inf where the cable cannot be simulated
     rows     values of the whole residual
-    dof      degrees of freedom behind the noise's level there
+    dof      degrees of freedom behind what a right model leaves there
+    equal    number of equal independent values whose χ² would vary as much; None = `count`, as
+             where noise alone shifts them
     """
 
     chi2: float
     count: float
     rows: int
     dof: float
+    equal: float | None = None
 
     @property
     def excess(self) -> float:
@@ -59,9 +63,10 @@ class SmoothPart:
 
     def chance_of(self, excess: float) -> float:
         """p-value that so much beyond noise would have."""
+        equal = self.count if self.equal is None else self.equal
         if not np.isfinite(self.dof):
-            return float(chi2_sf(self.count, self.count * (1.0 + excess)))
-        return float(f_sf(self.count, self.dof, 1.0 + excess))
+            return float(chi2_sf(equal, equal * (1.0 + excess)))
+        return float(f_sf(equal, self.dof, 1.0 + excess))
 
 
 @once_per_study
@@ -106,17 +111,27 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     fitted = systematic_error(prepared, fit, fit_trials(prepared))
     mesh = there.mesh + _followed(fit, fitted.mesh[None])[0] @ rows.by_parameters.T
     doubt = there.doubt + _followed(fit, fitted.doubt[None])[0] @ rows.by_parameters.T
-    changes = [doubt[None], there.hands]
-    for part in np.split(np.arange(fitted.hands.shape[1]), fitted.ends[:-1]):
-        alone = np.zeros_like(fitted.hands)  # every trial's log is wrong in its own way
-        alone[:, part] = fitted.hands[:, part]
-        changes.append(_followed(fit, alone) @ rows.by_parameters.T)
-    spread = _coarse(prepared, rows, rows.spread.T)
-    residual = _coarse(prepared, rows, (rows.residual + (1.0 + LEFT) * mesh)[None])[0]
-    sizes = [_chi2(row, spread) for row in _coarse(prepared, rows, np.concatenate(changes))]
-    expected = seen.count + LEFT**2 * sizes[0] + sum(sizes[1:]) / MOTIONS
-    expected *= _heldout_level(prepared, rows)[0]
-    return replace(seen, chi2=_chi2(residual, spread) * seen.count / expected)
+    changes = [LEFT * doubt[None], *_each_alone(there)]
+    changes += [_followed(fit, alone) @ rows.by_parameters.T for alone in _each_alone(fitted)]
+    residual = (rows.residual + (1.0 + LEFT) * mesh)[None]
+    coarse = _coarse(prepared, rows, np.concatenate([residual, *changes]))
+    # white again where the fit's uncertainty is part of the noise
+    known = whitening_root(_coarse(prepared, rows, rows.spread.T).T)
+    white = known.T @ coarse.T
+    level, dof = _heldout_level(prepared, rows)
+    expected = ExpectedSquare.of(np.eye(len(white)), level, dof, white[:, 1:], MOTIONS)
+    chi2 = float(white[:, 0] @ white[:, 0]) * seen.count / expected.mean
+    return replace(seen, chi2=chi2, dof=expected.dof_mean, equal=expected.dof)
+
+
+def _each_alone(errors: SystematicError) -> list[FloatArray]:
+    """(motions, rows) by a hand's log that is wrong in one trial, of each of the trials."""
+    found = []
+    for part in np.split(np.arange(errors.hands.shape[1]), errors.ends[:-1]):
+        alone = np.zeros_like(errors.hands)
+        alone[:, part] = errors.hands[:, part] / np.sqrt(MOTIONS)
+        found.append(alone)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,13 +168,25 @@ class AllTrialsResidual:
         """χ² in orthonormal directions of each trial: (directions, n) coordinates of (rows, n)."""
         return self.judged(np.concatenate([coordinates(w, p.T) for w, p in self.by_trial]))
 
+    def half_shows_from(self, noise: FloatArray, directions: FloatArray, p: float) -> float:
+        """χ² in some directions (n, rows) of which half would have this p-value.
+
+        noise  (n, n) their covariance by noise, without what the parameters imitate
+        """
+        rows = self.whole.systematic_error.ends[-1]
+        errors = directions @ self.every[1 : 1 + self.errors, :rows].T
+        expected = ExpectedSquare.of(noise, 1.0, self.level[1], errors, MOTIONS)
+        return 2.0 * expected.exceeded_with(p) - expected.mean
+
     def judged(self, coarse: FloatArray) -> SmoothPart:
         """χ² by (directions, 1 + errors + basis) coordinates of `every` in orthonormal ones."""
-        by_errors = float(np.sum(coarse[:, 1 : 1 + self.errors] ** 2))
-        count = len(coarse) - float(np.sum(coarse[:, 1 + self.errors :] ** 2))
-        level, dof = self.level
-        chi2 = float(coarse[:, 0] @ coarse[:, 0]) * count / (count * level + by_errors)
-        return SmoothPart(chi2, count, sum(w.count for w in self.whiteners), dof)
+        left, errors, basis = np.split(coarse, [1, 1 + self.errors], axis=1)
+        noise = np.eye(len(coarse)) - basis @ basis.T
+        expected = ExpectedSquare.of(noise, *self.level, errors, MOTIONS)
+        count = float(np.trace(noise))
+        chi2 = float(np.sum(left**2)) * count / expected.mean
+        rows = sum(w.count for w in self.whiteners)
+        return SmoothPart(chi2, count, rows, expected.dof_mean, expected.dof)
 
 
 @once_per_study
@@ -170,13 +197,9 @@ def all_trials_residual(prepared: PreparedStudy, fit: Fit) -> AllTrialsResidual 
     except UNSIMULATED:
         return None
     linear, errs, trials = whole.linear, whole.systematic_error, fit_trials(whole.prepared)
-    rows = errs.ends[-1]
-    changes = [np.append(errs.doubt, np.zeros(len(linear.left) - rows))[None] * LEFT]
-    for part in np.split(np.arange(rows), errs.ends[:-1]):
-        alone = np.zeros((MOTIONS, len(linear.left)))  # every trial's log is wrong in its own way
-        alone[:, part] = errs.hands[:, part] / np.sqrt(MOTIONS)
-        changes.append(alone)
-    errors = linear.seen(np.concatenate(changes))
+    changes = np.concatenate([errs.doubt[None] * LEFT, *_each_alone(errs)])
+    behind = len(linear.left) - errs.ends[-1]  # the prior's rows
+    errors = linear.seen(np.pad(changes, ((0, 0), (0, behind))))
     every = np.vstack([linear.left, errors, linear.basis.T])
     whiteners = [whole.prepared.whiteners[t.name] for t in trials]
     return AllTrialsResidual(whole, whiteners, every, len(errors))

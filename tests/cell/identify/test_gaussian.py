@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cell.identify.differences import difference_points, one_sided_steps
-from cell.identify.gaussian import covariance_root, marginal_chi2, parameters_root
+from cell.identify.gaussian import covariance_root, marginal_chi2, parameters_root, whitening_root
 
 
 def test_the_root_of_a_singular_covariance_gives_it_back():
@@ -42,3 +42,11 @@ def test_a_root_of_parameters_keeps_those_of_small_units():
     np.testing.assert_allclose(root @ root.T, covariance, rtol=1e-9)
     rounded = covariance_root(covariance)
     assert not np.allclose((rounded @ rounded.T)[1, 1], covariance[1, 1], rtol=0.1, atol=0.0)
+
+
+def test_whitened_values_have_the_marginal_chi2():
+    rng = np.random.default_rng(4)
+    residual, spread = rng.normal(size=6), rng.normal(size=(6, 3))
+    white = whitening_root(spread).T @ residual
+    assert white @ white == pytest.approx(marginal_chi2(residual, spread)[0])
+    np.testing.assert_allclose(whitening_root(np.zeros((3, 1))), np.eye(3))

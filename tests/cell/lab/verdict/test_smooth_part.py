@@ -15,6 +15,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.starts import cold_start
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.smooth_part import (
     SmoothPart,
     _Fast,
@@ -26,6 +27,7 @@ from cell.lab.verdict.smooth_part import (
 from cell.lab.verdict.specification import parameter_constancy_of
 from cell.study.data import Markers
 from tests.cell.lab.conftest import LONG
+from tools.worlds.breadth_world import World, hypercube
 
 
 def coloured(rng, shape, colour):
@@ -150,3 +152,16 @@ def test_trials_of_a_right_model_ask_for_nothing(make_study, seed):
     asked = parameter_constancy_of(*fitted(make_study(seed=seed)))
     assert asked.p_value > 1e-3
     assert 10 < asked.count < 40  # four trials, each of nine parameters but for what is shared
+
+
+def test_a_noisy_log_of_the_hand_makes_no_misfit_of_few_large_errors():
+    """The log's noise moves each trial along few directions, so its χ² varies more than noise's."""
+    conditions = hypercube(300, 1600)[40]  # log_m 37 µm, a third of what the camera errs by
+    world = World.of(conditions, 16)
+    study = world.study(world.clean(), 16)
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    part = parameter_constancy_of(fits.prepared, fits.baseline().fit)
+    assert part is not None and part.equal is not None
+    assert part.equal < 0.3 * part.count
+    assert part.p_value > 0.01
+    assert replace(part, equal=None, dof=1e3).p_value < 1e-3, "were they independent"
