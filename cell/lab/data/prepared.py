@@ -49,6 +49,7 @@ class PreparedStudy:
     memo      what `once_per_study` has worked out of it; another study begins with none
     mesh_m    per trial (times, markers, 2) error of the solver's mesh that has been taken out of
               the study's markers, m
+    rounding_m  likewise the mean error of rounded values
     lines     per trial (times, markers, 2) how a model's markers move with their arc lengths; empty
               where these are certain, and where no model is known to explain the study
     gauges    how wrenches are told as points; None = there are none
@@ -63,6 +64,7 @@ class PreparedStudy:
     slopes: Solver | None = None
     counted: Solver | None = None
     mesh_m: Mapping[str, FloatArray] = field(default_factory=dict)
+    rounding_m: Mapping[str, FloatArray] = field(default_factory=dict)
     lines: Mapping[str, FloatArray] = field(default_factory=dict)
     gauges: Gauges | None = None
     memo: dict[tuple[object, ...], Any] = field(default_factory=dict, init=False, repr=False)
@@ -136,6 +138,11 @@ class PreparedStudy:
     def of_markers(self, trial: Trial, rows: FloatArray) -> FloatArray:
         """(frames, markers, …) of (times, all points, …) of a trial: without those of gauges."""
         return rows if self.gauges is None else self.gauges.of_markers(trial.name, rows)
+
+    def taken_out_m(self, trial: Trial) -> FloatArray:
+        """(times, markers, 2) what has been taken out of a trial's markers, m."""
+        taken_m = self.mesh_m.get(trial.name, np.zeros_like(trial.markers.xy_m))
+        return np.asarray(taken_m + self.rounding_m.get(trial.name, 0.0))
 
     def initial_state(self, trial: Trial) -> InitialState:
         """What is unknown of how a trial begins."""
@@ -255,10 +262,11 @@ def once_per_study(
 
 
 def as_measured(prepared: PreparedStudy) -> Study:
-    """The study as it was measured: what its mesh errs by is in it again."""
+    """The study as it was measured: what has been taken out of its markers is in it again."""
+    taken = {*prepared.mesh_m, *prepared.rounding_m}
     trials = [
-        replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + prepared.mesh_m[t.name]))
-        if t.name in prepared.mesh_m
+        replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + prepared.taken_out_m(t)))
+        if t.name in taken
         else t
         for t in prepared.study.trials
     ]

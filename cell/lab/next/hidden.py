@@ -131,7 +131,7 @@ def _with_each_row(
     assert gauges is not None  # the study has wrenches
     parted = without_gauges(replace(prepared.study, trials=tuple(trials)), joined).trials
     told, gauges = gauges.with_planned(parted, gauges.gain_std, averaged=False)
-    return replace(prepared, gauges=gauges, mesh_m={}), told
+    return replace(prepared, gauges=gauges, mesh_m={}, rounding_m={}), told
 
 
 def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArray:
@@ -152,7 +152,7 @@ def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArr
     whiteners = whiteners_of(
         study, prepared.noise, prepared.gauges, prepared.lines, prepared.levels
     )
-    quiet = replace(prepared, study=study, whiteners=whiteners, mesh_m={})
+    quiet = replace(prepared, study=study, whiteners=whiteners, mesh_m={}, rounding_m={})
     space = replace(fit.space, mean=fit.q)  # the prior pulls whatever is hidden
     found = fit_model(quiet, space, fit.q, fit.initial_states, options=POLISH)
     of_fitted = iter(np.split(found.solution.residual, _ends(quiet, "fit")[:-1]))

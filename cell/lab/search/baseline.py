@@ -16,9 +16,9 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.renoised import judged_by
+from cell.lab.fit.corrected import corrected
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with
 from cell.lab.fit.gain import with_gain_of
-from cell.lab.fit.mesh import mesh_error_m, without_mesh_error
 from cell.lab.fit.remainder import with_noise_beside
 from cell.lab.fit.sensitivity import is_shape
 from cell.lab.fit.slopes import with_slopes
@@ -110,15 +110,15 @@ class Baseline:
     def _beside_noise_and_mesh(self, found: BaselineFit) -> BaselineFit:
         """The fit with the noise that all frames tell beside it, within what the rest allows.
 
-        And without its mesh's error, if it explains the study: one that does not has another.
+        And without the errors of its mesh and of rounded values, if it explains the study: one that
+        does not has others.
         As it was where it cannot be simulated once more.
         """
         if self.settled:
             return found
         fit, prepared = found.fit, with_noise_beside(found.prepared, found.fit, self.others)
         if fit.rms_m <= ERRS * prepared.expected_m("fit"):
-            prepared = without_mesh_error(prepared, fit, mesh_error_m(prepared, fit))
-            prepared = with_gain_of(prepared, fit)
+            prepared = corrected(prepared, fit)
         try:
             again = fit_model(prepared, self.space, fit.q, fit.initial_states, options=POLISH)
         except UNSIMULATED:

@@ -17,11 +17,12 @@ from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.whitening import arcs_are_uncertain
 from cell.lab.data.work import Work
+from cell.lab.fit.corrected import corrected, moved_m
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
-from cell.lab.fit.gain import gain_is_uncertain, with_gain_of
+from cell.lab.fit.gain import gain_is_uncertain
 from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr
-from cell.lab.fit.mesh import matters, mesh_error_m, without_mesh_error
+from cell.lab.fit.mesh import matters
 from cell.lab.fit.remainder import with_noise_beside
 from cell.lab.fit.starts import cold_start, taken_from
 from cell.lab.search.baseline import Baseline, BaselineFit
@@ -260,20 +261,19 @@ def settled_beside(fits: FitCache, found: FittedModel) -> FitCache | None:
     """A cache of the study with the noise and mesh error beside a found model, nothing fitted yet.
 
     Those beside the baseline, which could not fit, were others.  So were the lines of markers of
-    uncertain arc length, and the wrench of an uncertain gain.
-    returns  None if that was done, if neither changes noticeably, or if no model explains the study
+    uncertain arc length, the wrench of an uncertain gain, and the mean errors of rounded values.
+    returns  None if that was done, if nothing changes noticeably, or if no model explains the study
     """
     before = fits.prepared
     if fits.found is not None or not (fits.explained_by(found) or before.mesh_m):
         return None
     others = [e for name, e in fits.library.items() if name not in found.names]
     prepared = with_noise_beside(before, found.fit, others)
-    error_m = mesh_error_m(prepared, found.fit)
+    settled = corrected(prepared, found.fit)
     another = prepared.noise_model.differs_from(before.noise_model)
     of_model = arcs_are_uncertain(prepared.study) or gain_is_uncertain(prepared)
-    if not (another or of_model or matters(prepared, error_m)):
+    if not (another or of_model or matters(prepared, moved_m(prepared, settled))):
         return None
-    settled = with_gain_of(without_mesh_error(prepared, found.fit, error_m), found.fit)
     begin, earlier = fits.baseline().fit.q, {m.names: m for m in fits.known()}
     return replace(
         fits, given=settled, begin=begin, found=found, earlier=earlier, _memory=_Memory()

@@ -77,10 +77,9 @@ def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, mon
             before.work.stop()
 
     fits = replace(before, progress=progress)
-    monkeypatch.setattr(
-        "cell.lab.search.fit_cache.without_mesh_error",
-        lambda prepared, fit, error_m: prepared,
-    )
+    fit_cache = "cell.lab.search.fit_cache"
+    monkeypatch.setattr(f"{fit_cache}.corrected", lambda prepared, fit: prepared)
+    monkeypatch.setattr(f"{fit_cache}.matters", lambda prepared, moved: True)
     found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
     assert found.warnings[0].code == "interrupted"
