@@ -1,7 +1,7 @@
 """What the lab says of studies over the breadth of what users bring; a table by condition.
 
     python -m tools.studies.breadth_study FILE.csv [--complete 200] [--one 100] [--outside 50]
-                                          [--seed 1] [--uneven 0.6]
+                                          [--seed 1] [--uneven 0.6] [--pixel 8]
     python -m tools.studies.breadth_study FILE.csv --table [--beside EARLIER.csv]
 
 With `--beside` the table has both files' shares, and the power of a study that stands in the
@@ -13,6 +13,7 @@ times the noise.  Each study is a row of the file as soon as it is judged; rows 
 already are kept, so that a stopped study goes on.  Two processes work side by side.
 
 With `--uneven` each marker of each trial has noise of its own level, up to 1.8 times more or less.
+With `--pixel` all values are rounded, to steps of so many standard deviations of their noise.
 
 Only effects that a test which knows the truth would see (power 0.8, as in `confusion_study.py`)
 count as seen.  A study that the lab refuses, with an error that says why, is `refused`.
@@ -25,11 +26,12 @@ import csv
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 
 import numpy as np
 from scipy import stats
@@ -208,13 +210,16 @@ def run(
     seed: int,
     workers: int,
     beside: Path | None = None,
-    uneven: float = 0.0,
+    changed: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
-    """Judge what the file lacks."""
+    """Judge what the file lacks.
+
+    changed  conditions that are the same in all studies
+    """
     powers = {(r.kind, r.number): r.power for r, _ in read(beside)} if beside else {}
     done = {(r.kind, r.number) for r, _ in read(file)} if file.exists() else set()
     tasks = [
-        (kind, replace(conditions, uneven=uneven), seed, powers.get((kind, conditions.number)))
+        (kind, replace(conditions, **changed), seed, powers.get((kind, conditions.number)))
         for place, kind in enumerate(KINDS)
         for conditions in hypercube(counts[kind], 100 * seed + place)
         if (kind, conditions.number) not in done
@@ -340,14 +345,17 @@ def main() -> int:
     for kind, count in zip(KINDS, (200, 100, 50), strict=True):
         parser.add_argument(f"--{kind}", type=int, default=count)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--uneven", type=float, default=0.0)
+    for name in ("uneven", "pixel"):
+        parser.add_argument(f"--{name}", type=float)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--beside", type=Path)
     given = parser.parse_args()
     if not given.table:
         counts = {kind: getattr(given, kind) for kind in KINDS}
-        run(given.file, counts, given.seed, given.workers, given.beside, given.uneven)
+        asked = {name: getattr(given, name) for name in ("uneven", "pixel")}
+        changed = {name: value for name, value in asked.items() if value is not None}
+        run(given.file, counts, given.seed, given.workers, given.beside, changed)
     print_table(given.file, given.beside)
     return 0
 
