@@ -1,6 +1,7 @@
 """Forecast and observed detection of effects hidden in copies of made studies.
 
     python -m tools.studies.power_study docs/measured/power.csv [--rounds 4] [--copies 10]
+                                        [--case 6]
 
 A case is an effect, its size and a set of motions.  Its study is made by a finer mesh, of a random
 cable and noise, without the effect.  `cell power` forecasts how often a diagnosis of a study with
@@ -147,6 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("file", type=Path)
     parser.add_argument("--rounds", type=int, default=4)
     parser.add_argument("--copies", type=int, default=10)
+    parser.add_argument("--case", type=int, nargs="*", default=range(len(CASES)))
     parser.add_argument("--alone", action="store_true", help="one core")
     given = parser.parse_args(arguments)
     rows = read_rows(given.file)
@@ -158,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _rounds(given: argparse.Namespace, rows: dict[int, Row]) -> int:
     for _ in range(given.rounds):
-        for case in range(len(CASES)):
+        for case in given.case:
             rows[case] = one(case, rows.get(case), given.copies)
             write_rows(given.file, [rows[k] for k in sorted(rows)])
             print(rows[case].words, flush=True)
