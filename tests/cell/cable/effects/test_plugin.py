@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -94,7 +95,7 @@ def test_what_the_program_wrote_is_compiled_once_wherever_it_lies(tmp_path, monk
     """
     module_of = sys.modules[load_effect.__module__]
     monkeypatch.setattr(module_of, "try_effect", lambda *_: None)  # it compiles, too
-    text = FORCE + f"        return 0.0, -p.size*at.vy  # {tmp_path} {trusted}\n"
+    text = FORCE + f"        return 0.0, -p.size*at.vy  # {uuid4()}\n"  # never compiled before
     found = []
     for name in ("here", "there"):
         (tmp_path / name).mkdir()
