@@ -28,23 +28,23 @@ def parameters_root(covariance: FloatArray) -> FloatArray:
     return np.asarray(size[:, None] * covariance_root(covariance / np.outer(size, size)))
 
 
+def marginal_products(rows: FloatArray, spread: FloatArray) -> FloatArray:
+    """(m, m) products aᵀ C⁻¹ b of rows a, b of (m, n), with C = I + spread·spreadᵀ.
+
+    spread  (n, k) what k standard normal unknowns add to n values
+    source  Woodbury's identity: k × k instead of n × n
+    """
+    inner = np.eye(spread.shape[1]) + spread.T @ spread
+    against = rows @ spread
+    return np.asarray(rows @ rows.T - against @ np.linalg.solve(inner, against.T))
+
+
 def marginal_chi2(residual: FloatArray, spread: FloatArray) -> tuple[float, float]:
     """χ² of residuals (n,) of covariance I + spread·spreadᵀ, and ln of its determinant.
 
     spread  (n, k) what k standard normal unknowns add to the residuals
-    source  Woodbury's identity and the matrix determinant lemma: k × k instead of n × n
+    source  the matrix determinant lemma
     """
     inner = np.eye(spread.shape[1]) + spread.T @ spread
-    against = spread.T @ residual
-    chi2 = float(residual @ residual - against @ np.linalg.solve(inner, against))
+    chi2 = float(marginal_products(residual[None], spread)[0, 0])
     return chi2, float(np.linalg.slogdet(inner)[1])
-
-
-def whitening_root(spread: FloatArray) -> FloatArray:
-    """(n, n) symmetric R with R Rᵀ the inverse of the covariance I + spread·spreadᵀ.
-
-    spread  (n, k) what k standard normal unknowns add to n values
-    """
-    units, sizes, _ = np.linalg.svd(spread, full_matrices=False)
-    shrunk = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
-    return np.asarray(np.eye(len(spread)) + (units * shrunk) @ units.T)

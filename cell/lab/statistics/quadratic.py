@@ -38,18 +38,35 @@ class ExpectedSquare:
         errors     (n, k) changes by errors: each column a standard deviation in its direction
         draws      number of draws that the errors' covariance is known by
         """
-        by_errors = errors @ errors.T
-        by_noise, total = level * float(np.trace(noise)), level * noise + by_errors
-        mean = float(np.trace(total))
-        uncertain = by_noise**2 / dof_level + float(np.sum(by_errors**2)) / draws
-        return ExpectedSquare(
-            mean,
-            mean**2 / max(float(np.sum(total**2)), 1e-300),
-            mean**2 / uncertain if uncertain > 0.0 else np.inf,
-        )
+        shared = 2.0 * level * float(np.sum((noise @ errors) * errors))
+        square = level**2 * float(np.sum(noise**2)) + shared
+        of_noise = level * float(np.trace(noise))
+        return _of_traces(of_noise, dof_level, square, errors.T @ errors, draws)
+
+    @staticmethod
+    def of_white(
+        count: float, level: float, dof_level: float, products: FloatArray, draws: int
+    ) -> ExpectedSquare:
+        """The same of so many independent values; (k, k) products of the errors' changes."""
+        square = level**2 * count + 2.0 * level * float(np.trace(products))
+        return _of_traces(level * count, dof_level, square, products, draws)
 
     def exceeded_with(self, p: float) -> float:
         """The sum of squares that is exceeded with this probability."""
         if np.isfinite(self.dof_mean):
             return self.mean * float(f_quantile(self.dof, self.dof_mean, 1.0 - p))
         return self.mean * float(chi2_quantile(self.dof, p)) / self.dof
+
+
+def _of_traces(
+    of_noise: float, dof_level: float, square: float, products: FloatArray, draws: int
+) -> ExpectedSquare:
+    """By what noise adds to tr C, and noise and its products with the errors to tr C²."""
+    of_errors = float(np.sum(products**2))
+    mean = of_noise + float(np.trace(products))
+    uncertain = of_noise**2 / dof_level + of_errors / draws
+    return ExpectedSquare(
+        mean,
+        mean**2 / max(square + of_errors, 1e-300),
+        mean**2 / uncertain if uncertain > 0.0 else np.inf,
+    )

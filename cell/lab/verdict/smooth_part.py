@@ -12,7 +12,7 @@ from scipy.special import chdtrc as chi2_sf
 from scipy.special import fdtrc as f_sf
 
 from cell.identify.gauss_newton import UNSIMULATED
-from cell.identify.gaussian import marginal_chi2, whitening_root
+from cell.identify.gaussian import marginal_chi2, marginal_products
 from cell.identify.whitener import Whitener
 from cell.lab.data.noise_likelihood import MAX_AR1
 from cell.lab.data.noise_model import NoiseModel
@@ -115,12 +115,10 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     changes += [_followed(fit, alone) @ rows.by_parameters.T for alone in _each_alone(fitted)]
     residual = (rows.residual + (1.0 + LEFT) * mesh)[None]
     coarse = _coarse(prepared, rows, np.concatenate([residual, *changes]))
-    # white again where the fit's uncertainty is part of the noise
-    known = whitening_root(_coarse(prepared, rows, rows.spread.T).T)
-    white = known.T @ coarse.T
-    level, dof = _heldout_level(prepared, rows)
-    expected = ExpectedSquare.of(np.eye(len(white)), level, dof, white[:, 1:], MOTIONS)
-    chi2 = float(white[:, 0] @ white[:, 0]) * seen.count / expected.mean
+    products = marginal_products(coarse, _coarse(prepared, rows, rows.spread.T).T)
+    level = _heldout_level(prepared, rows)
+    expected = ExpectedSquare.of_white(seen.count, *level, products[1:, 1:], MOTIONS)
+    chi2 = float(products[0, 0]) * seen.count / expected.mean
     return replace(seen, chi2=chi2, dof=expected.dof_mean, equal=expected.dof)
 
 

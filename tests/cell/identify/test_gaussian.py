@@ -5,7 +5,12 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cell.identify.differences import difference_points, one_sided_steps
-from cell.identify.gaussian import covariance_root, marginal_chi2, parameters_root, whitening_root
+from cell.identify.gaussian import (
+    covariance_root,
+    marginal_chi2,
+    marginal_products,
+    parameters_root,
+)
 
 
 def test_the_root_of_a_singular_covariance_gives_it_back():
@@ -44,9 +49,9 @@ def test_a_root_of_parameters_keeps_those_of_small_units():
     assert not np.allclose((rounded @ rounded.T)[1, 1], covariance[1, 1], rtol=0.1, atol=0.0)
 
 
-def test_whitened_values_have_the_marginal_chi2():
+def test_products_are_those_by_the_dense_covariance():
     rng = np.random.default_rng(4)
-    residual, spread = rng.normal(size=6), rng.normal(size=(6, 3))
-    white = whitening_root(spread).T @ residual
-    assert white @ white == pytest.approx(marginal_chi2(residual, spread)[0])
-    np.testing.assert_allclose(whitening_root(np.zeros((3, 1))), np.eye(3))
+    rows, spread = rng.normal(size=(2, 6)), rng.normal(size=(6, 3))
+    inverse = np.linalg.inv(np.eye(6) + spread @ spread.T)
+    np.testing.assert_allclose(marginal_products(rows, spread), rows @ inverse @ rows.T)
+    np.testing.assert_allclose(marginal_products(rows, np.zeros((6, 1))), rows @ rows.T)

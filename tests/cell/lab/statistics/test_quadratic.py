@@ -12,6 +12,19 @@ def test_of_noise_alone_all_values_count():
     assert found == ExpectedSquare(pytest.approx(14.0), pytest.approx(7.0), pytest.approx(40.0))
 
 
+def test_of_white_noise_only_products_of_the_errors_are_needed():
+    rng = np.random.default_rng(2)
+    errors, draws = rng.normal(size=(9, 3)), 8
+    dense = ExpectedSquare.of(np.eye(9), 1.3, 50.0, errors, draws)
+    total = 1.3 * np.eye(9) + errors @ errors.T
+    assert dense.mean == pytest.approx(np.trace(total))
+    assert dense.dof == pytest.approx(np.trace(total) ** 2 / np.sum(total**2))
+    found = ExpectedSquare.of_white(9, 1.3, 50.0, errors.T @ errors, draws)
+    np.testing.assert_allclose(
+        (found.mean, found.dof, found.dof_mean), (dense.mean, dense.dof, dense.dof_mean)
+    )
+
+
 def test_what_is_known_for_certain_has_no_uncertain_mean():
     found = ExpectedSquare.of(np.eye(3), 1.0, np.inf, np.zeros((3, 1)), 8)
     assert found.dof_mean == np.inf
