@@ -200,11 +200,16 @@ class _Shown:
             await self._unit.show(self.view, time.time(), time.monotonic())
 
     async def show(self) -> None:
-        """Show every message on its own, so that subscribers see each, and times now and then."""
+        """Show every message on its own, so that subscribers see each, and times now and then.
+
+        Until it is cancelled or closed: `asyncio.wait_for` of Python 3.11 forgets that it was
+        cancelled if a message comes just then.
+        """
         await self._unit.show(self.view, time.time(), time.monotonic())
-        while True:
+        while not self.closed:
             try:
-                message = await asyncio.wait_for(self._heard.get(), _TICK_S)
+                async with asyncio.timeout(_TICK_S):
+                    message = await self._heard.get()
             except TimeoutError:
                 async with self._turn:
                     await self._unit.show(self.view, time.time(), time.monotonic())

@@ -117,7 +117,8 @@ def served(settings: Settings, runs: Path) -> Iterator[None]:
         yield
     finally:
         loop.call_soon_threadsafe(stopped.set)
-        thread.join()
+        thread.join(60.0)
+        assert not thread.is_alive(), "the server does not end"
         loop.close()
 
 

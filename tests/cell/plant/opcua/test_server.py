@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from asyncua import ua
 
 from cell.plant.messages import Kind, Request
 from cell.plant.opcua.commands import COMMANDS
+from cell.plant.opcua.server import _Shown
 from cell.plant.opcua.unit import tags_of
 from cell.run.machine import CellState, Event
 
@@ -270,3 +272,28 @@ def test_a_taken_port_is_named(stopped: Site, tmp_path: Path) -> None:
         served(settings_with(opcua), tmp_path),
     ):
         pass
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_it_ends_though_a_message_comes_as_it_is_stopped(turns: int) -> None:
+    """Now and then the server never ended: it forgot that it was cancelled."""
+
+    async def none_shown(*_: object) -> None:
+        return None
+
+    async def stopped() -> bool:
+        shown = _Shown(SimpleNamespace(show=none_shown), SimpleNamespace())  # type: ignore[arg-type]
+        showing = asyncio.create_task(shown.show())
+        for _ in range(4):
+            await asyncio.sleep(0)  # it waits for a message
+        shown.lost()
+        await asyncio.sleep(0)  # the message is put
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        shown.closed = True
+        showing.cancel()
+        done, _ = await asyncio.wait({showing}, timeout=3.0)
+        showing.cancel()
+        return bool(done)
+
+    assert asyncio.run(stopped())
