@@ -29,7 +29,7 @@ def mean_rounding_error(place: FloatArray, std: FloatArray) -> FloatArray:
     place  mean of the values before they are rounded
     std    their standard deviation; as `place`, or what broadcasts to it
 
-    Noise as large as a step hides it; beside less it goes round with every step.
+    It is a function of the place, periodic with the step; noise as large as a step averages it out.
     source  Widrow, Kollar and Liu 1996, IEEE Trans. Instrum. Meas. 45, 353
     """
     within, spread = place - np.round(place), np.clip(std, LEAST_SPREAD, HIDING)

@@ -36,15 +36,15 @@ class SmoothPart:
     chi2     about `count` if the model is right; inf where the cable cannot be simulated
     rows     values of the whole residual
     dof      degrees of freedom behind what a right model leaves there
-    equal    number of equal independent values whose χ² would vary as much; None = `count`, as
-             where noise alone shifts them
+    effective_dof  degrees of freedom of `chi2`, of the scaled χ² that varies as much; None =
+             `count`, as where noise alone shifts the values
     """
 
     chi2: float
     count: float
     rows: int
     dof: float
-    equal: float | None = None
+    effective_dof: float | None = None
 
     @property
     def excess(self) -> float:
@@ -63,10 +63,10 @@ class SmoothPart:
 
     def chance_of(self, excess: float) -> float:
         """p-value that so much beyond noise would have."""
-        equal = self.count if self.equal is None else self.equal
+        own = self.count if self.effective_dof is None else self.effective_dof
         if not np.isfinite(self.dof):
-            return float(chi2_sf(equal, equal * (1.0 + excess)))
-        return float(f_sf(equal, self.dof, 1.0 + excess))
+            return float(chi2_sf(own, own * (1.0 + excess)))
+        return float(f_sf(own, self.dof, 1.0 + excess))
 
 
 @once_per_study
@@ -119,7 +119,7 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     level = _heldout_level(prepared, rows)
     expected = ExpectedSquare.of_white(seen.count, *level, products[1:, 1:], MOTIONS)
     chi2 = float(products[0, 0]) * seen.count / expected.mean
-    return replace(seen, chi2=chi2, dof=expected.dof_mean, equal=expected.dof)
+    return replace(seen, chi2=chi2, dof=expected.dof_mean, effective_dof=expected.dof)
 
 
 def _each_alone(errors: SystematicError) -> list[FloatArray]:

@@ -161,7 +161,7 @@ def test_a_noisy_log_of_the_hand_makes_no_misfit_of_few_large_errors():
     study = world.study(world.clean(), 16)
     fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
     part = parameter_constancy_of(fits.prepared, fits.baseline().fit)
-    assert part is not None and part.equal is not None
-    assert part.equal < 0.3 * part.count
+    assert part is not None and part.effective_dof is not None
+    assert part.effective_dof < 0.3 * part.count
     assert part.p_value > 0.01
-    assert replace(part, equal=None, dof=1e3).p_value < 1e-3, "were they independent"
+    assert replace(part, effective_dof=None, dof=1e3).p_value < 1e-3, "were they independent"
