@@ -287,8 +287,10 @@ class Jobs:
         return next((j for j in self._jobs.values() if j.state is State.QUEUED), None)
 
     def _run(self, number: int) -> None:
-        task, code = self._jobs[number].task, 0
+        task = self._jobs[number].task
+        code: int | None = None  # of the last command; None = it was not begun
         for step, words in enumerate(task.commands):
+            code = None
             with self._changed:
                 job = self._jobs[number]
                 if job.state is State.CANCELLING:

@@ -53,6 +53,11 @@ def wait_until(reached: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
+def halted(stat: Path) -> bool:
+    """Whether a thread is halted, by the third field of its line in /proc (proc(5))."""
+    return stat.read_text().rpartition(")")[2].split()[0] == "T"
+
+
 class Cell:
     """The process."""
 
@@ -72,7 +77,13 @@ class Cell:
         print(product, file=self.process.stdin)
 
     def halt(self) -> None:
+        """Returns when every thread stands: the signal reaches one of them, which tells the others.
+
+        Until a core is free for that one, the others go on.
+        """
         self.process.send_signal(signal.SIGSTOP)
+        threads = Path(f"/proc/{self.process.pid}/task")
+        wait_until(lambda: all(halted(t / "stat") for t in threads.iterdir()))
 
     def go_on(self) -> None:
         self.process.send_signal(signal.SIGCONT)

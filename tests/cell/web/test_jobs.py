@@ -101,6 +101,44 @@ def test_what_is_cancelled_may_say_what_it_knows(jobs: Jobs, tmp_path: Path) -> 
     assert (tmp_path / "log.txt").read_text() == "the best so far\n"
 
 
+def test_what_is_cancelled_between_two_commands_is_not_done() -> None:
+    class CancelledAtItsEnd(subprocess.Popen[str]):
+        def wait(self, timeout: float | None = None) -> int:
+            code = super().wait(timeout)
+            jobs.cancel(newest(jobs).number)
+            return code
+
+    def start(words: Sequence[str]) -> subprocess.Popen[str]:
+        program = [sys.executable, "-c", words[1]]
+        return CancelledAtItsEnd(
+            program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+
+    with Jobs(start) as jobs:
+        jobs.submit(task("1", "2"), "ada")
+        until(lambda: newest(jobs).ended_s is not None)
+        assert (newest(jobs).state, newest(jobs).step) == (State.CANCELLED, 0)
+        jobs.submit(task("1"), "ada")  # all that was asked is done: the order came too late
+        until(lambda: newest(jobs).ended_s is not None)
+        assert newest(jobs).state is State.DONE
+
+
+def test_what_is_cancelled_before_its_first_command_is_not_done(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = Jobs._run
+
+    def cancelled_first(jobs: Jobs, number: int) -> None:
+        jobs.cancel(number)
+        run(jobs, number)
+
+    monkeypatch.setattr(Jobs, "_run", cancelled_first)
+    with Jobs(started) as jobs:
+        jobs.submit(task(ENDLESS), "ada")
+        until(lambda: newest(jobs).ended_s is not None)
+        assert newest(jobs).state is State.CANCELLED
+
+
 def test_what_does_not_listen_is_ended_by_a_second_cancel(jobs: Jobs) -> None:
     jobs.submit(task(STUBBORN), "ada")
     until(lambda: newest(jobs).progress)
