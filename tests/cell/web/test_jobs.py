@@ -109,9 +109,12 @@ def test_what_is_cancelled_between_two_commands_is_not_done() -> None:
             return code
 
     def start(words: Sequence[str]) -> subprocess.Popen[str]:
-        program = [sys.executable, "-c", words[1]]
         return CancelledAtItsEnd(
-            program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+            [sys.executable, "-c", words[1]],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
         )
 
     with Jobs(start) as jobs:

@@ -68,17 +68,23 @@ def test_an_edge_node_is_born_sends_data_is_reborn_and_dies(
     heard = receiver("spBv1.0/plant/#")
     running = adapter(format="sparkplug", group="plant")
     wait_until(lambda: bool(heard.of("/NBIRTH/L1")))
+
+    def told(metric: str, field: int, *kinds: str) -> list[Any]:
+        names = names_of(heard.of("/NBIRTH/")[-1].payload)
+        return [
+            found[field]
+            for message in (m for kind in kinds for m in heard.of(kind))
+            for found in read(message.payload)[1]
+            if names.get(found.get(2)) == metric
+        ]
+
+    # who follows the cell from later on is told first how it stands then, and what was before after
+    wait_until(lambda: 1 in told("Cell/Connected", 14, "/NBIRTH/", "/NDATA/"))
     for cycle in range(1, CYCLES + 1):
         result(link, cycle)
 
     def results() -> list[int]:
-        names = names_of(heard.of("/NBIRTH/")[-1].payload)
-        return [
-            metric[11]
-            for message in heard.of("/NDATA/")
-            for metric in read(message.payload)[1]
-            if names[metric[2]] == "Result/cycle"
-        ]
+        return told("Result/cycle", 11, "/NDATA/")
 
     wait_until(lambda: len(heard.of("/NDATA/")) >= 3 * CYCLES)
     wait_until(lambda: len(results()) >= CYCLES)
@@ -109,5 +115,5 @@ def test_an_edge_node_is_born_sends_data_is_reborn_and_dies(
     assert [(m[1], m[4], m[11]) for m in metrics] == [(b"bdSeq", 4, 0)]
 
 
-def names_of(birth: bytes) -> dict[int, str]:
+def names_of(birth: bytes) -> dict[int | None, str]:
     return {m[2]: m[1].decode() for m in read(birth)[1] if 2 in m}
