@@ -83,23 +83,33 @@ class Rest:
         sums = np.array([self.sums(ar1, white) for ar1, white in noises])
         square, dof, fixed = sums.T
         level = np.maximum(square / dof, 1e-24)
-        if self.is_hidden(float(np.sqrt(level.min()))):
+        profile = dof * np.log(level) + fixed
+        if self.is_hidden(float(np.sqrt(level[np.argmin(profile)]))):
             once_m2 = 0.25 * self.resolution_m**2 / dof  # a value that changed a step once
             nothing = np.zeros(len(noises))
             likeliest = np.full(len(noises), level.min()) + once_m2
             return Allowed(
                 likeliest, nothing, nothing, nothing, float(dof[0]), self.resolution_m, True
             )
-        profile = dof * np.log(level) + fixed
         unlikely = profile - profile.min()
         return Allowed(level, unlikely, square, fixed, float(dof[0]), self.resolution_m)
 
     def sums(self, ar1: float, white: float = 0.0) -> tuple[float, int, float]:
-        """Innovations' square, its degrees of freedom, and log determinants, for a noise."""
+        """Innovations' square, its degrees of freedom, and log determinants, for a noise.
+
+        What is white in motion is rounding for the most part, and that is not white at rest.
+        """
+        square, dof, log_det = self._sums(ar1, white, 0.0)
+        if white == 0.0:
+            return square, dof, log_det
+        return self._sums(ar1, white, rounding_ar1(square / dof, ar1, white, self.resolution_m))
+
+    def _sums(self, ar1: float, white: float, of_white: float) -> tuple[float, int, float]:
+        """The same with a white share that has an AR(1) correlation of its own."""
         square, dof, log_det = 0.0, 0, 0.0
         for block in self.blocks:
             frames, series = block.z_m.shape
-            z, q, r, of_frames = self._parted(block, ar1, white)
+            z, q, r, of_frames = self._parted(block, ar1, white, of_white)
             square += float(np.sum((z - q @ (q.T @ z)) ** 2))
             dof += (frames - self.degree - 1) * series
             log_det += of_frames + 2.0 * series * float(np.log(np.abs(np.diag(r))).sum())
@@ -107,16 +117,16 @@ class Rest:
 
     def whitened(self, block: Block, ar1: float) -> FloatArray:
         """(frames, series) innovations of a block, beside its polynomials."""
-        z, q, _, _ = self._parted(block, ar1, 0.0)
+        z, q, _, _ = self._parted(block, ar1, 0.0, 0.0)
         return np.asarray(z - q @ (q.T @ z))
 
     def _parted(
-        self, block: Block, ar1: float, white: float
+        self, block: Block, ar1: float, white: float, of_white: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         """A block made white; Q and R of its polynomials; ln of the determinant."""
         u = np.linspace(-1.0, 1.0, len(block.z_m))
-        powers, _ = _white(np.vander(u, self.degree + 1), ar1, white)
-        z, log_det = _white(block.z_m, ar1, white)
+        powers, _ = _white(np.vander(u, self.degree + 1), ar1, white, of_white)
+        z, log_det = _white(block.z_m, ar1, white, of_white)
         q, r = np.linalg.qr(powers)
         return z, q, r, log_det
 
@@ -130,7 +140,7 @@ class Rest:
 
     def _bic(self, ar1: float) -> float:
         square, _, _ = self.sums(ar1)
-        log_det = sum(_white(b.z_m, ar1, 0.0)[1] for b in self.blocks)
+        log_det = sum(_white(b.z_m, ar1, 0.0, 0.0)[1] for b in self.blocks)
         count = sum(b.z_m.size for b in self.blocks)
         fixed = (self.degree + 1) * sum(b.z_m.shape[1] for b in self.blocks)
         likelihood = count * float(np.log(max(square, 1e-300) / count)) + log_det
@@ -237,24 +247,50 @@ def resolution_m(measured: Sequence[FloatArray]) -> float:
     return float(np.median(steps)) if steps else 0.0
 
 
+def rounding_ar1(variance_m2: float, ar1: float, white: float, step_m: float) -> float:
+    """Correlation of neighbouring frames, at rest, of the white share of a noise.
+
+    variance_m2  of the whole noise
+    white        its share that is new in every frame, or rounding to `step_m`
+
+    The error of rounding is a sawtooth of the value.  Of each of its harmonics frames between which
+    the value changes by a normal amount have the characteristic function of that for a correlation.
+    source  Sripad & Snyder 1977, IEEE Trans. Acoust. 25, 442
+    """
+    of_rounding = step_m**2 / 12.0
+    slow, fresh = (1.0 - white) * variance_m2, max(white * variance_m2 - of_rounding, 0.0)
+    change = (2.0 * np.pi / step_m) ** 2 * (slow * (1.0 - ar1) + fresh)
+    harmonics = np.arange(1.0, 31.0)
+    correlation = 6.0 / np.pi**2 * float(np.sum(np.exp(-change * harmonics**2) / harmonics**2))
+    return min(1.0, of_rounding / (white * variance_m2)) * correlation
+
+
 @njit(cache=True)
-def _white(values: FloatArray, ar1: float, white: float) -> tuple[FloatArray, float]:
-    """(frames, series) made white, of the variance that they had; and ln of the determinant."""
+def _white(
+    values: FloatArray, ar1: float, white: float, of_white: float
+) -> tuple[FloatArray, float]:
+    """(frames, series) made white, of the variance that they had; and ln of the determinant.
+
+    of_white  AR(1) correlation of the white share
+    """
     frames, series = values.shape
     out = np.empty_like(values)
-    expected = np.zeros(series)
+    slow, rest = np.zeros(series), np.zeros(series)
     log_det = known = 0.0
     for t in range(frames):
-        memory = ar1 if t > 0 else 0.0
+        memory, other = (ar1, of_white) if t > 0 else (0.0, 0.0)
+        # both sum up to what was seen, so that their errors are opposite and `known` is of both
         fresh = memory**2 * known + (1.0 - memory**2) * (1.0 - white)
-        variance = fresh + white
-        gain = fresh / variance
-        known = (1.0 - gain) * fresh
+        both = fresh - memory * other * known
+        variance = both - memory * other * known + other**2 * (known - white) + white
+        gain = both / variance
+        known = fresh - gain * both
         log_det += series * np.log(variance)
         for i in range(series):
-            new = values[t, i] - memory * expected[i]
+            new = values[t, i] - memory * slow[i] - other * rest[i]
             out[t, i] = new / np.sqrt(variance)
-            expected[i] = memory * expected[i] + gain * new
+            slow[i] = memory * slow[i] + gain * new
+            rest[i] = values[t, i] - slow[i]
     return out, log_det
 
 

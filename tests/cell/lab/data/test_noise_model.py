@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell.identify.noise import Noise
-from cell.lab.data.noise_likelihood import Remainder
+from cell.lab.data.noise_likelihood import Remainder, rounding_ar1
 from cell.lab.data.noise_model import (
     KNOWN_WITHIN,
     NoiseModel,
@@ -191,6 +191,45 @@ def test_rounding_beside_coloured_noise_is_white(make_study):
     assert found.noise.white == pytest.approx(0.25, abs=0.1)
     slow = found.noise.std_m**2 / found.effective_fraction
     assert slow == pytest.approx(1e-8 * 9.0 + step_m**2 / 12.0, rel=0.2)
+
+
+def test_a_rest_that_is_short_for_its_slow_noise_still_shows_it_beside_rounding(make_study):
+    """Steps of 1.6 times the noise hide it no more than they would in a rest without end.
+
+    Within 40 frames a noise of AR(1) 0.92 varies by half of what it does in all.
+    """
+    noise_m, step_m = 1e-4, 1.6e-4
+    true_m = np.sqrt(noise_m**2 + step_m**2 / 12.0)
+    slow_m2 = noise_m**2 * 1.92 / 0.08
+    for seed in range(4):
+        study = rounded(make_study(seed=seed, ar1=0.92, noise_m=noise_m), step_m)
+        noise_model = noise_model_of(study)
+        allowed = noise_model.rest.allowed(noise_model.rest.noises)
+        assert not allowed.hidden
+        assert allowed.range_m[1] > true_m
+        errors_m = noise_m * coloured(np.random.default_rng(seed), (400, 22), 0.92)
+        errors_m += step_m * np.random.default_rng(seed + 9).uniform(-0.5, 0.5, errors_m.shape)
+        found = noise_model_of_all_frames(noise_model, Remainder((errors_m,), errors_m.size))
+        slow = found.noise.std_m**2 / found.effective_fraction
+        assert slow == pytest.approx(slow_m2 + step_m**2 / 12.0, rel=0.25)
+
+
+@pytest.mark.parametrize("ar1, std", [(0.92, 0.6), (0.92, 0.3), (0.8, 0.3), (0.0, 0.2)])
+def test_how_alike_rounding_errs_in_neighbouring_frames(ar1, std):
+    """Beside a long simulation, in steps."""
+    rng, count = np.random.default_rng(1), 400_000
+    one = rng.normal(size=count)
+    other = ar1 * one + np.sqrt(1.0 - ar1**2) * rng.normal(size=count)
+    place = rng.uniform(size=count)
+    errors = [np.round(place + std * n) - place - std * n for n in (one, other)]
+    variance = std**2 + 1.0 / 12.0
+    found = rounding_ar1(variance, ar1, 1.0 / 12.0 / variance, 1.0)
+    assert found == pytest.approx(12.0 * np.mean(errors[0] * errors[1]), abs=0.01)
+
+
+def test_white_noise_beside_rounding_makes_it_white():
+    """A white share that is four times that of rounding."""
+    assert rounding_ar1(1.0, 0.9, 0.5, np.sqrt(12.0 * 0.125)) < 0.01
 
 
 def test_two_cameras_in_one_table_show_their_noise(make_study):
