@@ -72,6 +72,48 @@ def innovation_variances(
 
 
 @njit(cache=True)
+def made_white(
+    values: FloatArray,
+    seen: NDArray[np.bool_],
+    since: NDArray[np.int_],
+    ar1: float,
+    white: float,
+    of_white: float,
+) -> tuple[FloatArray, float]:
+    """(frames, series, columns) made white, of the variance that they had; 0 where not seen.
+
+    since     (frames, series) from the last one seen, 0 = none
+    of_white  AR(1) correlation of the white share
+    returns   and ln of the determinant, of one column
+    """
+    frames, series, columns = values.shape
+    out = np.zeros(values.shape)
+    slow, rest = np.empty(columns), np.empty(columns)
+    log_det = 0.0
+    for i in range(series):
+        known = 0.0
+        slow[:], rest[:] = 0.0, 0.0
+        for t in range(frames):
+            if not seen[t, i]:
+                continue
+            memory = ar1 ** since[t, i] if since[t, i] > 0 else 0.0
+            other = of_white ** since[t, i] if since[t, i] > 0 else 0.0
+            # both sum up to what was seen, so that their errors are opposite, and `known` of both
+            fresh = memory**2 * known + (1.0 - memory**2) * (1.0 - white)
+            both = fresh - memory * other * known
+            variance = both - memory * other * known + other**2 * (known - white) + white
+            gain, scale = both / variance, 1.0 / np.sqrt(variance)
+            known = fresh - gain * both
+            log_det += np.log(variance)
+            for c in range(columns):
+                new = values[t, i, c] - memory * slow[c] - other * rest[c]
+                out[t, i, c] = new * scale
+                slow[c] = memory * slow[c] + gain * new
+                rest[c] = values[t, i, c] - slow[c]
+    return out, log_det
+
+
+@njit(cache=True)
 def whiten_constant(
     memory: FloatArray, weight: FloatArray, gain: FloatArray, ones: FloatArray
 ) -> None:

@@ -1,4 +1,4 @@
-"""The confidence set of the noise's level and correlation, from frames at rest and in motion."""
+"""The confidence set of the noise's level and correlation, from frames at rest."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import lambertw
 
 from cell.identify.golden_section import where_least
-from cell.identify.innovations import frames_since
+from cell.identify.innovations import made_white
 from cell.identify.noise import Noise
 
 FloatArray = NDArray[np.float64]
@@ -125,10 +124,11 @@ class Rest:
     ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         """A block made white; Q and R of its polynomials; ln of the determinant."""
         u = np.linspace(-1.0, 1.0, len(block.z_m))
-        powers, _ = _white(np.vander(u, self.degree + 1), ar1, white, of_white)
-        z, log_det = _white(block.z_m, ar1, white, of_white)
+        columns = np.concatenate([np.vander(u, self.degree + 1), block.z_m], axis=1)
+        columns, log_det = _whole(columns, ar1, white, of_white)
+        powers, z = np.split(columns, [self.degree + 1], axis=1)
         q, r = np.linalg.qr(powers)
-        return z, q, r, log_det
+        return z, q, r, block.z_m.shape[1] * log_det
 
     def _restricted(self, ar1: float) -> float:
         square, dof, log_det = self.sums(ar1)
@@ -140,35 +140,11 @@ class Rest:
 
     def _bic(self, ar1: float) -> float:
         square, _, _ = self.sums(ar1)
-        log_det = sum(_white(b.z_m, ar1, 0.0, 0.0)[1] for b in self.blocks)
+        log_det = sum(b.z_m.shape[1] * _whole(b.z_m, ar1, 0.0, 0.0)[1] for b in self.blocks)
         count = sum(b.z_m.size for b in self.blocks)
         fixed = (self.degree + 1) * sum(b.z_m.shape[1] for b in self.blocks)
         likelihood = count * float(np.log(max(square, 1e-300) / count)) + log_det
         return float(likelihood + fixed * np.log(count))
-
-
-@dataclass(frozen=True, eq=False)
-class Remainder:
-    """The part of a residual in motion that neither fitted parameters nor any effect can explain.
-
-    errors_m  per trial (times, channels), nan where not seen or at rest
-    dof   values less what was taken out of them
-    """
-
-    errors_m: tuple[FloatArray, ...]
-    dof: float
-
-    def sums(self, noises: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
-        """By correlation and white share: the innovations' square, m², and log determinant."""
-        count = sum(int(np.isfinite(e).sum()) for e in self.errors_m)
-        found = np.zeros((len(noises), 2))
-        for error in self.errors_m:
-            seen = np.isfinite(error)
-            series = np.ascontiguousarray(np.where(seen, error, 0.0))
-            since = frames_since(seen)
-            for i, (ar1, white) in enumerate(noises):
-                found[i] += _innovation_sums(series, seen, since, ar1, white)
-        return found[:, 0], found[:, 1] * self.dof / max(count, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,59 +241,14 @@ def rounding_ar1(variance_m2: float, ar1: float, white: float, step_m: float) ->
     return min(1.0, of_rounding / (white * variance_m2)) * correlation
 
 
-@njit(cache=True)
-def _white(
-    values: FloatArray, ar1: float, white: float, of_white: float
+def _whole(
+    columns: FloatArray, ar1: float, white: float, of_white: float
 ) -> tuple[FloatArray, float]:
-    """(frames, series) made white, of the variance that they had; and ln of the determinant.
-
-    of_white  AR(1) correlation of the white share
-    """
-    frames, series = values.shape
-    out = np.empty_like(values)
-    slow, rest = np.zeros(series), np.zeros(series)
-    log_det = known = 0.0
-    for t in range(frames):
-        memory, other = (ar1, of_white) if t > 0 else (0.0, 0.0)
-        # both sum up to what was seen, so that their errors are opposite and `known` is of both
-        fresh = memory**2 * known + (1.0 - memory**2) * (1.0 - white)
-        both = fresh - memory * other * known
-        variance = both - memory * other * known + other**2 * (known - white) + white
-        gain = both / variance
-        known = fresh - gain * both
-        log_det += series * np.log(variance)
-        for i in range(series):
-            new = values[t, i] - memory * slow[i] - other * rest[i]
-            out[t, i] = new / np.sqrt(variance)
-            slow[i] = memory * slow[i] + gain * new
-            rest[i] = values[t, i] - slow[i]
-    return out, log_det
-
-
-@njit(cache=True)
-def _innovation_sums(
-    values: FloatArray, seen: NDArray[np.bool_], since: NDArray[np.int_], ar1: float, white: float
-) -> tuple[float, float]:
-    """Of (frames, series) with gaps: sum of the squares when white, and ln of the determinant.
-
-    since  frames from the last one seen, 0 = none
-    """
-    frames, series = values.shape
-    square = log_det = 0.0
-    for i in range(series):
-        known, expected = 0.0, 0.0
-        for t in range(frames):
-            if seen[t, i]:
-                memory = ar1 ** since[t, i] if since[t, i] > 0 else 0.0
-                fresh = memory**2 * known + (1.0 - memory**2) * (1.0 - white)
-                variance = fresh + white
-                gain = fresh / variance
-                known = (1.0 - gain) * fresh
-                new = values[t, i] - memory * expected
-                expected = memory * expected + gain * new
-                square += new * new / variance
-                log_det += np.log(variance)
-    return square, log_det
+    """(frames, columns) of which all is seen, made white; and ln of the determinant of one."""
+    since = np.ones((len(columns), 1), dtype=np.int_)
+    since[0] = 0
+    made, log_det = made_white(columns[:, None], since >= 0, since, ar1, white, of_white)
+    return made[:, 0], log_det
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from cell.identify.innovations import frames_since
 from cell.identify.noise import Noise, still_frames
+from cell.lab.data.noise_in_motion import Remainder
 from cell.lab.data.noise_likelihood import (
     ALLOWED,
     AR1_GRID,
     CHI2_95,
     MAX_AR1,
     Block,
-    Remainder,
     Rest,
     alike,
     dof_of,
@@ -250,7 +250,7 @@ def noise_model_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> 
     noises = noise_model.rest.noises
     rest = noise_model.rest.allowed(noises)
     least, largest = rest.within(ALLOWED)
-    moving_m2, log_det = remainder.sums(noises)
+    moving_m2, log_det = remainder.sums(noises, least <= largest)
     square, dof = rest.square_m2 + moving_m2, rest.weight + remainder.dof
     wanted = square / max(dof, 1.0)
     level = np.clip(wanted, least, np.maximum(largest, least))

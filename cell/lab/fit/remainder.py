@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.identify.noise import still_frames
+from cell.lab.data.noise_in_motion import Remainder
 from cell.lab.data.noise_levels import seen_in
-from cell.lab.data.noise_likelihood import Remainder
 from cell.lab.data.noise_model import noise_model_of_all_frames
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.renoised import with_noise_model
@@ -57,30 +57,31 @@ def remainders(
         s.rows[score_test(nuisance, s.rows, one_sided=one_sided(s.effect)).shape]
         for s in sensitivities(prepared, fit, effects)
     ]
-    left, taken = nuisance.residual, nuisance.basis.shape[1]
+    left, taken = nuisance.residual, nuisance.basis
     if rows:
         directions = nuisance.remove(np.concatenate(rows))
         size = np.linalg.norm(directions, axis=1)
         usable = size > 1e-6 * np.maximum(np.linalg.norm(np.concatenate(rows), axis=1), 1e-300)
         u, strength, _ = np.linalg.svd((directions[usable] / size[usable, None]).T, False)
         basis = u[:, strength > 1e-6]
-        left, taken = left - basis @ (basis.T @ left), taken + basis.shape[1]
+        left, taken = left - basis @ (basis.T @ left), np.concatenate([taken, basis], axis=1)
     errors, trials = [], fit_trials(prepared)
-    for trial, white in zip(trials, prepared.by_trial(trials, left).values(), strict=True):
-        error = prepared.whiteners[trial.name].error_m(white)
+    whites = prepared.by_trial(trials, np.concatenate([taken, left[:, None]], axis=1))
+    for trial, white in zip(trials, whites.values(), strict=True):
+        whitener = prepared.whiteners[trial.name]
+        error = np.stack([whitener.error_m(column) for column in white.T], axis=-1)
         error[still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)] = np.nan
         errors.append(error)
-    left_over = max(0.0, 1.0 - taken / max(prepared.count(trials), 1))
     places = [
-        prepared.of_markers(t, e) / level_of(prepared, t)
+        prepared.of_markers(t, e) / level_of(prepared, t)[..., None]
         for t, e in zip(trials, errors, strict=True)
     ]
-    found, gauges = [_remainder(places, left_over)], prepared.gauges
+    found, gauges = [_remainder(places)], prepared.gauges
     if gauges is not None:
         rows = [gauges.joined[t.name].rows for t in trials]
         for point, scale in enumerate(gauges.scale, gauges.markers):
-            own = [e[r, point] / scale for e, r in zip(errors, rows, strict=True)]
-            found.append(_remainder(own, left_over))
+            own = [e[r, point] / scale[:, None] for e, r in zip(errors, rows, strict=True)]
+            found.append(_remainder(own))
     return tuple(found)
 
 
@@ -90,7 +91,18 @@ def level_of(prepared: PreparedStudy, trial: Trial) -> FloatArray:
     return np.ones((1, 1)) if known is None else known.of_markers[:, None]
 
 
-def _remainder(errors: Sequence[FloatArray], left_over: float) -> Remainder:
-    """Of per trial (times, …) errors, of whose values such a share is not taken out of them."""
-    moving = sum(int(np.isfinite(e).sum()) for e in errors)
-    return Remainder(tuple(e.reshape(len(e), -1) for e in errors), moving * left_over)
+def _remainder(errors: Sequence[FloatArray]) -> Remainder:
+    """Of per trial (times, …, directions and the residual): what moves, and what was taken out."""
+    flat = [e.reshape(len(e), -1, e.shape[-1]) for e in errors]
+    seen = [np.isfinite(e[..., -1]) for e in flat]
+    rows = np.concatenate([e[s, :-1] for e, s in zip(flat, seen, strict=True)])
+    explained = [np.zeros((*s.shape, 0)) for s in seen]
+    if rows.size > 0:
+        q, r = np.linalg.qr(rows)
+        u, strength, _ = np.linalg.svd(r)
+        independent = q @ u[:, strength > 1e-6 * strength[0]]
+        explained = [np.zeros((*s.shape, independent.shape[1])) for s in seen]
+        ends = np.cumsum([s.sum() for s in seen])
+        for of_trial, s, part in zip(explained, seen, np.split(independent, ends), strict=False):
+            of_trial[s] = part
+    return Remainder(tuple(e[..., -1] for e in flat), tuple(explained))

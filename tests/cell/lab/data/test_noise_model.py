@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cell.identify.noise import Noise
-from cell.lab.data.noise_likelihood import Remainder, rounding_ar1
+from cell.lab.data.noise_in_motion import Remainder
+from cell.lab.data.noise_likelihood import rounding_ar1
 from cell.lab.data.noise_model import (
     KNOWN_WITHIN,
     NoiseModel,
@@ -114,9 +115,14 @@ def coloured(rng, shape, colour):
     return noise
 
 
+def beside_nothing(errors_m):
+    """A remainder of one trial from which nothing was taken."""
+    return Remainder((errors_m,), (np.zeros((*errors_m.shape, 0)),))
+
+
 def moving(seed, noise_m, colour, frames=150, channels=2):
     errors_m = noise_m * coloured(np.random.default_rng(seed), (frames, channels), colour)
-    return Remainder((errors_m,), 0.9 * errors_m.size)
+    return beside_nothing(errors_m)
 
 
 def test_few_still_frames_are_helped_by_those_in_motion(make_study):
@@ -186,7 +192,7 @@ def test_rounding_beside_coloured_noise_is_white(make_study):
     step_m, rng = 2e-4, np.random.default_rng(0)
     noise_model = noise_model_of(rounded(make_study(ar1=0.8), step_m))
     errors = 1e-4 * coloured(rng, (400, 22), 0.8) + step_m * rng.uniform(-0.5, 0.5, (400, 22))
-    found = noise_model_of_all_frames(noise_model, Remainder((errors,), errors.size))
+    found = noise_model_of_all_frames(noise_model, beside_nothing(errors))
     assert found.noise.ar1 == pytest.approx(0.8, abs=0.04)
     assert found.noise.white == pytest.approx(0.25, abs=0.1)
     slow = found.noise.std_m**2 / found.effective_fraction
@@ -209,7 +215,7 @@ def test_a_rest_that_is_short_for_its_slow_noise_still_shows_it_beside_rounding(
         assert allowed.range_m[1] > true_m
         errors_m = noise_m * coloured(np.random.default_rng(seed), (400, 22), 0.92)
         errors_m += step_m * np.random.default_rng(seed + 9).uniform(-0.5, 0.5, errors_m.shape)
-        found = noise_model_of_all_frames(noise_model, Remainder((errors_m,), errors_m.size))
+        found = noise_model_of_all_frames(noise_model, beside_nothing(errors_m))
         slow = found.noise.std_m**2 / found.effective_fraction
         assert slow == pytest.approx(slow_m2 + step_m**2 / 12.0, rel=0.25)
 
