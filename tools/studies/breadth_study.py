@@ -1,7 +1,7 @@
 """What the lab says of studies over the breadth of what users bring; a table by condition.
 
     python -m tools.studies.breadth_study FILE.csv [--complete 200] [--one 100] [--outside 50]
-                                          [--seed 1] [--uneven 0.6] [--pixel 8]
+                                          [--seed 1] [--uneven 0.6] [--pixel 8] [--colour 0.92]
     python -m tools.studies.breadth_study FILE.csv --table [--beside EARLIER.csv]
 
 With `--beside` the table has both files' shares, and the power of a study that stands in the
@@ -14,6 +14,8 @@ already are kept, so that a stopped study goes on.  Two processes work side by s
 
 With `--uneven` each marker of each trial has noise of its own level, up to 1.8 times more or less.
 With `--pixel` all values are rounded, to steps of so many standard deviations of their noise.
+With `--colour` the noise of neighbouring frames has such a correlation, as in tracks that were
+filtered.
 
 Only effects that a test which knows the truth would see (power 0.8, as in `confusion_study.py`)
 count as seen.  A study that the lab refuses, with an error that says why, is `refused`.
@@ -55,6 +57,8 @@ from tools.worlds.breadth_world import Conditions, World, hypercube
 from tools.worlds.outside_laws import LAWS
 
 KINDS = ("complete", "one", "outside")
+#: Conditions that an option makes the same in all studies.
+CHANGED = ("uneven", "pixel", "colour")
 SEEN = 0.8
 
 
@@ -345,7 +349,7 @@ def main() -> int:
     for kind, count in zip(KINDS, (200, 100, 50), strict=True):
         parser.add_argument(f"--{kind}", type=int, default=count)
     parser.add_argument("--seed", type=int, default=1)
-    for name in ("uneven", "pixel"):
+    for name in CHANGED:
         parser.add_argument(f"--{name}", type=float)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--table", action="store_true")
@@ -353,7 +357,7 @@ def main() -> int:
     given = parser.parse_args()
     if not given.table:
         counts = {kind: getattr(given, kind) for kind in KINDS}
-        asked = {name: getattr(given, name) for name in ("uneven", "pixel")}
+        asked = {name: getattr(given, name) for name in CHANGED}
         changed = {name: value for name, value in asked.items() if value is not None}
         run(given.file, counts, given.seed, given.workers, given.beside, changed)
     print_table(given.file, given.beside)
