@@ -40,7 +40,7 @@ def wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
     for _ in range(_MOST_WRONG):
         i = int(np.argmax(np.where(looked, 0.0, size)))
         number = _alone(t, rough, i, noise)
-        if number < 0 or number in found:
+        if number < 0 or number in found or _as_ends_are(t, y, number, noise):
             looked[i] = True
             continue
         found = (*found, number)
@@ -48,6 +48,17 @@ def wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
         rough = fourth_differences(t, mended)
         size = np.abs(rough)
     return found
+
+
+def _as_ends_are(t: FloatArray, y: FloatArray, number: int, noise: float) -> bool:
+    """Whether a value is the first or last, and rests or goes on as those next to it do.
+
+    Fourth differences cannot tell a sharp start from a wrong first value.
+    """
+    if 0 < number < t.size - 1:
+        return False
+    apart = _from_end(t, y, number, np.arange(t.size), 1 if number == 0 else -1)
+    return abs(apart) <= max(_LEAST_APART, _ALONE * noise)
 
 
 @compiled
@@ -103,10 +114,10 @@ def bridged(t: FloatArray, y: FloatArray, wrong: NDArray[np.bool_]) -> FloatArra
 
 
 def _told_beside(good: NDArray[np.intp], i: int) -> Callable[..., float]:
-    """The curve that value i is compared with: a cubic through good values, or at an end a line."""
+    """What value i is compared with: a cubic through good values, or what an end may be like."""
     place = int(np.searchsorted(good, i))
     inward = 1 if place < 2 else -1 if place > len(good) - 2 else 0
-    return partial(_from_line, inward=inward) if inward else _from_cubic
+    return partial(_from_end, inward=inward) if inward else _from_cubic
 
 
 def glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
@@ -142,18 +153,25 @@ def beside_curve(
     return found
 
 
-def _from_line(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp], inward: int) -> float:
-    """By how much a value lies beside the least-squares line of the four good values next to it.
+def _from_end(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp], inward: int) -> float:
+    """By how much a value at an end lies beside the least-squares line of the four good ones next.
+
+    Where these turn, from a rest of few rows into motion say, they lie on no line.  There the next
+    value counts if it rests: if it differs from the one after it by less than they do from a line.
 
     inward  1 = those after it, −1 = those before
     returns  m or rad, as `y`; 0 where there are fewer than four
     """
-    beside = good[good > i][:_ON_LINE] if inward > 0 else good[good < i][-_ON_LINE:]
+    beside = good[good > i][:_ON_LINE] if inward > 0 else good[good < i][::-1][:_ON_LINE]
     if len(beside) < _ON_LINE:
         return 0.0
-    apart = t[beside] - t[beside].mean()
-    slope = float(apart @ y[beside] / (apart @ apart))
-    return float(y[i] - y[beside].mean() - slope * (t[i] - t[beside].mean()))
+    apart, values = t[beside] - t[beside].mean(), y[beside] - y[beside].mean()
+    slope = float(apart @ values / (apart @ apart))
+    turning = math.sqrt(float(np.sum((values - slope * apart) ** 2)) / (_ON_LINE - 2))
+    moving = float(y[i] - y[beside].mean() - slope * (t[i] - t[beside].mean()))
+    resting = float(y[i] - y[beside[0]])
+    rests = abs(y[beside[0]] - y[beside[1]]) < turning
+    return resting if rests and abs(resting) < abs(moving) else moving
 
 
 def _from_cubic(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp]) -> float:

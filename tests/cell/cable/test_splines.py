@@ -106,6 +106,21 @@ def test_a_right_value_at_an_end_stays(begin_s, every):
         assert not {0, last} & set(fit(t_s, jerk(t_s + 0.1 - begin_s) + noise).wrong)
 
 
+@pytest.mark.parametrize("rows", [1.8, 2.0, 2.4, 3.0])
+@pytest.mark.parametrize("noise_m", [4.5e-6, 1e-5, 3e-5])
+def test_a_rest_of_few_rows_before_the_motion_stays(rows, noise_m):
+    """46 Hz: the line of the next four, in motion, left a right first value by 0.6 mm."""
+    t_s = np.arange(0.0, 1.05, 0.0215)
+    path = jerk((t_s - rows * 0.0215) * 0.3 / 0.376 + 0.1)
+    for seed in range(20):
+        log = path + noise_m * np.random.default_rng(seed).normal(size=len(t_s))
+        spline, back = fit(t_s, log), fit(t_s, log[::-1].copy())
+        assert not {0, 1} & set(spline.wrong)
+        assert not {len(t_s) - 1, len(t_s) - 2} & set(back.wrong)
+        assert np.abs(spline(t_s) - path).max() < 5.0 * noise_m
+        assert np.abs(back(t_s) - path[::-1]).max() < 5.0 * noise_m
+
+
 def test_where_a_moving_hand_begins_its_path_goes_on_to_a_wrong_end():
     """Held where the next value is it was as wrong as the value: by 17 standard deviations."""
     errors = []
