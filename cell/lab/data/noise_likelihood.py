@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,19 +71,22 @@ class Rest:
         """Whether values are rounded so much that a cable at rest does not show their error."""
         return self.resolution_m > ROUNDED * std_m
 
-    @property
+    @cached_property
     def noises(self) -> list[tuple[float, float]]:
         """AR(1) correlations and white shares that are compared."""
         std_m = float(np.sqrt(self.sums(0.0)[0] / self.sums(0.0)[1]))
         whites = WHITE_SHARES if self.resolution_m > SEEN_ROUNDING * std_m else WHITE_SHARES[:1]
         return [(float(ar1), white) for white in whites for ar1 in AR1_GRID]
 
-    def allowed(self, noises: Sequence[tuple[float, float]]) -> Allowed:
-        """The levels that the rest allows with each of some correlations and white shares."""
+    @cached_property
+    def allowed(self) -> Allowed:
+        """The levels that the rest allows with each of its `noises`."""
+        noises = self.noises
         sums = np.array([self.sums(ar1, white) for ar1, white in noises])
         square, dof, fixed = sums.T
         level = np.maximum(square / dof, 1e-24)
         profile = dof * np.log(level) + fixed
+        # the likeliest level, not the least: within a short rest slow noise varies little
         if self.is_hidden(float(np.sqrt(level[np.argmin(profile)]))):
             once_m2 = 0.25 * self.resolution_m**2 / dof  # a value that changed a step once
             nothing = np.zeros(len(noises))

@@ -248,7 +248,7 @@ def noise_model_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> 
     if noise_model.rest is None:
         return noise_model
     noises = noise_model.rest.noises
-    rest = noise_model.rest.allowed(noises)
+    rest = noise_model.rest.allowed
     least, largest = rest.within(ALLOWED)
     moving_m2, log_det = remainder.sums(noises, least <= largest)
     square, dof = rest.square_m2 + moving_m2, rest.weight + remainder.dof

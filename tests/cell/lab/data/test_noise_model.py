@@ -210,7 +210,7 @@ def test_a_rest_that_is_short_for_its_slow_noise_still_shows_it_beside_rounding(
     for seed in range(4):
         study = rounded(make_study(seed=seed, ar1=0.92, noise_m=noise_m), step_m)
         noise_model = noise_model_of(study)
-        allowed = noise_model.rest.allowed(noise_model.rest.noises)
+        allowed = noise_model.rest.allowed
         assert not allowed.hidden
         assert allowed.range_m[1] > true_m
         errors_m = noise_m * coloured(np.random.default_rng(seed), (400, 22), 0.92)
