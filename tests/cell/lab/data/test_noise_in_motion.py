@@ -83,3 +83,5 @@ def test_only_what_is_wanted_is_worked_out():
 def test_where_all_is_taken_out_nothing_is_told():
     remainder = taken_out(2, frames=10, channels=2, directions=20)
     assert remainder.dof == 0
+    square, _ = remainder.sums(NOISES, np.ones(len(NOISES), dtype=bool))
+    assert square == pytest.approx(0.0, abs=1e-9)
