@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,15 @@ class Remainder:
         """Values less the directions that were taken out of them."""
         count = sum(int(np.isfinite(e).sum()) for e in self.errors_m)
         return max(count - int(self.explained[0].shape[-1]), 0)
+
+    @cached_property
+    def _trials(self) -> list[tuple[FloatArray, NDArray[np.bool_], NDArray[np.int_]]]:
+        """Per trial (times, channels, 1) errors, 0 where not seen; which are; frames since then."""
+        seen = [np.isfinite(e) for e in self.errors_m]
+        return [
+            (np.where(s, e, 0.0)[..., None], s, frames_since(s))
+            for e, s in zip(self.errors_m, seen, strict=True)
+        ]
 
     def sums(
         self, noises: Sequence[tuple[float, float]], wanted: NDArray[np.bool_]
@@ -71,11 +81,9 @@ class Remainder:
         """Square and log determinant, within what the directions leave or of all."""
         size = self.explained[0].shape[-1] * directions + 1
         gram, log_det = np.zeros((size, size)), 0.0
-        for error, explained in zip(self.errors_m, self.explained, strict=True):
-            seen = np.isfinite(error)
-            columns = [explained] * directions + [np.where(seen, error, 0.0)[..., None]]
-            values = np.concatenate(columns, axis=-1)
-            white, of_trial = made_white(values, seen, frames_since(seen), *noise, 0.0)
+        for (values, seen, since), explained in zip(self._trials, self.explained, strict=True):
+            columns = np.concatenate([explained, values], axis=-1) if directions else values
+            white, of_trial = made_white(columns, seen, since, *noise, 0.0)
             rows = white.reshape(-1, white.shape[-1])
             gram, log_det = gram + rows.T @ rows, log_det + of_trial
         if not directions:
