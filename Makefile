@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice false-alarms confusion rigs level rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills plant mouths holds flights endings words clean help jaw-plate picture docs
+.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice false-alarms confusion rigs rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills plant mouths holds flights clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -104,14 +104,8 @@ confusion: $(VENV)/.dev   ## which effect is named: for each of the library, out
 	$(BIN)/python -m tools.studies.confusion_study --studies 34 --first 200 --hide unknown
 	$(BIN)/python -m tools.studies.confusion_study --studies 20 --first 300 --hide pair
 
-words: $(VENV)/.dev   ## does a diagnosis contradict its own numbers? practice, measured and 24 made studies (long)
-	$(BIN)/python -m tools.studies.words_study
-
 rigs: $(VENV)/.dev   ## what is named in 60 studies that imitate real rigs, one effect hidden in each (long)
 	$(BIN)/python -m tools.studies.rig_study --studies 60
-
-level: $(VENV)/.dev   ## studies of a hand in a level plane with a load of known grams at the tip
-	$(BIN)/python -m tools.studies.level_study
 
 rig-kinds: $(VENV)/.dev   ## 20 studies of each kind of rig, one effect hidden in each (long)
 	for kind in connector laser long clocks arcs encoder accelerometer wrench; do $(BIN)/python -m tools.studies.rig_study --studies 20 --rig $$kind || exit 1; done
@@ -121,9 +115,6 @@ breadth: $(VENV)/.dev   ## verdicts over the breadth of what users bring: 350 st
 
 checks: $(VENV)/.dev   ## what each check of the verdict is worth: 411 studies, 40 min; CHECKS=file.csv
 	$(BIN)/python -m tools.studies.ablation_study $(or $(CHECKS),checks.csv)
-
-endings: $(VENV)/.dev   ## how 204 cables end in worlds with each effect at twice its size: none may fail (long)
-	$(BIN)/python -m tools.studies.endings_study --learn grip_angle camera_roll
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
 	$(BIN)/python -m tools.faults.fault_trials --patience-s 0.15 -o docs/fault_trials.md
@@ -148,9 +139,6 @@ flights: $(VENV)/.dev   ## insertion rate with and without correction in flight,
 
 mouths: $(VENV)/.dev   ## insertion rate by the mouth's height, offsets alone and freely, ~30 min
 	$(BIN)/python -m tools.studies.mouth_study mouths.csv
-
-workers: $(VENV)/.dev   ## 1,000 recorded cycles identified by one and two workers: speed, memory, bits
-	$(BIN)/python -m tools.studies.workers_study --cycles 1000
 
 plant: $(VENV)/.dev   ## a plant around the cell: adapters and pages killed in every step, clients that stall, ~20 min
 	$(BIN)/python -m tools.plant.adapter_kills

@@ -1,15 +1,14 @@
 """How long the robot waits for the computer, over many cycles at the speed of reality.
 
     python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--recorded]
-        [--plant | --pages] [--freely 0.25 [--half-mm 1]] [--effects …]
+        [--plant | --pages] [--freely 0.25 [--half-mm 1]]
 
 Beside every wait stands the longest stall of this computer in that cycle, as another process
 measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
 is left to compute after its last frame.  `--burn` keeps so many cores busy all the time.  With
-`--effects` the baseline's waits are measured first, then those of cells whose cables have an effect
-and whose model has learned it.  With `--plant` the same cycles are made again with a plant around:
-OPC UA with five clients that subscribe every 100 ms, and MQTT with a broker.  With `--pages` the
-pages are served, too, and five look at the live page, one of whom reads nothing of it.
+`--plant` the same cycles are made again with a plant around: OPC UA with five clients that
+subscribe every 100 ms, and MQTT with a broker.  With `--pages` the pages are served, too, and five
+look at the live page, one of whom reads nothing of it.
 
 A real camera does not need the computer to draw its pictures.  So each cycle is run twice: here
 without pause, which gives the pictures, and then at the speed of reality with these, by a process
@@ -349,7 +348,6 @@ def main() -> None:
     parser.add_argument("--cycles", type=int, default=30)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--burn", type=int, default=0, metavar="CORES")
-    parser.add_argument("--effects", nargs="*", default=[], metavar="NAME")
     parser.add_argument(
         "--recorded", action="store_true", help="the same again with every frame recorded"
     )
@@ -394,14 +392,6 @@ def main() -> None:
                 f"to {high:.2f}; medians {medians:.2f} ×",
                 flush=True,
             )
-    for name in options.effects:
-        from tools.bench.effect_cost import learned
-
-        print(f"{name}, in the world and in the model", flush=True)
-        found = waits(*asked, learned(load_settings(CONFIG), name, options.seed))
-        print(summary(found))
-        most, baseline = (np.nanmedian([w.wait_s for w in ws]) for ws in (found, base))
-        print(f"  {name}: median wait {most / baseline:.2f} × the baseline's", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What the text of a diagnosis says against the numbers beside it: each sentence is recomputed.
 
 `contradictions(found, text)` takes the JSON (cable-diagnosis/1) and what was printed; it uses none
-of the project's own words.  `tools/studies/words_study.py` runs it over many studies.
+of the project's own words.
 """
 
 from __future__ import annotations

@@ -38,8 +38,15 @@ from cell.simulated.hidden import hidden_cable
 from cell.study.data import Study
 from cell.wiring.build import cell_task
 from tools.studies.coverage_study import Errors
-from tools.studies.line_study import CONFIG, INSERTABLE_M
-from tools.worlds.fast_cell import FastCycle, fast_cycle, fast_measured, typical, with_world
+from tools.worlds.fast_cell import (
+    CONFIG,
+    INSERTABLE_M,
+    FastCycle,
+    fast_cycle,
+    fast_measured,
+    typical,
+    with_world,
+)
 from tools.worlds.outside_laws import LATER, LAWS
 
 #: Of a sharp camera, assumed: nodes at the bound that `bench_vision` holds across the cable, the

@@ -25,9 +25,8 @@ import yaml
 from cell.cable.effects import library
 from cell.settings import load_settings
 from tools.studies.learn import CYCLE_S, LEARNING_S, PROMOTING_S, Commands, learned_from
-from tools.studies.line_study import CONFIG, INSERTABLE_M
 from tools.studies.loop_study import Cables, World, summary
-from tools.worlds.fast_cell import best_margin_m, typical
+from tools.worlds.fast_cell import CONFIG, INSERTABLE_M, best_margin_m, typical
 
 
 def world(folder: Path, effect: str, size: float, cables: int, seed: int) -> World:

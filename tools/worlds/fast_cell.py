@@ -7,6 +7,7 @@ finer than the model, and its noise is what `coverage_study` found vision to hav
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,11 @@ from tools.worlds.fast_truth import (
 )
 
 FloatArray = NDArray[np.float64]
+
+#: A cable counts as one that a perfect model could insert if its best offset passes by this, m:
+#: three times what arm and camera repeat to.
+INSERTABLE_M = 3e-4
+CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 
 
 @dataclass(frozen=True, eq=False)
