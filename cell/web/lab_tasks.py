@@ -106,7 +106,7 @@ class LabTasks:
     def fit_own(self, subject: Subject, effect: str, beside: Sequence[str]) -> Task:
         """Fit the model with an effect that was typed, and without, and compare both."""
         file = str(self.workspace.effects / f"{effect}.py")
-        before = BASELINE if not beside else "with_" + "_".join(map(_stem, beside))
+        before = f"without_{effect}"  # which no effect is called whose model is fitted here
         commands = (
             self._fit(subject, before, beside, False),
             self._fit(subject, effect, (*beside, file), False),
@@ -194,7 +194,3 @@ class LabTasks:
 
 def _each(option: str, values: Sequence[str]) -> tuple[str, ...]:
     return tuple(w for value in values for w in (option, value))
-
-
-def _stem(effect: str) -> str:
-    return Path(effect).stem

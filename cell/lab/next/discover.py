@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ from cell.cable.effects import Effect, library, load_effect, unscreened
 from cell.files.atomic import write_whole
 from cell.lab.data.thresholds import Rules
 from cell.lab.next.term_source import effect_source
-from cell.lab.next.terms import Term, admissible
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.next.terms import NAMESPACE, Term, admissible
+from cell.lab.search.fit_cache import FitCache, another_search, with_joined
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.diagnose import Examination, diagnose
 from cell.lab.verdict.evidence import Evidence
@@ -103,40 +103,46 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
     raises  NothingFoundError: the model is complete, or no term is accepted; ValueError: the name
             of the file will not do; nothing written
     """
-    name = effect_name(out, [e.name for e in fits.space.effects])
-    terms = {t.name: t for t in admissible(_box(fits.prepared.unjoined.role("fit")))}
+    known = [e.name for e in fits.space.effects]
+    name = effect_name(out, known)
+    box_m = _box(fits.prepared.unjoined.role("fit"))
+    terms = {t.effect: t for t in admissible(box_m) if t.effect not in known}
     with tempfile.TemporaryDirectory() as folder:
         tried = _each(terms.values(), Path(folder))
-        search = FitCache(fits.prepared, fits.space, tried, fits.progress)
-        examination = diagnose(search, rules)
+        examination = diagnose(another_search(fits, tried), rules)
     base, found = examination.fits.baseline(), examination.accepted
     if found is base:
         study = fits.prepared.study.name
         raise NothingFoundError(f"study {study}: {_why_nothing(examination, base)}")
-    added = [e for e in found.effects if e not in fits.space.effects]
-    settled = Evidence(examination.fits, base, found, rules).estimate
-    values = {n: i.value for effect in added for n, i in settled.intervals(effect).items()}
-    kept = [terms[e.name] for e in added]
+    kept = [terms[e.name] for e in examination.fits.added(found)]
     about = f"Law inferred from the residuals of study {fits.prepared.study.name}."
-    source = effect_source(name, kept, about, values)
+    names = {f"{t.effect}.{n.name}": f"{name}.{n.name}" for t in kept for n in t.numbers}
+    source = effect_source(name, kept, about, _values(found, names))
     with tempfile.TemporaryDirectory() as folder:
         effect = _loaded(Path(folder) / out.name, source)
-        evidence = _refit(fits, base, effect, rules)
-    final = evidence.final
+        joined, final = with_joined(examination.fits, found, effect, names)
+        estimate = Evidence(joined, base, final, rules).estimate
     return Discovery(
         effect=name,
         source=source,
         parameters=tuple(
             LawParameter(n, i.value, i.low, i.high, i.unit)
-            for n, i in evidence.estimate.intervals(effect).items()
+            for n, i in estimate.intervals(effect).items()
         ),
         laws=tuple(t.law for t in kept),
-        noise_m=fits.prepared.noise_model.noise.std_m,
+        noise_m=joined.prepared.noise_model.noise.std_m,
         before_m=_error(base),
         after_m=_error(final),
         confirmed=final.heldout is not None,
         complete=examination.diagnosis.verdict != "unexplained",
     )
+
+
+def _values(found: FittedModel, names: Mapping[str, str]) -> dict[str, float]:
+    """What was found for the parameters with these names in the model, by the terms' own names."""
+    space = found.fit.space
+    natural = dict(zip(space.names, space.natural(found.fit.q).tolist(), strict=True))
+    return {name.partition(".")[2]: natural[name] for name in names}
 
 
 def effect_name(out: Path, known: Sequence[str] = ()) -> str:
@@ -177,18 +183,6 @@ def _why_nothing(examination: Examination, base: FittedModel) -> str:
     )
 
 
-def _refit(fits: FitCache, base: FittedModel, effect: type[Effect], rules: Rules) -> Evidence:
-    """The baseline with the effect from its file."""
-    own = FitCache(fits.prepared, fits.space, {effect.name: effect}, fits.progress)
-    better = [c for c in own.fit_extended(own.baseline(), [effect]) if _error(c) < _error(base)]
-    if not better:
-        raise NothingFoundError(
-            "the law that was found does not lower the error when it is fitted again from its "
-            "file; nothing written"
-        )
-    return Evidence(own, own.baseline(), better[0], rules)
-
-
 def _error(candidate: FittedModel) -> float:
     return candidate.heldout.rms_m if candidate.heldout else candidate.fit.rms_m
 
@@ -225,21 +219,35 @@ def laws_in(folder: Path, studies: Sequence[Study], known: Sequence[type[Effect]
     folder   of their files; a model may refer to them
     studies  of where the cables have been
     known    effects of the model: laws of their names are left out
+    raises   EffectError: a file there is no effect; ValueError: two have one name
     """
     folder.mkdir(parents=True, exist_ok=True)
-    there = {p.stem for p in folder.glob("*.py")}
+    there: dict[str, type[Effect]] = {}
+    files = sorted(folder.glob("*.py"))
+    for file in files:
+        effect = load_effect(file)
+        if effect.name in there:
+            other = there[effect.name].file
+            raise ValueError(
+                f"{file}: is called {effect.name!r} as {other and other.path.name} is; rename one "
+                "(`name = …` in its file)"
+            )
+        there[effect.name] = effect
     taken = {e.name for e in known}
+    # an old file has the term's name alone
+    written = {*there, *(f"{NAMESPACE}{name}" for name in there), *(p.stem for p in files), *taken}
     terms = admissible(_box([t for study in studies for t in study.trials]))
-    effects = {n: load_effect(folder / f"{n}.py") for n in sorted(there - taken)}
-    effects |= _each([t for t in terms if t.name not in there | taken], folder)
-    return Laws(effects, tuple(folder.resolve() / f"{n}.py" for n in effects if n not in there))
+    new = _each([t for t in terms if t.effect not in written], folder)
+    effects = {n: e for n, e in there.items() if n not in taken} | new
+    return Laws(effects, tuple(folder.resolve() / f"{n}.py" for n in new))
 
 
 def _each(terms: Iterable[Term], folder: Path) -> dict[str, type[Effect]]:
     """Every term as an effect of its own, by name, from its file in the folder."""
     about = "A law that no effect of the library has."
     return {
-        t.name: _loaded(folder / f"{t.name}.py", effect_source(t.name, [t], about)) for t in terms
+        t.effect: _loaded(folder / f"{t.effect}.py", effect_source(t.effect, [t], about))
+        for t in terms
     }
 
 

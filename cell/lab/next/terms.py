@@ -15,6 +15,8 @@ REFERENCE_SPEED, REFERENCE_CURVATURE, REFERENCE_RATE = 0.5, 10.0, 30.0
 ROUNDED = 2e-3
 #: Near the jaw weights are rounded within this share of the length: negative powers are finite.
 NEAR_JAW = 0.02
+#: Of names of effects that are one term.  No effect of the library has a name that begins so.
+NAMESPACE = "law_"
 _WEIGHTED = "weighted along the cable as (s/L)^m, of which c = (m + 1)/(m + 2) is the mean place"
 
 
@@ -34,6 +36,11 @@ class Term:
     numbers: tuple[Parameter, ...]
     lines: tuple[str, ...]
     dissipative: bool = False
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect that is this term alone."""
+        return f"{NAMESPACE}{self.name}"
 
 
 def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:

@@ -295,6 +295,32 @@ def rebased(fits: FitCache, start: FloatArray, least: float) -> FitCache:
     return fits
 
 
+def another_search(fits: FitCache, library: Mapping[str, type[Effect]]) -> FitCache:
+    """A cache of the same study with other effects to try, nothing fitted yet."""
+    return replace(fits, library=library, _memory=_Memory())
+
+
+def with_joined(
+    fits: FitCache, model: FittedModel, effect: type[Effect], names: Mapping[str, str]
+) -> tuple[FitCache, FittedModel]:
+    """The model with one effect that does what all its added effects do, and a cache for it.
+
+    It is fitted from where the model is.
+    names   of the effect's parameters, by those of the effects added
+    raises  UnsimulatedError
+    """
+    effects = (*fits.space.effects, effect)
+    before, space = model.fit.space, space_with(fits.space, effects)
+    natural = space.natural(space.mean)
+    for name, value in zip(before.names, before.natural(model.fit.q), strict=True):
+        natural[space.names.index(names.get(name, name))] = value
+    q = np.clip(space.coordinates(natural), space.low, space.high)
+    fit = fit_model(fits.prepared, space, q, model.fit.initial_states, options=POLISH)
+    joined, base = weighed(fits.prepared, effects, fit), fits.baseline()
+    memory = _Memory(fits._memory.baseline, models={base.names: base, joined.names: joined})
+    return replace(fits, library={effect.name: effect}, _memory=memory), joined
+
+
 def _screened_from_other_fits(
     fits: FitCache, base: FittedModel, effects: Sequence[type[Effect]]
 ) -> list[ScreenedEffect]:

@@ -91,9 +91,11 @@ def test_what_is_asked_for_is_a_command(tasks: LabTasks) -> None:
         "-o runs.lab/results/20261121T021043.800-3/models/baseline.json"
     )
     before, after, compared = tasks.fit_own(study, "a", ["air_drag"]).commands
-    assert before[2:4] == ("--effect", "air_drag") and "with_air_drag.json" in before[-1]
+    assert before[2:4] == ("--effect", "air_drag") and "without_a.json" in before[-1]
     assert after[2:6] == ("--effect", "air_drag", "--effect", "runs.lab/effects/a.py")
     assert compared[2:6] == ("--model", before[-1], "--model", after[-1])
+    before, after, _ = tasks.fit_own(study, "baseline", []).commands
+    assert before[-1] != after[-1], "whatever an effect is called, two models are two files"
     entries = CableEntries(free_length_m=0.1, thickness_m=1e-4)
     assert tasks.propose("x", ["a.csv"], ["h.csv"], entries).typed == (
         "cell import runs.lab/uploads/x/a.csv --hand runs.lab/uploads/x/h.csv "

@@ -824,10 +824,10 @@ def test_a_law_that_the_library_lacks_is_learned_and_kept_in_a_file(
     runs = [f"runs/{dragged[0].name}"]
     words = ["learn", *runs, "--config", str(CONFIG), "--laws", "laws", "-o", "c.yaml"]
     found = CliRunner().invoke(app, words)
-    assert "missing: square_drag" in found.output, found.output
-    assert [p.name for p in (tmp_path / "laws").iterdir()] == ["square_drag.py"]
+    assert "missing: law_square_drag" in found.output, found.output
+    assert [p.name for p in (tmp_path / "laws").iterdir()] == ["law_square_drag.py"]
     (entry,) = read_candidate(tmp_path / "c.yaml").model.effects
-    path = tmp_path / "laws" / "square_drag.py"
+    path = tmp_path / "laws" / "law_square_drag.py"
     assert entry.effect == str(path)
     law = load_effect(path, trusted=True)
     assert Laws({law.name: law}, (path,)).keep([law]) == (path,)

@@ -6,16 +6,49 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import simulate
-from cell.cable.effects import load_effect
+from cell.cable.effects import library, load_effect, unscreened
 from cell.cable.effects.base import Bend, CableData, Effect, Place
 from cell.cable.effects.check import check
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.lab.next import discover
 from cell.lab.next.term_source import effect_source
-from cell.lab.next.terms import admissible
+from cell.lab.next.terms import NAMESPACE, admissible
 
 BOX = (-0.1, 0.0, -0.09, 0.0)
 TERMS = {t.name: t for t in admissible(BOX)}
+
+
+def test_no_term_has_the_name_of_an_effect_of_the_library():
+    """A term was called `power_drag`, a library effect too later: no study had a law any more."""
+    ours = {*library(), *unscreened()}
+    assert not any(name.startswith(NAMESPACE) for name in ours)
+    assert all(term.effect.startswith(NAMESPACE) for term in TERMS.values())
+    assert len(TERMS) == len(admissible(BOX))
+
+
+def test_terms_that_become_one_effect_share_no_parameter():
+    names = [n.name for term in TERMS.values() for n in term.numbers]
+    assert len(names) == len(set(names))
+
+
+def test_laws_of_a_folder_go_by_their_names_and_old_files_are_kept(
+    tmp_path, make_study, monkeypatch
+):
+    """Files were taken by their own names, so that a renamed law hid another."""
+    few = [TERMS["constant_field"], TERMS["drag_along"]]
+    monkeypatch.setattr(discover, "admissible", lambda _: few)
+    mine = effect_source("drag_along", [TERMS["drag_along"]], "A law.")
+    (tmp_path / "mine.py").write_text(mine, encoding="utf-8")
+    study = make_study()
+    laws = discover.laws_in(tmp_path, [study])
+    assert set(laws.effects) == {"drag_along", "law_constant_field"}
+    assert [p.name for p in laws.written] == ["law_constant_field.py"]
+    again = discover.laws_in(tmp_path, [study], [laws.effects["drag_along"]])
+    assert (set(again.effects), again.written) == ({"law_constant_field"}, ())
+    (tmp_path / "twice.py").write_text(mine, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"twice.py: is called 'drag_along' as mine.py is"):
+        discover.laws_in(tmp_path, [study])
 
 
 @pytest.mark.parametrize("name", ["constant_field", "point", "dry_bending"])
