@@ -119,10 +119,15 @@ class ReplayArm:
         self._path = replace(path, t_s=path.t_s - path.t_s[0] + self._path.t_s[0])
 
     def log(self, start_s: float, end_s: float) -> Trajectory:
-        """The recorded answer to this question, or to the most similar one; else its own path."""
+        """The recorded answer to this question; else its own path.
+
+        Poses until a frame have the same end.  Those until now ended later in the recording,
+        because computing and waiting take no time here: the next later answer is theirs.
+        """
         alike = [a for a in self._answers if a.start_s == start_s]
         if alike:
-            return min(alike, key=lambda a: abs(a.end_s - end_s)).poses
+            later = [a for a in alike if a.end_s >= end_s]
+            return (min(later, key=_end_s) if later else max(alike, key=_end_s)).poses
         grid = np.arange(np.ceil(start_s * self._rate_hz), np.floor(end_s * self._rate_hz) + 1)
         t_s = grid / self._rate_hz
         path = self._path
@@ -256,6 +261,10 @@ class ReplayGripper:
     def state(self) -> GripperState:
         """Present state."""
         return GripperState(self._clock.now_s(), 0.0, self._closed and self._holds, False)
+
+
+def _end_s(answer: Answer) -> float:
+    return answer.end_s
 
 
 def _same(path: Trajectory, other: Trajectory) -> bool:

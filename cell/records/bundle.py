@@ -16,9 +16,11 @@ from cell.records.recording import form
 
 #: What is put in place of a user's name and password in a URL, or of a word that is said to be one.
 REMOVED = "(removed)"
-_IN_URL = re.compile(r"(?<=://)[^\s'\"]+@")
+#: Not the user alone of a database: its password is elsewhere.
+_IN_URL = re.compile(r"(?<=://)(?!(?<=postgresql://)[^\s'\":@]+@)[^\s'\"]+@")
 _SAID = re.compile(
-    r"(?im)(?P<name>\b[\w-]*(?:password|passwd|secret|token|api_?key)[\w-]*['\"]?\s*[:=]\s*)"
+    r"(?im)(?P<name>\b[\w-]*(?:password|passwd|secret|token|api_?key)[\w-]*(?<!_file)['\"]?\s*[:=]\s*)"
+    r"(?!(?:null|None|~|''|\"\")\s*(?:[,}\]#]|$))"
     r"(?P<value>\"(?:\\.|[^\"\\\n])*\"|'[^'\n]*'|(?:,(?!\s|$)|[^\s,}{])+)"
 )
 #: Text is cleaned of secrets; other files are taken as they are.
@@ -55,7 +57,10 @@ class Bundled:
 
 
 def without_secrets(text: str) -> str:
-    """The text without users and passwords of URLs, and without values that are named secret."""
+    """The text without users and passwords of URLs, and without values that are named secret.
+
+    A file's name is none, and neither is null.
+    """
     text = _IN_URL.sub(f"{REMOVED}@", text)
     return _SAID.sub(lambda m: m["name"] + REMOVED, text)
 
@@ -69,7 +74,7 @@ def packages() -> str:
 def items_of_cycle(folder: Path, *, recordings: bool) -> Iterator[Item]:
     """All files of a cycle's folder; without its frames if `recordings` is False."""
     for file in sorted(p for p in folder.rglob("*") if p.is_file()):
-        if recordings or file.name not in (form.FILE, form.PART, form.REST):
+        if recordings or file.name not in (form.FILE, form.PART, form.REST, form.TORN):
             yield Item(f"cycles/{folder.name}/{file.relative_to(folder)}", file)
 
 

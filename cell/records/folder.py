@@ -84,7 +84,7 @@ class Record:
     def study(self, study: Study) -> None:
         """Write the trials so far as a study; replaces an earlier one."""
         with self._told():
-            write_study(study, self.folder / "study")
+            write_study(study, self.folder / "study", recorded=True)
 
     def model(self, model: Mapping[str, Any]) -> None:
         """This cable's parameters."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,13 +14,14 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from cell.cable.geometry import Cable, Motion, Start
 from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
+from cell.files.text_file import read_text
 from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
 from cell.study.checks import check_finite, check_reaches, check_times, check_whole
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import TrialName, datasheet_of, implausible_entries
 from cell.study.hand_drift import HandDriftSection
 from cell.study.judged import judged
-from cell.study.table import Table, read_table, table_text
+from cell.study.table import MAX_BYTES, Table, read_table, table_text
 from cell.study.wrench_file import FILE as WRENCH_FILE
 from cell.study.wrench_file import SensorEntry, read_wrench, sensor_entry, wrench_text
 from cell.study.wrench_plausible import force_factor
@@ -80,6 +82,11 @@ class _Trial(_Strict):
     hand_drift: HandDriftSection | None = None
 
 
+class _WrittenTable(_Strict):
+    rows: Annotated[int, Field(ge=0)]
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
 class _Study(_Strict):
     format: Literal["cable-study/1"]
     name: Annotated[str, Field(min_length=1)]
@@ -89,6 +96,7 @@ class _Study(_Strict):
     noise_std_m: _Positive | None = None
     wrench: SensorEntry | None = None
     trials: Annotated[list[_Trial], Field(min_length=1, max_length=MAX_TRIALS)]
+    tables: dict[str, _WrittenTable] = {}
 
 
 def read_study(folder: Path) -> Study:
@@ -193,27 +201,30 @@ def study_folder(folder: Path) -> Path:
     return folder
 
 
-def write_study(study: Study, folder: Path) -> None:
+def write_study(study: Study, folder: Path, *, recorded: bool = False) -> None:
     """Write a study so that `read_study` gives it back to the last bit.
+
+    recorded  these are a cycle's measurements: `study.yaml` also holds the rows and the SHA-256 of
+              each table, and a table that was cut or changed is refused when it is read
 
     All files are written before the first takes its place, `study.yaml` the last: where the disk is
     full, a reader meets the former study.
 
     raises  OSError: it cannot be written; nothing has changed
     """
-    files: dict[Path, str | bytes] = {}
+    tables: dict[Path, str] = {}
     for trial in study.trials:
         grip, markers = trial.grip, trial.markers
-        files[folder / trial.name / "grip.csv"] = table_text(
+        tables[folder / trial.name / "grip.csv"] = table_text(
             GRIP_COLUMNS,
             np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad]),
         )
-        files[folder / trial.name / "markers.csv"] = table_text(
+        tables[folder / trial.name / "markers.csv"] = table_text(
             _marker_columns(len(study.arc_length_m)),
             np.column_stack([markers.t_s, markers.xy_m.reshape(len(markers.t_s), -1)]),
         )
         if trial.wrench is not None:
-            files[folder / trial.name / WRENCH_FILE] = wrench_text(trial.wrench)
+            tables[folder / trial.name / WRENCH_FILE] = wrench_text(trial.wrench)
     header: dict[str, object] = {
         "format": FORMAT,
         "name": study.name,
@@ -226,8 +237,33 @@ def write_study(study: Study, folder: Path) -> None:
     if entry := sensor_entry(study.sensor):
         header["wrench"] = entry
     header["trials"] = [_trial_entry(t) for t in study.trials]
-    files[folder / "study.yaml"] = yaml_text(header)
-    write_all(files)
+    if recorded:
+        header["tables"] = {
+            path.relative_to(folder).as_posix(): _written(text) for path, text in tables.items()
+        }
+    write_all({**tables, folder / "study.yaml": yaml_text(header)})
+
+
+def _written(text: str) -> dict[str, object]:
+    """What `study.yaml` says of a recorded table: rows below its header, and SHA-256."""
+    rows = max(0, text.count("\n") - 1)
+    return {"rows": rows, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+
+
+def _check_as_written(path: Path, said: _WrittenTable | None) -> None:
+    """Raises InputError: a recorded table was cut or changed."""
+    if said is None or not path.exists():
+        return
+    there = _written(read_text(path, MAX_BYTES))
+    if there["sha256"] == said.sha256:
+        return
+    rows = there["rows"]
+    differs = f"has {rows} rows, {said.rows} were recorded" if rows != said.rows else "was changed"
+    raise InputError.at(
+        path,
+        f"{differs}: it is not as the cycle wrote it; copy it whole again, or give the cycle's "
+        "recording; if it was changed on purpose, remove it from `tables` in study.yaml",
+    )
 
 
 def _trial_entry(trial: Trial) -> dict[str, object]:
@@ -310,6 +346,8 @@ def _log(path: Path) -> Table:
 
 
 def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.intp]) -> Trial:
+    for file in ("grip.csv", "markers.csv", WRENCH_FILE):
+        _check_as_written(folder / file, header.tables.get(f"{trial.name}/{file}"))
     log = _log(folder / "grip.csv")
     motion = Motion(*log.values.T)
     count = len(header.markers.arc_length_m)

@@ -15,7 +15,7 @@ from cell.wiring.replay import Replayed
 
 def replayed_parts(replayed: Replayed, most: int) -> list[RenderableType]:
     """Whether everything is the same, and what is not: `most` differences, the largest of all."""
-    parts: list[RenderableType] = []
+    parts: list[RenderableType] = list(replayed.losses)
     result, found = replayed.result, replayed.differences
     if not replayed.complete:
         parts.append("the recording ends before its cycle does")
@@ -26,7 +26,8 @@ def replayed_parts(replayed: Replayed, most: int) -> list[RenderableType]:
     for name, (then, now) in replayed.software.items():
         parts.append(f"{name} was {then}, now {now}")
     if not found:
-        what = "what it holds" if not replayed.complete else result.outcome.value
+        whole = replayed.complete and not replayed.losses
+        what = result.outcome.value if whole else "what it holds"
         return [*parts, f"identical: {what}, every number to the last bit"]
     table = Table(title="differences", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in ("what", "then", "now"):

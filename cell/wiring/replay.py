@@ -61,6 +61,7 @@ class Replayed:
     decided      whether there was a decision then
     differences  from then, in decision, final model and result; empty = bit for bit the same
     software     packages whose version differs: name → (then, now)
+    losses       what was measured and is not in the recording
     """
 
     recording: Path
@@ -69,6 +70,7 @@ class Replayed:
     decided: bool
     differences: tuple[Difference, ...]
     software: Mapping[str, tuple[str, str]]
+    losses: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -76,6 +78,7 @@ class Replayed:
             "recording": str(self.recording),
             "identical": not self.differences,
             "complete": self.complete,
+            "losses": list(self.losses),
             "decided": self.decided,
             "differences": [d.to_json() for d in self.differences],
             "software": {name: list(pair) for name, pair in self.software.items()},
@@ -93,8 +96,9 @@ def replay(
 
     config  other settings; None = those of the recording, with its calibration and effects
     runs    folder in which the replayed cycle gets its own
-    raises  InputError: settings are wrong, or the recording lacks what is needed
+    raises  InputError: settings are wrong, or the recording is damaged or lacks what is needed
     """
+    recording.check()
     about = recording.last(form.CYCLE)
     plan = None if about is None else _plan(recording, about)
     if about is None or plan is None:
@@ -124,6 +128,7 @@ def replay(
         then.decision is not None,
         tuple(_differences(then, now)),
         _software(recording, heard.begun),
+        recording.losses(),
     )
 
 

@@ -13,6 +13,7 @@ from rich.console import Console
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.reading import read_recording
+from cell.records.recording.recover import recover_in_place
 from cell.records.result import Outcome
 from cell.settings import Settings, load_settings
 from cell.settings.records import Recording
@@ -147,10 +148,11 @@ def test_other_settings_are_compared(recorded, quick_config, tmp_path, capsys):
     assert f"and {len(replayed.differences) - 3} more" in printed
 
 
-def test_what_a_torn_recording_holds_is_replayed(recorded, tmp_path):
+@pytest.mark.parametrize("name", [form.PART, form.FILE])
+def test_what_a_torn_recording_holds_is_replayed(recorded, tmp_path, name):
     """By the commands, as a user does it."""
     data = (recorded / form.FILE).read_bytes()
-    torn = tmp_path / form.PART
+    torn = tmp_path / name
     torn.write_bytes(data[: int(0.8 * len(data))])  # in the middle of the execution
     with pytest.raises(InputError, match="cell recover"):
         read_recording(tmp_path)
@@ -164,6 +166,19 @@ def test_what_a_torn_recording_holds_is_replayed(recorded, tmp_path):
     assert replayed["identical"]
     assert not replayed["complete"]
     assert replayed["result"]["outcome"] == "failed"  # frames of the execution are missing
+
+
+def test_a_replay_says_damage_first(recorded, tmp_path):
+    """As `recover` does, which makes of it what can be replayed, and says what that lacks."""
+    data = bytearray((recorded / form.FILE).read_bytes())
+    data[len(data) // 2] ^= 0x10
+    file = tmp_path / form.FILE
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=f"damaged: .*; `cell recover {file}`"):
+        replay(read_recording(tmp_path), None, tmp_path)
+    recovered = recover_in_place(file)
+    replayed = replay(read_recording(tmp_path), None, tmp_path)
+    assert replayed.losses == (f"{recovered.damaged_bytes} damaged bytes could not be recovered",)
 
 
 @pytest.mark.parametrize(

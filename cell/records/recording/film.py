@@ -22,7 +22,7 @@ from cell.files.atomic import write_whole
 from cell.files.input_error import InputError
 from cell.files.yaml_document import read_yaml
 from cell.records.recording import form
-from cell.records.recording.reading import UNREADABLE, image_of
+from cell.records.recording.reading import UNREADABLE, damaged, image_of
 from cell.records.recording.retention import KEPT
 
 #: Before a record: what it is, and its length.
@@ -87,7 +87,7 @@ def frame_jpeg(film: Film, number: int, width_px: int) -> bytes:
     with _told(film.path), film.path.open("rb") as file:
         for place in dict.fromkeys(film.places[stamp_ns]):
             file.seek(place + _HEAD_BYTES)
-            for message in breakup_chunk(Chunk.read(ReadDataStream(file))):
+            for message in breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True):
                 if not isinstance(message, Message) or message.log_time != stamp_ns:
                     continue
                 if message.channel_id == film.channels[0]:
@@ -113,7 +113,7 @@ def _told(path: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError.at(path, f"cannot be read: {error.strerror}") from error
     except UNREADABLE as error:
-        raise InputError.at(path, f"cannot be read: {error!r}") from error
+        raise damaged(path, error) from error
 
 
 def drawn(image: NDArray[np.uint8], points_px: NDArray[np.float64] | None) -> NDArray[np.uint8]:

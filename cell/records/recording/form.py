@@ -28,6 +28,8 @@ BEGUN, CLOSED = "cable-recording", "cable-recording-closed"
 
 #: Entry of the first: file in memory that holds what a killed recorder has not written.
 RING = "ring"
+#: Entry of the second: bytes of the torn file that could not be recovered.
+DAMAGED_BYTES = "damaged_bytes"
 #: Entry of the first: what is added to times on the cell's clock, nanoseconds since 1970.
 EPOCH = "epoch_ns"
 
@@ -37,6 +39,8 @@ FILE, PART = "recording.mcap", "recording.mcap.part"
 STORED = "recording.stored.json"
 #: File that says when a recording was removed, and why.
 REMOVED = "recording.removed.json"
+#: A damaged recording, once what is whole in it has become `FILE`.
+TORN = "recording.mcap.torn"
 #: What was recovered from memory, until it is in the recovered file.
 REST = "recording.mcap.rest"
 

@@ -54,7 +54,7 @@ def verify(path: Path, counts: Mapping[str, int] | None = None) -> dict[str, int
             for _, channel, _ in reader.iter_messages(log_time_order=False):
                 found[channel.topic] += 1
     except UNREADABLE as error:
-        raise TornRecordingError(f"{path} cannot be read: {error!r}") from error
+        raise TornRecordingError(f"{path} {_why(error)}") from error
     for expected in (said, counts or said):
         missing = {t: (n, found[t]) for t, n in expected.items() if found[t] != n}
         if missing:
@@ -66,6 +66,8 @@ def verify(path: Path, counts: Mapping[str, int] | None = None) -> dict[str, int
 @dataclass(frozen=True)
 class Recording:
     """A recording that was opened by `read_recording`.
+
+    What is read from it raises InputError where it is damaged.
 
     begun   what was written at its beginning: software version, host, cycle …
     closed  what was written at its end
@@ -80,6 +82,22 @@ class Recording:
     def complete(self) -> bool:
         """Whether the cycle came to its end while it was recorded."""
         return json.loads(self.closed.get("complete", "false")) is True
+
+    def check(self) -> None:
+        """Read all of it.  Raises InputError: it is damaged."""
+        try:
+            verify(self.path)
+        except TornRecordingError as error:
+            raise damaged(self.path, error) from error
+
+    def losses(self) -> tuple[str, ...]:
+        """What was measured and is not in it: left out while recording, or not recovered."""
+        gaps = [
+            f"{gap['frames']} frames are missing: {gap['cause']}" for gap in self.json(form.GAP)
+        ]
+        damaged = int(self.closed.get(form.DAMAGED_BYTES, "0"))
+        lost = [f"{damaged} damaged bytes could not be recovered"] if damaged else []
+        return (*lost, *gaps)
 
     def count(self, topic: str) -> int:
         """Number of messages of a topic."""
@@ -124,10 +142,35 @@ class Recording:
             yield said, Trajectory(*columns)
 
     def _messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        with self.path.open("rb") as file:
-            reader = make_reader(file)
-            for _, _, message in reader.iter_messages(topics=[topic], log_time_order=False):
-                yield message.log_time, message.data
+        try:
+            with self.path.open("rb") as file:
+                reader = make_reader(file, validate_crcs=True)
+                for _, _, message in reader.iter_messages(topics=[topic], log_time_order=False):
+                    yield message.log_time, message.data
+        except UNREADABLE as error:
+            raise damaged(self.path, error) from error
+
+
+def damaged(path: Path, error: Exception) -> InputError:
+    """What a person is told of damage within a recording."""
+    torn = isinstance(error, TornRecordingError)
+    why = str(error).removeprefix(f"{path} ") if torn else _why(error)
+    return InputError.at(path, f"{why}; `cell recover {path}` copies what is whole")
+
+
+def _why(error: Exception) -> str:
+    wrong_sum = isinstance(error, CRCValidationError)
+    return "is damaged: a checksum is wrong" if wrong_sum else f"cannot be read: {error!r}"
+
+
+def lacks_end(path: Path) -> bool:
+    """Whether a recording has no readable index at its end.  Raises OSError."""
+    try:
+        with path.open("rb") as file:
+            summary = make_reader(file, validate_crcs=True).get_summary()
+    except UNREADABLE:
+        return True
+    return summary is None or summary.statistics is None
 
 
 def read_recording(path: Path) -> Recording:

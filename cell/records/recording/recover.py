@@ -8,7 +8,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from io import BytesIO
 from pathlib import Path
@@ -25,7 +25,7 @@ from zstandard import ZstdDecompressor, ZstdError
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.one_recording import RecordingUnderWay
-from cell.records.recording.reading import UNREADABLE, TornRecordingError, verify
+from cell.records.recording.reading import UNREADABLE, TornRecordingError, lacks_end, verify
 from cell.records.recording.ring import RingReader, open_somewhere
 from cell.records.recording.writer import Sink, open_mcap
 
@@ -70,30 +70,50 @@ class Recovered:
 
 
 def torn_recordings(place: Path) -> list[Path]:
-    """Torn recordings in a folder and below it; a file is taken for one.
+    """Torn recordings in a folder and below it, and a file that lacks anything or is damaged.
 
-    Recordings that are being written now are left out.
+    Recordings that are being written now are left out.  In a folder damage in the middle of a
+    recording is not looked for: that would read all of them.
     raises  InputError: there is no such place
     """
     if place.is_file():
-        return [place]
+        return [] if _is_whole_file(place) else [place]
     if not place.is_dir():
         raise InputError.at(place, "is missing; give a recording or a folder")
-    return sorted(p for p in place.rglob(form.PART) if not being_written(p))
+    parts = (p for p in place.rglob(form.PART) if not being_written(p))
+    return sorted([*parts, *(p for p in place.rglob(form.FILE) if lacks_end(p))])
+
+
+def _is_whole_file(path: Path) -> bool:
+    try:
+        verify(path)
+    except (TornRecordingError, OSError):
+        return False
+    return True
 
 
 def recover_in_place(source: Path, target: Path | None = None) -> Recovered:
-    """Recover to a file beside the torn one, which is removed if nothing in it is damaged.
+    """Recover to another file; one of a cycle becomes its `recording.mcap`.
 
-    target  None = `recording.mcap`, or of another file its name with `.recovered.mcap`
+    The torn file of a cycle is then removed, or kept as `recording.mcap.torn` if it is damaged.
+    Files of other names stay as they are.
+
+    target  None = `recording.mcap` in a cycle's folder, else the name with `.recovered.mcap`
     raises  as `recover`
     """
-    if target is None:
-        own = source.name == form.PART
-        target = source.with_name(form.FILE if own else f"{source.stem}.recovered.mcap")
-    recovered = recover(source, target)
-    if source.name == form.PART and not recovered.damaged_bytes:
-        source.unlink()
+    beside = source.with_name(f"{source.stem}.recovered.mcap")
+    if target is not None or source.name not in (form.PART, form.FILE):
+        return recover(source, target or beside)
+    file = source.with_name(form.FILE)
+    recovered = recover(source, beside if source == file else file)
+    if recovered.damaged_bytes:
+        kept = source.with_name(form.TORN)
+        os.link(source, kept)  # never over another file
+        recovered = replace(recovered, source=kept)
+    if source == file:
+        recovered.file.replace(file)
+        return replace(recovered, file=file)
+    source.unlink()
     return recovered
 
 
@@ -302,7 +322,9 @@ class _Copy:
         """End the file with its index."""
         said = self._closed or {"complete": "false"}
         counts = json.dumps(dict(self.counts))
-        self._writer.write_metadata(form.CLOSED, said | {"recovered": "true", "counts": counts})
+        lost = {form.DAMAGED_BYTES: str(self.bad_bytes)} if self.bad_bytes else {}
+        said = said | {"recovered": "true", "counts": counts} | lost
+        self._writer.write_metadata(form.CLOSED, said)
         self._writer.close()
         if self.sink.refused is not None:
             raise self.sink.refused

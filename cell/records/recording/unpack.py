@@ -42,7 +42,7 @@ def unpack(recording: Recording, into: Path) -> Path:
         (folder / "settings.yaml").write_text(yaml_text(settings), encoding="utf-8")
     if (said := recording.last(form.STUDY)) is not None:
         try:
-            write_study(study_from_plain(said), folder / "study")
+            write_study(study_from_plain(said), folder / "study", recorded=True)
         except (KeyError, TypeError, ValueError) as error:
             message = f"{form.STUDY} is no study ({type(error).__name__}: {error})"
             raise InputError.at(recording.path, message) from error

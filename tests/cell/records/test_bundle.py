@@ -12,8 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cell.files.yaml_document import yaml_text
 from cell.records.bundle import Item, items_of_cycle, items_of_log, without_secrets, write_bundle
 from cell.records.recording import form
+from cell.settings import load_settings
+from cell.settings.plant import Plant
+from cell.settings.plant.mqtt import Mqtt
+from cell.settings.records import Ledger
 
 
 def written(items, path):
@@ -87,7 +92,20 @@ def test_no_password_of_a_url_is_left(password, scheme):
 
 def test_what_is_no_secret_stays():
     text = "promotion: {withdraw: true}\nurl: postgresql://plant/cables\nkeys: 3\nby: a@b.c\n"
+    text += "url: postgresql://cell@plant/cables\n"
     assert without_secrets(text) == text
+
+
+@pytest.mark.parametrize("given", [{}, {"user": "cell", "password_file": "/etc/cell/broker"}])
+def test_settings_without_a_secret_cost_no_recording(tmp_path, cycle, given):
+    """As a cycle keeps them: with every key, and null where nothing is given."""
+    tls = {"tls": {}} if given else {}
+    settings = load_settings(Path("config/fake.yaml"))
+    mqtt = Mqtt.model_validate({"broker": "127.0.0.1", "group": "plant", **tls, **given})
+    settings = settings.model_copy(update={"plant": Plant(mqtt=mqtt), "ledger": Ledger()})
+    (cycle / "settings.yaml").write_text(yaml_text(settings.model_dump(mode="json")))
+    done, _, _ = written(items_of_cycle(cycle, recordings=True), tmp_path / "bundle.zip")
+    assert not done.left_out and not done.cleaned
 
 
 def test_what_cannot_be_read_is_named(tmp_path, cycle):
@@ -118,6 +136,8 @@ def test_a_full_disk_leaves_no_half_bundle(tmp_path, cycle, monkeypatch):
             "ledger: {url: postgresql://(removed)@db/plant}",
         ),
         ("url: mqtt://cell:s3@cret@broker:1883", "url: mqtt://(removed)@broker:1883"),
+        ("tokens: 'null and void'", "tokens: (removed)"),
+        ("password: nullable", "password: (removed)"),
         ("password: s3,cret", "password: (removed)"),
         ('{"password": "s3\\"cret", "port": 1}', '{"password": (removed), "port": 1}'),
         ("broker: {password: s3cret, port: 1}", "broker: {password: (removed), port: 1}"),

@@ -384,3 +384,36 @@ def test_a_cycle_stands_for_its_study_and_a_folder_of_cycles_is_told_what_to_nam
     assert study_folder(tmp_path / "runs" / "one" / "study").name == "study"
     with pytest.raises(InputError, match=r"holds recorded cycles, not a study; name one of them"):
         study_folder(tmp_path / "runs")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text[: text[:-1].rindex("\n") + 1], "has 4 rows, 5 were recorded: "),
+        (lambda text: text.replace("0.0", "0.1", 1), "was changed: "),
+        (lambda text: "", "has 0 rows, 5 were recorded: "),
+    ],
+)
+@pytest.mark.parametrize("file", ["grip.csv", "markers.csv"])
+def test_a_recorded_table_is_as_it_was_written(tmp_path, change, said, file):
+    """A cut at the end of a line, as a copy that was interrupted, is no shorter swing."""
+    write_study(study(trial("a"), trial("b", seed=1)), tmp_path, recorded=True)
+    same(read_study(tmp_path), study(trial("a"), trial("b", seed=1)))
+    table = tmp_path / "b" / file
+    table.write_text(change(table.read_text()))
+    with pytest.raises(InputError) as refused:
+        read_study(tmp_path)
+    (problem,) = refused.value.problems
+    assert problem.path == table
+    assert problem.message.startswith(said)
+
+
+def test_a_recorded_table_may_be_cut_on_purpose(tmp_path):
+    """Neither a study without that entry nor one that a person made is held to it."""
+    write_study(study(trial("a", rows=6)), tmp_path, recorded=True)
+    header, markers = tmp_path / "study.yaml", tmp_path / "a" / "markers.csv"
+    markers.write_text("".join(markers.read_text().splitlines(keepends=True)[:-1]))
+    header.write_text(header.read_text().split("tables:")[0])
+    assert len(read_study(tmp_path).trials[0].markers.t_s) == 5
+    write_study(study(), tmp_path)
+    assert "tables" not in header.read_text()

@@ -26,6 +26,13 @@ FAILED = Result(1, Outcome.FAILED, "f", fault=Fault("execute", "frame 3 is missi
                 "identical: what it holds, every number to the last bit",
             ],
         ),
+        (
+            replace(SAME, losses=("873 damaged bytes could not be recovered",)),
+            [
+                "873 damaged bytes could not be recovered",
+                "identical: what it holds, every number to the last bit",
+            ],
+        ),
     ],
 )
 def test_says_what_is_the_same(replayed: Replayed, said: list[str]) -> None:

@@ -89,6 +89,10 @@ def test_a_changed_byte_is_noticed(make_recording):
     path.write_bytes(data)
     with pytest.raises(TornRecordingError):
         verify(path)
+    recording = read_recording(path)
+    for read in (recording.check, lambda: list(recording.frames())):
+        with pytest.raises(InputError, match=f"checksum is wrong; `cell recover {path}`"):
+            read()
 
 
 @pytest.mark.parametrize(

@@ -70,15 +70,49 @@ def test_torn_anywhere(whole, tmp_path_factory, share, behind):
     assert len(frames) >= int(12 * at / len(whole)) - 2
 
 
+def damaged(whole: bytes) -> bytes:
+    """The same with another byte in a frame."""
+    at = whole.index(picture(5).tobytes()[:256]) + 20  # noise is not compressed
+    return whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :]
+
+
 def test_a_damaged_chunk_costs_itself_only(whole, tmp_path):
-    at = whole.index(picture(5).tobytes()[:256])  # noise is not compressed
     torn = tmp_path / "damaged.mcap"
-    torn.write_bytes(whole[: at + 20] + bytes([whole[at + 20] ^ 0xFF]) + whole[at + 21 :])
+    torn.write_bytes(damaged(whole))
     recovered = recover_in_place(torn)
     assert recovered.file == tmp_path / "damaged.recovered.mcap"
     assert recovered.damaged_bytes > 0
     assert 11 <= recovered.messages[form.IMAGE] < 13
     assert torn.exists()
+
+
+def test_a_cycle_s_recording_is_recovered_to_its_own_name(whole, tmp_path):
+    """Whatever reads the folder then reads what is whole, and is told what is not."""
+    file, kept = tmp_path / form.FILE, tmp_path / form.TORN
+    file.write_bytes(whole[: len(whole) * 3 // 4])
+    assert torn_recordings(tmp_path) == torn_recordings(file) == [file]
+    assert recover_in_place(file).file == file
+    assert torn_recordings(tmp_path) == torn_recordings(file) == []
+    assert not kept.exists()
+    read_recording(tmp_path).check()
+    assert read_recording(tmp_path).losses() == ()
+
+    file.write_bytes(damaged(whole))
+    recovered = recover_in_place(file)
+    assert recovered.source == kept
+    assert kept.read_bytes() == damaged(whole)
+    recording = read_recording(tmp_path)
+    recording.check()
+    assert recording.losses() == (
+        f"{recovered.damaged_bytes} damaged bytes could not be recovered",
+    )
+    assert {p.name for p in tmp_path.iterdir()} == {form.FILE, form.TORN}
+
+
+def test_a_damaged_recording_that_was_not_closed_is_recovered_once(whole, tmp_path):
+    (tmp_path / form.PART).write_bytes(damaged(whole))
+    assert recover_in_place(tmp_path / form.PART).source == tmp_path / form.TORN
+    assert torn_recordings(tmp_path) == []
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"something else"])
