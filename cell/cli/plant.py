@@ -78,7 +78,8 @@ def send(
     command: Annotated[
         str,
         typer.Argument(
-            help="start, hold, unhold, suspend, unsuspend, stop, abort, clear, reset or product."
+            help="start, hold, unhold, suspend, unsuspend, stop, abort, clear, reset, acknowledge "
+            "or product."
         ),
     ],
     *,
@@ -92,7 +93,8 @@ def send(
     """Give a command to a running cell, and print its answer.
 
     After a fault or a stop, `clear` (if it is aborted) and `reset` are your word that you have
-    looked at the cause; the ledger keeps it.  `product` only changes what is made.
+    looked at the cause; the ledger keeps it.  `reset` opens the jaws and brings the hand home.
+    `acknowledge` is your word alone, and nothing moves.  `product` only changes what is made.
 
     Exit codes: 0 if the cell obeys; 1 if it refuses; 2 if there is no such command; 3 if no cell
     runs there.
@@ -103,8 +105,9 @@ def send(
     from cell.plant.wire import LinkError
     from cell.run.machine import Event
 
-    if command != "product" and command not in COMMANDS:
-        known = ", ".join([*sorted(COMMANDS), "product"])
+    others = ("acknowledge", "product")
+    if command not in others and command not in COMMANDS:
+        known = ", ".join([*sorted(COMMANDS), *others])
         refuse(ValueError(f"{command!r} is no command; those are {known}"))
     if command == "product" and product is None:
         refuse(ValueError("product: --product is missing, what the next cycles make"))
@@ -112,7 +115,9 @@ def send(
         part = None if part is None else checked(part)
     except ValueError as error:
         refuse(ValueError(f"--part {error}"))
-    event = None if command == "product" else Event(command)
+    if command == "acknowledge" and product is not None:
+        refuse(ValueError("acknowledge: --product is not for it; leave it out"))
+    event = None if command in others else Event(command)
     try:
         answer = Client(runs, timeout_s=_ANSWER_S).send(
             Request(event, by or _user(), note, part, product)

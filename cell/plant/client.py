@@ -103,7 +103,8 @@ class Client:
     def send(self, request: Request) -> Answer:
         """Ask for something, once.
 
-        raises  NoCellError: no cell was asked; LinkError: what became of the request is not known
+        raises  NoCellError: no cell was asked; LinkError: what became of the request is not known,
+                but a cell that gets it later than `OLDEST_S` after it was asked refuses it
         """
         with self._conversation() as talk:
             return answer_of(talk.ask("request", to_json(request), "answer"))

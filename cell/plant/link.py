@@ -24,6 +24,7 @@ from cell.plant.folded import possible_in, status_after
 from cell.plant.messages import COMMANDS, Answer, Kind, Notice, Request, Status, to_json
 from cell.plant.server import Server
 from cell.plant.wire import line_of, socket_of
+from cell.run.commands import INTERRUPTING, too_old
 from cell.run.machine import Event
 
 _LOG = logging.getLogger(__name__)
@@ -163,13 +164,21 @@ class Link:
         self._asked.put((request, then))
 
     def _obey(self) -> None:
-        """Let the handler answer one request after another."""
+        """Let the handler answer one request after another, unless it comes too late."""
         while (asked := self._asked.get()) is not None:
             request, then = asked
             try:
-                answer = self._handler(request)
+                answer = self._too_old(request) or self._handler(request)
             except Exception as error:  # it must not end the cell, nor this thread
                 _LOG.exception("request %s", request)
                 reason = f"{type(error).__name__}: {error}"
                 answer = Answer(False, self.status().state, reason)
             then(answer)
+
+    def _too_old(self, request: Request) -> Answer | None:
+        """The refusal of a request that has waited somewhere; a stop is obeyed however late."""
+        if request.command in INTERRUPTING:
+            return None
+        what = "product" if request.command is None else request.command.value
+        late = too_old(what, request.asked_s)
+        return Answer(False, self.status().state, late, "asked_s") if late else None

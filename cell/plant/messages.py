@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
@@ -10,7 +11,7 @@ from typing import Any
 from cell.run.machine import CellState, Event
 
 #: Of the messages; a program that speaks another version is refused.
-PROTOCOL = 1
+PROTOCOL = 2
 
 #: What a person or another machine may ask for; `done` is the cell's own.
 COMMANDS = frozenset(Event) - {Event.DONE}
@@ -129,11 +130,13 @@ class Notice:
 class Request:
     """A command from outside the cell's process.
 
-    command  one of `COMMANDS`, or None: only `product` is asked for
+    command  one of `COMMANDS`; None = only `product` is asked for, or without it a person
+             acknowledges, and nothing moves
     by       who asks: `plc`, `opcua:alice`, `web:bob`
-    note     of an acknowledgement (`clear`, `reset`): what was done
+    note     of an acknowledgement (`clear`, `reset`, or alone): what was done
     part     of a `start`: id of the cable
     product  of a `start`, or alone: what the next cycles make
+    asked_s  when it was asked, on the monotonic clock, which all programs of a computer share
     """
 
     command: Event | None
@@ -141,6 +144,7 @@ class Request:
     note: str = ""
     part: str | None = None
     product: str | None = None
+    asked_s: float = field(default_factory=time.monotonic, compare=False)
 
 
 @dataclass(frozen=True)
@@ -150,11 +154,13 @@ class Answer:
     accepted  whether it was obeyed, or is latched to be
     reason    why it was refused, with what is possible now
     state     of the cell after it
+    wrong     what of the request is refused whatever the state: `part`, `product`, or `asked_s`
     """
 
     accepted: bool
     state: CellState
     reason: str = ""
+    wrong: str = ""
 
 
 def to_json(message: Status | Notice | Request | Answer | FaultNotice) -> dict[str, Any]:

@@ -26,11 +26,14 @@ def latch(cell: Cell, request: Request) -> Answer:
     return Answer(True, cell.machine.state)
 
 
-def refusal(cell: Cell, what: str, why: str = "") -> Answer:
-    """That something is refused, why, and what is possible."""
+def refusal(cell: Cell, what: str, why: str = "", wrong: str = "") -> Answer:
+    """That something is refused, why, and what is possible; `wrong` as in `Answer`."""
     state = cell.machine.state
     now = ", ".join(possible_in(state)) or "nothing"
     because = f": {why}" if why else ""
     return Answer(
-        False, state, f"{what!r} is refused while {state.value}{because}; possible now: {now}"
+        False,
+        state,
+        f"{what!r} is refused while {state.value}{because}; possible now: {now}",
+        wrong,
     )

@@ -15,7 +15,7 @@ from cell.plant.reporter import Reporter
 from cell.plant.signs_of_life import SignsOfLife
 from cell.records.folder import RecordError, acknowledge_record, cycle_of
 from cell.records.result import Result
-from cell.run.commands import InterruptedByCommandError
+from cell.run.commands import InterruptedByCommandError, too_old
 from cell.run.cycle import Cell
 from cell.run.endings import fault_of
 from cell.run.machine import CellState, Event
@@ -72,6 +72,7 @@ class Service:
         self._part: str | None = None
         self._product = product
         self._wanted: str | None = None
+        self._begins: Request | None = None
         self._mark = Mark(runs)
         earlier = earlier_cycles(runs)
         self._number = earlier.cycle + 1
@@ -95,9 +96,10 @@ class Service:
             if request.product is not None and request.product not in self._products:
                 if not self._products:
                     why = "this cell's settings have no products; leave it out"
-                    return self._refused("product", why)
+                    return self._refused("product", why, "product")
                 known = ", ".join(self._products)
-                return self._refused("product", f"{request.product!r} is not known, but {known}")
+                why = f"{request.product!r} is not known, but {known}"
+                return self._refused("product", why, "product")
             command = request.command
             if command in (Event.START, Event.RESET, Event.CLEAR):
                 answer = self._moved(request, command)
@@ -107,6 +109,8 @@ class Service:
                 answer = latch(self._cell, request)
                 if command is Event.ABORT and answer.accepted:
                     answer = self._aborted(answer)
+            elif request.product is None:
+                answer = self._acknowledged(request)
             else:
                 answer = Answer(True, self._cell.machine.state)
             if answer.accepted and command is not Event.START and request.product is not None:
@@ -132,13 +136,14 @@ class Service:
             try:
                 product = product_for(self._products, request.product, part, usual)
             except ValueError as error:
-                return self._refused(command.value, str(error))
-            self._part, self._wanted = part, product
+                return self._refused(command.value, str(error), "part" if part else "product")
+            self._part, self._wanted, self._begins = part, product, request
             self._reporter.cycle(self._number, self._part, product)
             return Answer(True, machine.send(command))
         if machine.state is CellState.ABORTED or self._open:
             self._acknowledge(request)
         if command is Event.RESET:
+            self._begins = request
             machine.send(command)
         return Answer(True, machine.state)
 
@@ -159,6 +164,17 @@ class Service:
         machine.send(Event.ABORT)
         return Answer(True, machine.send(Event.DONE))
 
+    def _acknowledged(self, request: Request) -> Answer:
+        """A person's word alone: nothing moves before a reset."""
+        state = self._cell.machine.state
+        if state is CellState.ABORTED:
+            return self._moved(request, Event.CLEAR)
+        if state is not CellState.STOPPED or not self._open:
+            return self._refused("acknowledge", "there is nothing to acknowledge")
+        self._acknowledge(request)
+        self._reporter.waiting("reset")
+        return Answer(True, state)
+
     def _acknowledge(self, request: Request) -> None:
         self._cell.acknowledge(request.by, request.note)
         self._reporter.acknowledged(request.by, request.note)
@@ -170,8 +186,8 @@ class Service:
                 except RecordError as error:  # the next service asks again
                     _LOG.warning("%s", error)
 
-    def _refused(self, what: str, why: str = "") -> Answer:
-        return refusal(self._cell, what, why)
+    def _refused(self, what: str, why: str = "", wrong: str = "") -> Answer:
+        return refusal(self._cell, what, why, wrong)
 
     def end(self) -> None:
         """End after the cycle under way, or at once if it is paused; safe in a signal's handler."""
@@ -201,6 +217,7 @@ class Service:
     def _prepared(self) -> Result | None:
         """Make the cell ready; a file says meanwhile that the hand may be moving."""
         self._mark.leave("the program or the computer ended while the cell was made ready")
+        self._stop_if_late()
         result = self._cell.prepare(self._number, self._plan)
         self._mark.remove()
         return result
@@ -234,8 +251,18 @@ class Service:
             )  # before anybody is told: the service may be killed at once
             with self._changed:
                 return self._cell.leave_idle(error)
+        self._stop_if_late()
         self._select_wanted(tell=False)  # as the start has told
         return self._cell.run_prepared(self._part)
+
+    def _stop_if_late(self) -> None:
+        """Nothing moves for a start or a reset after which this process was halted."""
+        with self._changed:
+            begins, self._begins = self._begins, None
+        if begins is not None and begins.command is not None:
+            late = too_old(begins.command.value, begins.asked_s)
+            if late:
+                self._cell.command(Event.STOP, late)
 
     def _ended(self, result: Result, told: Callable[[Result], None]) -> None:
         recorded = cycle_of(Path(result.folder)) is not None

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import socket
 import tempfile
 from collections.abc import Mapping
@@ -22,9 +23,9 @@ from cell.plant.messages import COMMANDS, Answer, FaultNotice, Kind, Mode, Notic
 from cell.run.machine import CellState, Event
 
 #: A program that follows hears something at least so often, s.
-HEARTBEAT_S = 1.0
+HEARTBEAT_S = 0.4
 #: A cell that says nothing for so long to a program that follows is lost, s.
-SILENCE_S = 3.0
+SILENCE_S = 1.5
 #: A longer line is no message, bytes.
 LONGEST_LINE = 1 << 20
 #: A longer text in a request is refused, characters.
@@ -121,6 +122,9 @@ def request_of(data: Any) -> Request:
     if not isinstance(data, dict):
         raise ValueError("a request is an object")
     known = _known(Request, data)
+    asked_s = known.pop("asked_s", None)
+    if type(asked_s) not in (int, float) or not math.isfinite(asked_s):
+        raise ValueError("asked_s is missing: when it was asked, on the monotonic clock, s")
     for name, value in known.items():
         wanted = str if name in ("by", "note") else str | None
         if not isinstance(value, wanted) or len(value or "") > LONGEST_TEXT:
@@ -132,7 +136,7 @@ def request_of(data: Any) -> Request:
     command = known.pop("command", None)
     if command is not None and command not in COMMANDS:
         raise ValueError(f"{command!r} is no command; those are {', '.join(sorted(COMMANDS))}")
-    return Request(command=None if command is None else Event(command), **known)
+    return Request(command=None if command is None else Event(command), asked_s=asked_s, **known)
 
 
 def _is_whole(text: str) -> bool:

@@ -3,13 +3,30 @@
 from __future__ import annotations
 
 import threading
+import time
 
 from cell.run.machine import Event
 from drivers.interfaces import DeviceError
 
 INTERRUPTING = frozenset({Event.STOP, Event.ABORT})
 PAUSING = frozenset({Event.HOLD, Event.SUSPEND})
+#: A command to move that is older is refused, s: whoever gave it expects no motion any more.
+OLDEST_S = 1.0
 RESUMING = {Event.HOLD: Event.UNHOLD, Event.SUSPEND: Event.UNSUSPEND}
+
+
+def too_old(what: str, asked_s: float) -> str:
+    """Why a command that was given at `asked_s` on the monotonic clock is refused; "" = it is not.
+
+    A time of another clock is refused, too.
+    """
+    age_s = time.monotonic() - asked_s
+    if abs(age_s) <= OLDEST_S:
+        return ""
+    return (
+        f"{what} was given {age_s:.1f} s ago, and is refused after {OLDEST_S:g} s: a program "
+        "between was halted; look at the cell, then give it again"
+    )
 
 
 class InterruptedByCommandError(Exception):
@@ -33,6 +50,7 @@ class Commands:
         self._interruption: tuple[Event, str] | None = None
         self._failure: DeviceError | None = None
         self._pauses: list[Event] = []
+        self._resumed_s = 0.0
 
     def fail(self, error: DeviceError) -> None:
         """Latch that a device has failed; a command or a failure that came before counts."""
@@ -55,6 +73,7 @@ class Commands:
                     self._pauses.append(event)
             elif event in RESUMING.values():
                 self._pauses = [p for p in self._pauses if RESUMING[p] is not event]
+                self._resumed_s = time.monotonic()
             else:
                 raise ValueError(f"{event.value!r} is no command to a running cycle")
             self._changed.notify_all()
@@ -79,10 +98,17 @@ class Commands:
             return any(RESUMING[pause] is event for pause in self._pauses)
 
     def wait_until_resumed(self, pause: Event) -> None:
-        """Block while `pause` lasts.  Raises InterruptedByCommandError; DeviceError."""
+        """Block while `pause` lasts.  Raises InterruptedByCommandError; DeviceError.
+
+        A stop takes the place of what ended the pause if this process was halted since.
+        """
         with self._changed:
+            waited = False
             while pause in self._pauses and self._interruption is None and self._failure is None:
-                self._changed.wait()
+                waited = self._changed.wait()
+            late = too_old(RESUMING[pause].value, self._resumed_s) if waited else ""
+            if late and self._interruption is None:
+                self._interruption = (Event.STOP, late)
         self.check()
 
     def clear(self) -> None:

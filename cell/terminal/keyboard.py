@@ -7,10 +7,13 @@ import select
 import sys
 import termios
 import threading
+import time
 import tty
 from collections.abc import Callable
 from typing import Any
 
+#: Keys are dropped if this process was halted for so long before it could read them, s.
+_OLDEST_S = 1.0
 #: How often it is looked whether the terminal is ours again, s.
 _LOOK_S = 0.2
 
@@ -62,6 +65,7 @@ class Keyboard:
 
     def _listen(self) -> None:
         while not self._over.is_set():
+            looked_s = time.monotonic()
             ready, _, _ = select.select([self._descriptor], [], [], _LOOK_S)
             if not ready:
                 continue
@@ -74,5 +78,7 @@ class Keyboard:
                 return
             if not keys:  # the terminal has gone
                 return
+            if time.monotonic() - looked_s > _OLDEST_S:
+                continue
             for key in keys.decode(errors="replace"):
                 self._on_key(key)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from pathlib import Path
 
 from cell.plant.client import Client
@@ -12,13 +13,14 @@ from cell.plant.handshake.rules import Ask, Memory, away, look, not_obeyed, obey
 from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
 from cell.plant.messages import Request, Status
 from cell.plant.wire import LinkError, ProtocolError
+from cell.run.commands import OLDEST_S
 
 _LOG = logging.getLogger(__name__)
 
 #: Bits and cell are looked at so often, and at once when something happens in the cell, s.
 _LOOK_S = 0.05
 #: A cell that does not answer for so long is lost, s; on a computer under load it may take 1 s.
-_ANSWER_S = 2.0
+_ANSWER_S = 1.5
 
 
 class HandshakeAdapter:
@@ -38,6 +40,8 @@ class HandshakeAdapter:
         self._over = threading.Event()
         self._said: dict[str, str] = {}
         self._outputs: Outputs | None = None
+        self._looked_s = time.monotonic()
+        self._no_edges_until_s = 0.0
 
     def run(self) -> None:
         """Look until `end`; the PLC then reads a fault.
@@ -62,16 +66,25 @@ class HandshakeAdapter:
         self._over.set()
 
     def look(self) -> None:
-        """Look once.  Raises ProtocolError."""
+        """Look once.  Raises ProtocolError.
+
+        An input has changed since the look before: so old are the commands that follow from it.
+        After this process was halted, a start or an acknowledgement that has piled up is no edge.
+        """
+        asked_s, self._looked_s = self._looked_s, time.monotonic()
+        if self._looked_s - asked_s > OLDEST_S:
+            self._no_edges_until_s = self._looked_s + OLDEST_S
         inputs, status, before = self._inputs(), self._status(), self._memory
         if inputs is None:
             self._memory = away(before)
             self._tell(UNKNOWN)
             return
+        if self._looked_s < self._no_edges_until_s:
+            before = away(before)
         asks, outputs, after = look(inputs, status, before)
         self._tell(outputs)
         for ask in asks:
-            if self._ask(ask):
+            if self._ask(ask, asked_s):
                 self._tell(obeyed(ask, outputs))
             else:
                 after = not_obeyed(ask, before, after)
@@ -97,11 +110,11 @@ class HandshakeAdapter:
         self._say("cell", "")
         return status
 
-    def _ask(self, ask: Ask) -> bool:
+    def _ask(self, ask: Ask, asked_s: float) -> bool:
         """Whether the cell obeys."""
         what = ask.command.value
         try:
-            asked = Request(ask.command, self._by, note=ask.note, product=ask.product)
+            asked = Request(ask.command, self._by, ask.note, product=ask.product, asked_s=asked_s)
             answer = self._client.send(asked)
         except LinkError as error:
             self._say(what, f"{what}: what became of it is not known: {error}")

@@ -99,6 +99,20 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
         finally:
             caller.reset(token)
 
+    async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
+        """No node has a history: what was is in the ledger."""
+        none = ua.StatusCode(ua.StatusCodes.BadHistoryOperationUnsupported)
+        unknown = ua.StatusCode(ua.StatusCodes.BadNodeIdUnknown)
+        known = (node.NodeId in self.aspace for node in params.NodesToRead)
+        return [ua.HistoryReadResult(StatusCode=none if k else unknown) for k in known]
+
+    async def history_update(
+        self, params: ua.HistoryUpdateParameters
+    ) -> list[ua.HistoryUpdateResult]:
+        """Nobody changes a history that no node has."""
+        none = ua.StatusCode(ua.StatusCodes.BadHistoryOperationUnsupported)
+        return [ua.HistoryUpdateResult(StatusCode=none) for _ in params.HistoryUpdateDetails]
+
     async def transfer_subscriptions(
         self, params: ua.TransferSubscriptionsParameters, callback: Callable[..., Any]
     ) -> list[ua.TransferResult]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from asyncua import ua
@@ -13,6 +13,7 @@ from asyncua import ua
 from cell.plant.messages import Answer, Request
 from cell.plant.opcua import packml
 from cell.plant.opcua.access import ANONYMOUS, caller
+from cell.plant.opcua.arrival import came_s
 from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES
 from cell.plant.opcua.packml import Method
 from cell.plant.opcua.space import Space
@@ -158,7 +159,8 @@ class Methods:
         title = command.event.value if command.event else command.name
         try:
             _check(command, arguments)
-            request = self._request(command, [a.Value for a in arguments])
+            asked = self._request(command, [a.Value for a in arguments])
+            request = replace(asked, asked_s=came_s.get())
             answer = await asyncio.to_thread(self._ask, request)
         except _RefusedError as refused:
             await self._refused(f"{title}: {refused}")
@@ -171,7 +173,7 @@ class Methods:
             return _result(Code.BadCommunicationError)
         await self._refused("" if answer.accepted else f"{title}: {answer.reason}")
         _LOG.info("%s: %s", request, answer)
-        return _result(Code.Good if answer.accepted else Code.BadInvalidState)
+        return _answered(command, answer)
 
     def _request(self, command: Command, arguments: Sequence[Any]) -> Request:
         by = f"opcua:{caller.get() or ANONYMOUS}"
@@ -215,6 +217,19 @@ class Methods:
             reason = f"give one product, with a number from 1 to {len(products)}"
             raise _RefusedError(Code.BadInvalidArgument, reason, [Code.BadOutOfRange])
         return products[numbers[0] - 1]
+
+
+def _answered(command: Command, answer: Answer) -> ua.CallMethodResult:
+    """The status of an answer: an argument is wrong, it came too late, or the state forbids it."""
+    if answer.accepted:
+        return _result(Code.Good)
+    if answer.wrong == "asked_s":
+        return _result(Code.BadTimeout)
+    names = [name.lower() for name, _ in command.arguments]
+    if answer.wrong in names:
+        wrong = [Code.BadOutOfRange if name == answer.wrong else Code.Good for name in names]
+        return _result(Code.BadInvalidArgument, wrong, len(names))
+    return _result(Code.BadInvalidState)
 
 
 def _check(command: Command, arguments: Sequence[ua.Variant]) -> None:

@@ -16,12 +16,13 @@ from enum import Enum
 from importlib.metadata import version
 from pathlib import Path
 
-from asyncua import Server, ua
+from asyncua import ua
 
 from cell.plant.client import Client
 from cell.plant.messages import Kind, Notice, Status
 from cell.plant.opcua import packml
 from cell.plant.opcua.access import GuardedServer
+from cell.plant.opcua.arrival import TimedServer
 from cell.plant.opcua.certificates import own_certificate
 from cell.plant.opcua.commands import Methods
 from cell.plant.opcua.events import Transitions
@@ -126,10 +127,10 @@ async def running(settings: Settings, runs: Path, users: Path = USERS) -> AsyncI
         await server.stop()
 
 
-async def _made(opcua: OpcUa, users: Path) -> Server:
+async def _made(opcua: OpcUa, users: Path) -> TimedServer:
     """A server that does not listen yet.  Raises OSError: its files cannot be written."""
     accounts = all_users(users, opcua.folder)
-    server = Server(iserver=GuardedServer(accounts, opcua.folder, opcua.is_loopback))
+    server = TimedServer(iserver=GuardedServer(accounts, opcua.folder, opcua.is_loopback))
     await server.init()
     uri = f"urn:{socket.gethostname()}:cable-cell:{opcua.name}"
     await server.set_application_uri(uri)
@@ -147,7 +148,7 @@ async def _made(opcua: OpcUa, users: Path) -> Server:
     return server
 
 
-async def _listen(server: Server, opcua: OpcUa) -> None:
+async def _listen(server: TimedServer, opcua: OpcUa) -> None:
     try:
         await server.start()
     except OSError as error:

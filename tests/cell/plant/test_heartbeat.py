@@ -195,7 +195,6 @@ def test_a_halted_cell_is_shown_as_lost_by_all_who_show_it(
     client = Client(runs, on_lost=lambda: watch.lost(), on_there=lambda: watch.found())
     watch = Watch(client, settings.model_copy(update={"ledger": None}), runs)
     outbox = MqttOutbox(tmp_path / "outbox", 1000)
-    site = Site(FakeCell(tmp_path / "none"), port, tmp_path / "opcua", runs)
 
     async def shown(seen: Seen) -> None:
         cell.publish("long")  # after it nothing is told any more
@@ -209,7 +208,7 @@ def test_a_halted_cell_is_shown_as_lost_by_all_who_show_it(
         assert await seen.read("Cell.State") == "idle"
         wait_until(lambda: watch.seen.there and taker.is_cell)
 
-    with served(settings, runs), watch, Taker(runs, outbox, lambda: None) as taker:
-        site.look(shown)
+    with served(settings, runs) as loop, watch, Taker(runs, outbox, lambda: None) as taker:
+        Site(FakeCell(tmp_path / "none"), port, tmp_path / "opcua", runs, loop).look(shown)
     client.close()
     outbox.close()

@@ -205,11 +205,32 @@ def test_what_is_no_request_is_refused(
 
 def test_half_a_character_is_refused_before_it_is_told_on(link: Link, runs: Path) -> None:
     """A part's id of this kind was taken, and then no program got the cell's status any more."""
-    asks = b'{"request":{"command":"start","by":"plc","part":"A-\\ud83d"}}\n'
+    asks = b'{"request":{"command":"start","by":"plc","asked_s":1.0,"part":"A-\\ud83d"}}\n'
     said = say(runs, line_of("greeting", {"protocol": PROTOCOL}), asks, line_of("dance", 1))
     [answer] = [line["answer"] for line in said if isinstance(line, dict) and "answer" in line]
     assert not answer["accepted"]
     assert "part is no text" in answer["reason"]
+
+
+@pytest.mark.parametrize("age_s", [1.5, -1.5])
+def test_a_command_that_comes_too_late_is_refused_and_a_stop_is_not(
+    link: Link, client: Client, age_s: float
+) -> None:
+    """A start that waited in the socket of a halted cell moved the arm when it went on."""
+    asked_s = time.monotonic() - age_s
+    for command in (Event.START, Event.RESET, Event.UNHOLD, None):
+        answer = client.send(Request(command, "plc", product="soft", asked_s=asked_s))
+        assert (answer.accepted, answer.wrong) == (False, "asked_s")
+        assert "s ago, and is refused after 1 s" in answer.reason
+    for command in (Event.STOP, Event.ABORT):
+        assert client.send(Request(command, "plc", asked_s=asked_s)).accepted
+
+
+def test_a_command_without_a_time_is_refused(link: Link, runs: Path) -> None:
+    asks = b'{"request":{"command":"start","by":"plc"}}\n'
+    said = say(runs, line_of("greeting", {"protocol": PROTOCOL}), asks, line_of("dance", 1))
+    [answer] = [line["answer"] for line in said if isinstance(line, dict) and "answer" in line]
+    assert not answer["accepted"] and "asked_s is missing" in answer["reason"]
 
 
 def test_a_handler_that_fails_refuses(runs: Path, client: Client) -> None:

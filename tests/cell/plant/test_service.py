@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from time import monotonic
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -66,3 +67,32 @@ def test_an_abort_in_stopped_outlives_the_service(tmp_path: Path, told: Told) ->
     assert [data["state"] for kind, data in told if kind is Kind.STATE] == ["stopped"]
     causes = [data["cause"] for kind, data in told if kind is Kind.FAULT]
     assert causes == ["abort: guard opened by Ada"]
+
+
+@pytest.mark.parametrize("command", [Event.START, Event.RESET])
+def test_nothing_moves_if_the_process_was_halted_after_it_had_accepted(
+    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch, command: Event
+) -> None:
+    """A start was accepted, the process halted, and the arm moved as soon as it went on."""
+    service = service_of(tmp_path / "runs", told)
+    cell = service._cell
+    given: list[Event] = []
+
+    def moves(*_: object) -> None:
+        assert given == [Event.STOP]
+        service.end()
+
+    monkeypatch.setattr(cell, "prepare", lambda *_: cell.machine.send(Event.RESET) and None)
+    service._prepared()
+    if command is Event.START:
+        cell.machine.send(Event.DONE)
+    else:
+        cell.machine.send(Event.STOP)
+        cell.machine.send(Event.DONE)
+    monkeypatch.setattr(cell, "prepare", moves)
+    monkeypatch.setattr(cell, "run_prepared", moves)
+    monkeypatch.setattr(cell, "command", lambda event, reason: given.append(event))
+    accepted = service.answer(Request(command, "Ada", asked_s=monotonic() - 1.5))
+    assert accepted.accepted
+    service._idle() if command is Event.START else service._prepared()
+    assert given == [Event.STOP]

@@ -69,6 +69,26 @@ def test_who_waits_is_woken_by_whatever_ends_the_pause(event: Event) -> None:
     assert ended == ["resumed" if event is Event.UNHOLD else "interrupted"]
 
 
+def test_a_pause_that_ended_before_the_process_was_halted_ends_in_a_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The arm went on as soon as the process did, long after it had been told to."""
+    commands = Commands()
+    commands.give(Event.HOLD)
+    wait = commands._changed.wait
+
+    def halted() -> bool:
+        woken = wait()
+        commands._resumed_s -= 1.5
+        return woken
+
+    monkeypatch.setattr(commands._changed, "wait", halted)
+    timer = threading.Timer(0.05, commands.give, (Event.UNHOLD,))
+    timer.start()
+    with pytest.raises(InterruptedByCommandError, match=r"stop: unhold was given 1\.5 s ago"):
+        commands.wait_until_resumed(Event.HOLD)
+
+
 def test_what_is_no_command_to_a_running_cycle_is_refused() -> None:
     with pytest.raises(ValueError, match="'start' is no command to a running cycle"):
         Commands().give(Event.START)

@@ -7,8 +7,11 @@ import os
 import pty
 import sys
 import termios
+import time
+import tty
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TextIO
 
 import pytest
@@ -53,3 +56,28 @@ def test_a_terminal_of_another_session_is_left_alone(monkeypatch: pytest.MonkeyP
         assert stream.readline() == "h\n"
     os.close(slave)
     os.close(master)
+
+
+def test_keys_that_waited_while_the_process_was_halted_are_dropped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """`u` went on with a cycle as soon as the process did."""
+    master, slave = pty.openpty()
+    pressed: list[str] = []
+    times_s = [0.0, 1.5]  # before the wait for the first key, and after it
+    clock = SimpleNamespace(monotonic=lambda: times_s.pop(0) if times_s else 2.0)
+    monkeypatch.setattr("cell.terminal.keyboard.time", clock)
+    monkeypatch.setattr(Keyboard, "_is_ours", lambda self: True)
+    with open(slave, closefd=False) as stream:  # a descriptor, not a path
+        monkeypatch.setattr(sys, "stdin", stream)
+        tty.setcbreak(slave)
+        os.write(master, b"u")
+        with Keyboard(pressed.append):
+            until_s = time.monotonic() + 10.0
+            while not pressed and time.monotonic() < until_s:
+                if not times_s:
+                    os.write(master, b"h")
+                time.sleep(0.02)
+    os.close(slave)
+    os.close(master)
+    assert set(pressed) == {"h"}

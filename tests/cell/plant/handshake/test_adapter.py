@@ -8,8 +8,15 @@ import pytest
 
 from cell.plant.handshake.adapter import HandshakeAdapter
 from cell.run.machine import CellState, Event
-from tests.cell.plant.handshake.conftest import FakeCell, Wired, wait_until
-from tools.faults.scripted_plc import HABITS, play
+from cell.settings.plant.handshake import Handshake
+from tests.cell.plant.handshake.conftest import (
+    FakeCarrier,
+    FakeCell,
+    FakeWire,
+    Wired,
+    wait_until,
+)
+from tools.faults.scripted_plc import HABITS, Plc, places, play
 
 
 def test_a_plc_that_misbehaves_gets_one_cycle_for_each_start(
@@ -78,3 +85,32 @@ def test_a_cell_that_is_away_is_a_fault_and_is_not_started_when_it_comes(
         plc.say(start=False)
         assert plc.cycle() == "done"
     plc.wait(lambda heard: heard["fault"] and not heard["busy"])
+
+
+def test_a_start_that_waited_while_the_adapter_was_halted_starts_nothing(
+    fake: FakeCell, runs: Path
+) -> None:
+    """The PLC's start moved the arm when the adapter went on, however late."""
+    wired_up = FakeWire(60.0)  # a PLC that may be silent for long, so its silence tells nothing
+    said = Handshake.model_validate({"silence_s": 60.0, **places()})
+    adapter = HandshakeAdapter(FakeCarrier(said, wired_up), runs, "plc")
+    plc = Plc(wired_up)
+
+    def looks() -> None:
+        for _ in range(3):
+            adapter.look()
+
+    plc.say(part_present=True, upstream_ready=True, downstream_ready=True)
+    looks()
+    adapter._looked_s -= 1.5  # halted for so long
+    looks()  # the start arrives after the first look
+    plc.say(start=True)
+    looks()
+    assert fake.starts == 0
+    plc.say(start=False)
+    looks()
+    adapter._no_edges_until_s -= 1.1  # another second has passed
+    looks()
+    plc.say(start=True)
+    looks()
+    assert fake.starts == 1

@@ -95,7 +95,7 @@ def free_port() -> int:
 
 
 @contextmanager
-def served(settings: Settings, runs: Path) -> Iterator[None]:
+def served(settings: Settings, runs: Path) -> Iterator[asyncio.AbstractEventLoop]:
     """The server in a loop of its own, in a thread."""
     loop, stopped = asyncio.new_event_loop(), asyncio.Event()
     begun: list[BaseException | None] = []
@@ -114,7 +114,7 @@ def served(settings: Settings, runs: Path) -> Iterator[None]:
         wait_until(lambda: bool(begun))
         if begun[0] is not None:
             raise begun[0]
-        yield
+        yield loop
     finally:
         loop.call_soon_threadsafe(stopped.set)
         thread.join(60.0)
@@ -165,6 +165,7 @@ class Site:
     port: int
     folder: Path
     runs: Path
+    loop: asyncio.AbstractEventLoop
 
     @asynccontextmanager
     async def connected(
@@ -201,8 +202,8 @@ def site(folder: Path, listen: str) -> Iterator[Site]:
     users.add("bob", Role.watch, PASSWORD)
     opcua = OpcUa(listen=listen, port=port, folder=folder / "opcua", name=NAME)
     cell = FakeCell(runs)
-    with cell.link, served(settings_with(opcua), runs):
-        yield Site(cell, port, folder / "opcua", runs)
+    with cell.link, served(settings_with(opcua), runs) as loop:
+        yield Site(cell, port, folder / "opcua", runs, loop)
 
 
 @pytest.fixture(scope="package")

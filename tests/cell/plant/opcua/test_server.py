@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 from asyncua import ua
 
-from cell.plant.messages import Kind, Request
+from cell.plant.messages import Answer, Kind, Request
 from cell.plant.opcua.commands import COMMANDS
 from cell.plant.opcua.server import _Shown
 from cell.plant.opcua.unit import tags_of
@@ -170,6 +171,69 @@ def test_what_a_state_does_not_know_is_refused_with_a_status_and_a_reason(stoppe
 
     stopped.look(watch)
     assert stopped.cell.machine.state is CellState.STOPPED
+
+
+def test_a_call_that_waited_while_the_server_was_halted_is_refused(stopped: Site) -> None:
+    """It moved the arm as soon as the server went on."""
+
+    async def watch(seen: Seen) -> None:
+        halted = threading.Event()
+
+        def halt() -> None:
+            halted.set()
+            time.sleep(1.3)
+
+        stopped.loop.call_soon_threadsafe(halt)
+        await asyncio.to_thread(halted.wait)
+        assert await seen.call(f"{MACHINE}.Reset") == "BadTimeout"
+        assert "is refused after 1 s" in await seen.read("Cell.Refusal")
+        assert stopped.cell.asked == []
+        await asyncio.sleep(0.3)
+        assert await seen.call(f"{MACHINE}.Reset") == "Good"
+
+    stopped.look(watch)
+
+
+def test_a_part_that_is_refused_is_named_by_its_argument(
+    stopped: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The status said that the state forbids it."""
+    why = Answer(False, CellState.IDLE, "part 'S-1' is of product soft", "part")
+    monkeypatch.setattr(stopped.cell.link, "_handler", lambda request: why)
+
+    async def watch(seen: Seen) -> None:
+        cell = seen.node("Cell")
+        request = ua.CallMethodRequest(
+            ObjectId=cell.nodeid,
+            MethodId=seen.node("Cell.Start").nodeid,
+            InputArguments=[ua.Variant("S-1"), ua.Variant("stiff")],
+        )
+        [result] = await seen.client.uaclient.call([request])
+        assert result.StatusCode.name == "BadInvalidArgument"
+        assert [c.name for c in result.InputArgumentResults] == ["BadOutOfRange", "Good"]
+        assert await seen.read("Cell.Refusal") == "start: part 'S-1' is of product soft"
+
+    stopped.look(watch)
+
+
+def test_no_node_has_a_history(stopped: Site) -> None:
+    """It was read as Good, and empty."""
+    nobody = ua.NodeId("nobody", 1)
+
+    async def watch(seen: Seen) -> None:
+        nodes = [seen.node("Cell.State").nodeid, nobody]
+        for details in (ua.ReadRawModifiedDetails(), ua.ReadEventDetails()):
+            wanted = ua.HistoryReadParameters(
+                HistoryReadDetails=details,
+                NodesToRead=[ua.HistoryReadValueId(NodeId=node) for node in nodes],
+            )
+            found = await seen.client.uaclient.history_read(wanted)
+            assert [r.StatusCode.name for r in found] == [
+                "BadHistoryOperationUnsupported",
+                "BadNodeIdUnknown",
+            ]
+
+    stopped.look(watch)
 
 
 @pytest.mark.parametrize(
