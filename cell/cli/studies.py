@@ -125,6 +125,7 @@ def look_at_study(
 def _look(folder: Path) -> Look:
     """A study as it is, with all that is known to be wrong and odd.  Raises InputError."""
     from cell.files.input_error import InputError
+    from cell.lab.data.rest_drift import rest_drifts
     from cell.lab.report.look_page import Look
     from cell.study.facts import facts_of
     from cell.study.folder import study_as_it_is, study_folder
@@ -142,6 +143,6 @@ def _look(folder: Path) -> Look:
             wrong = [str(p) for p in error.problems]
     facts = facts_of(study.trials, study.arc_length_m)
     wrenches = [w for t in study.trials if (w := wrench_facts(t)) is not None]
-    odd = [*notes, *oddities(facts, study.noise_std_m)]
+    odd = [*notes, *map(str, rest_drifts(study)), *oddities(facts, study.noise_std_m)]
     title = f"A look at {study.name}"
     return Look(study.name, title, study.trials, facts, {}, wrong, odd, wrenches)

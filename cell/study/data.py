@@ -91,6 +91,8 @@ class Trial:
     hand_drift  error of the grip's place, where it was integrated; None = its log shows all of it
     wrench  what a sensor at the clamp showed, if there was one
     row_means  where that is among the markers, as in the lab: which values are means of its rows
+    drifts     whether it begins `moving`, as nobody has stated, and so slowly that frames before
+               the hand moves show the noise about a smooth course
     """
 
     name: str
@@ -102,6 +104,7 @@ class Trial:
     hand_drift: HandDrift | None = None
     wrench: Wrench | None = None
     row_means: RowMeans | None = None
+    drifts: bool = False
 
     @property
     def bent(self) -> bool:
@@ -111,7 +114,7 @@ class Trial:
     @property
     def rests_until_s(self) -> float | None:
         """Until when the cable is held still by more than its grip; −∞ if it never is at rest."""
-        return -np.inf if self.start == "moving" else self.release_s
+        return -np.inf if self.start == "moving" and not self.drifts else self.release_s
 
 
 @dataclass(frozen=True)

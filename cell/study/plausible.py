@@ -213,12 +213,25 @@ def _ahead(found: Offset) -> str:
     )
 
 
-def _moves_first(trial: Trial, cable: Cable) -> str | None:
-    """That a cable said to begin in equilibrium moves while its hand does not."""
+@dataclass(frozen=True)
+class FirstMotion:
+    """How far a cable moves before its hand does, and from which of its frames on."""
+
+    reach_m: float
+    row: int
+
+    @property
+    def from_first(self) -> bool:
+        """Whether it moves from the first frame on: it is not let go later."""
+        return self.row < FEWEST_STILL
+
+
+def first_motion(trial: Trial, cable: Cable) -> FirstMotion | None:
+    """That a cable said to begin in equilibrium moves, by a share of it, before its hand does."""
     still = _at_rest(trial)
     if trial.start != "equilibrium" or np.count_nonzero(still) < FEWEST_STILL:
         return None
-    t_s, away_m = trial.markers.t_s[still], _from_grip(trial)[still]
+    away_m = _from_grip(trial)[still]
     # Medians of five: a glitch of two frames is none of the cable's.  What is lost sorts last.
     windows = np.sort(np.lib.stride_tricks.sliding_window_view(away_m, MEDIAN_OF, axis=0), axis=-1)
     smooth_m = windows[..., MEDIAN_OF // 2]
@@ -226,14 +239,20 @@ def _moves_first(trial: Trial, cable: Cable) -> str | None:
     reach_m = float(from_first_m.max())
     if reach_m < MOVES * cable.length_m:
         return None
-    begins = int(np.argmax(np.any(from_first_m > 0.1 * reach_m, axis=1)))
-    if begins < FEWEST_STILL:
-        meant = "`start: moving`"
-    else:
-        meant = f"`start: held` with release_s: {t_s[begins + MEDIAN_OF // 2]:.3g}"
+    return FirstMotion(reach_m, int(np.argmax(np.any(from_first_m > 0.1 * reach_m, axis=1))))
+
+
+def _moves_first(trial: Trial, cable: Cable) -> str | None:
+    found = first_motion(trial, cable)
+    if found is None:
+        return None
+    meant = "`start: moving`"
+    if not found.from_first:
+        let_go_s = trial.markers.t_s[_at_rest(trial)][found.row + MEDIAN_OF // 2]
+        meant = f"`start: held` with release_s: {let_go_s:.3g}"
     return (
-        f"before the hand moves the cable does, by {reach_m * 1e3:.3g} mm, yet it is said to begin "
-        f"in equilibrium; give {meant} in study.yaml"
+        f"before the hand moves the cable does, by {found.reach_m * 1e3:.3g} mm, yet it is said to "
+        f"begin in equilibrium; give {meant} in study.yaml"
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
-from cell.lab.data.noise_likelihood import Block, Rest
+from cell.lab.data.noise_likelihood import DEGREE, Block, Rest
 from cell.lab.data.noise_model import Level, NoiseModel, noise_model_of_blocks, still_blocks
 from cell.study.data import Study, Trial
 
@@ -91,7 +91,7 @@ def with_levels(study: Study, noise_model: NoiseModel) -> NoiseModel:
         for t in study.trials
         for values in t.markers.xy_m[:, markers].reshape(len(t.markers.t_s), -1).T
     ]
-    found = noise_model_of_blocks(level_blocks, series, None)
+    found = noise_model_of_blocks(level_blocks, series, None, max(DEGREE, noise_model.rest.degree))
     assert found is not None  # there are blocks
     return replace(
         found,

@@ -29,6 +29,8 @@ CHI2_95 = 3.84
 #: depends; and white shares beside them, of values that are rounded.
 AR1_GRID = 1.0 - (1.0 - MAX_AR1) ** np.linspace(0.0, 1.0, 121)
 WHITE_SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+#: Highest degree of the polynomials taken out of a cable that settles, and of one that drifts.
+DEGREE, DRIFT_DEGREE = 2, 5
 #: Rounding to less than this share of the noise adds nothing white that is seen.
 SEEN_ROUNDING = 0.25
 #: Still frames show the level of values that are rounded to less than so many standard deviations.
@@ -48,10 +50,15 @@ class Rest:
     resolution_m: float
 
     @staticmethod
-    def of(blocks: Sequence[Block], resolution_m: float) -> Rest:
-        """With polynomials of the degree that the blocks need, by BIC."""
-        rests = [Rest(tuple(blocks), degree, resolution_m) for degree in range(3)]
-        return min(rests, key=lambda r: r._bic(r._ar1()))
+    def of(blocks: Sequence[Block], resolution_m: float, most: int = DEGREE) -> Rest:
+        """With polynomials of the degree, up to `most`, that the blocks need, by BIC."""
+        rests = [Rest(tuple(blocks), degree, resolution_m) for degree in range(most + 1)]
+        return min(rests, key=lambda r: r.bic)
+
+    @cached_property
+    def bic(self) -> float:
+        """Of its polynomials with the likeliest correlation."""
+        return self._bic(self._ar1())
 
     @property
     def frames(self) -> int:

@@ -15,6 +15,8 @@ from cell.lab.data.noise_likelihood import (
     ALLOWED,
     AR1_GRID,
     CHI2_95,
+    DEGREE,
+    DRIFT_DEGREE,
     MAX_AR1,
     Block,
     Rest,
@@ -183,7 +185,8 @@ def noise_model_of(study: Study) -> NoiseModel:
         for trial in study.trials
         for values in trial.markers.xy_m[:, markers].reshape(len(trial.markers.t_s), -1).T
     ]
-    found = noise_model_of_blocks(blocks, series, study.noise_std_m)
+    most = DRIFT_DEGREE if any(t.drifts for t in study.trials) else DEGREE
+    found = noise_model_of_blocks(blocks, series, study.noise_std_m, most)
     if found is None:
         raise NoiseUnknownError(
             f"study {study.name}: no trial has {MIN_STILL_FRAMES} frames before the hand "
@@ -194,15 +197,19 @@ def noise_model_of(study: Study) -> NoiseModel:
 
 
 def noise_model_of_blocks(
-    blocks: Sequence[Block], series: Sequence[FloatArray], stated: float | None
+    blocks: Sequence[Block],
+    series: Sequence[FloatArray],
+    stated: float | None,
+    most: int = DEGREE,
 ) -> NoiseModel | None:
     """Noise from what is still of series, and their rounding; None if nothing is, and none stated.
 
     Its level is as stated, if it is.
+    most  degree of the polynomials that are taken out
     """
     if not blocks:
         return None if stated is None else NoiseModel(Noise(stated), np.inf, coloured=False)
-    rest = Rest.of(blocks, resolution_m(series))
+    rest = Rest.of(blocks, resolution_m(series), most)
     found, dof = rest.likeliest()
     if stated is None:
         return NoiseModel(found, dof, rest=rest)

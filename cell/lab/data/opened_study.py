@@ -11,6 +11,7 @@ from cell.cable.geometry import Motion
 from cell.cable.still import STILL, moves_from_s
 from cell.files.input_error import InputError, Problem
 from cell.identify.noise import still_frames
+from cell.lab.data.rest_drift import with_tested_starts
 from cell.study.data import Study, Trial
 from cell.study.facts import facts_of, trial_facts
 from cell.study.folder import read_study, study_folder
@@ -59,7 +60,7 @@ def open_study(folder: Path) -> Study:
     stated = None if study.filmed else stated_oddly(facts, study.noise_std_m)
     told += [] if stated is None else [f"{folder / 'study.yaml'}: {stated}"]
     study = without_slips(replace(study, notes=(*study.notes, *told)), folder)
-    return without_wrong_samples(study)
+    return with_tested_starts(without_wrong_samples(study))
 
 
 def _left_out(log: Path, grip: Motion) -> list[str]:
