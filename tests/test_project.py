@@ -56,6 +56,13 @@ def test_ur_rtde_is_installed_where_there_is_a_wheel_and_the_rest_everywhere(
     assert names | {"ur-rtde"} == {Requirement(r).name for r in PROJECT["dependencies"]}
 
 
+def test_whoever_imports_the_packages_has_their_types() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    assert "py.typed" in settings["setuptools"]["package-data"]["*"]
+    for package in settings["importlinter"]["root_packages"]:
+        assert (ROOT / package / "py.typed").exists(), package
+
+
 def sources(*folders: str) -> Iterator[tuple[Path, ast.Module]]:
     for folder in folders:
         for path in sorted((ROOT / folder).rglob("*.py")):

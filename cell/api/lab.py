@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from cell.api.fitted_study import fit_study
 from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResult, SuggestResult
@@ -42,8 +42,15 @@ if TYPE_CHECKING:
 
 #: A study, or the folder of one or of a recorded cycle.
 StudyOrFolder = Study | Path | str
+T = TypeVar("T")
 #: Told of what is odd about a study, one sentence each.
 Tell = Callable[[Sequence[str]], None]
+
+
+def several(given: Sequence[T]) -> tuple[T, ...]:
+    """What is given where there may be several; one alone, such as a name, is one of them."""
+    alone = isinstance(given, str) or not isinstance(given, Iterable)
+    return (given,) if alone else tuple(given)  # type: ignore[return-value]
 
 
 def read_study(folder: Path | str) -> Study:
@@ -70,7 +77,7 @@ def fit(
     progress told what is computed, and how much of it is done
     raises   InputError, ValueError: study, effect or model is wrong, and how to mend it
     """
-    return fitted(set_up(study, select_effects(effects), prior, config, progress))
+    return fitted(set_up(study, select_effects(several(effects)), prior, config, progress))
 
 
 def compare(
@@ -83,11 +90,14 @@ def compare(
 
     models  in the order in which they were made
     names   under which they are shown, unlike each other; without: their effects
-    raises  InputError, ValueError: a model is of another kind of cable, or cannot be read
+    raises  InputError, ValueError: no model is given, or one is of another kind of cable, or
+            cannot be read
     """
-    opened = _opened(study, silent)
-    shown = [_model(m, opened) for m in models]
-    titles = _titles(models, shown) if names is None else list(names)
+    opened, given = _opened(study, silent), several(models)
+    if not given:
+        raise ValueError("models: there is none; give one or more")
+    shown = [_model(m, opened) for m in given]
+    titles = _titles(given, shown) if names is None else list(several(names))
     if len(titles) != len(shown):
         raise ValueError(f"names: {len(titles)} for {len(shown)} models; give one for each")
     if names is not None and (twice := [n for n in titles if titles.count(n) > 1]):
@@ -116,13 +126,13 @@ def diagnose(
     checks   files of your own questions, asked beside those of the lab
     other arguments and errors as of `fit`
     """
-    rules, tried = rules_with(checks), list(effects)
+    rules, tried = rules_with(several(checks)), list(several(effects))
     if candidates is not None:
         good, refused = candidates_in(Path(candidates), progress)
         tried += good
         for why in refused:
             warnings.warn(why, stacklevel=2)
-    selection = select_for_diagnosis(tried, known)
+    selection = select_for_diagnosis(tried, several(known))
     fits = set_up(study, selection, prior, config, progress)
     return diagnosed(examined(fits, rules), _place(study))
 
@@ -147,7 +157,8 @@ def suggest(
     from cell.settings.surroundings import Surroundings
 
     around = Surroundings.read(None if config is None else Path(config))
-    names, tried = asked_and_tried(effects)
+    names, tried = asked_and_tried(several(effects))
+    known = several(known)
     if names:
         asked, selection = select_asked(names, known)
         fits = set_up(study, selection, prior, config, progress)
@@ -174,9 +185,11 @@ def power(
     motions  files of `cell suggest`, as if they had been recorded too and held out
     other arguments and errors as of `diagnose`
     """
-    asked, selection = select_asked(effects, known)
+    asked, selection = select_asked(several(effects), several(known))
+    if not asked:
+        raise ValueError("effects: there is none; give one or more")
     fits = set_up(study, selection, None, config, progress)
-    return PowerResult(power_of(planned(fits, motions), asked, verify, progress=progress))
+    return PowerResult(power_of(planned(fits, several(motions)), asked, verify, progress=progress))
 
 
 def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:

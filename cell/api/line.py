@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from cell.api.lab import several
 from cell.api.shown import Row, Shown
 from cell.files.table import TableData
 from cell.lab.data.cycles import read_cycles
@@ -81,8 +82,8 @@ def learn(
     """
     settings = load_product(Path(config), product)
     cable, options = cable_of(settings), identification_of(settings)
-    cycles, left_out = read_cycles([Path(run) for run in runs], cable, settings.product)
-    library = select_effects([], effects).candidates
+    cycles, left_out = read_cycles([Path(run) for run in several(runs)], cable, settings.product)
+    library = select_effects([], several(effects)).candidates
     result = learn_from(cycles, cable, options, library, progress)
     return judged(result, settings, left_out)
 

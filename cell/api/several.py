@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from cell.api.lab import StudyOrFolder, Tell, examined, rules_with, set_up, silent
+from cell.api.lab import StudyOrFolder, Tell, examined, rules_with, set_up, several, silent
 from cell.api.shown import Row, Shown
 from cell.cable.solver import threads
 from cell.files.table import TableData
@@ -63,8 +63,9 @@ def diagnose_together(
     studies  two or more, of different names
     other arguments and errors as of `diagnose`
     """
-    selection = select_for_diagnosis(effects, known)
-    return found_together(studies, selection, config, progress, rules=rules_with(checks))
+    selection = select_for_diagnosis(several(effects), several(known))
+    rules = rules_with(several(checks))
+    return found_together(several(studies), selection, config, progress, rules=rules)
 
 
 def found_together(

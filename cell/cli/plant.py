@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from cell.cli.given import records_folder
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, AsJson, Config, group, refuse
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, AsJson, Config, MaybeConfig, group, refuse
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ Runs = Annotated[
 
 @app.command()
 def status(
+    *,
+    config: MaybeConfig = None,
     runs: Runs = Path("runs"),
     as_json: AsJson = False,
     watch: Annotated[
@@ -41,16 +43,20 @@ def status(
 ) -> None:
     """Say how a running cell does: state, step, cycle, counts, fault with cause and remedy.
 
-    Exit codes: 0 if it works or can; 1 if it waits for a person, after a fault or a stop; 3 if no
-    cell runs there.
+    With --config, only of the cell of these settings.
+
+    Exit codes: 0 if it works or can; 1 if it waits for a person, after a fault or a stop; 2 if the
+    settings are wrong, or another cell's; 3 if no cell runs there.
     """
     from cell.plant.client import Client
     from cell.plant.messages import Status, to_json
     from cell.plant.wire import LinkError
 
+    line = _line_of(config)
     client = Client(runs, timeout_s=_ANSWER_S, on_lost=_lost, on_there=_there)
     try:
         now = client.status()
+        _check_line(line, now, runs)
         if watch:
             for message in client.follow():
                 if as_json:
@@ -83,6 +89,7 @@ def send(
         ),
     ],
     *,
+    config: MaybeConfig = None,
     runs: Runs = Path("runs"),
     by: Annotated[str | None, typer.Option(help="Who; default: who is logged in.")] = None,
     note: Annotated[str, typer.Option(help="What was found, what was done.")] = "",
@@ -94,10 +101,11 @@ def send(
 
     After a fault or a stop, `clear` (if it is aborted) and `reset` are your word that you have
     looked at the cause; the ledger keeps it.  `reset` opens the jaws and brings the hand home.
-    `acknowledge` is your word alone, and nothing moves.  `product` only changes what is made.
+    `acknowledge` is your word alone, and nothing moves.  `product` only changes what is made.  With
+    --config, only the cell of these settings is given it.
 
-    Exit codes: 0 if the cell obeys; 1 if it refuses; 2 if there is no such command; 3 if no cell
-    runs there.
+    Exit codes: 0 if the cell obeys; 1 if it refuses; 2 if there is no such command, or the settings
+    are wrong, or another cell's; 3 if no cell runs there.
     """
     from cell.cli.part_ids import checked
     from cell.plant.client import Client
@@ -118,10 +126,11 @@ def send(
     if command == "acknowledge" and product is not None:
         refuse(ValueError("acknowledge: --product is not for it; leave it out"))
     event = None if command in others else Event(command)
+    line, client = _line_of(config), Client(runs, timeout_s=_ANSWER_S)
     try:
-        answer = Client(runs, timeout_s=_ANSWER_S).send(
-            Request(event, by or _user(), note, part, product)
-        )
+        if line is not None:
+            _check_line(line, client.status(), runs)
+        answer = client.send(Request(event, by or _user(), note, part, product))
     except LinkError as error:
         _no_cell(error)
     if as_json:
@@ -162,6 +171,31 @@ def service(
             python=sys.executable,
         ).rstrip()
     )
+
+
+def _line_of(config: Path | None) -> str | None:
+    """Line of the settings that are given."""
+    if config is None:
+        return None
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+    from cell.settings.referred import line_of
+
+    try:
+        return line_of(load_settings(config))
+    except InputError as error:
+        refuse(error)
+
+
+def _check_line(line: str | None, now: Status, runs: Path) -> None:
+    """Refuse the cell that runs there if it is not of the line that is meant."""
+    if line not in (None, now.line):
+        refuse(
+            ValueError(
+                f"--config is of line {line!r}, the cell of {runs} of {now.line!r}; give --runs of "
+                "the cell that you mean, or its settings"
+            )
+        )
 
 
 def _user() -> str:

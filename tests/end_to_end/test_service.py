@@ -77,7 +77,9 @@ def in_step(step: str) -> Callable[[Notice | Status], bool]:
     return reached
 
 
-def test_two_starts_then_an_end_within_the_third_cycle(start: Start, tmp_path: Path) -> None:
+def test_two_starts_then_an_end_within_the_third_cycle(
+    start: Start, quick_config: Path, tmp_path: Path
+) -> None:
     runs = tmp_path / "runs"
     told = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     told.bind(str(tmp_path / "notify"))
@@ -94,11 +96,21 @@ def test_two_starts_then_an_end_within_the_third_cycle(start: Start, tmp_path: P
     client = Client(runs).connect(wait_s=60.0)
     for part in ("A-1", "A-2"):
         until(client, waits_for("start"))
-        assert run("send", "start", "--part", part, "--by", "Ada", "--runs", runs).returncode == 0
+        words = ("--part", part, "--by", "Ada", "-c", quick_config, "--runs", runs)
+        assert run("send", "start", *words).returncode == 0
         again = run("send", "start", "--runs", runs)
         assert again.returncode == 1
         assert "'start' is refused while" in again.stderr
     until(client, waits_for("start"))
+    own = ("-c", quick_config, "--runs", runs)
+    assert run("status", *own).returncode == 0
+    other = tmp_path / "other.yaml"
+    other.write_text(f"{quick_config.read_text('utf-8')}\nledger: {{line: line 9}}\n", "utf-8")
+    for words in (("status",), ("send", "start")):
+        refused = run(*words, "-c", other, "--runs", runs)
+        assert refused.returncode == 2
+        assert "--config is of line 'line 9', the cell of" in refused.stderr
+    assert run("send", "stop", "-c", tmp_path / "none.yaml").returncode == 2
     made = client.send(Request(Event.START, "plc", product="x"))
     assert "no products; leave it out" in made.reason
     shown = json.loads(run("status", "--runs", runs, "--json").stdout)

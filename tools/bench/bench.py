@@ -102,7 +102,7 @@ def linear_cost() -> None:
             out = np.empty(0)
             integrate(
                 fresh, at.LANES, n, base, generalised_alpha(1e-4, 0.8), False, 1,
-                block.effects, looks([out]), out,  # type: ignore[attr-defined]
+                block.effects, looks([out]), out, out,  # type: ignore[attr-defined]
             )  # fmt: skip
 
         run()

@@ -9,7 +9,7 @@ from cell.lab.next.decisions import Chances
 from cell.lab.next.forecast import POWER
 from cell.lab.next.recovery import Recovery
 from cell.lab.next.study_power import EffectPower, StudyPower
-from cell.lab.report.wording import parameter_in_words
+from cell.lab.report.wording import parameter_in_words, size_in_digits
 
 #: Why a diagnosis does not claim an effect, by what has to hold for it.
 _GATES = {
@@ -30,9 +30,9 @@ def power_table(power: StudyPower) -> TableData:
         [
             e.asked.effect.name,
             e.asked.parameter.name,
-            _size(e.forecast.size),
+            _size(e, e.forecast.size),
             _chance(e.forecast.chances),
-            _size(e.forecast.smallest),
+            _size(e, e.forecast.smallest),
             e.asked.parameter.unit,
             *_rival(e),
         ]
@@ -76,8 +76,9 @@ def _sentences(effect: EffectPower) -> Iterator[str]:
     if said.chances is None:
         yield f"No size of {name} within its bounds is found with {POWER:.0%}."
         return
+    size = _size(effect, said.size)
     yield (
-        f"With {name} of {said.size:.3g} a diagnosis finds the effect with a probability of "
+        f"With {name} of {size} a diagnosis finds the effect with a probability of "
         f"{said.chances.found:.2f}."
     )
     gates = {gate: getattr(said.chances, gate) for gate in _GATES}
@@ -97,7 +98,7 @@ def _recovered(effect: EffectPower, recovery: Recovery) -> list[str]:
     count = len(recovery.outcomes)
     return [
         effect.asked.effect.name,
-        _size(effect.forecast.size),
+        _size(effect, effect.forecast.size),
         _chance(effect.forecast.chances),
         f"{recovery.count('found')} of {count}, {share:.2f}",
         f"{low:.2f} … {high:.2f}",
@@ -115,8 +116,8 @@ def _rival(effect: EffectPower) -> tuple[str, str]:
     return first.effect, f"{first.correlation:.2f}"
 
 
-def _size(size: float | None) -> str:
-    return "–" if size is None else f"{size:.3g}"
+def _size(effect: EffectPower, size: float | None) -> str:
+    return "–" if size is None else size_in_digits(size, effect.asked.parameter.default)
 
 
 def _chance(chances: Chances | None) -> str:

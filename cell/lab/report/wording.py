@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
@@ -324,6 +325,14 @@ def short(value_mm: float) -> str:
 def digits(value: float, many: int) -> str:
     """A number with so many digits; 0 has no sign."""
     return f"{value + 0.0:.{many}g}"
+
+
+def size_in_digits(value: float, none: float) -> str:
+    """A size with three digits of what it is apart from the value at which the effect is none."""
+    if value in (0.0, none) or not math.isfinite(value):
+        return f"{value:.3g}"
+    more = math.floor(math.log10(abs(value))) - math.floor(math.log10(abs(value - none)))
+    return f"{value:.{3 + max(more, 0)}g}"
 
 
 def places(value: float, many: int) -> str:

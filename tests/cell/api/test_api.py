@@ -146,10 +146,24 @@ def test_the_error_falls_from_fit_to_fit(
         cell.compare(study, [before, diagnosed.model], names=["one"])
     with pytest.raises(ValueError, match="names: 'one' is given twice"):
         cell.compare(study, [before, diagnosed.model], names=["one", "one"])
+    with pytest.raises(ValueError, match="models: there is none; give one or more"):
+        cell.compare(study, [])
     # residuals of models of one name took each other's place
     twice = cell.compare(study, [before, before])
     assert [c.model for c in twice.comparisons] == ["baseline", "baseline (2)"]
     assert len(set(twice.write_residuals(tmp_path / "left"))) == 2 * len(study.trials)
+
+
+def test_one_alone_is_one_of_several(folder: Path) -> None:
+    """`effects="air_drag"` was taken for the effects a, i, r, _, d, …"""
+    alone = cell.fit(folder, effects="air_drag")
+    assert alone.to_json() == cell.fit(folder, effects=["air_drag"]).to_json()
+    (shown,) = cell.compare(folder, alone, names="drag").comparisons  # type: ignore[arg-type]
+    assert (shown.model, shown.effects) == ("drag", ("air_drag",))
+    with pytest.raises(ValueError, match="did you mean 'air_drag'"):
+        cell.power(folder, "air_darg")
+    with pytest.raises(ValueError, match="effects: there is none; give one or more"):
+        cell.power(folder, [])
 
 
 def test_power_is_told_as_by_the_command(folder: Path) -> None:

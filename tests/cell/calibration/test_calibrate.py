@@ -161,7 +161,7 @@ def test_reports_and_summary_are_there(folder):
 
 
 def test_recorded_folders_give_the_same_again(folder):
-    for kind in ("cell", "time", "grip"):
+    for kind in ("camera", "cell", "time", "grip"):
         (recorded,) = (folder / "calib" / "recorded").glob(f"{kind}-*")
         before = load(folder / "calib" / f"{kind}.yaml", kind)
         code, _, _ = called("calibrate", kind, "--config", folder / "cell.yaml", "--from", recorded)

@@ -5,7 +5,7 @@ import pytest
 from cell.cable.effects import library
 from cell.lab.data.results import Diagnosis, Errors, RankedEffect
 from cell.lab.report.tables import ranking_table
-from cell.lab.report.wording import parameter_in_words
+from cell.lab.report.wording import parameter_in_words, size_in_digits
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,20 @@ def test_what_is_rounded_to_nothing_has_no_sign() -> None:
     ranked = RankedEffect("bending_hysteresis", -0.02, 1.0, "absent")
     found = Diagnosis(1e-4, Errors(1e-4, 1e-4), "complete", (), ranking=(ranked,))
     assert [row[1] for row in ranking_table(found).rows] == ["0.0"]
+
+
+@pytest.mark.parametrize(
+    ("size", "none", "shown"),
+    [
+        (1.001234, 1.0, "1.00123"),
+        (0.99951, 1.0, "0.99951"),
+        (1.2345, 1.0, "1.234"),
+        (0.0123456, 0.0, "0.0123"),
+        (1.0, 1.0, "1"),
+    ],
+)
+def test_a_size_has_digits_of_what_it_is_apart_from_none(
+    size: float, none: float, shown: str
+) -> None:
+    """The smallest camera scale that a study shows was "a factor of 1"."""
+    assert size_in_digits(size, none) == shown
