@@ -266,6 +266,13 @@ def extended(
     q = space.mean.copy()
     for i, name in enumerate(fit.space.names):
         q[space.names.index(name)] = fit.q[i]
+    return with_values(space, q, effect, values)
+
+
+def with_values(
+    space: ParameterSpace, q: FloatArray, effect: type[Effect], values: FloatArray
+) -> FloatArray:
+    """Coordinates (p,) in a space with natural values of one of its effects, within bounds."""
     index = [space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters]
     natural = space.natural(q)
     natural[index] = values

@@ -13,9 +13,17 @@ from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy
-from cell.lab.fit.fitting import Fit, extended, fit_model, fit_trials, residuals, space_with
+from cell.lab.fit.fitting import (
+    Fit,
+    extended,
+    fit_model,
+    fit_trials,
+    residuals,
+    space_with,
+    with_values,
+)
 from cell.lab.fit.sensitivity import shapes_of
-from cell.lab.fit.starts import each_once, is_new, scaled, typical
+from cell.lab.fit.starts import cold_start, each_once, is_new, scaled, typical
 from cell.lab.search.fitted_model import POLISH, FittedModel, penalty_of, weighed
 from cell.lab.search.screen import MOST_SHAPES, ScreenedEffect
 
@@ -41,12 +49,15 @@ class Extension:
 
     origins    (p,) coordinates of what the model has already: its own, and others it may come from
     far        whether the model may be far from the cable: then slopes say little of sizes
+    misfit     whether the model leaves more than noise: its cable may not be plausible, so that a
+               user's own effect is fitted from a uniform cable too
     """
 
     prepared: PreparedStudy
     base: FittedModel
     origins: tuple[FloatArray, ...]
     far: bool = False
+    misfit: bool = False
 
     def by(
         self, effect: type[Effect], screens: Sequence[ScreenedEffect], options: Options
@@ -69,11 +80,39 @@ class Extension:
             if origin is base.fit.q and unkept:
                 rest = [q for q in starts[: len(screens[0].starts)] if is_new(q, promising)]
                 fits += self._fits_from(space, rest, options)
+        if self.misfit and effect.file is not None:
+            fits += self._fits_from(space, self._own_starts(space, effect), options)
         if not fits:
             return None
         # From a wrong place a force may follow the fitted motions best, and none beyond them.
         tried = fits if placed else [self._lowest(fits, effect, options)]
-        return min((weighed(self.prepared, effects, fit) for fit in tried), key=lambda c: c.chi2)
+        best = min((weighed(self.prepared, effects, fit) for fit in tried), key=lambda c: c.chi2)
+        return self.at_least_nested(best, options)
+
+    def at_least_nested(self, extended_model: FittedModel, options: Options) -> FittedModel:
+        """The model with one effect more, or its fit from the model itself if that ends lower.
+
+        With the effect at zero it is the model itself: a fit of both that leaves more than the
+        model alone has ended in a wrong place.
+        """
+        nested = self.base.fit.objective
+        if extended_model.fit.objective <= nested or not np.isfinite(nested):
+            return extended_model
+        effect, space = extended_model.effects[-1], extended_model.fit.space
+        off = np.array([p.default if p.amplitude else p.starts[0] for p in effect.parameters])
+        fits = self._fits_from(space, [extended(self.base.fit, space, effect, off)], options)
+        again = [weighed(self.prepared, extended_model.effects, fit) for fit in fits]
+        return min([extended_model, *again], key=lambda c: c.fit.objective)
+
+    def _own_starts(self, space: ParameterSpace, effect: type[Effect]) -> list[FloatArray]:
+        """A uniform cable with the effect at the values, and shares of them, that its file gives.
+
+        Beside a cable that was bent to imitate an effect no screen says where that effect is.
+        """
+        cable = cold_start(self.prepared.on_one_core(), space)
+        values = scaled(effect, typical(effect))
+        starts = [with_values(space, cable, effect, value) for value in values]
+        return list(self._least_misfit(space, np.array(each_once(starts)), PLACES))
 
     def _starts(
         self,

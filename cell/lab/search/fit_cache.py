@@ -192,7 +192,7 @@ class FitCache:
         return screens[base.names]
 
     def shortlist(self, base: FittedModel, best: int) -> list[type[Effect]]:
-        """The `best` of the screen, and what it may misjudge: the rough, and the found.
+        """The `best` of the screen, and what it may misjudge: the rough, the found, and the user's.
 
         Beside a model that explains the study a refit gains no more than its screen says.
         """
@@ -201,7 +201,11 @@ class FitCache:
         most = BY_CHANCE if explained else 1.0
         likely = [s.effect for s in ranked if s.score.p_value <= most][:best]
         known = () if self.found is None else self.found.names
-        more = [s.effect for s in ranked if not s.effect.smooth or s.effect.name in known]
+        more = [
+            s.effect
+            for s in ranked
+            if not s.effect.smooth or s.effect.name in known or s.effect.file is not None
+        ]
         return [*likely, *(e for e in more if e not in likely)]
 
     def fit_extended(self, base: FittedModel, effects: Sequence[type[Effect]]) -> list[FittedModel]:
@@ -344,7 +348,9 @@ def _extension(fits: FitCache, base: FittedModel) -> Extension:
     if fits.prior_q is not None:
         # An earlier individual is far from one with, say, a load: there slopes say little.
         origins.append(np.concatenate([fits.prior_q, base.fit.q[len(fits.prior_q) :]]))
-    return Extension(fits.prepared, base, tuple(origins), far=fits.prior_q is not None)
+    misfit = base is fits.baseline() and not fits.explained_by(base)
+    far = fits.prior_q is not None
+    return Extension(fits.prepared, base, tuple(origins), far, misfit)
 
 
 def _found_by_adding(fits: FitCache, prepared: PreparedStudy) -> Fit | None:

@@ -39,7 +39,7 @@ class _Refit:
 
 @dataclass(frozen=True, eq=False)
 class Refits:
-    """Refits of a model with one effect more.
+    """Refits of a model with one effect more.  A user's own effects are all taken to convergence.
 
     screens   by effect
     offered   effects that what is fitted may have
@@ -66,7 +66,8 @@ class Refits:
             if known := self.earlier.get(self._key(job.effect)):
                 at_once = replace(job.options, above=(job.options.above[0], 1))
                 with contextlib.suppress(*UNSIMULATED):
-                    return continued(prepared, known, at_once)
+                    again = continued(prepared, known, at_once)
+                    return self.extension.at_least_nested(again, job.options)
             return self.extension.by(job.effect, self.screens[job.effect.name], job.options)
 
         def taken_on(model: FittedModel) -> FittedModel:
@@ -87,17 +88,16 @@ class Refits:
         self.progress("refitting with one effect more", 0, len(effects))
         functions = (refitted, taken_on)
         with side_by_side(prepared.work, functions, self.offered, len(unknown)) as beside:
-            first = [_Refit(e) for e in unknown if e in effects[:FIRST]]
+            first = [_Refit(e) for e in unknown if e in effects[:FIRST] or e.file is not None]
             beside.map(refitted, first, was_fitted)
-            above = (self._far(effects[:FIRST]), ENOUGH_PASSES)
+            begun = [job.effect for job in first]
+            above = (self._far([*effects[:FIRST], *begun]), ENOUGH_PASSES)
             hurried = replace(REFIT, above=above)
             # those with most shapes take longest, and so begin first
-            rest = [_Refit(e, hurried) for e in unknown if e not in effects[:FIRST]]
+            rest = [_Refit(e, hurried) for e in unknown if e not in begun]
             beside.map(refitted, sorted(rest, key=lambda j: -shapes_of(j.effect)), was_fitted)
             found = self._fitted(effects)
-            far = self._far(effects)
-            likely = sorted(found, key=lambda c: -c.promised_evidence)[:POLISHED]
-            beside.map(taken_on, [c for c in likely if self._unpolished(c, far)], was_taken_on)
+            beside.map(taken_on, self._to_take_on(found, self._far(effects)), was_taken_on)
         return [models[c.names] for c in found]
 
     def _key(self, effect: type[Effect]) -> frozenset[str]:
@@ -115,6 +115,16 @@ class Refits:
         best = min(c.fit.objective for c in fitted)
         fall = self.extension.base.fit.objective - best
         return max(FAR_ABOVE * best, best + FAR_FROM_FALL * fall)
+
+    def _to_take_on(self, found: Sequence[FittedModel], far: float) -> list[FittedModel]:
+        """The likeliest, unless they are far above the best, and all with a user's own effect."""
+        ordered = sorted(found, key=lambda c: -c.promised_evidence)
+        return [
+            c
+            for place, c in enumerate(ordered)
+            if (place < POLISHED and self._unpolished(c, far))
+            or (c.effects[-1].file is not None and self._unpolished(c, np.inf))
+        ]
 
     def _unpolished(self, model: FittedModel, far: float) -> bool:
         """Whether a model is worth to be taken to convergence, and never was."""

@@ -30,6 +30,15 @@ APART_STD = 3.0
 NEAR_BOUND = 0.01
 
 
+#: Warnings of a fit whose parameters mean nothing; beside it no effect is called absent.
+MEANINGLESS = frozenset({"hopeless", "implausible", "starts_disagree"})
+
+
+def is_meaningless(fits: FitCache, candidate: FittedModel) -> bool:
+    """Whether the parameters of a fit mean nothing, so that no effect can be excluded beside it."""
+    return bool(MEANINGLESS & {doubt.code for doubt in fit_doubts(fits, candidate)})
+
+
 def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
     """Warnings of a fit: hopeless, far beyond the noise, no minimum, at a bound, or diverging."""
     fit, noise_model = candidate.fit, fits.prepared.noise_model

@@ -12,6 +12,7 @@ from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.diagnose import Examination
 from cell.lab.verdict.doubts import interrupted_doubt
+from cell.lab.verdict.fit_doubts import MEANINGLESS
 
 
 def with_limits(examination: Examination) -> Examination:
@@ -21,7 +22,7 @@ def with_limits(examination: Examination) -> Examination:
     one whose parameters mean nothing.  None, and a warning, where there is no time for them.
     """
     diagnosis = examination.diagnosis
-    if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", "hopeless"}:
+    if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", *MEANINGLESS}:
         return examination
     try:
         return replace(examination, diagnosis=replace(diagnosis, limits=_limits(examination)))

@@ -16,6 +16,7 @@ from cell.lab.search.screen import ScreenedEffect
 from cell.lab.statistics.score import holm
 from cell.lab.strength.estimate import Estimate, estimate
 from cell.lab.verdict.evidence import above_noise
+from cell.lab.verdict.fit_doubts import is_meaningless
 from cell.lab.verdict.residual_summary import removed_share, residual_summary
 from cell.lab.verdict.rivals import added_effect, chance_of
 
@@ -79,7 +80,10 @@ def ranked(
     rivals: set[str],
     rules: Rules,
 ) -> tuple[RankedEffect, ...]:
-    """All effects, by the evidence of adding each alone to the baseline."""
+    """All effects, by the evidence of adding each alone to the baseline.
+
+    None is absent beside a final model whose parameters mean nothing.
+    """
     refits = {c.effects[-1].name: c for c in sound(singles, base)}
     rows = []
     for screened in fits.screened(base):
@@ -92,6 +96,7 @@ def ranked(
     adjusted = holm([row[2] for row in rows])
     at_end = {s.effect.name: s for s in fits.screened(final)}
     left = dict(zip(at_end, holm([s.score.p_value for s in at_end.values()]), strict=True))
+    excludes = not is_meaningless(fits, final)
     ranked = []
     order = sorted(zip(rows, adjusted, strict=True), key=lambda r: (-r[0][3], -r[0][1]))
     for (name, score, _, _), p_value in order:
@@ -101,7 +106,8 @@ def ranked(
         elif name in rivals or left[name] < rules.significance:
             status = "inspect"
         else:
-            status = "absent" if _too_small(at_end[name]) else "cannot_tell"
+            excluded = excludes and _too_small(at_end[name])
+            status = "absent" if excluded else "cannot_tell"
         ranked.append(RankedEffect(name, float(score), p_value, status))
     return tuple(ranked)
 

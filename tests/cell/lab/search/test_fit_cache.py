@@ -343,3 +343,89 @@ def test_a_refit_is_far_above_the_best_if_it_misses_much_of_what_the_best_brings
     refits = Refits(SimpleNamespace(base=base), {}, (), {}, known, set(), no_progress)
     assert refits._far([lag]) == pytest.approx(far)
     assert refits._far([]) == np.inf
+
+
+MAGNET = '''
+from cell.cable.effects import Effect, Parameter
+
+
+class Magnet(Effect):
+    """Pull strength/(r² + a²) per metre towards (x, y), a = 20 mm."""
+
+    name = "magnet"
+    parameters = (
+        Parameter("strength_n_m", "N·m", 0.0, 1e-1, default=0.0, starts=(3e-4,)),
+        Parameter("x_m", "m", -1.0, 1.0, default=-0.05, starts=(-0.05,), amplitude=False),
+        Parameter("y_m", "m", -1.0, 1.0, default=-0.14, starts=(-0.14,), amplitude=False),
+    )
+
+    def force(cable, at, p):
+        dx, dy = p.x_m - at.x, p.y_m - at.y
+        r2 = dx * dx + dy * dy
+        pull = p.strength_n_m / (r2 + 4e-4) / (r2 + 1e-12) ** 0.5
+        return pull * dx, pull * dy
+'''
+#: Three times as strong as the file says, and 20 mm from where it says.
+MAGNET_IS = {"strength_n_m": 9e-4, "x_m": -0.065, "y_m": -0.13}
+
+
+@pytest.fixture(scope="module")
+def magnet(tmp_path_factory):
+    path = tmp_path_factory.mktemp("own") / "magnet.py"
+    path.write_text(MAGNET)
+    return load_effect(path)
+
+
+@pytest.fixture(scope="module")
+def beside_a_magnet(make_study, magnet):
+    """A baseline that has been bent to imitate a magnet, and misses 80 times the noise."""
+    study = make_study([magnet.active(**MAGNET_IS)], seed=3)
+    effects = {magnet.name: magnet, "tip_mass": library()["tip_mass"]}
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    assert fits.baseline().fit.rms_m > 5e-3
+    return fits
+
+
+def test_a_users_own_effect_is_always_refitted(beside_a_magnet, magnet):
+    """The right law was called absent: its score beside such a baseline was 0."""
+    assert magnet in beside_a_magnet.shortlist(beside_a_magnet.baseline(), 0)
+
+
+def test_a_users_own_effect_is_fitted_from_a_plausible_cable_to_the_noise(beside_a_magnet, magnet):
+    """From the baseline alone its fit ended at 1.3 mm, of 0.1 mm of noise."""
+    (model,) = beside_a_magnet.fit_extended(beside_a_magnet.baseline(), [magnet])
+    assert model.fit.rms_m == pytest.approx(1e-4, rel=0.1)
+    space = model.fit.space
+    values = dict(zip(space.names, space.natural(model.fit.q), strict=True))
+    for name, true in MAGNET_IS.items():
+        assert values[f"magnet.{name}"] == pytest.approx(true, rel=0.02)
+
+
+def test_one_effect_more_leaves_no_more_than_the_model_without_it(beside_a_magnet, monkeypatch):
+    """Told: "0.21 mm, 2.96 mm with natural curvature"."""
+    base, load = beside_a_magnet.baseline(), library()["tip_mass"]
+    lowest = Extension._lowest
+
+    def stuck(self, fits, effect, options):
+        fit = lowest(self, fits, effect, options)
+        return replace(fit, objective=base.fit.objective + 1e6)
+
+    monkeypatch.setattr(Extension, "_lowest", stuck)
+    monkeypatch.setattr(side_by_side, "threads", lambda: 1)
+    (model,) = beside_a_magnet.fit_extended(base, [load])
+    assert model.fit.objective <= base.fit.objective
+
+
+def test_no_effect_is_absent_beside_parameters_that_mean_nothing(make_study):
+    study = make_study(seed=2)
+    effects = {name: library()[name] for name in ("tip_mass", "air_drag", "natural_curvature")}
+    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    base = fits.baseline()
+
+    def absent(final):
+        rows = diagnosing.ranked(fits, base, final, [], set(), DEFAULT_RULES)
+        return [row.effect for row in rows if row.status == "absent"]
+
+    assert absent(base)
+    hopeless = replace(base, fit=replace(base.fit, rms_m=0.1))
+    assert absent(hopeless) == []
