@@ -1,22 +1,23 @@
 # One command each, nothing before it: `make run`, `make test`.
+# ARGS=… takes the place of the arguments of a study or measurement: make coverage ARGS="--cables 3".
 VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice false-alarms confusion rigs rig-kinds breadth checks fault-trials handshake calibration-study malformed endurance kills plant mouths holds flights clean help jaw-plate picture docs
+.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice studies checks discover fault-trials handshake calibration-study malformed endurance kills plant insertion clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
 
 run: $(VENV)/.user   ## three simulated cables through the whole cycle
-	$(BIN)/cell run --config config/fake.yaml --cycles $(CYCLES)
+	$(BIN)/cell run --config config/fake.yaml --cycles $(CYCLES) $(ARGS)
 
 serve: $(VENV)/.web   ## the pages of a simulated cell at http://127.0.0.1:8080, until Ctrl-C
 	@folder=$$(mktemp -d) && sed 's/^world:.*/&\n  real_time_factor: 1.0/' config/fake.yaml > $$folder/cell.yaml \
 		&& trap 'kill $$cell 2> /dev/null; wait; rm -rf '$$folder EXIT && trap exit INT TERM \
 		&& { $(BIN)/cell run --config $$folder/cell.yaml --cycles forever & cell=$$!; } \
-		&& $(BIN)/cell serve --config $$folder/cell.yaml
+		&& $(BIN)/cell serve --config $$folder/cell.yaml $(ARGS)
 
 # Matrices are small: a second thread of linear algebra only spins.  Modules are compiled once for
 # all processes, whatever the shell says of bytecode.
@@ -71,85 +72,64 @@ hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file;
 	$(BIN)/pytest -v -rs --hardware --config $(CONFIG) tests/drivers/conformance
 
 bench: $(VENV)/.dev   ## speed, as ratios against a peer in one run
-	$(BIN)/python -m tools.bench.bench
-	$(BIN)/python -m tools.bench.bench_recording
-	$(BIN)/python -m tools.bench.bench_ledger
+	$(BIN)/python -m tools.bench.bench $(ARGS)
 
 figures: $(VENV)/.dev   ## the paper's figures from this code
-	$(BIN)/python -m tools.figures.paper_figures
+	$(BIN)/python -m tools.figures.paper_figures $(ARGS)
 
 learn: $(VENV)/.dev   ## an effect hidden in the world is found, promoted, and its cables are inserted
-	$(BIN)/python -m tools.studies.learn $(if $(EFFECT),--effect $(EFFECT))
+	$(BIN)/python -m tools.studies.learn $(if $(EFFECT),--effect $(EFFECT)) $(ARGS)
 
 jaw-plate: $(VENV)/.dev   ## the drawing of the jaw's plate, to scale
-	$(BIN)/python -m tools.figures.jaw_plate -o docs/images/jaw_plate.pdf --png docs/images/jaw_plate.png
+	$(BIN)/python -m tools.figures.jaw_plate $(or $(ARGS),-o docs/images/jaw_plate.pdf --png docs/images/jaw_plate.png)
 
 picture: $(VENV)/.dev   ## the README's picture, of a simulated cycle
-	$(BIN)/python -m tools.figures.cycle_picture
+	$(BIN)/python -m tools.figures.cycle_picture $(ARGS)
 
 docs: $(VENV)/.dev   ## run every command of README and docs, the slow ones too
 	CELL_DOCS=all $(BIN)/pytest tests/docs
 
 coverage: $(VENV)/.dev   ## do the 95 % intervals cover the truth? 100 filmed cables, ~10 min
-	$(BIN)/python -m tools.studies.coverage_study --pictures
+	$(BIN)/python -m tools.studies.coverage_study $(or $(ARGS),--pictures)
 
 practice: $(VENV)/.dev   ## every practice study beside its truth
-	$(BIN)/python -m tools.studies.practice_table --discover
+	$(BIN)/python -m tools.studies.diagnosis_study $(or $(ARGS),practice.csv --practice)
 
-false-alarms: $(VENV)/.dev   ## false claims of the lab on 200 complete studies (long)
-	$(BIN)/python -m tools.studies.false_alarm_study --studies 200
+studies: $(VENV)/.dev   ## verdicts on 900 studies with a known answer (hours; a stopped one goes on)
+	$(BIN)/python -m tools.studies.diagnosis_study $(or $(ARGS),studies.csv --made complete=100 one=100 pair=27 unknown=34 --breadth complete=300 one=200 outside=100 --rigs all=60)
 
-confusion: $(VENV)/.dev   ## which effect is named: for each of the library, outside it, in pairs (long)
-	$(BIN)/python -m tools.studies.confusion_study --studies 100
-	$(BIN)/python -m tools.studies.confusion_study --studies 34 --first 200 --hide unknown
-	$(BIN)/python -m tools.studies.confusion_study --studies 20 --first 300 --hide pair
+checks: $(VENV)/.dev   ## what each check of the verdict is worth: 411 studies, 40 min
+	$(BIN)/python -m tools.studies.ablation_study $(or $(ARGS),checks.csv --breadth complete=200 one=100 outside=50 --made pair=27 unknown=34)
 
-rigs: $(VENV)/.dev   ## what is named in 60 studies that imitate real rigs, one effect hidden in each (long)
-	$(BIN)/python -m tools.studies.rig_study --studies 60
-
-rig-kinds: $(VENV)/.dev   ## 20 studies of each kind of rig, one effect hidden in each (long)
-	for kind in connector laser long clocks arcs encoder accelerometer wrench; do $(BIN)/python -m tools.studies.rig_study --studies 20 --rig $$kind || exit 1; done
-
-breadth: $(VENV)/.dev   ## verdicts over the breadth of what users bring: 350 studies (long; BREADTH=file.csv goes on with a file)
-	$(BIN)/python -m tools.studies.breadth_study $(or $(BREADTH),breadth.csv)
-
-checks: $(VENV)/.dev   ## what each check of the verdict is worth: 411 studies, 40 min; CHECKS=file.csv
-	$(BIN)/python -m tools.studies.ablation_study $(or $(CHECKS),checks.csv)
+discover: $(VENV)/.dev   ## the laws of ten effects outside the library, inferred (20 min)
+	$(BIN)/python -m tools.studies.discover_study $(ARGS)
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
-	$(BIN)/python -m tools.faults.fault_trials --patience-s 0.15 -o docs/fault_trials.md
+	$(BIN)/python -m tools.faults.fault_trials --patience-s 0.15 $(or $(ARGS),-o docs/fault_trials.md)
 
 handshake: $(VENV)/.dev   ## 50 cycles over Modbus and 50 over the controller's I/O, by a PLC that misbehaves, ~10 min
-	$(BIN)/python -m tools.faults.handshake_trial
+	$(BIN)/python -m tools.faults.handshake_trial $(ARGS)
 
 calibration-study: $(VENV)/.dev   ## true errors of 20 calibrations beside what they say, and beside OpenCV, ~4 min
-	$(BIN)/python -m tools.studies.calibration_study --setups 20
+	$(BIN)/python -m tools.studies.calibration_study $(or $(ARGS),--setups 20)
 
 malformed: $(VENV)/.dev   ## 1,000 spoilt studies, settings, motions, models and effects
-	MALFORMED_CASES=1000 $(BIN)/pytest -n 2 tests/end_to_end/test_malformed.py
+	MALFORMED_CASES=$(or $(CASES),1000) $(BIN)/pytest -n 2 tests/end_to_end/test_malformed.py
 
 endurance: $(VENV)/.dev   ## 500 cycles against the emulators: memory, threads, files (~40 min)
-	$(BIN)/python -m tools.faults.endurance --cycles 500
+	$(BIN)/python -m tools.faults.endurance $(or $(ARGS),--cycles 500)
 
-holds: $(VENV)/.dev   ## insertion rate and stated probability, holds fixed and as needed, ~25 min
-	$(BIN)/python -m tools.studies.hold_study holds.csv
+insertion: $(VENV)/.dev   ## insertion rate by opening and by what may be chosen; ARGS: worlds, ways (30 min)
+	$(BIN)/python -m tools.studies.insertion_study $(or $(ARGS),insertion.csv --cables 200)
 
-flights: $(VENV)/.dev   ## insertion rate with and without correction in flight, by disturbance, ~1 h
-	$(BIN)/python -m tools.studies.flight_study flights.csv --half-mm 2 --window-s 0.25
+plant: $(VENV)/.dev   ## adapters and pages killed in every step of a cycle, ~10 min
+	$(BIN)/python -m tools.plant.adapter_kills $(ARGS)
 
-mouths: $(VENV)/.dev   ## insertion rate by the mouth's height, offsets alone and freely, ~30 min
-	$(BIN)/python -m tools.studies.mouth_study mouths.csv
-
-plant: $(VENV)/.dev   ## a plant around the cell: adapters and pages killed in every step, clients that stall, ~20 min
-	$(BIN)/python -m tools.plant.adapter_kills
-	$(BIN)/python -m tools.plant.burden
-
-pages: $(VENV)/.dev   ## pages over the updates of 8 h: memory; how soon they are there and answer, ~10 min
-	$(BIN)/python -m tools.plant.pages_soak
-	$(BIN)/python -m tools.plant.pages_times
+pages: $(VENV)/.dev   ## the pages' memory over the updates of 8 h, ~6 min
+	$(BIN)/python -m tools.plant.pages_soak $(ARGS)
 
 kills: $(VENV)/.dev   ## 100 cells killed at random moments: what `cell recover` gives back (~40 min)
-	$(BIN)/python -m tools.faults.kill_study $(or $(KILLS),kills.csv)
+	$(BIN)/python -m tools.faults.kill_study $(or $(ARGS),kills.csv)
 
 $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; none found on PATH (set PYTHON=/path/to/python3.11)"; exit 2; }

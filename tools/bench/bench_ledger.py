@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from datetime import time as time_of_day
 from pathlib import Path
@@ -146,12 +146,12 @@ def best_ms(act: Callable[[], object], repeats: int = 7) -> float:
     return 1e3 * min(times)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print a table of times and of their ratio."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cycles", type=int, nargs=2, default=(1000, 100_000))
     parser.add_argument("--url", nargs=2, help="two empty databases; default: SQLite files")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         places = given.url or [Path(folder) / str(n) for n in given.cycles]
         ledgers = [filled(p, n) for p, n in zip(places, given.cycles, strict=True)]

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,11 +83,11 @@ def film(recorder: Recorder, folder: Path, images: list[np.ndarray]) -> Film:
     return Film(on_disk_s, closed_s, (float(median), float(most)), cpu_s * RATE_HZ / FRAMES, size)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--films", type=int, default=5)
     parser.add_argument("--burn", action="store_true", help="a third process burns a core")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     burner = None
     if given.burn:
         burner = subprocess.Popen([sys.executable, "-c", "while True: pass"])

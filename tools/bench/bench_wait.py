@@ -50,7 +50,7 @@ from drivers.interfaces import Camera, Frame
 from drivers.priority import take_precedence
 from drivers.sim.clock import SimClock
 from tools.plant.around import Plant
-from tools.studies.mouth_study import with_mouth
+from tools.worlds.fast_cell import with_opening
 
 #: No hand shall hold a cable longer for want of a decision.
 MOST_WAITED_MS = 50.0
@@ -367,7 +367,7 @@ def main() -> None:
     silent = settings.model_copy(update={"recording": None})
     start = Start(window_s=options.freely or 0.0)
     freely = silent.model_copy(update={"motion": silent.motion.model_copy(update={"start": start})})
-    freely = with_mouth(freely, options.half_mm)
+    freely = with_opening(freely, options.half_mm)
     for name, changed in (
         *([("recorded", settings)] if options.recorded else []),
         *([("freely", freely)] if options.freely else []),

@@ -272,7 +272,9 @@ def plane(axes: Axes) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--out", type=Path, default=Path("figures"))
-    out: Path = parser.parse_args().out
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="as 02_still_shapes")
+    given = parser.parse_args()
+    out: Path = given.out
     out.mkdir(parents=True, exist_ok=True)
     mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     drawn = {
@@ -286,8 +288,12 @@ def main() -> None:
         "15_guided_motions": figure_15,
     }
     for name, draw in drawn.items():
+        if given.only and name not in given.only:
+            continue
         draw().savefig(out / f"fig{name}.png", dpi=110)
         print(out / f"fig{name}.png")
+    if given.only:
+        return
     for number, offset_m in zip(range(8, 13), (0.0, 0.01, 0.02, 0.03, 0.04), strict=True):
         path = out / f"fig{number:02d}_offset_{offset_m * 1e3:.0f}_mm.png"
         figure_8_to_12(offset_m).savefig(path, dpi=110)

@@ -1,15 +1,14 @@
 """What every check of a verdict is worth: the verdicts of many studies with each left out.
 
-    python -m tools.studies.ablation_study FILE.csv [--complete 200] [--one 100] [--outside 50]
-                                            [--pairs 27] [--unknown 34] [--seed 2]
+    python -m tools.studies.ablation_study FILE.csv [--breadth complete=200 one=100 outside=50]
+                                            [--made pair=27 unknown=34] [--seed 2]
     python -m tools.studies.ablation_study FILE.csv --table [--limit CHECK=VALUE …]
 
-Of each study, all checks are asked of the model that the search ended at, whatever failed before,
-and their statistics are kept.  So the verdict without a check, or with another limit, is worked out
-of the file.  `complete`, `one` and `outside` are those of `breadth_study.py`, `pairs` and `unknown`
-those of `confusion_study.py`.  Beside the lab stand plain strategies that a user might try instead:
-the smallest BIC of the models fitted, the smallest held-out error, and the largest score of an
-effect alone (Holm, 1 %).
+The studies are those of `diagnosis_study.py`.  Of each, all checks are computed for the model that
+the search ended at, whatever failed before, and their statistics are kept.  So the verdict without
+a check, or with another limit, is worked out of the file.  Next to the lab stand plain strategies
+that a user might try instead: the smallest BIC of the models fitted, the smallest held-out error,
+and the largest score of an effect alone (Holm, 1 %).
 
 The table says for each check how many false alarms of complete studies, wrong claims and right
 answers there are without it, and McNemar's p-value of the answers that change; and the same of
@@ -26,48 +25,29 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy import stats
 
-from cell.cable.effects import Effect, library
+from cell.api.lab import set_up
 from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
-from cell.identify.parameters import ParameterSpace
 from cell.lab.data.check import COMPARE, Answer, Check, worst_verdict
-from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.noise_model import NoiseUnknownError
-from cell.lab.data.opened_study import open_study
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.search.setup import fit_cache_of
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import Examination, diagnose
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.forward_search import with_ties
-from cell.study.folder import write_study
-from tools.studies.breadth_study import _hidden, _power
-from tools.studies.confusion_study import (
-    ONE_CLASS,
-    _class_of,
-    _drawn,
-    evidence,
-    power_of,
-    without_noise,
-)
-from tools.worlds.breadth_world import Conditions, World, hypercube
-from tools.worlds.made_studies import hidden, make_study
+from tools.studies.diagnosis_study import BREADTH, MADE, Case, cases, kinds, made
+from tools.worlds.known_truth import SHOWS, class_of
 
-BREADTH = ("complete", "one", "outside")
-KINDS = (*BREADTH, "pairs", "unknown")
-COUNTS = (200, 100, 50, 27, 34)
-SEEN = 0.8
+KINDS = (*BREADTH, "pair", "unknown")
 PLAIN = ("bic", "heldout", "score")
 
 
@@ -81,7 +61,7 @@ class Row:
     """
 
     kind: str
-    number: int
+    number: str
     hidden: str
     power: float
     verdict: str
@@ -92,69 +72,17 @@ class Row:
     statistics: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Case:
-    """What is to be diagnosed; `kind` and `number` make it again."""
-
-    kind: str
-    number: int
-    conditions: Conditions | None
-    seed: int
-
-
-def cases(counts: Sequence[int], seed: int) -> list[Case]:
-    """All studies, in order."""
-    found = []
-    for place, (kind, count) in enumerate(zip(KINDS, counts, strict=True)):
-        drawn = hypercube(count, 100 * seed + place) if kind in BREADTH else [None] * count
-        found += [Case(kind, i, c, seed) for i, c in enumerate(drawn)]
-    return found
-
-
 def judged(case: Case) -> Row:
-    """Make a study, diagnose it, and ask all checks."""
-    known = library()
+    """Make a study, diagnose it, and compute all checks."""
     blank = Row(case.kind, case.number, "", 0.0, "refused", "")
-    with TemporaryDirectory() as folder:
-        try:
-            there, power, fits = _made(case, Path(folder), known)
-        except (DivergedError, UnsettledError):
-            return replace(blank, verdict="not made")
-        except (InputError, NoiseUnknownError):
-            return blank
-        examination = diagnose(fits)
-    return _row(case, there, power, examination)
-
-
-def _made(case: Case, folder: Path, known: dict[str, type[Effect]]) -> tuple[str, float, FitCache]:
-    """Names of what is hidden, the power of who knows it, the fits."""
-    if case.conditions is not None:
-        world, there, offered, power = World.of(case.conditions, case.seed), "", dict(known), 1.0
-        if case.kind == "complete":
-            clean = world.clean()
-        else:
-            effect, offered = _hidden(case.kind, case.number, known)
-            there = effect.name
-            clean = world.showing(effect)[1]
-            power = _power(world, clean, case.seed, len(known))
-        write_study(world.study(clean, case.seed), folder)
-        fits = fit_cache_of(open_study(folder), EffectSelection((), offered))
-        return there, power, fits
-    number = 1000 * case.seed + case.number
-    hide = {"pairs": "pair"}.get(case.kind, case.kind)
-    effects, sizes = _drawn(number, hide, known)
-    active = [hidden(e, size) for e, size in zip(effects, sizes, strict=True)]
-    study = make_study(number, active)
-    prepared = PreparedStudy.of(study)
-    taken = _class_of(e.name for e in effects) if case.kind == "unknown" else ()
-    offered = {n: e for n, e in known.items() if n not in taken}
-    clean = make_study(number, active, noise_m=1e-9, colour=0.0)
-    quiet = without_noise(clean, prepared.noise)
-    lacking = [[e] for e in effects] if case.kind == "pairs" else [[]]
-    spaces = [ParameterSpace.of(study.cable, effects=rest) for rest in lacking]
-    power = min(power_of(evidence(quiet, s), quiet, len(known)) for s in spaces)
-    fits = FitCache(prepared, ParameterSpace.of(study.cable), offered)
-    return "+".join(e.name for e in effects), power, fits
+    try:
+        with made(case) as there:
+            examination = diagnose(set_up(there.folder, there.selection))
+            return _row(case, "+".join(there.hidden), there.power, examination)
+    except (DivergedError, UnsettledError):
+        return replace(blank, verdict="not made")
+    except (InputError, NoiseUnknownError):
+        return blank
 
 
 def _row(case: Case, there: str, power: float, examination: Examination) -> Row:
@@ -193,10 +121,10 @@ def _plain(fits: FitCache, base: FittedModel) -> tuple[str, str, str]:
     return added(min(known, key=bic)), added(min(known, key=error)), best
 
 
-def run(file: Path, counts: Sequence[int], seed: int, workers: int) -> None:
+def run(file: Path, wanted: Sequence[Case], workers: int) -> None:
     """Judge what the file lacks."""
     done = {(r.kind, r.number) for r in read(file)} if file.exists() else set()
-    todo = [c for c in cases(counts, seed) if (c.kind, c.number) not in done]
+    todo = [c for c in wanted if (c.kind, c.number) not in done]
     names = [*(n for n in Row.__dataclass_fields__ if n != "statistics"), *(c.name for c in CHECKS)]
     with file.open("a", newline="") as out, ProcessPoolExecutor(workers) as pool:
         writer = csv.DictWriter(out, names)
@@ -225,7 +153,7 @@ def read(file: Path) -> list[Row]:
         return [
             Row(
                 d["kind"],
-                int(d["number"]),
+                d["number"],
                 d["hidden"],
                 float(d["power"]),
                 d["verdict"],
@@ -256,14 +184,9 @@ def _verdict_without(row: Row, checks: Sequence[Check], limits: dict[str, float]
     return worst_verdict(found, is_base=not row.named)
 
 
-def alike(name: str) -> set[str]:
-    """An effect and what no motion tells from it."""
-    return set(ONE_CLASS) if name in ONE_CLASS else {name}
-
-
 def answer(row: Row, said: str, named: str) -> str:
     """`right`, `wrong` (something is claimed that is not so) or `no answer`."""
-    there = [alike(h) for h in row.hidden.split("+") if h]
+    there = [class_of([h]) for h in row.hidden.split("+") if h]
     classes = [{*n.split("|")} for n in named.split("+") if n]
     if row.kind == "complete":
         return {"complete": "right", "missing": "wrong", "unexplained": "wrong"}.get(
@@ -285,7 +208,7 @@ def table(rows: list[Row], limits: Mapping[str, float]) -> str:
 
     limits  other limits of checks, by name; a line each
     """
-    seen = [r for r in rows if r.kind == "complete" or r.power >= SEEN]
+    seen = [r for r in rows if r.power >= SHOWS]
     seen = [r for r in seen if r.verdict not in ("crash", "not made")]
     lines = ["| without | " + " | ".join(KINDS) + " | changed | p |", "|---" * 8 + "|"]
 
@@ -325,15 +248,17 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("file", type=Path)
-    for kind, count in zip(KINDS, COUNTS, strict=True):
-        parser.add_argument(f"--{kind}", type=int, default=count)
-    parser.add_argument("--seed", type=int, default=2)
+    for name, known in (("made", MADE), ("breadth", BREADTH)):
+        parser.add_argument(f"--{name}", nargs="+", type=kinds(known), default=[])
+    parser.add_argument("--first", type=int, default=2000, help="seed of made studies")
+    parser.add_argument("--seed", type=int, default=2, help="of the breadth's conditions")
+    parser.set_defaults(rigs=[], practice=None, real=False, uneven=None, pixel=None, colour=None)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--limit", nargs="*", default=[], metavar="CHECK=VALUE")
     given = parser.parse_args()
     if not given.table:
-        run(given.file, [getattr(given, k) for k in KINDS], given.seed, given.workers)
+        run(given.file, cases(given), given.workers)
     print("right / wrong of all, by kind; what changes in right answers; McNemar's p\n")
     limits = {name: float(value) for name, _, value in (v.partition("=") for v in given.limit)}
     print(table(read(given.file), limits))

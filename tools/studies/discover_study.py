@@ -5,7 +5,7 @@
 For each of the ten laws of `tools/worlds/outside_laws.py` a study is made and its law inferred.  A
 row says which terms were found, and the error before and after, over the noise.  Ends with 1 if
 fewer than eight have the right family, or an error of theirs stays above 1.3 times the noise.
-Of a magnet in another simulator: `python -m tools.studies.practice_table --discover`.
+`unknown_a` of the practice studies is a magnet in another simulator.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.estimate import estimate
 from cell.study.folder import write_study
-from tools.studies.confusion_study import ONE_CLASS
+from tools.worlds.known_truth import ONE_CLASS
 from tools.worlds.made_studies import CABLE, hidden, make_study, random_model
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study

@@ -49,7 +49,7 @@ from tools.worlds.fast_cell import (
 )
 from tools.worlds.outside_laws import LATER, LAWS
 
-#: Of a sharp camera, assumed: nodes at the bound that `bench_vision` holds across the cable, the
+#: Of a sharp camera, assumed: nodes at the bound that vision holds across the cable, the
 #: end a seventh of a pixel off.  The default of `Errors` is a poor camera's.
 SEEN = Errors(node_m=1.2e-5, across_m=4e-6, end_m=3e-5)
 #: An effect that moves the tip by less than this at the mouth is not counted, m.

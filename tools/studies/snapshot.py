@@ -21,9 +21,9 @@ from pathlib import Path
 
 from cell.cable.effects import library
 from cell.study.folder import write_study
-from tools.studies.breadth_study import _hidden
-from tools.studies.rig_study import that_shows
+from tools.studies.diagnosis_study import hidden_effect
 from tools.worlds.breadth_world import World, hypercube
+from tools.worlds.known_truth import that_shows
 from tools.worlds.rigs import Rig, rig_study
 
 #: Studies of each kind.
@@ -42,7 +42,7 @@ def make(folder: Path) -> None:
             if kind == "complete":
                 clean = world.clean()
             else:
-                clean = world.showing(_hidden(kind, conditions.number, known)[0])[1]
+                clean = world.showing(hidden_effect(kind, conditions.number, known)[0])[1]
             study = world.study(clean, SEED)
             write_study(study, folder / f"{kind}_{conditions.number}")
             print(f"{kind} {conditions.number}", flush=True)

@@ -106,6 +106,14 @@ def with_world(settings: Settings, effects: dict[str, dict[str, float]]) -> Sett
     )
 
 
+def with_opening(settings: Settings, half_mm: float) -> Settings:
+    """The settings with an opening of so many mm on either side of its middle."""
+    middle_m = float(np.mean(settings.destination.y_m))
+    height = (middle_m - half_mm * 1e-3, middle_m + half_mm * 1e-3)
+    destination = settings.destination.model_copy(update={"y_m": height})
+    return settings.model_copy(update={"destination": destination})
+
+
 def fast_cycle(
     settings: Settings,
     seed: int,

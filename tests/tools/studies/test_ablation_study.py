@@ -11,7 +11,7 @@ PASSING = {c.name: math.nan for c in CHECKS}
 
 
 def row(kind="one", hidden="tip_mass", named="tip_mass", said="missing", **statistics):
-    return Row(kind, 0, hidden, 1.0, said, named, statistics=PASSING | statistics)
+    return Row(kind, "0", hidden, 1.0, said, named, statistics=PASSING | statistics)
 
 
 def test_a_verdict_is_the_worst_of_the_statistics_that_fail():
@@ -34,8 +34,8 @@ def test_a_verdict_is_the_worst_of_the_statistics_that_fail():
         ("one", "tip_mass", "missing", "air_drag", "wrong"),
         ("one", "tip_mass", "complete", "", "wrong"),
         ("one", "tip_mass", "unexplained", "", "no answer"),
-        ("pairs", "tip_mass+air_drag", "missing", "tip_mass", "no answer"),
-        ("pairs", "tip_mass+air_drag", "missing", "tip_mass+air_drag", "right"),
+        ("pair", "tip_mass+air_drag", "missing", "tip_mass", "no answer"),
+        ("pair", "tip_mass+air_drag", "missing", "tip_mass+air_drag", "right"),
         ("outside", "jet", "missing", "draught", "wrong"),
         ("outside", "jet", "unexplained", "", "right"),
     ],

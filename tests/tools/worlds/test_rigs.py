@@ -1,4 +1,4 @@
-"""How studies with a known answer are judged, and that their rigs err as they say."""
+"""Imitated rigs err as they say, and complete models of them are called complete."""
 
 from __future__ import annotations
 
@@ -16,49 +16,8 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import read_study, write_study
-from tools.studies import rig_study
 from tools.worlds import made_studies, rigs
 from tools.worlds.rig_kinds import KINDS
-
-TIED = frozenset({"camera_latency", "robot_lag"})
-MASS, CURVE, DRAG = (frozenset({n}) for n in ("tip_mass", "natural_curvature", "air_drag"))
-
-
-def outcome(*named, verdict="missing", partial=(), beside=("natural_curvature",)):
-    hidden = ("robot_lag",)
-    return rig_study.RigOutcome("one", hidden, 1.0, verdict, tuple(named), beside, tuple(partial))
-
-
-@pytest.mark.parametrize(
-    ("found", "judged"),
-    [
-        (outcome(TIED), "right"),
-        (outcome(TIED, CURVE), "right"),
-        (outcome(CURVE), "not named"),
-        (outcome(TIED, CURVE, beside=()), "WRONG"),
-        (outcome(TIED, DRAG), "WRONG"),
-        (outcome(verdict="complete"), "FALSE COMPLETE"),
-        (outcome(verdict="unexplained"), "not named"),
-        (outcome(verdict="unexplained", partial=[TIED]), "partial, right name"),
-        (outcome(verdict="unexplained", partial=[CURVE]), "not named"),
-        (outcome(verdict="unexplained", partial=[TIED, MASS]), "partial, wrong name"),
-    ],
-)
-def test_it_is_judged_by_all_that_is_there(found, judged):
-    assert found.judged == judged
-
-
-@pytest.mark.parametrize(
-    ("verdict", "named", "judged"),
-    [
-        ("complete", [], "right"),
-        ("cannot_tell", [], "not called complete"),
-        ("missing", [DRAG], "WRONG"),
-    ],
-)
-def test_a_study_in_which_nothing_is_hidden_is_right_if_called_complete(verdict, named, judged):
-    found = rig_study.RigOutcome("one", (), 0.0, verdict, tuple(named))
-    assert found.judged == judged
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))

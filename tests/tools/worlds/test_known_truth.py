@@ -7,7 +7,7 @@ import pytest
 from cell.cable.effects import library
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
-from tools.studies.confusion_study import evidence, without_noise
+from tools.worlds.known_truth import evidence, without_noise
 from tools.worlds.made_studies import hidden, make_study
 
 

@@ -1,4 +1,4 @@
-"""The breadth study: conditions spread evenly, an exact world, a table that counts right."""
+"""The breadth world: conditions spread evenly, an exact world, studies as their conditions say."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cell.api.lab import set_up
 from cell.cable.effects import library
-from tools.studies import breadth_study
-from tools.studies.breadth_study import Row
+from cell.lab.data.named_effects import EffectSelection
+from cell.lab.verdict.diagnose import diagnose
+from cell.study.folder import write_study
 from tools.worlds.breadth_world import World, hypercube
 
 
@@ -71,56 +73,28 @@ def test_an_effect_is_as_strong_as_asked(world):
     assert rms / world.conditions.noise_m == pytest.approx(shift)
 
 
-def row(kind, verdict, named="", hidden="", power=1.0):
-    return Row(kind, 0, hidden, 8.0, power, verdict, named, "", 1.0, 1.0, 0, 0.0, "")
+FEW = {n: library()[n] for n in ("air_drag", "natural_curvature", "robot_lag")}
 
 
-def test_what_counts_as_right_and_wrong():
-    assert row("complete", "complete").right
-    assert row("one", "missing", "air_drag|draught", "draught").right
-    assert not row("one", "missing", "air_drag+tip_mass", "air_drag").right
-    assert row("one", "missing", "air_drag+tip_mass", "air_drag").wrong
-    assert not row("one", "cannot_tell", "air_drag", "draught").wrong
-    assert row("one", "cannot_tell", "air_drag|draught", "draught").found
-    assert not row("one", "cannot_tell", "air_drag+tip_mass", "air_drag").found
-    assert row("outside", "unexplained", hidden="magnet").right
-    assert row("outside", "missing", "air_drag", "magnet").wrong
+def diagnosed(world, seed, folder):
+    """What is said of a study in which nothing is hidden."""
+    write_study(world.study(world.clean(), seed), folder)
+    return diagnose(set_up(folder, EffectSelection((), FEW))).diagnosis
 
 
-def test_a_table_counts_only_what_can_be_seen():
-    names = "markers rate_hz rest_frames trials held_out length_m droop noise colour pixel log_hz"
-    conditions = dict.fromkeys(names.split(), 1.0)
-    rows = [(row("complete", "complete"), conditions), (row("complete", "unexplained"), conditions),
-            (row("one", "missing", "air_drag", "air_drag"), conditions),
-            (row("one", "cannot_tell", "", "air_drag", 0.2), conditions)]  # fmt: skip
-    cells = dict(zip(breadth_study.COLUMNS, breadth_study.table(rows)["all"], strict=True))
-    assert cells["complete"] == "1/2"
-    assert cells["one: named right"] == "1/1"
-
-
-@pytest.fixture
-def few_effects(monkeypatch):
-    """What the noise is taken for hangs on no effect that is tried."""
-    few = {n: library()[n] for n in ("air_drag", "natural_curvature", "robot_lag")}
-    monkeypatch.setattr(breadth_study, "library", lambda: few)
-
-
-@pytest.mark.usefixtures("few_effects")
-def test_a_short_rest_of_one_marker_is_no_reason_to_call_a_right_model_wrong():
+def test_a_short_rest_of_one_marker_is_no_reason_to_call_a_right_model_wrong(tmp_path):
     """18 still frames of the tip told 0.075 … 0.087 mm for 0.1 mm: 6 of 21 were unexplained."""
     made = replace(hypercube(10, 3)[0], markers=1, trials=1, held_out=False, rate_hz=60.0,
                    rest_frames=18, length_m=0.25, droop=4.0, noise=4e-4, pixel=0.0, colour=0.0,
                    lost=0.0, jitter=0.0, log_hz=200.0, log_m=1e-5)  # fmt: skip
     for number in (0, 2, 3):
-        found = breadth_study.judged("complete", replace(made, number=number), 1)
+        found = diagnosed(World.of(replace(made, number=number), 1), 1, tmp_path / str(number))
         assert found.verdict in ("complete", "cannot_tell")
-        assert found.named == ""
-        assert (found.verdict == "cannot_tell") == ("noise_unknown" in found.warnings)
-        assert found.noise_ratio == pytest.approx(1.0, abs=0.25)
+        assert found.missing == ()
+        assert (found.verdict == "cannot_tell") == ("noise_unknown" in found.codes)
+        assert found.noise_m == pytest.approx(1e-4, rel=0.25)
 
 
-@pytest.mark.usefixtures("few_effects")
-def test_rounded_values_of_correlated_noise_are_noise():
+def test_rounded_values_of_correlated_noise_are_noise(tmp_path):
     """Steps of 3.8 times the noise, AR(1) of 0.6: of one AR(1) the slow part was half of it."""
-    found = breadth_study.judged("complete", hypercube(200, 100)[10], 1)
-    assert found.verdict == "complete"
+    assert diagnosed(World.of(hypercube(200, 100)[10], 1), 1, tmp_path).verdict == "complete"

@@ -1,0 +1,559 @@
+"""What the lab says of studies with a known answer: verdicts beside the truth, and CPU seconds.
+
+    python -m tools.studies.diagnosis_study FILE.csv --made complete=100 one=100 pair=27
+    python -m tools.studies.diagnosis_study FILE.csv --breadth complete=300 one=200 outside=100
+    python -m tools.studies.diagnosis_study FILE.csv --rigs all=60 [--practice …] [--real]
+    python -m tools.studies.diagnosis_study FILE.csv --table [--before EARLIER.csv]
+
+Sources, each with kinds and how many of them:
+
+    --made      usual studies (`made_studies.py`): `complete`; `one` effect hidden; `unknown`, that
+                effect taken out of the library; `pair`; `mixed`, a pair whose second is taken out;
+                `prior`, beside a model of another cable that is no model of this one
+    --breadth   the breadth of what users bring (`breadth_world.py`): `complete`, `one`, `outside`;
+                --uneven, --pixel and --colour set a condition for all of them
+    --rigs      imitated rigs (`rigs.py`), one effect hidden in each: `all` features, or one kind
+                of rig; `complete=60` hides nothing
+    --practice, --real   of `../shared/data` beside the project; real ones have no known answer
+
+Each study is a row of the file as soon as it is judged; rows that are there are kept, so that a
+stopped study goes on.  Only effects that a test which knows the truth would see count as seen
+(power 0.8, `known_truth.py`).  A study that the lab refuses with an error is `refused`.  Ends with
+1 if anything is claimed that is not there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import resource
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import linear_sum_assignment
+
+from cell.api.lab import diagnosed, examined, set_up
+from cell.cable.effects import Effect, library
+from cell.cable.solver import DivergedError
+from cell.cable.statics import UnsettledError
+from cell.files.input_error import InputError
+from cell.identify.noise import Noise
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.named_effects import EffectSelection
+from cell.lab.data.noise_model import NoiseUnknownError
+from cell.lab.data.prepared import PreparedStudy, all_fitted
+from cell.lab.data.results import MissingEffect, write_json
+from cell.study.data import Study
+from cell.study.folder import write_study
+from tools.worlds.bad_priors import BAD_PRIORS, beside_bad_prior
+from tools.worlds.breadth_world import Conditions, World, hypercube
+from tools.worlds.known_truth import (
+    SHOWS,
+    class_of,
+    evidence,
+    power_of,
+    that_shows,
+    without_noise,
+)
+from tools.worlds.made_studies import hidden, make_study
+from tools.worlds.outside_laws import LAWS
+from tools.worlds.rig_kinds import KINDS as RIG_KINDS
+from tools.worlds.rigs import Rig, rig_study
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+MADE = ("complete", "one", "unknown", "pair", "mixed", "prior")
+BREADTH = ("complete", "one", "outside")
+RIGS = ("all", "complete", *RIG_KINDS)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A study that `made` makes again: its source, kind and number (or name), and what is drawn.
+
+    seed     of all breadth studies, from which their conditions follow
+    changed  conditions of breadth studies that are the same in all
+    count    breadth studies of the kind, over which the conditions are spread
+    """
+
+    source: str
+    kind: str
+    number: str
+    seed: int = 0
+    count: int = 0
+    changed: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A study in a folder, what is hidden in it, and what the lab is offered.
+
+    hidden   effects that are to be named; `unsaid`: such that are there and may be named
+    power    of the test that knows the truth; 1 where nothing is hidden
+    noise_m  true noise, nan if not known
+    """
+
+    folder: Path
+    selection: EffectSelection
+    hidden: tuple[str, ...] = ()
+    unsaid: tuple[str, ...] = ()
+    power: float = 1.0
+    noise_m: float = float("nan")
+    prior: Path | None = None
+    conditions: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A study and what was said of it.
+
+    named, partial  effects joined by "+", ties by "|"; also of `cannot_tell`, which claims nothing
+    noise_ratio     estimated over true noise; error_ratio: baseline's larger error over true noise
+    cpu_s           of the diagnosis with its report's comparison, forks included
+    """
+
+    source: str
+    kind: str
+    number: str
+    hidden: str
+    unsaid: str
+    power: float
+    verdict: str
+    named: str = ""
+    partial: str = ""
+    warnings: str = ""
+    noise_ratio: float = float("nan")
+    error_ratio: float = float("nan")
+    simulated_s: float = 0.0
+    cpu_s: float = 0.0
+    refused: str = ""
+    conditions: str = "{}"
+
+    @property
+    def seen(self) -> bool:
+        return self.power >= SHOWS
+
+    @property
+    def right(self) -> bool:
+        if self.kind == "prior":
+            return not (self.verdict == "complete" and self.error_ratio > 3.0) and not self.wrong
+        nameless = self.kind in ("unknown", "outside", "mixed") or self.hidden.startswith("x_")
+        if nameless and self.verdict == "unexplained":
+            return True
+        if not self.hidden:
+            return self.verdict == "complete"
+        named = self.kind not in ("unknown", "outside") and self.names_all(self.named)
+        return named and self.verdict == "missing"
+
+    @property
+    def wrong(self) -> bool:
+        """Whether something is claimed that is not there, or complete called what is not."""
+        claimed = self.verdict == "missing" and self.names_other(self.named)
+        return claimed or (self.source == "rigs" and self.false_complete)
+
+    @property
+    def false_complete(self) -> bool:
+        return self.verdict == "complete" and bool(self.hidden)
+
+    @property
+    def right_in_part(self) -> bool:
+        """Whether what explains most is there, the hidden effects among it."""
+        named = {n for names in _sets(self.partial) for n in names}
+        there = all(class_of([h]) & named for h in self._hidden)
+        return bool(self.partial) and there and not self.names_other(self.partial)
+
+    def names_all(self, text: str) -> bool:
+        """Whether all that is hidden is named, and nothing that is not there."""
+        named, there = _sets(text), [*self._hidden, *_split(self.unsaid)]
+        worth = [1.0 + (h in self._hidden) for h in there]
+        gain = [
+            [w * bool(class_of([h]) & n) for n in named] for h, w in zip(there, worth, strict=True)
+        ]
+        pairs = zip(*linear_sum_assignment(gain, maximize=True), strict=True) if named else ()
+        matched = [there[i] for i, j in pairs if gain[i][j]]
+        return {*self._hidden} <= {*matched} and len(matched) == len(named)
+
+    def names_other(self, text: str) -> bool:
+        """Whether a class of tied effects holds nothing that is there."""
+        there = class_of([*self._hidden, *_split(self.unsaid)])
+        return any(not names & there for names in _sets(text))
+
+    @property
+    def _hidden(self) -> list[str]:
+        return _split(self.hidden)
+
+
+def _split(text: str) -> list[str]:
+    return [n for n in text.split("+") if n]
+
+
+def _sets(text: str) -> list[frozenset[str]]:
+    return [frozenset(n.split("|")) for n in _split(text)]
+
+
+@contextmanager
+def made(case: Case) -> Iterator[Made]:
+    """The study of a case, in a folder that is removed afterwards.
+
+    raises  DivergedError, UnsettledError: no cable swings so
+    """
+    if case.source in ("practice", "real"):
+        yield _given(case)
+        return
+    make = {"made": _usual, "breadth": _broad, "rigs": _of_rig}[case.source]
+    with TemporaryDirectory() as root:
+        folder = Path(root) / "study"
+        study, found = make(case, folder)
+        write_study(study, folder)
+        yield found
+
+
+def _given(case: Case) -> Made:
+    folder = SHARED / case.source / case.number
+    if case.source == "real":
+        return Made(folder, EffectSelection((), library()))
+    truth = json.loads((folder.parent / "truth.json").read_text(encoding="utf-8"))
+    effects = tuple(e for e in truth[case.number]["effects"] if e != "none")
+    return Made(folder, EffectSelection((), library()), effects)
+
+
+def _usual(case: Case, folder: Path) -> tuple[Study, Made]:
+    known, seed = library(), int(case.number)
+    if case.kind == "complete":
+        return make_study(seed), Made(folder, EffectSelection((), known))
+    if case.kind == "prior":
+        kind = BAD_PRIORS[seed % len(BAD_PRIORS)]
+        study, names, model = beside_bad_prior(seed, kind)
+        prior = folder.with_name("earlier.json")
+        write_json(model.to_dict(), prior)
+        return study, Made(folder, EffectSelection((), known), names, prior=prior)
+    effects, sizes = drawn(seed, case.kind, known)
+    active = [hidden(e, size) for e, size in zip(effects, sizes, strict=True)]
+    names = tuple(e.name for e in effects)
+    offered = {"unknown": (), "mixed": effects[:1]}.get(case.kind, effects)
+    gone = class_of(e.name for e in effects if e not in offered)
+    selection = EffectSelection((), {n: e for n, e in known.items() if n not in gone})
+    lacking = {"pair": [[e] for e in effects], "mixed": [effects[:1]]}.get(case.kind, [[]])
+    study = make_study(seed, active)
+    spaces = [ParameterSpace.of(study.cable, effects=rest) for rest in lacking]
+    clean = make_study(seed, active, noise_m=1e-9, colour=0.0)
+    quiet = without_noise(clean, PreparedStudy.of(study).noise)
+    power = min(power_of(evidence(quiet, s), quiet, len(known)) for s in spaces)
+    count = 1 if case.kind == "mixed" else len(names)
+    return study, Made(folder, selection, names[:count], names[count:], power)
+
+
+def drawn(
+    seed: int, kind: str, known: Mapping[str, type[Effect]]
+) -> tuple[list[type[Effect]], list[float]]:
+    """What is hidden in a usual study, and how many times as strong as is typical."""
+    names = sorted(known)
+    rng = np.random.default_rng(10_000 + seed)
+    first = names[seed % len(names)]
+    effects, ranges = [known[first]], [(0.5, 2.0)]
+    if kind == "pair":
+        effects.append(known[rng.choice([n for n in names if n != first])])
+        ranges *= 2
+    elif kind == "mixed":
+        effects.append(known[rng.choice([n for n in names if n not in class_of([first])])])
+        ranges = [(2.0, 5.0), (1.0, 3.0)]
+    return effects, [float(rng.uniform(low, high)) for low, high in ranges]
+
+
+def _broad(case: Case, folder: Path) -> tuple[Study, Made]:
+    place, known = BREADTH.index(case.kind), library()
+    conditions = hypercube(case.count, 100 * case.seed + place)[int(case.number)]
+    conditions = replace(conditions, **case.changed)
+    world, noise_m = World.of(conditions, case.seed), true_noise_m(conditions)
+    names: tuple[str, ...] = ()
+    offered, power = dict(known), 1.0
+    if case.kind == "complete":
+        clean = world.clean()
+    else:
+        effect, offered = hidden_effect(case.kind, conditions.number, known)
+        names = (effect.name,)
+        _, clean, _ = world.showing(effect)
+        power = _breadth_power(world, clean, case.seed, len(known))
+    told = {k: v for k, v in asdict(conditions).items() if k != "number"}
+    study = world.study(clean, case.seed)
+    selection = EffectSelection((), offered)
+    return study, Made(folder, selection, names, (), power, noise_m, None, told)
+
+
+def true_noise_m(conditions: Conditions) -> float:
+    """With what rounding adds to it."""
+    return conditions.noise_m * float(np.sqrt(1.0 + conditions.pixel**2 / 12.0))
+
+
+def hidden_effect(
+    kind: str, number: int, known: Mapping[str, type[Effect]]
+) -> tuple[type[Effect], dict[str, type[Effect]]]:
+    """The effect of a breadth study, and those that the lab is offered."""
+    names = sorted(known)
+    if kind == "one":
+        return known[names[number % len(names)]], dict(known)
+    if number % 2:
+        laws = sorted(LAWS)
+        return LAWS[laws[number // 2 % len(laws)]], dict(known)
+    effect = known[names[number // 2 % len(names)]]
+    return effect, {n: e for n, e in known.items() if n not in class_of([effect.name])}
+
+
+def _breadth_power(world: World, clean: Sequence[np.ndarray], seed: int, tests: int) -> float:
+    conditions = world.conditions
+    study = all_fitted(world.study(clean, seed, quiet=True))
+    rounding = conditions.pixel**2 / 12.0
+    noise = Noise(true_noise_m(conditions), conditions.colour, white=rounding / (1.0 + rounding))
+    quiet = without_noise(study, noise)
+    return power_of(evidence(quiet, ParameterSpace.of(study.cable)), quiet, tests)
+
+
+def _of_rig(case: Case, folder: Path) -> tuple[Study, Made]:
+    known, seed = library(), int(case.number)
+    name = sorted(known)[seed % len(known)]
+    rig = RIG_KINDS[case.kind](seed) if case.kind in RIG_KINDS else Rig.drawn(seed, name)
+    effect, power = None, 1.0
+    if case.kind != "complete":
+        effect, power = that_shows(rig, known[name], len(known))
+    selection = EffectSelection(tuple(a.effect for a in rig.known), known)
+    names = () if effect is None else (effect.effect.name,)
+    unsaid = tuple(a.effect.name for a in rig.unsaid)
+    return rig_study(rig, effect), Made(folder, selection, names, unsaid, power)
+
+
+def judged(case: Case) -> Row:
+    """Make a study and diagnose it; a crash is an outcome, and counts."""
+    blank = Row(case.source, case.kind, case.number, "", "", 0.0, "not made")
+    try:
+        with made(case) as there:
+            return _said(case, there)
+    except (DivergedError, UnsettledError) as error:
+        return replace(blank, refused=_short(error))
+    except Exception as error:
+        return replace(blank, verdict="crash", refused=f"{type(error).__name__}: {_short(error)}")
+
+
+def _said(case: Case, there: Made) -> Row:
+    names, unsaid = "+".join(there.hidden), "+".join(there.unsaid)
+    row = Row(case.source, case.kind, case.number, names, unsaid, round(there.power, 3), "refused")
+    row = replace(row, conditions=json.dumps(there.conditions))
+    before_s = cpu_s()
+    try:
+        fits = set_up(there.folder, there.selection, there.prior)
+        found = diagnosed(examined(fits), there.folder).diagnosis
+    except (InputError, NoiseUnknownError) as error:
+        return replace(row, refused=_short(error, there.folder), cpu_s=round(cpu_s() - before_s, 2))
+    noise_m = found.noise_m if np.isnan(there.noise_m) else there.noise_m
+    errors = [found.baseline.fit_rms_m, found.baseline.heldout_rms_m]
+    return replace(
+        row,
+        verdict=found.verdict,
+        named=_joined(found.missing),
+        partial=_joined(found.partial),
+        warnings=" ".join(w.code for w in found.warnings),
+        noise_ratio=round(found.noise_m / noise_m, 3),
+        error_ratio=round(float(np.nanmax(errors)) / noise_m, 3),
+        simulated_s=round(fits.work.simulated_s),
+        cpu_s=round(cpu_s() - before_s, 2),
+    )
+
+
+def _joined(effects: Sequence[MissingEffect]) -> str:
+    return "+".join("|".join((m.effect, *m.tied_with)) for m in effects)
+
+
+def _short(error: Exception, folder: Path | str = "") -> str:
+    return str(error).replace(str(folder) or "\0", "").replace("\n", " ")[:200]
+
+
+def cpu_s() -> float:
+    """Seconds of CPU of this process and of the forks that have ended."""
+    of = [resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(u.ru_utime + u.ru_stime for u in of)
+
+
+def cases(given: argparse.Namespace) -> list[Case]:
+    """All studies that are asked for, in order."""
+    found = []
+    for kind, count in given.made:
+        seeds = range(given.first, given.first + count)
+        found += [Case("made", kind, str(seed)) for seed in seeds]
+    changed = {n: v for n in CHANGED if (v := getattr(given, n)) is not None}
+    for kind, count in given.breadth:
+        numbers = range(count)
+        found += [Case("breadth", kind, str(n), given.seed, count, changed) for n in numbers]
+    for kind, count in given.rigs:
+        seeds = range(given.first, given.first + count)
+        found += [Case("rigs", kind, str(seed)) for seed in seeds]
+    if given.practice is not None:
+        truth = json.loads((SHARED / "practice" / "truth.json").read_text(encoding="utf-8"))
+        found += [Case("practice", "all", name) for name in given.practice or truth]
+    if given.real:
+        folders = sorted((SHARED / "real").glob("*/study.yaml"))
+        found += [Case("real", "all", f.parent.name) for f in folders]
+    return found
+
+
+def run(file: Path, wanted: Sequence[Case], workers: int) -> None:
+    """Judge what the file lacks."""
+    done = {(r.source, r.kind, r.number) for r in read(file)} if file.exists() else set()
+    todo = [c for c in wanted if (c.source, c.kind, c.number) not in done]
+    with file.open("a", newline="", encoding="utf-8") as out:
+        writer = csv.DictWriter(out, [f.name for f in fields(Row)])
+        if out.tell() == 0:
+            writer.writeheader()
+        for count, row in enumerate(_rows(todo, workers), 1):
+            writer.writerow(asdict(row))
+            out.flush()
+            print(f"{count:4d} of {len(todo)}  {row.source} {row.kind} {row.number} "
+                  f"{row.hidden or 'nothing'}: {row.verdict} {row.named} {row.warnings} "
+                  f"{row.refused} ({row.cpu_s:.0f} s)", flush=True)  # fmt: skip
+
+
+def _rows(todo: Sequence[Case], workers: int) -> Iterator[Row]:
+    """As they are known; with one worker in this process, so that CPU seconds are its own."""
+    if workers == 1:
+        yield from map(judged, todo)
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        for future in as_completed([pool.submit(judged, case) for case in todo]):
+            yield future.result()
+
+
+def read(file: Path) -> list[Row]:
+    """Rows of a file."""
+    kinds = {f.name: float if f.type == "float" else str for f in fields(Row)}
+    with file.open(newline="", encoding="utf-8") as lines:
+        return [Row(**{k: kinds[k](v) for k, v in line.items()}) for line in csv.DictReader(lines)]
+
+
+#: Conditions of breadth studies by which their rows are counted: name, and what is asked.
+BINS: dict[str, Callable[[dict[str, float]], bool]] = {
+    "1 marker": lambda c: c["markers"] == 1,
+    "2–3 markers": lambda c: 2 <= c["markers"] <= 3,
+    "4–11 markers": lambda c: c["markers"] >= 4,
+    "6–19 rest frames": lambda c: c["rest_frames"] < 20,
+    "20–39 rest frames": lambda c: 20 <= c["rest_frames"] < 40,
+    "40–200 rest frames": lambda c: c["rest_frames"] >= 40,
+    "1 trial": lambda c: c["trials"] == 1,
+    "2–8 trials, none held out": lambda c: c["trials"] > 1 and not c["held_out"],
+    "held-out trials": lambda c: c["held_out"] == 1,
+    "30–100 frames/s": lambda c: c["rate_hz"] < 100,
+    "100–500 frames/s": lambda c: c["rate_hz"] >= 100,
+    "AR(1) 0–0.35": lambda c: c["colour"] < 0.35,
+    "AR(1) 0.35–0.7": lambda c: c["colour"] >= 0.35,
+    "not rounded": lambda c: c["pixel"] == 0,
+    "rounded to 1–2 times the noise": lambda c: 0 < c["pixel"] <= 2,
+    "rounded to 2–4 times the noise": lambda c: c["pixel"] > 2,
+    "droop 0.5–3": lambda c: c["droop"] < 3,
+    "droop 3–20": lambda c: c["droop"] >= 3,
+    "gripper log 30–120 Hz": lambda c: c["log_hz"] < 120,
+    "gripper log 120–500 Hz": lambda c: c["log_hz"] >= 120,
+    "noise 0.02–0.1 %": lambda c: c["noise"] < 1e-3,
+    "noise 0.1–0.5 %": lambda c: c["noise"] >= 1e-3,
+    "6–35 cm": lambda c: c["length_m"] < 0.35,
+    "0.35–2 m": lambda c: c["length_m"] >= 0.35,
+}
+COLUMNS = ("studies", "seen", "right", "wrong", "named right", "right in part", "complete",
+           "unexplained", "cannot_tell", "noise unknown", "refused")  # fmt: skip
+
+
+def counts(rows: Iterable[Row]) -> dict[str, int]:
+    """How many of some rows are so; all but the first of those that are seen."""
+    made = [r for r in rows if r.verdict != "not made"]
+    seen = [r for r in made if r.seen]
+    verdicts = [r.verdict for r in seen]
+    return dict(zip(COLUMNS, (
+        len(made), len(seen), sum(r.right for r in seen), sum(r.wrong for r in made),
+        sum(bool(r.hidden) and r.names_all(r.named) for r in seen),
+        sum(r.right_in_part for r in seen),
+        *(verdicts.count(v) for v in ("complete", "unexplained", "cannot_tell")),
+        sum("noise_unknown" in r.warnings for r in seen), verdicts.count("refused"),
+    ), strict=True))  # fmt: skip
+
+
+def table(rows: Sequence[Row], before: Sequence[Row] = ()) -> Iterator[str]:
+    """Lines of a table in Markdown, CPU seconds, and every verdict that differs from before."""
+    yield "| studies | " + " | ".join(COLUMNS) + " | right, 95 % |"
+    yield "|---|" + "---|" * (len(COLUMNS) + 1)
+    for source, kind in dict.fromkeys((r.source, r.kind) for r in rows):
+        here = [r for r in rows if (r.source, r.kind) == (source, kind)]
+        yield _line(f"{source} {kind}", here)
+        if source == "breadth":
+            drawn = [(r, json.loads(r.conditions)) for r in here if r.conditions != "{}"]
+            for name, holds in BINS.items():
+                yield _line(f"{kind}, {name}", [r for r, c in drawn if holds(c)])
+    timed = [r for r in rows if r.cpu_s > 0.0]
+    if timed:
+        some = np.percentile([r.cpu_s for r in timed], [50, 95, 100])
+        yield ("\nCPU of a diagnosis: median {:.1f} s, 95 % within {:.1f} s, longest {:.1f} s "
+               "of {}").format(*some, len(timed))  # fmt: skip
+        for r in sorted(timed, key=lambda r: -r.cpu_s)[:5]:
+            yield f"  {r.cpu_s:6.1f} s  {r.source} {r.kind} {r.number} ({r.hidden}): {r.verdict}"
+    yield f"crashes: {sum(r.verdict == 'crash' for r in rows)}"
+    earlier = {(r.source, r.kind, r.number): r for r in before}
+    for r in rows:
+        was = earlier.get((r.source, r.kind, r.number), r)
+        if (was.verdict, was.named, was.partial) != (r.verdict, r.named, r.partial):
+            yield (f"  {r.source} {r.kind} {r.number} ({r.hidden}): {was.verdict} {was.named} "
+                   f"{was.partial} -> {r.verdict} {r.named} {r.partial}")  # fmt: skip
+
+
+def _line(name: str, rows: Sequence[Row]) -> str:
+    found = counts(rows)
+    sure = "–"
+    if found["seen"]:
+        interval = stats.binomtest(found["right"], found["seen"]).proportion_ci()
+        sure = f"{interval.low:.0%} … {interval.high:.0%}"
+    return f"| {name} | " + " | ".join(str(found[c]) for c in COLUMNS) + f" | {sure} |"
+
+
+#: Conditions that an option makes the same in all breadth studies.
+CHANGED = ("uneven", "pixel", "colour")
+
+
+def kinds(known: Sequence[str]) -> Callable[[str], tuple[str, int]]:
+    """Type of an option KIND=COUNT."""
+
+    def read_one(text: str) -> tuple[str, int]:
+        kind, _, count = text.partition("=")
+        if kind not in known or not count.isdecimal():
+            raise argparse.ArgumentTypeError(f"{text!r}: give KIND=COUNT, KIND of {known}")
+        return kind, int(count)
+
+    return read_one
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("file", type=Path)
+    for name, known in (("made", MADE), ("breadth", BREADTH), ("rigs", RIGS)):
+        parser.add_argument(f"--{name}", nargs="+", type=kinds(known), default=[])
+    parser.add_argument("--practice", nargs="*", metavar="NAME", help="default: all of them")
+    parser.add_argument("--real", action="store_true")
+    parser.add_argument("--first", type=int, default=0, help="seed of made studies and rigs")
+    parser.add_argument("--seed", type=int, default=1, help="of the breadth's conditions")
+    for name in CHANGED:
+        parser.add_argument(f"--{name}", type=float)
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--table", action="store_true", help="of the file as it is")
+    parser.add_argument("--before", type=Path, help="an earlier file: verdicts that differ")
+    given = parser.parse_args()
+    if not given.table:
+        run(given.file, cases(given), given.workers)
+    rows = read(given.file)
+    for line in table(rows, read(given.before) if given.before else ()):
+        print(line)
+    return 1 if any(r.wrong or r.verdict == "crash" for r in rows) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

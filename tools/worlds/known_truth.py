@@ -1,0 +1,85 @@
+"""The test that knows the truth: by how much a hidden effect shows in a study, and its power.
+
+The χ² that the hidden effect leaves on all trials after the baseline has been fitted without noise,
+against the χ² that a test over the whole library at 1 % asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from cell.cable.effects import ActiveEffect, Effect
+from cell.identify.noise import Noise
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.renoised import with_noise_model
+from cell.lab.fit.fitting import fit_trials
+from cell.lab.search.fit_cache import FitCache
+from cell.study.data import Study
+from tools.worlds.made_studies import hidden
+from tools.worlds.rigs import Rig, rig_study
+
+SIGNIFICANCE = 0.01
+#: No motion from rest tells these apart: with one out of the library the other is right.
+ONE_CLASS = frozenset({"camera_latency", "robot_lag"})
+#: Power from which a study counts as one that shows its effect.
+SHOWS = 0.8
+#: Wanted of a rig; for it an effect is made stronger so often, by so much at once, and until it is
+#: so many times as strong as is typical.
+POWER, MOST_TRIED, MOST_AT_ONCE, STRONGEST = 0.95, 3, 5.0, 20.0
+
+
+def class_of(names: Iterable[str]) -> frozenset[str]:
+    """These effects and what no motion tells from them."""
+    some = frozenset(names)
+    return some | ONE_CLASS if some & ONE_CLASS else some
+
+
+def without_noise(quiet: Study, noise: Noise) -> PreparedStudy:
+    """A study whose measurements have no noise, prepared as if they had the noise given."""
+    prepared = PreparedStudy.of(replace(quiet, noise_std_m=noise.std_m))
+    return with_noise_model(prepared, replace(prepared.noise_model, noise=noise, dof=1e9))
+
+
+def evidence(quiet: PreparedStudy, space: ParameterSpace) -> float:
+    """χ² of independent values that a study without noise leaves when `space` is fitted to it."""
+    return FitCache(quiet, space, {}).baseline().fit.chi2
+
+
+def least_evidence(quiet: PreparedStudy, tests: int) -> float:
+    """χ² that a test over so many effects asks for."""
+    count = quiet.count(fit_trials(quiet))
+    return float(stats.chi2.isf(SIGNIFICANCE / tests, 1) + np.log(count))
+
+
+def power_of(chi2: float, quiet: PreparedStudy, tests: int) -> float:
+    """Of the test, by the χ² of independent values that the effect leaves."""
+    return float(stats.ncx2.sf(least_evidence(quiet, tests), 1, chi2))
+
+
+def that_shows(rig: Rig, effect: type[Effect], tests: int) -> tuple[ActiveEffect, float]:
+    """The effect so strong that a rig's study shows it, and the power of the test."""
+    rng = np.random.default_rng([rig.seed, 3])
+    size = rng.uniform(0.7, 1.5)
+    if all(p.low < p.default for p in effect.parameters if p.amplitude):
+        size *= rng.choice([-1.0, 1.0])
+    there = tuple(a.effect for a in (*rig.known, *rig.unsaid))
+    space = ParameterSpace.of(rig.cable, effects=there)
+
+    def shown(size: float) -> tuple[ActiveEffect, PreparedStudy, float]:
+        active = hidden(effect, size, rig.cable)
+        quiet = without_noise(rig_study(rig, active, quiet=True), rig.noise)
+        return active, quiet, rig.independent * evidence(quiet, space)
+
+    active, quiet, chi2 = shown(size)
+    wanted = (np.sqrt(least_evidence(quiet, tests)) + stats.norm.ppf(POWER)) ** 2
+    for _ in range(MOST_TRIED):
+        if chi2 > wanted or abs(size) > STRONGEST:
+            break
+        size *= min(1.1 * np.sqrt(wanted / chi2), MOST_AT_ONCE)
+        active, quiet, chi2 = shown(size)
+    return active, power_of(chi2, quiet, tests)
