@@ -186,9 +186,16 @@ def nothing_to_revise(device: str) -> LimitError:
 
 
 class StoppedError(DeviceError):
-    """The device is stopped and must be reset by a person.  Scenario: protective stop."""
+    """The device is stopped and must be reset by a person.  Scenario: protective stop.
 
-    code = "stopped"
+    mode  what stopped it: the code tells a slider that was slowed from a protective stop
+    """
+
+    def __init__(
+        self, device: str, cause: str, remedy: str = "", mode: ArmMode = ArmMode.STOPPED
+    ) -> None:
+        super().__init__(device, cause, remedy)
+        self.code = mode.value
 
 
 class GripError(DeviceError):

@@ -252,9 +252,10 @@ class UrArm:
         answer = self._receive(child, _RESET_S)
         if answer[0] == "refused":
             cause, remedy = answer[1:]
-            if cause in set(ArmMode):
-                cause, remedy = self._cause(child, ArmMode(cause)), ArmMode(cause).remedy
-            raise StoppedError(self.name, f"the controller reports {cause}", remedy)
+            mode = ArmMode(cause) if cause in set(ArmMode) else ArmMode.STOPPED
+            if mode is not ArmMode.STOPPED:
+                cause, remedy = self._cause(child, mode), mode.remedy
+            raise StoppedError(self.name, f"the controller reports {cause}", remedy, mode)
 
     def _start_child(self) -> ChildProcess:
         o = self._options
@@ -345,7 +346,10 @@ class UrArm:
     def _check_ready(self, child: ChildProcess) -> None:
         mode = self._mode(child)
         if mode is not ArmMode.READY:
-            raise StoppedError(self.name, f"stopped: {self._cause(child, mode)}", mode.remedy)
+            cause = f"stopped: {self._cause(child, mode)}"
+            slowed = child.shared.get(Slot.SLOWED) != 0.0
+            kind = ArmMode.REDUCED_SPEED if mode is ArmMode.STOPPED and slowed else mode
+            raise StoppedError(self.name, cause, mode.remedy, kind)
 
     def _cause(self, child: ChildProcess, mode: ArmMode) -> str:
         match mode:

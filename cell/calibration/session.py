@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from cell.plan.paths import MotionLimits, retreat_path
 from cell.settings import Settings
 from cell.settings.translate import pose_of
 from drivers.interfaces import (
+    Arm,
     ArmMode,
     CameraError,
     Devices,
@@ -27,7 +29,7 @@ from drivers.interfaces import (
 
 FloatArray = NDArray[np.float64]
 
-#: Share of the cell's own speed with which a hand is brought to a pose.
+#: A hand is brought to a pose with the cell's own speed divided by this.
 _SLOWER = 2.0
 _POLL_S, _REST_TIMEOUT_S, _CALM_S = 0.01, 3.0, 0.15
 _AT_GOAL_M, _AT_GOAL_RAD = 5e-5, 1e-3
@@ -165,7 +167,7 @@ class Session:
                 raise DeviceTimeoutError(arm.name, "does not come to rest", "check its path")
             clock.sleep_s(_POLL_S)
         if state.mode is not ArmMode.READY:
-            raise StoppedError(arm.name, f"is in {state.mode.value}", state.mode.remedy)
+            raise StoppedError(arm.name, f"is in {state.mode.value}", state.mode.remedy, state.mode)
 
 
 @contextmanager
@@ -177,7 +179,11 @@ def opened(
     raises  DeviceError
     """
     used = [devices.camera, *((devices.arm, devices.gripper) if moves else ())]
-    try:
+    with ExitStack() as stack:
+        for device in used:
+            stack.callback(device.close)
+        if moves:
+            stack.push(partial(_stopped, devices.arm))
         for device in used:
             say(f"connect {device.name}")
             device.connect()
@@ -188,10 +194,9 @@ def opened(
                     devices.gripper.name, "holds something", "calibrating needs empty jaws"
                 )
         yield Session(settings, devices)
-    except BaseException:
-        if moves:
-            devices.arm.stop(_BROKEN_OFF)
-        raise
-    finally:
-        for device in used:
-            device.close()
+
+
+def _stopped(arm: Arm, kind: type[BaseException] | None, *_: object) -> None:
+    """Stop an arm on the way out of what has failed."""
+    if kind is not None:
+        arm.stop(_BROKEN_OFF)

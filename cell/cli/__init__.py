@@ -42,6 +42,7 @@ from cell.cli import (
     studies,
     users,
 )
+from cell.cli.shared import BAD_INPUT
 from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
 from cell.terminal.logs import about, to_file, to_terminal
@@ -54,7 +55,10 @@ WATCHED = (
 
 
 class _Commands(typer.core.TyperGroup):
-    """All commands; Ctrl-C in one that has no answer to it is told, and ends it with 130."""
+    """All commands; Ctrl-C in one that has no answer to it is told, and ends it with 130.
+
+    So is Ctrl-D in place of an answer, which ends it with 2.
+    """
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -62,6 +66,12 @@ class _Commands(typer.core.TyperGroup):
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             raise
+        except typer.Abort as abort:  # of a question
+            if isinstance(abort.__context__, KeyboardInterrupt):
+                print("interrupted", file=sys.stderr)
+                raise KeyboardInterrupt from None
+            print("the input ended before an answer: nothing is done", file=sys.stderr)
+            raise typer.Exit(BAD_INPUT) from None
 
 
 app = typer.Typer(

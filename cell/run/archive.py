@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 from cell.run.listed import LedgerSetup
@@ -33,7 +34,8 @@ class Archive:
 
     def close(self) -> None:
         """Nothing more comes."""
-        if self.recording is not None:
-            self.recording.close()
-        if self.ledger is not None:
-            self.ledger.ledger.close()
+        with ExitStack() as stack:
+            if self.ledger is not None:
+                stack.callback(self.ledger.ledger.close)
+            if self.recording is not None:
+                stack.callback(self.recording.close)

@@ -6,7 +6,7 @@ import logging
 import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -121,10 +121,11 @@ class Cell:
 
     def close(self) -> None:
         """Stop the arm and disconnect all devices."""
-        steps.close(self._station.devices)
-        self._station.computer.shutdown(wait=False, cancel_futures=True)
-        self._archive.close()
-        self._steps.forget()
+        with ExitStack() as stack:
+            stack.callback(self._steps.forget)
+            stack.callback(self._archive.close)
+            stack.callback(self._station.computer.shutdown, wait=False, cancel_futures=True)
+            steps.close(self._station.devices)
 
     def change_product(self, made: ProductTask) -> None:
         """What the next cycles make, one that is prepared too; called between cycles.

@@ -35,7 +35,7 @@ class Movement:
         return path_to(self.goal, here, self.limits, rate_hz)
 
 
-#: The movements of a plan: task, the arm's rate in Hz, share of the speed → movements.
+#: The movements of a plan: task, the arm's rate in Hz, factor of the speed → movements.
 Movements = Callable[[Task, float, float], tuple[Movement, ...]]
 
 

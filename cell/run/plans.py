@@ -90,7 +90,7 @@ class Plan:
     """The steps for one cable, by the state of the cell in which they are done.
 
     aim        outcome of a cycle in which all goes well
-    movements  those of the hand, for a rehearsal: task, the arm's rate in Hz, share of the speed
+    movements  those of the hand, for a rehearsal: task, the arm's rate in Hz, factor of the speed
     speed      share of the task's speed at which the plan is carried out
     given      what is known before the first step
     """

@@ -96,9 +96,11 @@ class RecordingSetup:
 
     def close(self) -> None:
         """Nothing more is recorded; what was is finished, and uploaded if there is time."""
-        self.recorder.close()
-        if self.uploads is not None:
-            self.uploads.close()
+        try:
+            self.recorder.close()
+        finally:
+            if self.uploads is not None:
+                self.uploads.close()
 
 
 def begun(cycle: int, started: datetime) -> dict[str, str]:

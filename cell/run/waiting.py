@@ -52,7 +52,7 @@ def check_arm(station: Station) -> None:
     arm = station.devices.arm
     mode = arm.state().mode
     if mode is not ArmMode.READY:
-        raise StoppedError(arm.name, f"is in {mode.value.replace('_', ' ')}", mode.remedy)
+        raise StoppedError(arm.name, f"is in {mode.value.replace('_', ' ')}", mode.remedy, mode)
 
 
 def check_grip(station: Station) -> None:

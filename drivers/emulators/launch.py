@@ -58,9 +58,10 @@ class EmulatedController:
         )
         assert process.stdout is not None
         ready, _, _ = select.select([process.stdout], [], [], _START_S)
-        if not ready or process.stdout.readline().strip() != "ready":
+        said = process.stdout.readline().strip() if ready else f"says nothing within {_START_S:g} s"
+        if said != "ready":
             self.__exit__()
-            raise EmulatorError(f"the emulated controller on {self.host} did not start")
+            raise EmulatorError(f"the emulated controller on {self.host} {said or 'did not start'}")
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -212,7 +212,11 @@ def main() -> None:
         arguments.time_scale,
         start_rad=HOME_RAD if start is None else tuple(float(q) for q in start.split(",")),
     )
-    server = UrServer(arguments.host, options)
+    try:
+        server = UrServer(arguments.host, options)
+    except OSError as error:  # in place of "ready"
+        print(f"did not start: {error.strerror}; does another `cell emulate` run?", flush=True)
+        raise SystemExit(1) from None
     run_in_real_time(30)  # before its clients: they do not hold a real controller up either
     print("ready", flush=True)
     server.run_until_stdin_ends()

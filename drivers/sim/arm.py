@@ -219,7 +219,7 @@ class SimArm:
             mode = self._mode()
             if mode not in (ArmMode.READY, ArmMode.STOPPED):
                 cause = f"the controller reports {mode.value}"
-                raise StoppedError(self.name, cause, mode.remedy)
+                raise StoppedError(self.name, cause, mode.remedy, mode)
             self._stop_reason = None
 
     def _latch(self, reason: str) -> None:
@@ -246,7 +246,7 @@ class SimArm:
         mode = self._mode()
         if mode is not ArmMode.READY:
             cause = self._stop_reason if mode is ArmMode.STOPPED else mode.value
-            raise StoppedError(self.name, f"stopped: {cause}", mode.remedy)
+            raise StoppedError(self.name, f"stopped: {cause}", mode.remedy, mode)
 
     def _let_faults_happen(self) -> None:
         """Bring the twin into the state that its faults ask for by now."""

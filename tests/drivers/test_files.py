@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -109,3 +111,17 @@ def test_a_file_that_is_no_picture_is_named(folder) -> None:
 def test_an_unwritable_place_is_an_error(tmp_path) -> None:
     with pytest.raises(OSError, match="could not be written"):
         write_picture(tmp_path / "nowhere" / "a.png", np.zeros((4, 4), dtype=np.uint8))
+
+
+def test_a_file_that_is_no_video_is_said_in_one_line(tmp_path: FilePath) -> None:
+    """The libraries that read it write nothing of their own."""
+    file = tmp_path / "film.avi"
+    file.write_bytes(b"RIFF\0\0\0\0AVI LIST no video at all")
+    read = "from drivers.files import video_frames; from pathlib import Path; import sys; "
+    read += "video_frames(Path(sys.argv[1]))"
+    done = subprocess.run(
+        [sys.executable, "-c", read, str(file)], capture_output=True, text=True, check=False
+    )
+    *_, last = done.stderr.splitlines()
+    assert "film.avi is no video" in last
+    assert "avi @" not in done.stderr and "VIDEOIO" not in done.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sqlite3
 import time
 from collections.abc import Iterator
@@ -112,7 +113,25 @@ def told(engine: Engine) -> Iterator[None]:
         yield
     except SQLAlchemyError as error:
         cause = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+        if _is_damaged(error):
+            cause += "; " + _move_away(Path(engine.url.database or ""))
         raise LedgerError(f"{engine.url.render_as_string()}: {cause}") from error
+
+
+def _is_damaged(error: SQLAlchemyError) -> bool:
+    """Whether SQLite says that the file is no database, or one that is damaged."""
+    code = getattr(getattr(error, "orig", None), "sqlite_errorcode", 0)
+    return code & 0xFF in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
+
+
+def _move_away(file: Path) -> str:
+    """What a person does about a damaged file: its log would be taken for that of a new one."""
+    moved, here = (shlex.quote(str(p)) for p in (file.with_name(f"damaged-{file.name}"), file))
+    return (
+        "stop the programs that use it, then "
+        f"`mkdir {moved} && mv {here}* {moved}`: the next run begins a new ledger, "
+        "and `cell history --import FOLDER` takes in the cycles of a folder"
+    )
 
 
 @contextmanager

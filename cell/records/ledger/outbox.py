@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from cell.files.atomic import write_new
+from cell.files.words import counted
 from cell.records.ledger.entry import Entry
 from cell.records.ledger.error import LedgerError
 
@@ -166,8 +167,8 @@ class LedgerWriter:
         waiting = self._outbox.count()
         if waiting:
             self._note(
-                f"{waiting} entries of the ledger wait in {self._place}: {self._failed or 'slow'}; "
-                "the next run writes them"
+                f"{counted(waiting, 'entry', 'entries')} for the ledger in {self._place}: "
+                f"{self._failed or 'it is slow'}; written by the next run that can"
             )
 
     def _run(self) -> None:

@@ -84,3 +84,14 @@ def test_before_there_is_a_command_one_line_is_said_too(
         main()
     assert ended.value.code == 130
     assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_an_input_that_ends_before_an_answer_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by Ctrl-D in a question of `init`: nothing is written."""
+    monkeypatch.setattr("cell.cli.settings._person_is_there", lambda: True)
+    done = CliRunner().invoke(app, ["init", "-o", str(tmp_path / "cell.yaml")], input="")
+    assert done.exit_code == 2
+    assert "the input ended before an answer: nothing is done" in done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -9,6 +9,7 @@ from cell.run.commands import InterruptedByCommandError
 from cell.run.endings import fault_of
 from cell.run.machine import Event
 from drivers.interfaces import (
+    ArmMode,
     CameraError,
     ConnectError,
     DeviceError,
@@ -28,6 +29,8 @@ from drivers.interfaces import (
         (DeviceLostError("camera", "silent"), "camera.lost"),
         (DeviceTimeoutError("gripper", "blocked"), "gripper.timeout"),
         (StoppedError("arm", "protective stop"), "arm.stopped"),
+        (StoppedError("arm", "found", mode=ArmMode.PROTECTIVE_STOP), "arm.protective_stop"),
+        (StoppedError("arm", "slider", mode=ArmMode.REDUCED_SPEED), "arm.reduced_speed"),
         (GripError("gripper", "no cable"), "gripper.grip"),
         (CameraError("camera", "frozen"), "camera.frames"),
         (DeviceError("computer", "too slow"), "computer.device"),

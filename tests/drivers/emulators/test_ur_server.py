@@ -236,3 +236,15 @@ def test_serves_loopback_only() -> None:
         check=False,
     )
     assert out.returncode == 2 and "loopback addresses only" in out.stderr
+
+
+def test_a_second_one_at_an_address_is_refused_in_one_line(
+    emulator, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As by a second `cell emulate`."""
+    with (
+        pytest.raises(EmulatorError, match=r"Address already in use.*another `cell emulate`"),
+        EmulatedController(emulator.host),
+    ):
+        raise AssertionError
+    assert capfd.readouterr().err == ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -119,11 +120,36 @@ def test_what_cannot_be_told_waits_for_the_next_run(writer_to, tmp_path: Path) -
     writer.put(ended(1))
     writer.close()
     (note,) = writer.notes
-    assert "1 entries of the ledger wait" in note
+    assert "1 entry for the ledger" in note
     assert "the server is away" in note
     following = writer_to(LaterLedger(tmp_path / "runs"))
     following.close()
     ledger = Ledger(tmp_path / "runs")
+    assert ledger.count(Wanted()) == {"inserted": 1}
+    ledger.close()
+
+
+def test_what_a_damaged_ledger_lacks_is_written_once_it_is_moved_away(
+    writer_to, tmp_path: Path
+) -> None:
+    """As its note says, by the command that is in it."""
+    file = tmp_path / "runs.sqlite"
+    Ledger(file, create=True).close()
+    file.write_bytes(b"damaged" + file.read_bytes()[7:])
+    file.with_name("runs.sqlite-wal").write_bytes(b"of the damaged one")
+    for _ in range(2):  # another run alone changes nothing
+        writer = writer_to(LaterLedger(file))
+        writer.put(ended(1))
+        until(lambda: outbox_of(tmp_path / "runs").exists())
+        writer.close()
+        (note,) = writer.notes
+        assert "written by the next run that can" in note
+    command = note.partition("`")[2].partition("`")[0]
+    subprocess.run(command, shell=True, check=True)
+    following = writer_to(LaterLedger(file))
+    following.close()
+    assert following.notes == []
+    ledger = Ledger(file)
     assert ledger.count(Wanted()) == {"inserted": 1}
     ledger.close()
 
@@ -220,5 +246,5 @@ def test_entries_that_cannot_be_removed_are_told_of(
     until(lambda: "the cell goes on" in caplog.text)
     writer.close()
     (note,) = writer.notes
-    assert "1 entries of the ledger wait" in note
+    assert "1 entry for the ledger" in note
     assert "Permission denied" in note
