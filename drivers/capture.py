@@ -25,6 +25,7 @@ from drivers.interfaces import (
 )
 from drivers.priority import raise_thread
 from drivers.recording import SLOW_REMEDY, ArrivedShot, CaptureOptions, Recording, Shot
+from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
 
@@ -153,7 +154,7 @@ class _Stream:
         self._recent: deque[ArrivedShot] = deque(maxlen=max(2, options.settle_frames))
         self._error: DeviceError | None = None
         self._recording: Recording | None = None
-        self._thread = threading.Thread(target=self._run, name=device, daemon=True)
+        self._thread = GuardedThread(device, self._run, self._died)
         self._thread.start()
 
     # --- the thread ---------------------------------------------------------------------------
@@ -162,27 +163,22 @@ class _Stream:
         raise_thread(_PRIORITY)
         try:
             source = self._open_source()
-        except Exception as error:
-            self._fail(self._named(error))
-            return
-        try:
-            with self._changed:
-                self._rate_hz = source.rate_hz
-                self._changed.notify_all()
-            while not self._quit.is_set():
-                shot = source.grab(self._wanted)
-                if shot is not None:
-                    self._take(ArrivedShot(shot, self._clock.now_s()))
-        except Exception as error:
-            self._fail(self._named(error))
-        finally:
-            source.close()
+            try:
+                with self._changed:
+                    self._rate_hz = source.rate_hz
+                    self._changed.notify_all()
+                while not self._quit.is_set():
+                    shot = source.grab(self._wanted)
+                    if shot is not None:
+                        self._take(ArrivedShot(shot, self._clock.now_s()))
+            finally:
+                source.close()
+        except DeviceError as error:
+            self._fail(error)
 
-    def _named(self, error: Exception) -> DeviceError:
+    def _died(self, error: BaseException) -> None:
         """What a camera library raised, of which nobody hears in this thread, as a cause."""
-        if isinstance(error, DeviceError):
-            return error
-        return DeviceLostError(self._device, f"{type(error).__name__}: {error}", _LOST_REMEDY)
+        self._fail(DeviceLostError(self._device, said(error), _LOST_REMEDY))
 
     def _wanted(self) -> bool:
         recording = self._recording

@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Iterator
 
 from drivers.rtde_client import RtdeClient, RtdeError
 from drivers.rtde_wire import Recipe
+from drivers.threads import GuardedThread, said
 
 #: Group of digital inputs or outputs → number of its first, number of its last.
 GROUPS = {"standard": (0, 7), "configurable": (8, 15), "tool": (16, 17)}
@@ -54,7 +55,7 @@ class UrIo:
         self._silence_s = silence_s
         self._wanted: frozenset[int] = frozenset()
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="ur-io", daemon=True)
+        self._thread = GuardedThread("ur-io", self._run, self._died)
 
     def __enter__(self) -> UrIo:
         self._thread.start()
@@ -78,6 +79,9 @@ class UrIo:
             except OSError as error:
                 self._lost(f"{self._host}: {error}")
                 self._over.wait(_AGAIN_S)
+
+    def _died(self, error: BaseException) -> None:
+        self._lost(f"{self._host}: {said(error)}; the handshake must be started again")
 
     def _serve(self, client: RtdeClient) -> None:
         """Hear and set, until it is over and the last is set.  Raises OSError."""

@@ -90,7 +90,9 @@ def _begin() -> None:
 
 
 def _end_with_parent() -> None:
-    parent = parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
+    try:
+        parent = parent_process()
+        assert parent is not None
+        parent.join()
+    finally:
+        os._exit(1)

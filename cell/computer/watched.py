@@ -197,8 +197,10 @@ def _interrupt_once(number: int, frame: FrameType | None) -> None:
 
 def _end_with(parent_end: int) -> None:
     """End this process when the other end of the pipe is closed, as its holder's death does."""
-    os.read(parent_end, 1)
-    os._exit(1)
+    try:
+        os.read(parent_end, 1)
+    finally:
+        os._exit(1)
 
 
 def cpu_s(process: int) -> float:

@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+from drivers.threads import GuardedThread, said
+
 _LOG = logging.getLogger(__name__)
 
 #: An adapter that has ended is started again after the first pause, then twice as long, up to the
@@ -63,7 +65,7 @@ class Adapters:
                 ended.callback(kept.end, until_s)
 
 
-class _Kept(threading.Thread):
+class _Kept(GuardedThread):
     """One adapter: a thread that starts it and waits for its end.
 
     Linux ends the child with the thread that started it, so this one lives as long.
@@ -76,7 +78,7 @@ class _Kept(threading.Thread):
         told: Callable[[str, str], None],
         over: threading.Event,
     ) -> None:
-        super().__init__(name=f"adapter {adapter}", daemon=True)
+        super().__init__(f"adapter {adapter}", self._keep, self._died)
         self._adapter = adapter
         self._command = command
         self._told = told
@@ -85,7 +87,10 @@ class _Kept(threading.Thread):
         self._process: subprocess.Popen[bytes] | None = None
         self._troubled = False
 
-    def run(self) -> None:
+    def _died(self, error: BaseException) -> None:
+        self._say(f"has ended, and is not started again: {said(error)}; restart the service")
+
+    def _keep(self) -> None:
         pause_s = FIRST_S
         while not self._over.is_set():
             trouble, lived_s = self._once()

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import TracebackType
@@ -26,6 +27,7 @@ from cell.plant.server import Server
 from cell.plant.wire import line_of, socket_of
 from cell.run.commands import INTERRUPTING, too_old
 from cell.run.machine import Event
+from drivers.threads import GuardedThread
 
 _LOG = logging.getLogger(__name__)
 
@@ -99,8 +101,8 @@ class Link:
                 Server(self.path, self.run, self._journal, self.status, self._ask)
             )
             threads = [
-                threading.Thread(target=self._ring, args=(server,), name="link", daemon=True),
-                threading.Thread(target=self._obey, name="requests", daemon=True),
+                GuardedThread("link", partial(self._ring, server), lambda _: server.abandon()),
+                GuardedThread("requests", self._obey, lambda _: server.abandon()),
             ]
             for thread in threads:
                 thread.start()

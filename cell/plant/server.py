@@ -7,7 +7,6 @@ import logging
 import os
 import selectors
 import socket
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from typing import Any
 from cell.plant.connection import Connection, Journal, LaggingError
 from cell.plant.messages import PROTOCOL, Answer, Request, Status, to_json
 from cell.plant.wire import LinkError, has_unix_sockets, line_of, request_of
+from drivers.threads import GuardedThread, only_logged
 
 _LOG = logging.getLogger(__name__)
 
@@ -74,7 +74,7 @@ class Server:
                 stack.enter_context(end).setblocking(False)
             self._selector.register(self._listening, selectors.EVENT_READ)
             self._selector.register(self._woken, selectors.EVENT_READ)
-            thread = threading.Thread(target=self._serve, name="link socket", daemon=True)
+            thread = GuardedThread("link socket", self._serve, only_logged)
             thread.start()
             stack.callback(thread.join, _CLOSE_S)
             self._opened = stack.pop_all()
@@ -86,11 +86,23 @@ class Server:
         error: BaseException | None,
         where: TracebackType | None,
     ) -> None:
-        self._over = True
-        self.wake()
+        self.abandon()
         self._opened.close()
 
+    def abandon(self) -> None:
+        """Disconnect all programs, and let none in: what they see of the cell would be old."""
+        self._over = True
+        self.wake()
+
     def _serve(self) -> None:
+        try:
+            self._serve_all()
+        finally:
+            self._listening.close()
+            for connection in tuple(self._connections):
+                self._drop(connection)
+
+    def _serve_all(self) -> None:
         while not self._over:
             for key, events in self._selector.select(self._until_heartbeat_s()):
                 if key.fileobj is self._listening:
@@ -109,7 +121,6 @@ class Server:
                 self._send(connection)
         for connection in tuple(self._connections):
             self._send(connection)  # what its program can still read
-            self._drop(connection)
 
     def _until_heartbeat_s(self) -> float | None:
         """So long it may sleep; None = until something happens."""

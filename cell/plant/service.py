@@ -22,6 +22,7 @@ from cell.run.machine import CellState, Event
 from cell.run.plans import INSERTING, Plan
 from cell.settings.product import product_for
 from drivers.interfaces import DeviceError
+from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
 
@@ -197,7 +198,7 @@ class Service:
 
     def run(self, told: Callable[[Result], None]) -> None:
         """Serve until `end`; `told` gets every result.  Raises RecordError; KeyboardInterrupt."""
-        tending = threading.Thread(target=self._tend, name="tend", daemon=True)
+        tending = GuardedThread("tend", self._tend, self._untended)
         tending.start()
         self._life.notifier.ready()
         try:
@@ -308,6 +309,11 @@ class Service:
             self._mark.remove()
         self._reporter.state(state)
         self._life.notifier.status(f"{state.value}, cycle {self._number}")
+
+    def _untended(self, error: BaseException) -> None:
+        """Systemd would kill the service in the middle of a motion: it stops and ends itself."""
+        self._cell.command(Event.STOP, f"nobody tells that the service lives: {said(error)}")
+        self._ending.set()
 
     def _tend(self) -> None:
         """Tell systemd that the service lives, and end a pause when the service is to end."""

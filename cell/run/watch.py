@@ -8,16 +8,19 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 
 from cell.run.station import Station
 from cell.run.waiting import check_arm, check_grip
-from drivers.interfaces import DeviceError, GripError
+from drivers.interfaces import DeviceError, DeviceLostError, GripError
+from drivers.threads import GuardedThread, said
 
 #: Time between two looks, s.  With the two answers that a gripper's driver waits for, 35 ms each,
 #: a fault must be noticed within 100 ms.
 ARM_EVERY_S, CAMERA_EVERY_S, GRIPPER_EVERY_S = 0.01, 0.015, 0.015
 #: Later than that is a computer that was busy with something else.
 OVERSLEPT_S = 0.02
+_REMEDY = "look at the device, then acknowledge; if it comes again, report it with `cell bundle`"
 
 
 class Watch:
@@ -30,13 +33,18 @@ class Watch:
         self.holding = False
         self._station = station
         self._over = threading.Event()
+        devices = station.devices
+        arm, camera, gripper = devices.arm, devices.camera, devices.gripper
         looks = (
-            (self._look_at_arm, ARM_EVERY_S),
-            (station.devices.camera.check, CAMERA_EVERY_S),
-            (self._look_at_gripper, GRIPPER_EVERY_S),
+            (arm.name, self._look_at_arm, ARM_EVERY_S),
+            (camera.name, camera.check, CAMERA_EVERY_S),
+            (gripper.name, self._look_at_gripper, GRIPPER_EVERY_S),
         )
         self._threads = [
-            threading.Thread(target=self._run, args=a, name="watch", daemon=True) for a in looks
+            GuardedThread(
+                f"watch {name}", partial(self._run, look, every_s), partial(self._unwatched, name)
+            )
+            for name, look, every_s in looks
         ]
 
     def begin(self) -> None:
@@ -66,11 +74,18 @@ class Watch:
                 if not overslept:
                     look()
             except DeviceError as error:
-                if not self._over.is_set():
-                    self._station.commands.fail(error)
-                    self._station.devices.arm.stop(error.cause)
+                self._fail(error)
                 return
             due_s = time.monotonic() + every_s
+
+    def _unwatched(self, device: str, error: BaseException) -> None:
+        """A device is watched no more: what it does from now on nobody would notice."""
+        self._fail(DeviceLostError(device, f"the watch over it has ended: {said(error)}", _REMEDY))
+
+    def _fail(self, error: DeviceError) -> None:
+        if not self._over.is_set():
+            self._station.commands.fail(error)
+            self._station.devices.arm.stop(error.cause)
 
     def _look_at_arm(self) -> None:
         check_arm(self._station)

@@ -32,6 +32,7 @@ from drivers.emulators.launch import EmulatedController, EmulatorError
 from drivers.emulators.ur_arm import HOME_RAD
 from drivers.interfaces import Pose, Trajectory
 from drivers.plane_mount import PlaneMount
+from drivers.threads import GuardedThread, only_logged
 from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.ur_kinematics import MODELS, OutOfReachError
 from drivers.ur_pose import matrix_of
@@ -116,7 +117,7 @@ class EmulatedCell:
         self._settings = settings
         self._seed = seed
         self._end = threading.Event()
-        self._watcher = threading.Thread(target=self._watch, name="emulated jaws", daemon=True)
+        self._watcher = GuardedThread("emulated jaws", self._watch, only_logged)
         self.controller = _controller(settings)
         self.gripper = GripperProcess(Path(settings.gripper.port), settings.gripper.address)
         self.camera = EmulatedCamera(*_camera(settings, HiddenCableFactory(settings, seed, 1)))

@@ -12,6 +12,8 @@ import tty
 from collections.abc import Callable
 from typing import Any
 
+from drivers.threads import GuardedThread, said
+
 #: Keys are dropped if this process was halted for so long before it could read them, s.
 _OLDEST_S = 1.0
 #: How often it is looked whether the terminal is ours again, s.
@@ -30,7 +32,7 @@ class Keyboard:
         self._former: list[Any] | None = None
         self._descriptor = -1
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._listen, name="keyboard", daemon=True)
+        self._thread = GuardedThread("keyboard", self._listen, _unread)
 
     @property
     def listens(self) -> bool:
@@ -82,3 +84,7 @@ class Keyboard:
                 continue
             for key in keys.decode(errors="replace"):
                 self._on_key(key)
+
+
+def _unread(error: BaseException) -> None:
+    print(f"keys are read no more: {said(error)}; Ctrl-C still stops", file=sys.stderr)

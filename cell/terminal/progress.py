@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from rich.console import Console
 from rich.status import Status
 
+from drivers.threads import GuardedThread, only_logged
+
 #: Off a terminal a line is printed so often, s: enough to see life, too little to fill a log.
 EVERY_S = 10.0
 #: Variable of the environment by which whoever started a command asks for lines more often, s.
@@ -93,7 +95,7 @@ class Ticker:
         self._every_s = _usual_s() if every_s is None else every_s
         self._closed = threading.Event()
         self._wait = self._closed.wait if wait is None else wait
-        self._thread = threading.Thread(target=self._tick, name="progress", daemon=True)
+        self._thread = GuardedThread("progress", self._tick, only_logged)
         self._thread.start()
 
     def close(self) -> None:

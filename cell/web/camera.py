@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cell.records.recording.growing import GrowingRecording, recording_under_way, small_jpeg
+from drivers.threads import GuardedThread
 
 _LOG = logging.getLogger(__name__)
 
@@ -50,7 +51,7 @@ class LiveCamera:
             self._asked_s = self._now_s()
             if not self._reading:
                 self._reading = True
-                threading.Thread(target=self._read, daemon=True, name="camera").start()
+                GuardedThread("camera", self._read, self._died).start()
         return self.newest
 
     def read(self) -> None:
@@ -68,6 +69,11 @@ class LiveCamera:
         if found is not None:
             number = self.newest.number + 1 if self.newest else time.time_ns()
             self.newest = LivePicture(number, written_s - found[0], small_jpeg(found[1], _WIDTH_PX))
+
+    def _died(self, error: BaseException) -> None:
+        """No picture rather than an old one; the next page that asks has it read again."""
+        with self._lock:
+            self._reading, self.newest = False, None
 
     def _read(self) -> None:
         while True:

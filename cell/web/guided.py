@@ -11,8 +11,11 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from drivers.threads import GuardedThread, said
 
 #: So many lines are kept of what the process has said.
 _LINES = 40
@@ -70,7 +73,10 @@ class Guided:
                 return f"{command[0]}: {error.strerror}"
             self.state = GuidedState(title, begun_s=time.time(), code=None)
             self._errors.clear()
-        follow = threading.Thread(target=self._follow, args=(self._process,), daemon=True)
+        process = self._process
+        follow = GuardedThread(
+            "guided", partial(self._follow, process), partial(self._unread, process)
+        )
         follow.start()
         self._following = follow
         return ""
@@ -96,7 +102,7 @@ class Guided:
         if process is None or not self.state.runs:
             return "nothing is under way"
         process.terminate()
-        threading.Thread(target=_killed_later, args=(process,), daemon=True).start()
+        GuardedThread("kill", partial(_killed_later, process), lambda _: process.kill()).start()
         return ""
 
     def close(self) -> None:
@@ -109,7 +115,9 @@ class Guided:
 
     def _follow(self, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
-        hear = threading.Thread(target=self._hear, args=(process,), daemon=True)
+        hear = GuardedThread(
+            "guided errors", partial(self._hear, process), partial(self._unheard, process)
+        )
         hear.start()
         for line in process.stdout:
             message = _message(line)
@@ -130,6 +138,19 @@ class Guided:
         with self._lock:
             last = (*self.state.said, *self._errors)[-_LINES:]
             self.state = replace(self.state, ask="", asked=0, said=last, code=code)
+
+    def _unread(self, process: subprocess.Popen[str], error: BaseException) -> None:
+        """Nobody reads what it says: it ends, and stops the arm."""
+        process.terminate()
+        with suppress(OSError), process:  # closes its pipes, and waits for its end
+            pass
+        with self._lock:
+            last = (*self.state.said, said(error))[-_LINES:]
+            self.state = replace(self.state, ask="", asked=0, said=last, code=-1)
+
+    def _unheard(self, process: subprocess.Popen[str], error: BaseException) -> None:
+        self._errors.append(said(error))
+        process.terminate()
 
     def _hear(self, process: subprocess.Popen[str]) -> None:
         assert process.stderr is not None

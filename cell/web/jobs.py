@@ -19,11 +19,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import IO
 
 from cell.files.atomic import write_whole
 from cell.terminal.progress import EVERY_VARIABLE
+from drivers.threads import GuardedThread, said
 
 #: The command that moves the arm.
 MOVING = "run"
@@ -212,7 +214,7 @@ class Jobs:
             for number in ended[: max(0, len(self._jobs) - REMEMBERED)]:
                 del self._jobs[number]
             if self._thread is None:
-                self._thread = threading.Thread(target=self._work, name="lab jobs", daemon=True)
+                self._thread = GuardedThread("lab jobs", self._work, self._died)
                 self._thread.start()
         return ""
 
@@ -283,6 +285,17 @@ class Jobs:
                 self._put(replace(job, state=State.RUNNING))
             self._run(job.number)
 
+    def _died(self, error: BaseException) -> None:
+        """What is open has failed; the next job begins a thread again."""
+        with self._changed:
+            if self._process is not None:
+                end(self._process)
+            for job in self._jobs.values():
+                if job.state in OPEN:
+                    told = (*job.said, said(error))[-MOST_LINES:]
+                    self._put(replace(job, state=State.FAILED, said=told, ended_s=time.time()))
+            self._process = self._thread = None
+
     def _next(self) -> Job | None:
         return next((j for j in self._jobs.values() if j.state is State.QUEUED), None)
 
@@ -323,7 +336,11 @@ class Jobs:
             if self._closed or self._jobs[number].state is State.CANCELLING:
                 end(process)
         assert process.stdout is not None and process.stderr is not None
-        printing = threading.Thread(target=self._read_printed, args=(number, process.stdout))
+        printing = GuardedThread(
+            "lab output",
+            partial(self._read_printed, number, process.stdout),
+            lambda _: end(process),
+        )
         printing.start()
         begins = f"{words[0]}: "
         for line in _lines(process.stderr):

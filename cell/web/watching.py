@@ -22,6 +22,7 @@ from cell.settings.model import Settings
 from cell.settings.records import Ledger as LedgerSettings
 from cell.settings.referred import line_of
 from cell.web.audit import audit_file
+from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
 
@@ -73,8 +74,8 @@ class Watch:
         self._listed_bytes = 0
 
     def __enter__(self) -> Watch:
-        for task in (self._follow, self._count):
-            threading.Thread(target=task, daemon=True, name=task.__name__).start()
+        GuardedThread("follow", self._follow, self._blind).start()
+        GuardedThread("count", self._count, self._uncounted).start()
         return self
 
     def __exit__(self, *of_error: object) -> None:
@@ -102,6 +103,14 @@ class Watch:
             _LOG.warning("%s", error)
             with self._lock:
                 self.seen = replace(self.seen, there=False, note=str(error))
+
+    def _blind(self, error: BaseException) -> None:
+        with self._lock:
+            self.seen = replace(self.seen, there=False, note=said(error))
+
+    def _uncounted(self, error: BaseException) -> None:
+        with self._lock:
+            self.seen = replace(self.seen, figures=None)
 
     def _count(self) -> None:
         while not self._over:

@@ -12,6 +12,7 @@ import socket
 import threading
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing.connection import Connection
 
 import cv2
@@ -23,6 +24,7 @@ from drivers.emulators.camera_stream import picture_header, stream_header
 from drivers.emulators.launch import EmulatorProcess, answer_all, leave_interrupts_to_parent
 from drivers.interfaces import Image
 from drivers.priority import run_in_real_time
+from drivers.threads import GuardedThread, end_process, only_logged
 
 _GLANCE_S = 0.02  # how often whoever waits looks whether something changed
 
@@ -144,7 +146,7 @@ def serve(
         return
     # a camera does not slow down when the computer is busy; the arm's emulator goes before it
     run_in_real_time(PRIORITY)
-    threading.Thread(target=answer_all, args=(door, server.do), daemon=True).start()
+    GuardedThread("door", partial(answer_all, door, server.do), end_process).start()
     door.send((True, server.port))
     server.run()
 
@@ -209,7 +211,9 @@ class _Server:
             with client:
                 parcels: queue.Queue[_Parcel | None] = queue.Queue()
                 gone = threading.Event()
-                sender = threading.Thread(target=self._send_all, args=(client, parcels, gone))
+                sender = GuardedThread(
+                    "sender", partial(self._send_all, client, parcels, gone), only_logged
+                )
                 sender.start()
                 try:
                     self._look(parcels, gone)
@@ -295,6 +299,8 @@ class _Server:
                 latest_s = max(self._counts.latest_s, late_s)
                 self._counts = replace(self._counts, sent=self._counts.sent + 1, latest_s=latest_s)
         except OSError:
+            return  # the reader has gone
+        finally:
             gone.set()
 
     def _next(self, client: socket.socket, parcels: queue.Queue[_Parcel | None]) -> _Parcel | None:

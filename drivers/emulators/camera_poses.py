@@ -18,6 +18,7 @@ from drivers.interfaces import FloatArray, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import run_in_real_time
 from drivers.rtde_wire import Kind, Packet, Splitter
+from drivers.threads import GuardedThread, end_process
 from drivers.ur_addresses import RTDE_PORT
 from drivers.ur_kinematics import UrModel
 
@@ -50,7 +51,7 @@ class RtdePoses:
         self._new: list[bytes] = []  # payloads of packets
         self._offset_s = 0.0
         self._last_s = -np.inf
-        threading.Thread(target=self._listen, name="poses", daemon=True).start()
+        GuardedThread("poses", self._listen, end_process).start()
 
     def __call__(self) -> Trajectory | None:
         """Poses since the last call, times on the monotonic clock; None = there are none."""

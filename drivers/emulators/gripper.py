@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 from drivers.emulators.launch import EmulatorProcess, answer_all, leave_interrupts_to_parent
 from drivers.emulators.robotiq import EmulatedGripper, GripperFaults
 from drivers.priority import run_in_real_time
+from drivers.threads import GuardedThread, end_process
 
 _PRIORITY = 10
 
@@ -79,7 +81,7 @@ def serve(door: Connection, link: Path | None, address: int) -> None:
     except OSError as error:
         door.send((False, str(error)))
         return
-    threading.Thread(target=answer_all, args=(door, bench.do), daemon=True).start()
+    GuardedThread("door", partial(answer_all, door, bench.do), end_process).start()
     door.send((True, bench.port))
     threading.Event().wait()
 

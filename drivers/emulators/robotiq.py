@@ -9,11 +9,12 @@ import os
 import pty
 import select
 import struct
-import threading
 import time
 import tty
 from dataclasses import dataclass, field
 from typing import Self
+
+from drivers.threads import GuardedThread, only_logged
 
 _COMMAND, _STATUS, _REGISTERS = 0x3E8, 0x7D0, 3
 _ACTIVATION_S = 0.3
@@ -166,7 +167,7 @@ class EmulatedGripper:
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
         self._wake, self._waker = os.pipe()
-        self._thread = threading.Thread(target=self._serve, name="robotiq", daemon=True)
+        self._thread = GuardedThread("robotiq", self._serve, only_logged)
 
     def __enter__(self) -> Self:
         self._thread.start()

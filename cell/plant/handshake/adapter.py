@@ -14,6 +14,7 @@ from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
 from cell.plant.messages import Request, Status
 from cell.plant.wire import LinkError, ProtocolError
 from cell.run.commands import OLDEST_S
+from drivers.threads import GuardedThread, only_logged
 
 _LOG = logging.getLogger(__name__)
 
@@ -48,7 +49,7 @@ class HandshakeAdapter:
 
         raises  ProtocolError: cell and program are of different versions
         """
-        following = threading.Thread(target=self._follow, name="follow", daemon=True)
+        following = GuardedThread("follow", self._follow, only_logged)
         following.start()
         try:
             while not self._over.is_set():

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Self
 from cell.plant.handshake.carrier import CarrierError, Heard, bits_of, inputs_of
 from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
 from cell.settings.plant.handshake import Handshake, InputSignals, OutputSignals, signals_of
+from drivers.threads import GuardedThread, said
 
 if TYPE_CHECKING:
     from pymodbus.constants import ExcCodes
@@ -39,10 +40,10 @@ class ModbusCarrier:
         self._written_s = float("-inf")
         self._told = bits_of(UNKNOWN, said.outputs)
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._serve, name="modbus", daemon=True)
+        self._thread = GuardedThread("modbus", self._serve, self._died)
         self._begun = threading.Event()
         self._server: ModbusTcpServer | None = None
-        self._error: Exception | None = None
+        self._error: BaseException | None = None
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -74,11 +75,14 @@ class ModbusCarrier:
     def _serve(self) -> None:
         try:
             self._loop.run_until_complete(self._run())
-        except (OSError, RuntimeError) as error:  # told where the server was begun
-            self._error = error
         finally:
-            self._begun.set()
             self._loop.close()
+
+    def _died(self, error: BaseException) -> None:
+        """Told where the server was begun, or as a PLC that is away."""
+        self._error = error
+        self._heard.lose(f"Modbus has ended: {said(error)}; start the handshake again")
+        self._begun.set()
 
     async def _run(self) -> None:
         from pymodbus.server import ModbusTcpServer

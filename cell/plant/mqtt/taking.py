@@ -11,6 +11,7 @@ from cell.plant.client import Client
 from cell.plant.messages import Status
 from cell.plant.mqtt.outbox import MqttOutbox, OutboxError
 from cell.plant.wire import LinkError
+from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
 
@@ -31,7 +32,7 @@ class Taker:
         self._outbox = outbox
         self._tell = tell
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="taker", daemon=True)
+        self._thread = GuardedThread("taker", self._run, self._died)
         self.is_cell = False
         self.error: LinkError | None = None
 
@@ -60,6 +61,11 @@ class Taker:
         if not self.is_cell:
             self.is_cell = True
             self._tell()
+
+    def _died(self, error: BaseException) -> None:
+        """The adapter ends with this error, and is started again."""
+        self.error = LinkError(said(error))
+        self._tell()
 
     def _run(self) -> None:
         after, asked = self._outbox.taken(), ""

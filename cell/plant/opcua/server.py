@@ -6,13 +6,13 @@ import asyncio
 import logging
 import signal
 import socket
-import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from enum import Enum
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -36,6 +36,7 @@ from cell.plant.wire import ProtocolError
 from cell.settings import Settings
 from cell.settings.plant import OpcUa
 from cell.settings.referred import line_of
+from drivers.threads import GuardedThread
 
 _LOG = logging.getLogger(__name__)
 
@@ -112,8 +113,15 @@ async def running(settings: Settings, runs: Path, users: Path = USERS) -> AsyncI
     client = Client(runs, on_lost=shown.lost, on_there=shown.found)
     Methods(space, unit, client.send, lambda: shown.view, shown.refused)
     await _listen(server, opcua)
-    following = threading.Thread(target=shown.follow, args=(client,), daemon=True)
+    loop, owner = asyncio.get_running_loop(), asyncio.current_task()
+    assert owner is not None
+
+    def ended(error: BaseException) -> None:
+        loop.call_soon_threadsafe(owner.cancel)  # clients would read old values as if they were new
+
+    following = GuardedThread("follow", partial(shown.follow, client), ended)
     showing = asyncio.create_task(shown.show())
+    showing.add_done_callback(lambda task: _failed(task) and owner.cancel())
     following.start()
     try:
         yield server.endpoint.geturl()
@@ -121,10 +129,14 @@ async def running(settings: Settings, runs: Path, users: Path = USERS) -> AsyncI
         shown.closed = True
         client.close()
         showing.cancel()
-        with suppress(asyncio.CancelledError):
-            await showing
         await asyncio.to_thread(following.join, 10.0)
         await server.stop()
+        with suppress(asyncio.CancelledError):
+            await showing
+
+
+def _failed(task: asyncio.Task[None]) -> bool:
+    return not task.cancelled() and task.exception() is not None
 
 
 async def _made(opcua: OpcUa, users: Path) -> TimedServer:

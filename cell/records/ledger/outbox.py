@@ -19,6 +19,7 @@ from cell.files.atomic import write_new
 from cell.files.words import counted
 from cell.records.ledger.entry import Entry
 from cell.records.ledger.error import LedgerError
+from drivers.threads import GuardedThread, said
 
 if TYPE_CHECKING:
     from cell.records.ledger.ledger import Ledger
@@ -139,7 +140,7 @@ class LedgerWriter:
         self._wake = threading.Event()
         self._over = threading.Event()
         self._failed = ""
-        self._thread = threading.Thread(target=self._run, name="ledger", daemon=True)
+        self._thread = GuardedThread("ledger", self._run, self._died)
 
     def start(self) -> None:
         """Begin, with what an earlier run has left."""
@@ -191,6 +192,12 @@ class LedgerWriter:
             if over:
                 self._ledger.close()
                 return
+
+    def _died(self, error: BaseException) -> None:
+        self._note(
+            f"entries wait in {self._place}, none is written any more: {said(error)}; the next "
+            "run writes them"
+        )
 
     def _write_waiting(self) -> None:
         while waiting := self._outbox.waiting(_TOGETHER):

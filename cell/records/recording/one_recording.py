@@ -30,13 +30,13 @@ class RecordingUnderWay:
     """
 
     def __init__(self, path: Path, begun: Mapping[str, str], part: Path | None = None) -> None:
-        self._path = path
+        self.path = path
         self._lost = self._all_lost = self._lost_messages = 0
         self._cause = ""
         self._first_lost: int | None = None
         self._last_s = 0.0
         self._flushed_s = self._synced_s = time.monotonic()
-        self._part = self._path.with_name(form.PART) if part is None else part
+        self._part = self.path.with_name(form.PART) if part is None else part
         self._writer: RecordingWriter | None = None
         try:
             self._writer = RecordingWriter(self._part, begun)
@@ -89,7 +89,7 @@ class RecordingUnderWay:
 
     def end(self, keep: bool, complete: bool) -> dict[str, Any]:
         """Close the file, read it back and say what became of it."""
-        report = {"path": str(self._path), "kept": keep, "complete": complete}
+        report = {"path": str(self.path), "kept": keep, "complete": complete}
         report["lost_messages"] = self._lost_messages
         if self._writer is None:
             report |= {"error": self._cause, "lost_frames": self._all_lost}
@@ -106,12 +106,12 @@ class RecordingUnderWay:
                 self._writer.close(closed)
                 if keep:
                     _verify_apart(self._part, counts)
-                    self._part.rename(self._path)
+                    self._part.rename(self.path)
                 else:
                     self._part.unlink()
             if keep:
-                _sync_folder(self._path.parent)
-                report["bytes"] = self._path.stat().st_size
+                _sync_folder(self.path.parent)
+                report["bytes"] = self.path.stat().st_size
             report |= {"frames": counts.get(form.IMAGE, 0), "poses": counts.get(form.MEASURED, 0)}
         except (OSError, RuntimeError, TornRecordingError) as error:
             self._cause = self._cause or str(error)

@@ -14,14 +14,15 @@ import json
 import os
 import signal
 import sys
-import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from cell.records.recording.one_recording import RecordingUnderWay
 from cell.records.recording.ring import RingReader
+from drivers.threads import GuardedThread, said
 
 #: The computer is left to vision and identification whenever they want it.
 NICE = 19
@@ -38,7 +39,7 @@ class RingConsumer:
         self._status = status
         self._recording: RecordingUnderWay | None = None
         self._parent_ended = False
-        self._ending: list[threading.Thread] = []
+        self._ending: list[GuardedThread] = []
 
     def run(self) -> None:
         """Write recordings; returns when the cell's process has ended and all is written."""
@@ -79,12 +80,17 @@ class RingConsumer:
             return
 
         def finish() -> None:
-            report = recording.end(keep, complete)
+            tell(recording.end(keep, complete))
+
+        def torn(error: BaseException) -> None:
+            tell({"path": str(recording.path), "error": said(error)})
+
+        def tell(report: Mapping[str, Any]) -> None:
             with suppress(OSError):  # nobody listens any more
                 os.write(self._status, (json.dumps(report) + "\n").encode())
 
         self._ending = [thread for thread in self._ending if thread.is_alive()]
-        self._ending.append(threading.Thread(target=finish))
+        self._ending.append(GuardedThread("finish", finish, torn))
         self._ending[-1].start()
 
     def _sleep(self, seconds: float | None) -> None:

@@ -28,6 +28,7 @@ from cell.records.recording.ring import (
     shared_memory,
 )
 from drivers.interfaces import Arm, Clock, DeviceError, Frame, Trajectory
+from drivers.threads import GuardedThread, said
 
 FloatArray = NDArray[np.float64]
 
@@ -303,18 +304,17 @@ class _Handler(logging.Handler):
             self._recorder.log(record)
 
 
-class _PoseStream(threading.Thread):
+class _PoseStream(GuardedThread):
     """Takes measured poses from the arm as they come, until `end`."""
 
     def __init__(self, recorder: Recorder, arm: Arm, begin_s: float) -> None:
-        super().__init__(name="poses", daemon=True)
+        super().__init__("poses", self._take_all, self._died)
         self._recorder = recorder
         self._arm = arm
         self._after_s = begin_s
         self._over = threading.Event()
 
-    def run(self) -> None:
-        """See `threading.Thread`."""
+    def _take_all(self) -> None:
         while not self._over.wait(POSES_EVERY_S):
             self._take()
         self._take()
@@ -323,6 +323,9 @@ class _PoseStream(threading.Thread):
         """Take what is there, and no more."""
         self._over.set()
         self.join()
+
+    def _died(self, error: BaseException) -> None:
+        self._recorder.note(f"measured poses are missing from here on: {said(error)}")
 
     def _take(self) -> None:
         try:

@@ -13,6 +13,7 @@ from pathlib import Path
 from cell.records.recording import form
 from cell.records.recording.retention import KEPT
 from cell.records.recording.store import Store, Stored, StoreError, Turn, mark, name_of
+from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
 
@@ -82,7 +83,7 @@ class Uploads:
         self._block = threading.Lock()
         self._left = 0
         self._failed = ""
-        self._thread = threading.Thread(target=self._run, name="uploads", daemon=True)
+        self._thread = GuardedThread("uploads", self._run, self._died)
 
     def start(self) -> None:
         """Begin, with what earlier runs have left; nothing is sent before the jaws are empty."""
@@ -156,6 +157,12 @@ class Uploads:
             else:
                 left.popleft()
                 self._failed = ""
+
+    def _died(self, error: BaseException) -> None:
+        self.notes.append(
+            f"recordings in {self._runs} are uploaded no more: {said(error)}; the next run or "
+            "`cell upload` does it"
+        )
 
     def _opened(self) -> Store:
         if self._store is None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import threading
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 
 from cell.files.plain import plain
 from cell.records.recording import form
+from drivers.threads import GuardedThread, said
 
 FloatArray = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ class RecordingWriter:
         self._epoch_ns = int(begun[form.EPOCH])
         self._context = Context()
         self._sink = Sink(path)
-        self._syncing: threading.Thread | None = None
+        self._syncing: GuardedThread | None = None
         self._writer = open_mcap(self._sink, self._context)
         self._json = {
             topic: Channel(
@@ -206,7 +206,7 @@ class RecordingWriter:
     def sync(self) -> None:
         """Have the system bring the file to the disk, beside what is written next."""
         if self._syncing is None or not self._syncing.is_alive():
-            self._syncing = threading.Thread(target=self._sync, daemon=True)
+            self._syncing = GuardedThread("sync", self._sink.sync, self._not_synced)
             self._syncing.start()
 
     def close(self, closed: Mapping[str, str]) -> None:
@@ -225,12 +225,9 @@ class RecordingWriter:
         self._join()
         self._sink.close()
 
-    def _sync(self) -> None:
+    def _not_synced(self, error: BaseException) -> None:
         """The system says only once that it could not: whoever writes next is told."""
-        try:
-            self._sink.sync()
-        except OSError as error:
-            self._sink.refused = error
+        self._sink.refused = error if isinstance(error, OSError) else OSError(said(error))
 
     def _join(self) -> None:
         """The file must stay open until the system has brought it to the disk."""

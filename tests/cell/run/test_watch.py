@@ -12,13 +12,22 @@ from cell.run.watch import Watch
 from drivers.interfaces import ArmMode, DeviceError, DeviceLostError, GripError, StoppedError
 
 
-class Arm:
+class Device:
+    raises: Exception | None = None
+
+    def check(self) -> None:
+        if self.raises is not None:
+            raise self.raises
+
+
+class Arm(Device):
     name = "arm"
 
     def __init__(self) -> None:
         self.mode, self.lost, self.stopped = ArmMode.READY, False, []
 
     def state(self) -> SimpleNamespace:
+        super().check()
         if self.lost:
             raise DeviceLostError("arm", "silent", "look")
         return SimpleNamespace(mode=self.mode)
@@ -27,24 +36,26 @@ class Arm:
         self.stopped.append(reason)
 
 
-class Camera:
+class Camera(Device):
     name = "camera"
 
     def __init__(self) -> None:
         self.lost = False
 
     def check(self) -> None:
+        super().check()
         if self.lost:
             raise DeviceLostError("camera", "dark", "look")
 
 
-class Gripper:
+class Gripper(Device):
     name = "gripper"
 
     def __init__(self) -> None:
         self.holding, self.lost = True, False
 
     def state(self) -> SimpleNamespace:
+        super().check()
         if self.lost:
             raise DeviceLostError("gripper", "unplugged", "plug it in")
         return SimpleNamespace(holding=self.holding)
@@ -125,3 +136,13 @@ def test_what_follows_a_stop_is_not_a_fault(it) -> None:
     it.arm.mode = ArmMode.STOPPED
     time.sleep(0.1)
     it.commands.check()
+
+
+@pytest.mark.parametrize("device", ["arm", "camera", "gripper"])
+def test_a_watch_that_dies_stops_the_arm(it, device: str) -> None:
+    """A driver that raises what no driver should: nobody watches the device from then on."""
+    getattr(it, device).raises = ValueError("bad frame")
+    error = failure(it)
+    assert isinstance(error, DeviceLostError) and error.device == device
+    assert error.cause == "the watch over it has ended: ValueError: bad frame"
+    assert it.arm.stopped == [error.cause]

@@ -1,0 +1,54 @@
+"""Threads whose death has a consequence: what nobody caught is handed on, and logged."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Callable
+
+_LOG = logging.getLogger(__name__)
+
+
+class GuardedThread(threading.Thread):
+    """A daemon thread that does not die silently.
+
+    Python prints an uncaught exception of a thread, and the program goes on without its work.
+    Whoever starts a thread therefore says what follows: a stop, or a named degradation.
+
+    name      of the thread, for the log
+    work      what it does
+    on_death  called with what ended `work`, in this thread and before it is logged
+    """
+
+    def __init__(
+        self, name: str, work: Callable[[], None], on_death: Callable[[BaseException], None]
+    ) -> None:
+        super().__init__(name=name, daemon=True)
+        self._work = work
+        self._on_death = on_death
+
+    def run(self) -> None:
+        """See `threading.Thread`."""
+        try:
+            self._work()
+        except BaseException as error:
+            try:
+                self._on_death(error)
+            finally:
+                _LOG.error("the thread %s has ended: %s", self.name, said(error), exc_info=error)
+
+
+def said(error: BaseException) -> str:
+    """An exception in words: its type and its message."""
+    return f"{type(error).__name__}: {error}"
+
+
+def only_logged(error: BaseException) -> None:
+    """For a thread on whose work nothing depends: the line in the log is enough."""
+
+
+def end_process(error: BaseException) -> None:
+    """For a thread without which its process is of no use: whoever started it sees it end."""
+    _LOG.error("%s", said(error), exc_info=error)
+    os._exit(1)
