@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import minimalmodbus
+import serial
 
 from drivers.interfaces import (
     Clock,
@@ -62,6 +63,7 @@ _LOST_REMEDY = "check the gripper's cable, power, address and baud rate, then co
 class SerialGripperOptions:
     """How the gripper is reached and what its registers mean.
 
+    port          device of the line, or a URL that pyserial knows: socket://host:port
     reply_s       time that an answer may take
     attempts      how often a question is asked before the gripper counts as lost
     motion_s      time that a motion or the activation may take
@@ -133,9 +135,10 @@ class SerialGripper:
         with self._lock:
             self.close()
             try:
-                bus = minimalmodbus.Instrument(options.port, options.address)
-                bus.serial.baudrate = options.baud
-                bus.serial.timeout = options.reply_s
+                line = serial.serial_for_url(
+                    options.port, baudrate=options.baud, timeout=options.reply_s
+                )
+                bus = minimalmodbus.Instrument(line, options.address)
                 bus.clear_buffers_before_each_transaction = True
                 self._bus = bus
                 if self._status().activation != _ACTIVE:

@@ -268,9 +268,11 @@ def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) 
         hint = "; write the number alone, its unit is in the key's name"
     if isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
         hint = f"; write a decimal point, {value.replace(',', '.')}"
-    if kind in ("less_than", "less_than_equal") and isinstance(value, int | float):
-        limit = float(context["le"] if "le" in context else context["lt"])
-        hint = _mistaken_unit(str(key[-1]), value, limit)
+    bound = next((context[name] for name in ("le", "lt", "ge", "gt") if name in context), None)
+    if bound is not None and isinstance(value, int | float) and abs(value) > abs(float(bound)):
+        limit = abs(float(bound))
+        name = next((part for part in reversed(key) if isinstance(part, str)), "")
+        hint = _mistaken_unit(name, abs(value), limit)
     message = _IN_YAML.get(kind, details["msg"][0].lower() + details["msg"][1:])
     if isinstance(value, float) and not math.isfinite(value):
         message, hint = "must be a finite number", "; give one"

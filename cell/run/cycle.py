@@ -273,6 +273,7 @@ class Cell:
         if self.machine.state is not CellState.RESETTING:
             self._steps.send(cycle.progress, Event.RESET)
         with cycle.progress.written_after():
+            cycle.progress.record.check_room()
             self._steps.carry_out(cycle.progress, cycle.plan.resetting)
             self._former = None
             self._steps.send(cycle.progress, Event.DONE)
@@ -283,6 +284,7 @@ class Cell:
         """From Idle, or Starting, into Complete."""
         progress, plan = cycle.progress, cycle.plan
         with progress.written_after():
+            progress.record.check_room()
             if self.machine.state is not CellState.STARTING:
                 self._steps.send(progress, Event.START)
             for stages in (plan.starting, plan.execute, plan.completing):

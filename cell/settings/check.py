@@ -206,6 +206,9 @@ def _emulated(document: Document, settings: Settings) -> list[Problem]:
                 f"{camera.device!r} is not where an emulator may be; use tcp://127.0.0.x:port",
             )
         )
+    if isinstance(gripper, SerialGripper) and "://" in gripper.port:
+        message = f"{gripper.port} is no line that can be made; name a file outside /dev"
+        problems.append(document.problem(("gripper", "port"), message))
     if isinstance(gripper, SerialGripper) and gripper.port.startswith("/dev/"):
         problems.append(
             document.problem(

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field
 
-from cell.settings.section import Finite, Host, NotNegative, Positive, Range, Section
+from cell.settings.section import (
+    Exposure,
+    Finite,
+    Host,
+    NotNegative,
+    Pixels,
+    Section,
+    address,
+    increasing,
+)
 
 
 class SimulatedArm(Section):
@@ -29,6 +40,61 @@ def _in_quotes(given: object) -> object:
     return given
 
 
+Vector = tuple[Finite, Finite, Finite]
+_LONGEST_TOOL_M, _TURN_RAD, _UNIT = 1.0, 2.0 * np.pi, 0.01
+
+
+def _tool(tcp: tuple[float, ...]) -> tuple[float, ...]:
+    """The tool itself.  Raises ValueError: millimetres or degrees, for all that one can see."""
+    furthest = max(abs(v) for v in tcp[:3])
+    if furthest > _LONGEST_TOOL_M:
+        raise ValueError(
+            f"a tool that is {furthest:g} m off the flange, at most {_LONGEST_TOOL_M:g} m; give x, "
+            "y and z in metres, not millimetres"
+        )
+    turned = float(np.linalg.norm(tcp[3:]))
+    if turned > _TURN_RAD:
+        raise ValueError(
+            f"a rotation vector of length {turned:g}, at most 2π; give rx, ry and rz in radians, "
+            "not degrees"
+        )
+    return tcp
+
+
+def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The unit vector itself.  Raises ValueError: it is none."""
+    length = float(np.linalg.norm(axis))
+    if abs(length - 1.0) <= _UNIT:
+        return axis
+    shown = [float(v) for v in axis]
+    if length == 0.0:
+        raise ValueError(f"{shown} is no direction; give one of length 1, such as [0, -1, 0]")
+    unit = [round(v / length, 6) + 0.0 for v in axis]
+    raise ValueError(f"{shown} has length {length:g}, a direction has length 1; give {unit}")
+
+
+Direction = Annotated[Vector, AfterValidator(_direction)]
+#: No arm reaches further from its base, m.
+Reach = Annotated[float, Field(ge=-3.0, le=3.0)]
+
+#: A line that is reached through a network: its address and port.
+_LINE_URL = re.compile(r"(socket|rfc2217)://([^/:]+|\[[0-9a-fA-F:]+\]):(\d{1,5})")
+
+
+def _line(port: str) -> str:
+    """The serial line itself.  Raises ValueError: neither a device nor a known kind of URL."""
+    if "://" not in port:
+        return port
+    found = _LINE_URL.fullmatch(port)
+    if found is None or not 1 <= int(found[3]) <= 65535:
+        raise ValueError(
+            f"{port!r} is no line; give a device such as /dev/ttyUSB0, or socket://host:port or "
+            "rfc2217://host:port"
+        )
+    address(found[2].strip("[]"))
+    return port
+
+
 _ALLOWED = r"^[1-9]\d{0,1}\.\d{1,3}$"
 
 
@@ -40,7 +106,14 @@ class UrArm(Section):
     """Address of the controller."""
     model: Literal["UR3e", "UR5e", "UR10e"] = "UR5e"
     """Arm's type, for its kinematics."""
-    tcp: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    tcp: Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_tool)] = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     """Gripping point on the flange: x, y, z in m and rotation vector in rad.  Its x and y axes are
     the plane's when the clamp is level."""
     rate_hz: Annotated[float, Field(ge=50.0, le=500.0)] = 500.0
@@ -51,11 +124,11 @@ class UrArm(Section):
     """With which the controller follows that path (`servoj`)."""
     lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.034
     """Measured with this lookahead."""
-    plane_origin_m: tuple[Finite, Finite, Finite]
+    plane_origin_m: tuple[Reach, Reach, Reach]
     """Origin of the cell's plane, in the robot's base frame."""
-    plane_x_axis: tuple[Finite, Finite, Finite]
+    plane_x_axis: Direction
     """Direction of the plane's x axis (away from the destination), in the base frame."""
-    plane_y_axis: tuple[Finite, Finite, Finite] = (0.0, 0.0, 1.0)
+    plane_y_axis: Direction = (0.0, 0.0, 1.0)
     """Direction of the plane's y axis (up), in the base frame."""
     allow_version: Annotated[str, Field(pattern=_ALLOWED), BeforeValidator(_in_quotes)] | None = (
         None
@@ -77,9 +150,9 @@ class View(Section):
 
     metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
     """Side of a pixel in the plane."""
-    origin_column_px: Finite
+    origin_column_px: Pixels
     """Column of the picture in which the plane's origin is seen."""
-    origin_row_px: Finite
+    origin_row_px: Pixels
     """Row of the picture in which the plane's origin is seen."""
 
 
@@ -98,9 +171,9 @@ class SimulatedCamera(_Camera):
     """Twin of a camera: renders the simulated world."""
 
     kind: Literal["sim"]
-    exposure_s: NotNegative = 0.0005
+    exposure_s: Exposure = 0.0005
     """Time over which a picture gathers light."""
-    lens_blur_px: NotNegative = 0.6
+    lens_blur_px: Annotated[float, Field(ge=0.0, le=100.0)] = 0.6
     """Standard deviation of the blur by the lens."""
     read_noise: NotNegative = 1.0
     """Standard deviation, grey levels."""
@@ -119,7 +192,7 @@ class OpenCvCamera(_RealCamera):
     kind: Literal["opencv"]
     device: Annotated[int, Field(ge=0)] | str = 0
     """Number or path of the device, or the URL of a stream."""
-    exposure_s: Positive | None = 0.0005
+    exposure_s: Annotated[float, Field(gt=0.0, le=1.0)] | None = 0.0005
     """Set and read back; null = as it is, as with a stream."""
     fourcc: Annotated[str, Field(min_length=4, max_length=4)] | None = None
     """Pixel format, e.g. GREY or YUYV; null = as it is."""
@@ -135,7 +208,7 @@ class GenicamCamera(_RealCamera):
     """The vendor's .cti file."""
     serial_number: str | None = None
     """Null = the only camera there is."""
-    exposure_s: Positive | None = 0.0005
+    exposure_s: Annotated[float, Field(gt=0.0, le=1.0)] | None = 0.0005
     """Time over which a picture gathers light; null = as it is."""
 
 
@@ -147,10 +220,13 @@ class FilesCamera(_Camera):
     """Folder with the pictures and `frames.csv`, which has their times."""
 
 
+_Force = Annotated[float, Field(ge=0.0, le=1000.0)]
+
+
 class _Gripper(Section):
     force_n: Annotated[float, Field(gt=0.0, le=235.0)]
     """Closing force."""
-    force_limits_n: Range = (1.0, 40.0)
+    force_limits_n: Annotated[tuple[_Force, _Force], AfterValidator(increasing)] = (1.0, 40.0)
     """Least that holds the cable and most that does not crush it."""
 
 
@@ -166,8 +242,9 @@ class SerialGripper(_Gripper):
     kind: Literal["serial"]
     force_n: Annotated[float, Field(ge=20.0, le=235.0)]
     """Closing force: it can do no less and no more."""
-    port: Annotated[str, Field(min_length=1)]
-    """Device of the serial line."""
+    port: Annotated[str, Field(min_length=1), AfterValidator(_line)]
+    """Device of the serial line, or `socket://host:port` where another computer passes its bytes
+    on, as a UR controller does for a gripper on its tool flange."""
     address: Annotated[int, Field(ge=1, le=247)] = 9
     """Modbus address of the gripper."""
     baud: Annotated[int, Field(ge=1200)] = 115_200

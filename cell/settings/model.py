@@ -26,6 +26,7 @@ from cell.settings.section import (
     Duration,
     Finite,
     Fraction,
+    Length,
     NotNegative,
     Place,
     PlaceRange,
@@ -74,11 +75,11 @@ class HandPose(Section):
 class Offsets(Section):
     """Distances down that are simulated, one of which is executed."""
 
-    first_m: NotNegative = 0.0
+    first_m: Length = 0.0
     """The smallest."""
-    last_m: NotNegative = 0.040
+    last_m: Length = 0.040
     """The largest."""
-    step_m: Positive = 0.002
+    step_m: Distance = 0.002
     """From one to the next."""
 
     @property
@@ -108,7 +109,7 @@ class Start(Section):
     computer: up to 0.3 s on two cores, if no offset passes surely at once."""
     paces: tuple[Annotated[float, Field(gt=1.0, le=3.0)], ...] = (1.15, 1.3, 1.5, 1.8)
     """With a window it may also be made in so many times the usual time."""
-    further_m: NotNegative = 0.0
+    further_m: Length = 0.0
     """With a window the hand may also go so much further left, where no offset passes surely: for
     cables that hang too low to reach the depth."""
 
@@ -321,15 +322,15 @@ class Calibration(Section):
     """Of camera, cell and grip."""
     time_max_age_h: Positive = 24.0
     """Of latency and lag: a camera's stamps change with every start."""
-    max_error_m: Positive = 1.5e-4
+    max_error_m: Annotated[float, Field(gt=0.0, le=0.01)] = 1.5e-4
     """Of the map, 95 % bound anywhere in the field."""
-    max_time_error_s: Positive = 1e-3
+    max_time_error_s: Annotated[float, Field(gt=0.0, le=0.1)] = 1e-3
     """Of latency and lag, 95 % bound."""
-    max_grip_error_m: Positive = 3e-4
+    max_grip_error_m: Annotated[float, Field(gt=0.0, le=0.01)] = 3e-4
     """Of gripping point and free length, 95 % bound."""
-    max_clamp_error_rad: Positive = 0.01
+    max_clamp_error_rad: Annotated[float, Field(gt=0.0, le=0.5)] = 0.01
     """Of the clamp angle, 95 % bound."""
-    square_m: Positive = 0.02
+    square_m: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
     """Side of a square of the board, as measured on the printout."""
     columns: Annotated[int, Field(ge=3, le=40)] = 12
     """Squares of the board across."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cell.settings.section import Finite, NotNegative, PositiveRange, Section
+from cell.settings.section import Exposure, Finite, NotNegative, Pixels, PositiveRange, Section
 
 
 class HiddenCamera(Section):
@@ -14,9 +14,9 @@ class HiddenCamera(Section):
 
     metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
     """Across the line of sight, in the middle of the picture."""
-    origin_column_px: Finite
+    origin_column_px: Pixels
     """Where a camera square to the plane would see its origin."""
-    origin_row_px: Finite
+    origin_row_px: Pixels
     """Row in which such a camera would see the plane's origin."""
     focal_px: Annotated[float, Field(ge=100.0, le=100_000.0)] = 2600.0
     """Focal length."""
@@ -71,14 +71,14 @@ class Emulated(Section):
     starts them unless `cell emulate` did.  The cables are those of `world`.
     """
 
-    exposure_s: NotNegative = 0.0005
+    exposure_s: Exposure = 0.0005
     """Of the emulated camera."""
     readout_s: Annotated[float, Field(ge=0.008, le=0.1)] = 0.012
     """From the middle of an exposure until the picture leaves the emulated camera."""
     polyscope: Annotated[str, Field(pattern=r"^[1-9]\d?(\.\d{1,9}){1,3}$")] = "5.12.2.1101534"
     """Software version of the emulated controller: major, minor, bugfix, build.  From 10 on it is
     PolyScope X, which has no dashboard server."""
-    lens_blur_px: NotNegative = 0.6
+    lens_blur_px: Annotated[float, Field(ge=0.0, le=100.0)] = 0.6
     """Standard deviation of the blur by the lens."""
     read_noise: NotNegative = 1.0
     """Standard deviation, grey levels."""

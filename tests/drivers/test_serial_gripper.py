@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import select
+import socket
+import threading
 import time
 
 import pytest
@@ -140,3 +144,32 @@ def test_hot_jaws_that_arrived_have_arrived(emulator, gripper) -> None:
     gripper.release()
     emulator.jaws.faults.fault_code = 0x08
     assert gripper.release().opening_m == pytest.approx(0.085, abs=0.0005)
+
+
+def test_a_line_may_be_reached_through_a_network(emulator) -> None:
+    """As that of a gripper on a tool flange, whose bytes the arm's controller passes on."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+
+        def pass_on() -> None:
+            client, _ = listening.accept()
+            line = os.open(emulator.port, os.O_RDWR | os.O_NOCTTY)
+            with client:
+                while data := client.recv(256):
+                    os.write(line, data)
+                    while select.select([line], [], [], 0.03)[0]:
+                        client.sendall(os.read(line, 256))
+            os.close(line)
+
+        passing = threading.Thread(target=pass_on, daemon=True)
+        passing.start()
+        url = f"socket://127.0.0.1:{port}"
+        options = SerialGripperOptions(url, reply_s=10.0 * GRIPPER_REPLY_S, motion_s=10.0)
+        gripper = SerialGripper(options, RealClock())
+        gripper.connect()
+        assert gripper.grip(20.0).holding
+        assert not gripper.release().holding
+        gripper.close()
+        passing.join(10.0)
+    with pytest.raises(ConnectError, match=f"no gripper on {url}"):
+        gripper.connect()

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import pytest
@@ -213,7 +216,7 @@ def test_a_mistyped_key_is_one_mistake(tmp_path: Path) -> None:
 
 
 def test_axes_that_are_not_square_are_refused(tmp_path: Path) -> None:
-    text = LINE3.replace("[0.0, 0.0, 1.0]", "[0.0, 1.0, 1.0]")
+    text = LINE3.replace("[0.0, 0.0, 1.0]", "[0.0, 0.6, 0.8]")
     assert "is not perpendicular to plane_y_axis" in complaint(tmp_path, text)
 
 
@@ -286,3 +289,65 @@ def test_only_what_has_an_emulator_is_emulated(tmp_path: Path) -> None:
 def test_every_outcome_may_be_kept() -> None:
     """The settings name the outcomes of a cycle; they know nothing of records."""
     assert set(ENDINGS) == {outcome.value for outcome in Outcome}
+
+
+@pytest.mark.parametrize(
+    ("entry", "given", "said"),
+    [
+        ("tcp", "[0, 0, 160, 0, 0, 0]", "160 m off the flange, at most 1 m; give x, y and z in m"),
+        ("tcp", "[0, 0, 0.16, 0, 90, 0]", "length 90, at most 2π; give rx, ry and rz in radians"),
+        ("plane_origin_m", "[450, -120, 380]", "-3 (got -120); give metres, not millimetres"),
+        ("plane_x_axis", "[0, -2, 0]", "has length 2, a direction has length 1; give [0.0, -1.0"),
+        ("plane_y_axis", "[0, 0, 0]", "is no direction; give one of length 1, such as [0, -1, 0]"),
+        ("port", "socket://10.0.0.3", "is no line; give a device such as /dev/ttyUSB0, or socket:"),
+        ("port", "socket://10.0.0.3:70000", "is no line; give a device such as /dev/ttyUSB0, or s"),
+    ],
+)
+def test_a_place_that_no_arm_has_is_refused(
+    tmp_path: Path, entry: str, given: str, said: str
+) -> None:
+    text, count = re.subn(rf"(?m)^  {entry}: [^#\n]*", f"  {entry}: {given} ", LINE3)
+    assert count == 1 and said in complaint(tmp_path, text)
+
+
+def test_a_gripper_on_the_tool_flange_is_reached_through_the_controller(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(re.sub("port: /dev/[^ #\n]*", "port: socket://10.0.0.3:63352", LINE3))
+    assert load_settings(path).gripper.port == "socket://10.0.0.3:63352"  # type: ignore[union-attr]
+
+
+def numbers_without_a_range(
+    schema: Any, defs: Any, key: str, seen: frozenset[str]
+) -> Iterator[str]:
+    """Keys of numbers in a JSON schema that have no lower or no upper limit."""
+    if "$ref" in schema:
+        name = schema["$ref"].split("/")[-1]
+        if name not in seen:
+            yield from numbers_without_a_range(defs[name], defs, key, seen | {name})
+        return
+    for inner in (
+        *schema.get("anyOf", ()),
+        *schema.get("oneOf", ()),
+        *schema.get("prefixItems", ()),
+    ):
+        yield from numbers_without_a_range(inner, defs, key, seen)
+    for name, inner in schema.get("properties", {}).items():
+        yield from numbers_without_a_range(inner, defs, name, seen)
+    for kind in ("items", "additionalProperties"):
+        if isinstance(schema.get(kind), dict):
+            yield from numbers_without_a_range(schema[kind], defs, key, seen)
+    low, high = ({"minimum", "exclusiveMinimum"}, {"maximum", "exclusiveMaximum"})
+    if schema.get("type") == "number" and not (low & schema.keys() and high & schema.keys()):
+        yield key
+
+
+def test_every_length_angle_time_and_pixel_has_a_plausible_range() -> None:
+    """Or a number in another unit would be believed."""
+    schema = Settings.model_json_schema()
+    found = set(numbers_without_a_range(schema, schema["$defs"], "", frozenset()))
+    units = ("_m", "_rad", "_s", "_px", "_n", "_hz", "_m_per_s", "_m_per_s2", "_m_per_s3")
+    assert {k for k in found if k.endswith(units)} - WITHOUT_A_RANGE == set()
+
+
+#: A press may take a minute, a broker a day.
+WITHOUT_A_RANGE = {"ideal_cycle_s", "retry_s", "force_n"}
