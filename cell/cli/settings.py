@@ -138,8 +138,8 @@ def check(config: Config) -> None:
     """
     from cell.files.input_error import InputError
     from cell.settings import load_settings
-    from cell.settings.calibrated import not_yet_calibrated
-    from cell.settings.check import oddities
+    from cell.settings.calibrated import calibrated, not_yet_calibrated
+    from cell.settings.check import freedoms, oddities
     from cell.settings.loading import products_of
 
     try:
@@ -149,11 +149,15 @@ def check(config: Config) -> None:
     except InputError as error:
         refuse(error)
     tell_notes([*oddities(settings), *dict.fromkeys(notes)])
+    map_std_m = (
+        0.0 if notes or settings.calibration is None else calibrated(settings, config).map_std_m
+    )
     offsets_m = settings.motion.offsets.values_m
     print(
         f"{config}: right; arm {settings.arm.kind}, camera {settings.camera.kind}, gripper "
         f"{settings.gripper.kind}; {len(offsets_m)} offsets, {offsets_m[0] * 1e3:g} … "
         f"{offsets_m[-1] * 1e3:g} mm"
+        + f"; {freedoms(settings, map_std_m)}"
         + (f"; products {', '.join(settings.products)}" if settings.products else "")
     )
 

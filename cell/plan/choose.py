@@ -16,6 +16,7 @@ from cell.cable.solver import Solver
 from cell.identify.differences import difference_points
 from cell.identify.identified import Identified
 from cell.plan.destination import Destination
+from cell.settings.model import REPEATABILITY_M
 
 FloatArray = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ class ChoiceOptions:
     """
 
     samples: int = 64
-    repeatability_m: float = 1e-4
+    repeatability_m: float = REPEATABILITY_M
     model_error_growth: float = 2.0
     least_probability: float = 0.9
     interval_s: float = 0.005

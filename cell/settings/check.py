@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
+from scipy.special import ndtri
 
 from cell.cable.geometry import Cable
 from cell.files.input_error import Problem, did_you_mean
@@ -12,7 +13,7 @@ from cell.files.yaml_document import Document, Key
 from cell.settings.check_film import film_problems
 from cell.settings.check_plant import plant_problems
 from cell.settings.devices import OpenCvCamera, SerialGripper, UrArm
-from cell.settings.model import Settings
+from cell.settings.model import REPEATABILITY_M, Settings
 
 #: Where an emulated camera may stream from.
 STREAM = re.compile(r"tcp://(127(?:\.\d{1,3}){3}):(\d{1,5})")
@@ -26,6 +27,29 @@ def oddities(settings: Settings) -> tuple[str, ...]:
     return (
         f"arm.plane_y_axis {list(arm.plane_y_axis)} points down in the arm's base frame, and y is "
         "up: unless the arm hangs upside down, change its signs",
+    )
+
+
+def freedoms(settings: Settings, map_std_m: float) -> str:
+    """What may be chosen for a cable, and the narrowest opening that noise and offsets allow.
+
+    map_std_m  of the camera's map, over both axes; 0 = not known
+    """
+    start, hold, offsets = settings.motion.start, settings.motion.hold, settings.motion.offsets
+    free = start.window_s > 0.0
+    begins = "at once, with one of the offsets"
+    if free:
+        paces = f", {len(start.paces)} slower paces" if start.paces else ""
+        begins = f"up to {start.window_s:g} s later, between the offsets{paces}"
+    held = f"{settings.motion.hold_s:g} s"
+    if hold is not None:
+        held = f"{hold.least_s:g} … {hold.most_s:g} s, as needed"
+    noise_m = float(np.hypot(REPEATABILITY_M, map_std_m / np.sqrt(2.0)))
+    sure = float(ndtri(0.5 + 0.5 * settings.choice.min_probability))
+    half_m = sure * noise_m + (0.0 if free else 0.5 * offsets.step_m)
+    return (
+        f"starts {begins}; holds {held}; feedback {settings.feedback}; serves openings "
+        f"of ±{half_m * 1e3:.2f} mm at best"
     )
 
 

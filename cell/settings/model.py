@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from cell.settings.devices import (
     FilesCamera,
@@ -114,6 +114,14 @@ class Start(Section):
     cables that hang too low to reach the depth."""
 
 
+#: One period of a cable's swing, s: what `start: auto` allows.
+AUTO_WINDOW_S = 0.25
+
+
+def _start(given: object) -> object:
+    return Start(window_s=AUTO_WINDOW_S) if given == "auto" else given
+
+
 class Hold(Section):
     """A hold as long as needed: it ends, at one of a few moments, if more frames would change the
     chosen offset's probability by less than 1 %.  A cable that is to be rejected is held longest.
@@ -155,8 +163,11 @@ class Motion(Section):
     decide_s: Wait = 0.2
     """From the last frame of the swing until the execution begins: time for the computer."""
     offsets: Offsets = Offsets()
-    start: Start = Start()
-    """When the execution begins, and how fast it is."""
+    start: Annotated[
+        Start, BeforeValidator(_start, json_schema_input_type=Start | Literal["auto"])
+    ] = Start()
+    """When the execution begins, and how fast it is; `auto` = up to 0.25 s later, with any offset
+    and at any of the usual paces, where no offset passes surely at once."""
     advance_m: Distance = 0.050
     """Left, towards the destination."""
     settle_s: Wait = 0.2
@@ -202,6 +213,10 @@ class Identification(Section):
 
     method: Literal["map", "paper"] = "map"
     """`map`: all frames together, with covariance.  `paper`: still shape, then swing, iterated."""
+
+
+#: Standard deviation of a tip's height for reasons that are not the cable's, m: arm, draught.
+REPEATABILITY_M = 1e-4
 
 
 class Choice(Section):
