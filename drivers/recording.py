@@ -150,20 +150,20 @@ class Recording:
         if last is None:
             missing = (frame.t_s - self._start_s) / self._period_s - 1.0
             if missing > 0.5 and shot.stamp_s is not None:
-                return self._error(f"{missing:.0f} pictures missing before the first")
+                return self._error(f"{_pictures(round(missing))} missing before the first")
             return None
         if shot.number is not None and self._last_number is not None:
             missing = shot.number - self._last_number - 1
             if missing != 0:
                 return self._error(
-                    f"{missing} pictures missing before {which}: the camera's count goes from "
+                    f"{_pictures(missing)} missing before {which}: the camera's count goes from "
                     f"{self._last_number} to {shot.number}"
                 )
         else:
             missing = round((frame.t_s - last.t_s) / self._period_s) - 1
             if missing > 0:
                 return self._error(
-                    f"{missing} pictures missing before {which}: "
+                    f"{_pictures(missing)} missing before {which}: "
                     f"{(frame.t_s - last.t_s) * 1e3:.2f} ms after the one before, period "
                     f"{self._period_s * 1e3:.2f} ms"
                 )
@@ -198,3 +198,7 @@ def _same(a: Image, b: Image) -> bool:
 
 def _size(image: Image) -> str:
     return f"{image.shape[1]} × {image.shape[0]}"
+
+
+def _pictures(count: int) -> str:
+    return f"{count} picture" if count == 1 else f"{count} pictures"

@@ -14,6 +14,7 @@ from cell.cli.lab import Force, refusing, show, working
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, tell_notes
 from cell.files.overwriting import check_new_study
+from cell.files.words import counted
 
 if TYPE_CHECKING:
     from cell.lab.report.look_page import Look
@@ -65,7 +66,8 @@ def study(
     for line in left_out:
         print(f"left out: {line}", file=sys.stderr)
     if out is not None:
-        print(f"{out}: {len(gathered.trials)} trials of {len(runs) - len(left_out)} cycles")
+        trials = counted(len(gathered.trials), "trial")
+        print(f"{out}: {trials} of {counted(len(runs) - len(left_out), 'cycle')}")
     if csv is not None:
         print(f"{csv}: {len(tables) - 1} tables, and import.yaml to read them again")
 

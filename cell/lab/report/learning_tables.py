@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.files.table import TableData
+from cell.files.words import counted
 from cell.lab.data.check import Answer
 from cell.lab.data.results import Verdict
 from cell.lab.line.forecasts import ForecastPair
@@ -98,7 +99,7 @@ def learning_parts(
 
 
 def _cables(count: int) -> str:
-    return f"{count} cable" if count == 1 else f"{count} cables"
+    return counted(count, "cable")
 
 
 def cycle_table(result: LearningResult) -> TableData:

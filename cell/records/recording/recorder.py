@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.files.words import counted
 from cell.records.recording import form
 from cell.records.recording.ring import (
     RESERVE_BYTES,
@@ -220,7 +221,7 @@ class Recorder:
         gap = {"first": lost[0], "frames": len(lost), "cause": "the recorder was too slow"}
         if self._put(("event", form.GAP, t_s, gap)):
             self._lost_frames = []
-            self.note(f"{len(lost)} frames were not recorded: the computer was too slow")
+            self.note(f"not recorded: {counted(len(lost), 'frame')}; the computer was too slow")
 
     def _put(
         self, header: tuple[Any, ...], payload: NDArray[Any] | None = None, spare: int = 0
