@@ -28,7 +28,9 @@ def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
         return identified(prepared, candidate.fit, fits.library.values()), candidate, prepared
     left = Noise(candidate.fit.rms_m)
     coarser = FitCache(
-        PreparedStudy.of(as_measured(prepared), misfit=left, solver=prepared.solver),
+        PreparedStudy.of(
+            as_measured(prepared), misfit=left, solver=prepared.solver, work=prepared.work
+        ),
         fits.space,
         fits.library,
         fits.progress,

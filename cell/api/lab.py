@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from cell.api.fitted_study import fit_study
 from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResult, SuggestResult
+from cell.cable.model import CableModel
 from cell.identify.identified import Identified
 from cell.lab.data.named_effects import (
     EffectSelection,
@@ -21,13 +22,14 @@ from cell.lab.data.opened_study import open_study
 from cell.lab.data.own_check import read_own_checks
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.data.work import DIAGNOSIS, SpentError, StoppedError, Work
 from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.asked import select_asked
 from cell.lab.next.study_power import power_of
 from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
 from cell.lab.search.wrong_samples import without_wrong_samples
-from cell.lab.strength.compare import compare_model, model_names
+from cell.lab.strength.compare import Comparison, compare_model, model_names
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose as examine
@@ -103,7 +105,8 @@ def compare(
     if names is not None and (twice := [n for n in titles if titles.count(n) > 1]):
         raise ValueError(f"names: {twice[0]!r} is given twice; give each a name of its own")
     named = zip(shown, titles, strict=True)
-    return CompareResult(tuple(compare_model(opened, m.model, name) for m, name in named))
+    work = Work(DIAGNOSIS)
+    return CompareResult(tuple(compare_model(opened, m.model, name, work) for m, name in named))
 
 
 def diagnose(
@@ -164,7 +167,9 @@ def suggest(
         fits = set_up(study, selection, prior, config, progress)
         return SuggestResult(showing_motion(fits, asked, around))
     fits = set_up(study, select_for_diagnosis(tried, known), prior, config, progress)
-    return SuggestResult(suggest_motion(examine(fits), around))
+    examination = examine(fits)
+    fits.work.renew()
+    return SuggestResult(suggest_motion(examination, around))
 
 
 def power(
@@ -215,18 +220,45 @@ def set_up(
     config: Path | str | None = None,
     progress: Progress = no_progress,
     tell: Tell = silent,
+    work: Work | None = None,
 ) -> FitCache:
-    """A study made ready to be fitted, with the files of models and settings that are named."""
+    """A study made ready to be fitted, with the files of models and settings that are named.
+
+    work  that the study may take, and that whoever waits may stop; None = that of a diagnosis
+    """
+    work = Work(DIAGNOSIS) if work is None else work
+    opened = _opened(study, tell)
+    try:
+        fits, more = _made_ready(opened, selection, prior, config, progress, work)
+    except SpentError as error:
+        raise ValueError(
+            f"study {opened.name}: the limit of work was reached before a model was fitted "
+            f"({work.simulated_s:.0f} s of simulated motion, {work.cpu_s:.0f} s of CPU time): give "
+            "fewer or shorter trials, and check the frame, the datasheet and how the trials begin"
+        ) from error
+    tell(more)
+    return fits
+
+
+def _made_ready(
+    opened: Study,
+    selection: EffectSelection,
+    prior: Path | str | None,
+    config: Path | str | None,
+    progress: Progress,
+    work: Work,
+) -> tuple[FitCache, Sequence[str]]:
+    """The baseline fitted, without samples that it shows to be wrong; and what is told of these."""
     fits = fit_cache_of(
-        _opened(study, tell),
+        opened,
         selection,
         read_prior(None if prior is None else Path(prior), selection.own),
         progress,
         read_kind(None if config is None else Path(config)),
+        work,
     )
-    fits, more = without_wrong_samples(fits)
-    tell(more)
-    return fits
+    with work.stage("prepare"):
+        return without_wrong_samples(fits)
 
 
 def fitted(fits: FitCache) -> FitResult:
@@ -267,12 +299,21 @@ def diagnosed(examination: Examination, folder: Path, *, every_step: bool = True
         known=tuple(e.name for e in in_model),
         accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
     )
-    return DiagnoseResult(
-        examination.diagnosis,
-        tuple(compare_model(fits.prepared.study, c.fit.model) for c in shown),
-        todo,
-        examination,
-    )
+    comparisons = _compared(fits, [c.fit.model for c in shown])
+    if fits.work.spent:
+        fits.work.conclude()  # for the page
+    return DiagnoseResult(examination.diagnosis, comparisons, todo, examination)
+
+
+def _compared(fits: FitCache, models: Sequence[CableModel]) -> tuple[Comparison, ...]:
+    """The models beside the trials; stopped, each begins as its first frames show it."""
+    study, work = fits.prepared.study, fits.work
+    try:
+        with work.stage("compare"):
+            return tuple(compare_model(study, model, work=work) for model in models)
+    except StoppedError:
+        work.conclude()
+        return tuple(compare_model(study, model, work=work) for model in models)
 
 
 def _opened(study: StudyOrFolder, tell: Tell) -> Study:

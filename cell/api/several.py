@@ -104,7 +104,9 @@ class _Diagnosed:
 
     def __call__(self, named: tuple[str, FitCache]) -> Examined:
         name, fits = named
-        return Examined(name, examined(fits, self.rules))
+        found = Examined(name, examined(fits, self.rules))
+        found.examination.fits.work.renew()
+        return found
 
 
 def _names(studies: Sequence[StudyOrFolder]) -> list[str]:

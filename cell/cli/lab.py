@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +17,7 @@ from cell.cli.given import folder_of, folders_of
 from cell.cli.options import taking
 from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, NOT_ALL_DONE, answering, group, stoppable, tell_notes
+from cell.cli.streams import OutputClosedError
 from cell.cli.workers import Workers, workers
 from cell.files.overwriting import check_apart, check_output
 from cell.files.rescue import no_room, remedy
@@ -88,6 +89,9 @@ ReportFile = Annotated[
     typer.Option("--report", help="Write an HTML report to this file; it needs no network."),
 ]
 
+#: Why a command has ended early, by whether a person wanted it.
+ENDED = {True: "interrupted", False: "the limit of work was reached"}
+
 Force = Annotated[
     bool, typer.Option("--force", help="Overwrite files that this program did not write.")
 ]
@@ -124,17 +128,29 @@ def compare(
     """
     from cell.api.results import CompareResult
     from cell.lab.data.opened_study import open_study
+    from cell.lab.data.work import DIAGNOSIS, StoppedError, Work
     from cell.lab.search.setup import read_models
     from cell.lab.strength.compare import compare_model, model_names
 
-    with refusing(*results or [], report, force=force), working("compare") as progress:
+    work = Work(DIAGNOSIS)
+    with (
+        refusing(*results or [], report, force=force),
+        working("compare") as progress,
+        stoppable(work.stop) as interrupted,
+    ):
         opened = open_study(study)
         tell_notes(opened.notes)
         individuals = read_models(model, opened.cable, effect or [])
         comparisons: list[Comparison] = []
         for m, name in zip(individuals, model_names(model), strict=True):
             progress(f"comparing {name}", len(comparisons), len(individuals))
-            comparisons.append(compare_model(opened, m.model, name))
+            try:
+                comparisons.append(compare_model(opened, m.model, name, work))
+            except StoppedError:
+                if not comparisons:
+                    raise
+                tell_notes([f"{name} and what follows is not compared: {ENDED[bool(interrupted)]}"])
+                break
         result = CompareResult(tuple(comparisons))
     data = result.to_json()
 
@@ -152,6 +168,8 @@ def compare(
         result.write_residuals(folder)
 
     deliver(printed, *json_files(data, *results or []), (report, page), (residuals, tables))
+    if interrupted:
+        raise typer.Exit(interrupted.code)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,29 +230,46 @@ def diagnose(given: _Diagnose) -> None:
     (study,) = given.studies
     from cell.api.lab import diagnosed, examined, rules_with, set_up
     from cell.lab.data.named_effects import select_for_diagnosis
+    from cell.lab.data.work import DIAGNOSIS, Work
+    from cell.lab.report.tables import verdict_line
 
-    with (
-        refusing(*given.results or [], given.report, force=given.force),
-        working("diagnose") as progress,
-    ):
-        if given.workers is not None:
-            raise ValueError("--workers is of several studies: one is diagnosed on this computer")
-        selection = select_for_diagnosis(given.effects(progress), given.known or [])
-        rules = rules_with(given.check or [])
-        fits = set_up(study, selection, given.prior, given.config, progress, tell_notes)
-        gc.freeze()  # what is loaded stays: not looked through for garbage again and again
-        with stoppable(fits.work.stop) as interrupted:
+    work = Work(DIAGNOSIS)
+    results, said = given.results or [], ""
+    with stoppable(work.stop) as interrupted:
+        with (
+            refusing(*results, given.report, force=given.force),
+            working("diagnose") as progress,
+        ):
+            if given.workers is not None:
+                raise ValueError(
+                    "--workers is of several studies: one is diagnosed on this computer"
+                )
+            selection = select_for_diagnosis(given.effects(progress), given.known or [])
+            rules = rules_with(given.check or [])
+            fits = set_up(study, selection, given.prior, given.config, progress, tell_notes, work)
+            gc.freeze()  # what is loaded stays: not looked through for garbage again and again
             examination = examined(fits, rules)
-        result = diagnosed(examination, study, every_step=given.report is not None)
-    data = result.to_json()
+            if STDOUT not in results:
+                said = verdict_line(examination.diagnosis)
+                _say_at_once(said)
+            progress("comparing the models with the trials")
+            result = diagnosed(examination, study, every_step=given.report is not None)
+        data = result.to_json()
 
-    def printed() -> None:
-        if print_result(data, *given.results or []):
-            show(*result.parts())
+        def printed() -> None:
+            if print_result(data, *results):
+                show(*(part for part in result.parts() if part != said))
 
-    deliver(printed, *json_files(data, *given.results or []), (given.report, result.write_report))
+        deliver(printed, *json_files(data, *results), (given.report, result.write_report))
     if interrupted:
         raise typer.Exit(interrupted.code)
+
+
+def _say_at_once(line: str) -> None:
+    """Print a line before the rest is computed; who reads no more is told when all is printed."""
+    with suppress(OutputClosedError, OSError, SystemExit):
+        show(line)
+        sys.stdout.flush()
 
 
 def _diagnose_together(given: _Diagnose) -> None:
@@ -315,6 +350,7 @@ def discover(
     """Infer the missing law from the residual and write it as a readable effect file."""
     from cell.api.lab import set_up
     from cell.lab.data.named_effects import select_effects
+    from cell.lab.data.work import DISCOVERY, Work
     from cell.lab.next.advice import Paths, after_discovery
     from cell.lab.next.discover import NothingFoundError, effect_name
     from cell.lab.next.discover import discover as discover_effect
@@ -324,8 +360,9 @@ def discover(
     with refusing(out, as_json, force=force), working("discover") as progress:
         effect_name(out)
         selection = select_effects(effect or [])
-        fits = set_up(study, selection, prior, progress=progress, tell=tell_notes)
-        with stoppable(fits.work.stop) as interrupted:
+        work = Work(DISCOVERY)
+        with stoppable(work.stop) as interrupted:
+            fits = set_up(study, selection, prior, progress=progress, tell=tell_notes, work=work)
             try:
                 discovery = discover_effect(fits, out)
             except NothingFoundError as error:
@@ -388,6 +425,7 @@ def suggest(given: _Suggest) -> None:
     from cell.api.lab import set_up
     from cell.api.results import SuggestResult
     from cell.lab.data.named_effects import select_for_diagnosis
+    from cell.lab.data.work import DIAGNOSIS, Work
     from cell.lab.next.asked import select_asked
     from cell.lab.next.showing import asked_and_tried, showing_motion
     from cell.lab.next.suggest import suggest_motion
@@ -402,14 +440,17 @@ def suggest(given: _Suggest) -> None:
         asked, selection = (
             select_asked(names, known) if names else ((), select_for_diagnosis(tried, known))
         )
-        fits = set_up(given.study, selection, given.prior, given.config, progress, tell_notes)
-        if not asked:
-            with stoppable(fits.work.stop) as interrupted:
+        work = Work(DIAGNOSIS)
+        with stoppable(work.stop) as interrupted:
+            files = given.prior, given.config
+            fits = set_up(given.study, selection, *files, progress, tell_notes, work)
+            if not asked:
                 diagnosed = diagnose_study(fits)
-            if interrupted:
-                doubts = diagnosed.diagnosis.warnings
-                show(verdict_line(diagnosed.diagnosis), *warning_lines(doubts))
-                raise typer.Exit(interrupted.code)
+        work.renew()
+        if not asked and interrupted:
+            doubts = diagnosed.diagnosis.warnings
+            show(verdict_line(diagnosed.diagnosis), *warning_lines(doubts))
+            raise typer.Exit(interrupted.code)
         with answering() as interrupted:
             found = (
                 showing_motion(fits, asked, surroundings)

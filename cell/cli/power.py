@@ -76,13 +76,15 @@ def power(given: _Power) -> None:
     """
     from cell.api.lab import planned, set_up
     from cell.api.results import PowerResult
+    from cell.lab.data.work import DIAGNOSIS, Work
     from cell.lab.next.asked import select_asked
     from cell.lab.next.study_power import power_of
 
     with refusing(*given.results or [], force=given.force), working("power") as progress:
         asked, selection = select_asked(given.effect, given.known or [])
-        fits = set_up(given.study, selection, None, given.config, progress, tell_notes)
-        with stoppable(fits.work.stop) as interrupted:
+        work = Work(DIAGNOSIS)
+        with stoppable(work.stop) as interrupted:
+            fits = set_up(given.study, selection, None, given.config, progress, tell_notes, work)
             fits = planned(fits, given.motion or [])
             config = given.config if given.verify else None  # no cluster is asked for nothing
             with workers(given.workers, config) as executor:

@@ -156,7 +156,8 @@ def _heard_by(
     except KeyboardInterrupt as error:
         if not given:
             raise
-        print("there are no results yet, and nothing was written", file=sys.stderr)
+        known = "".join(f": {word}" for word in error.args if word)
+        print(f"there are no results yet, and nothing was written{known}", file=sys.stderr)
         raise typer.Exit(given.code) from error
     finally:
         for s, before in former.items():

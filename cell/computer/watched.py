@@ -34,6 +34,8 @@ LOOK_S = 0.25
 _TIDYING_S = 2.0
 #: So long if it has said that it will still answer, s.
 _ANSWERING_S = 30.0
+#: Signals that come within so long are one, s: `timeout` gives it to the command and to its group.
+_ONE_S = 0.5
 #: After these a command may still say what it knows.
 ANSWERED = (signal.SIGINT, signal.SIGTERM)
 #: What the parent hands on to the child.
@@ -301,6 +303,7 @@ class _Watch:
         self._patience_s = patience_s
         self._looks = LooksAtCalls(calls, child, patience_s)
         self._given: int | None = None
+        self._given_s = float("inf")
         self._kill_s = float("inf")
         for number in _PASSED_ON:
             if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
@@ -325,13 +328,13 @@ class _Watch:
         return code if code >= 0 else self._killed(-code)
 
     def _pass_on(self, number: int, frame: FrameType | None) -> None:
-        again = self._given is not None
+        now_s, again = time.monotonic(), self._given is not None
+        if again and number == self._given and now_s - self._given_s < _ONE_S:
+            return
         if not again:
-            self._given = number
+            self._given, self._given_s = number, now_s
         answers = self._calls.answers and number in ANSWERED and not again
-        self._kill_s = min(
-            self._kill_s, time.monotonic() + (_ANSWERING_S if answers else _TIDYING_S)
-        )
+        self._kill_s = min(self._kill_s, now_s + (_ANSWERING_S if answers else _TIDYING_S))
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._child, number)
 

@@ -27,8 +27,9 @@ _STUCK_PASSES, _ROUGH_PASSES = 4, 6
 #: A step is as promised if the objective fell by the promise, give or take this share of it.
 _AS_PROMISED = 0.5
 #: A finite difference must not reach beyond what the data leave open, or it is no slope there: one
-#: over more than so many standard deviations is taken again.
-_COARSE = 2.0
+#: over more than so many standard deviations is taken again, so often at most: where residuals are
+#: rough, slopes grow as fast as steps shrink, and none is ever fine enough.
+_COARSE, _MOST_FINER = 2.0, 3
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class Problem:
     precision              (p, p) of the prior
     slopes                 residuals that cost less and whose differences are as good, if there are
                            any: the Jacobian is theirs
+    affordable             whether there is time for another pass; a fit ends where it is if not
     """
 
     residuals: Residuals
@@ -49,6 +51,7 @@ class Problem:
     low: FloatArray
     high: FloatArray
     slopes: Residuals | None = None
+    affordable: Callable[[], bool] = lambda: True
 
 
 @dataclass(frozen=True)
@@ -138,13 +141,15 @@ def minimise(
     here = _begun(problem, np.clip(start, problem.low, problem.high), jacobian)
     largest, stuck_at = problem.step, here.objective
     damping, growth, passes, converged, idle, stuck, settled = 0.0, 2.0, 1, False, 0, 0, False
+    finer_times = 0
     while True:
         normal = here.jacobian.T @ here.jacobian + problem.precision
         slope = here.jacobian.T @ here.residual + problem.precision @ (here.q - problem.mean)
         problem = replace(problem, step=within_deviations(largest, _deviations(normal)))
-        if (finer := _finer(problem, here)) is not here:
-            here = finer
+        if finer_times < _MOST_FINER and (finer := _finer(problem, here)) is not here:
+            here, finer_times = finer, finer_times + 1
             continue
+        finer_times = 0
         # Damping hides how far it still is along a valley, so nearness is judged without it.
         step = to_go = _bounded_step(problem, here.q, normal, slope, 0.0)
         square = float(here.residual @ here.residual)
@@ -155,6 +160,7 @@ def minimise(
             stuck, stuck_at = 0, here.objective
         settled = stuck >= (_STUCK_PASSES if promised <= scale else _ROUGH_PASSES)
         last = settled or passes >= options.most_passes or (idle == 2 and scale > _ERRS)
+        last = last or not problem.affordable()
         if passes >= options.above[1] and here.objective > options.above[0]:
             break
         if near or last:

@@ -224,6 +224,11 @@ class Diagnosis:
         """Those of its warnings."""
         return frozenset(w.code for w in self.warnings)
 
+    @property
+    def ended_early(self) -> bool:
+        """Whether it cannot tell because a person or the limit of work ended it."""
+        return self.verdict == "cannot_tell" and bool(self.codes & {"interrupted", "cut_short"})
+
 
 #: Entries of a diagnosis, in the order in which files have them.
 _ENTRIES = (

@@ -2,23 +2,49 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 from cell.cable.effects.base import Effect
 from cell.cable.solver import threads
 from cell.computer.forks import Forks, forks
-from cell.lab.data.work import Work
+from cell.lab.data.work import Budget, SpentError, Work
 
 Given = TypeVar("Given")
 Returned = TypeVar("Returned")
+
+#: The work that is left is divided by the jobs, and by so many at least: few may be the first of
+#: many.  A job may take so many parts of it: most take less than one.
+FEWEST_PARTS, PARTS_OF_ONE = 4, 1.5
+
+
+@dataclass(frozen=True)
+class _Job(Generic[Given]):
+    """What is given, and the work that it may take."""
+
+    given: Given
+    share: Budget
+
+
+@dataclass(frozen=True)
+class _Done(Generic[Returned]):
+    """A result, none if its share of the work was spent before; work; process that did it."""
+
+    result: Returned | None
+    spent: bool
+    work: Budget
+    process: int
 
 
 class SideBySide:
     """Does jobs on all cores: the results, and the work counted, are those of one after the other.
 
-    A job must not change what is looked at later: it may be done in a copy of this process.
+    A job must not change what is looked at later: it may be done in a copy of this process.  Each
+    has the same share of the work that is left, whichever core does it.
     """
 
     def __init__(self, copies: Forks, work: Work, counted: dict[Any, Any]) -> None:
@@ -30,22 +56,33 @@ class SideBySide:
         self,
         function: Callable[[Given], Returned],
         jobs: Sequence[Given],
+        unfinished: Callable[[Given], Returned],
         done: Callable[[Given, Returned], None] = lambda job, result: None,
     ) -> list[Returned]:
         """Results of one of the functions, in the order of the jobs.
 
+        unfinished  the result of a job whose share of the work was spent
         done    is told of each as it comes, by any thread
         raises  StoppedError: no more simulations are wanted
         """
-        before_s = self._work.simulated_s
+        work, here = self._work, os.getpid()
+        before_s, parts = work.simulated_s, max(FEWEST_PARTS, len(jobs))
+        share = work.limit.minus(work.done).share(PARTS_OF_ONE / parts)
+
+        def result_of(job: _Job[Given], found: _Done[Returned]) -> Returned:
+            return unfinished(job.given) if found.spent else found.result  # type: ignore[return-value]
+
+        asked = [_Job(job, share) for job in jobs]
         found = self._copies.map(
             self._counted[function],
-            jobs,
-            lambda job, result: done(job, result[0]),
-            self._work.check,
+            asked,
+            lambda job, result: done(job.given, result_of(job, result)),
+            work.check,
         )
-        self._work.simulated_s = before_s + sum(work_s for _, work_s in found)
-        return [result for result, _ in found]
+        work.simulated_s = before_s
+        for one in found:
+            work.add_forks(one.work.simulated_s, 0.0 if one.process == here else one.work.cpu_s)
+        return [result_of(job, one) for job, one in zip(asked, found, strict=True)]
 
 
 @contextmanager
@@ -68,15 +105,18 @@ def side_by_side(
 
 def _counted(
     function: Callable[[Given], Returned], work: Work
-) -> Callable[[Given], tuple[Returned, float]]:
-    """The function's result and the seconds of motion that it has simulated."""
+) -> Callable[[_Job[Given]], _Done[Returned]]:
+    """The function's result with the work that it has taken."""
 
-    def counted(job: Given) -> tuple[Returned, float]:
-        before_s, work.simulated_s = work.simulated_s, 0.0
-        try:
-            result = function(job)
-            return result, work.simulated_s
-        finally:
-            work.simulated_s += before_s
+    def counted(job: _Job[Given]) -> _Done[Returned]:
+        before_s, began_s = work.simulated_s, time.process_time()
+        result, spent = None, False
+        with work.part(job.share):
+            try:
+                result = function(job.given)
+            except SpentError:
+                spent = True
+        took = Budget(work.simulated_s - before_s, time.process_time() - began_s)
+        return _Done(result, spent, took, os.getpid())
 
     return counted

@@ -62,9 +62,6 @@ class Rules:
     max_unconfirmed  effects that no held-out trial confirms, or that only an earlier cable's model
                      asks for: none, because this study alone is no evidence for them
     max_refits       of the screen that are refitted, besides all that are not smooth
-    max_simulated_s  after so many seconds of motion simulated a search seeks no further effect,
-                     and after so many of all searches a partial explanation exchanges none; some
-                     twenty seconds on two cores, and as much again for what was begun
 
     own              a user's own questions, asked beside those of the lab
     """
@@ -84,7 +81,6 @@ class Rules:
     most_named: int = 3
     max_unconfirmed: int = 0
     max_refits: int = 6
-    max_simulated_s: float = 40_000.0
     own: tuple[OwnCheck, ...] = ()
 
     @property

@@ -1,17 +1,77 @@
-"""The lab's solver, and the work that simulations are, counted so that it can be bounded."""
+"""The lab's solver, and the work that simulations are: counted, and bounded by a budget."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
 
 from cell.cable.solver import Solver
 
 #: Within 4 µm (rms over the markers of a swing) of a converged cable.
 SOLVER = Solver(segments=32, step_s=1e-3)
 
+#: Stages of a diagnosis, and the share of its budget by which each has ended.  What one does not
+#: use is the next one's.
+STAGES = {
+    "prepare": 0.3,
+    "search": 0.6,
+    "repeated search": 0.75,
+    "conclude": 0.88,
+    "strength": 0.97,
+    "compare": 1.0,
+}
+#: Beyond the limit of its stage a simulation still begins within this share of the budget: fits end
+#: with the iteration that they are at.
+SLACK = 0.05
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The most work of a computation.
+
+    simulated_s  seconds of cable motion, as `Work` counts them: what is left out because of it is
+                 the same on every computer
+    cpu_s        of this process and its forks: the outer limit, for simulations that fail and for
+                 slow computers
+    """
+
+    simulated_s: float = float("inf")
+    cpu_s: float = float("inf")
+
+    def share(self, share: float) -> Budget:
+        """A share of it."""
+        return Budget(share * self.simulated_s, share * self.cpu_s)
+
+    def plus(self, other: Budget) -> Budget:
+        """Both together."""
+        return Budget(self.simulated_s + other.simulated_s, self.cpu_s + other.cpu_s)
+
+    def minus(self, other: Budget) -> Budget:
+        """What remains of it, at least 0."""
+        left = self.simulated_s - other.simulated_s, self.cpu_s - other.cpu_s
+        return Budget(*(max(0.0, part) for part in left))
+
+    def exceeds(self, other: Budget) -> bool:
+        """Whether it is no less in either."""
+        return self.simulated_s >= other.simulated_s or self.cpu_s >= other.cpu_s
+
+
+NONE, UNLIMITED = Budget(0.0, 0.0), Budget()
+#: Of a diagnosis with all that belongs to it: some 30 s of one core, and less than 60 s.
+DIAGNOSIS = Budget(simulated_s=60_000.0, cpu_s=54.0)
+#: Of the search for a law among many terms.
+DISCOVERY = Budget(simulated_s=240_000.0, cpu_s=240.0)
+
 
 class StoppedError(KeyboardInterrupt):
     """A computation was stopped before its next simulation, to return the results so far."""
+
+
+class SpentError(StoppedError):
+    """The same because its budget is spent.  Scenario: a cable that can hardly be simulated."""
 
 
 @dataclass
@@ -19,22 +79,115 @@ class Work:
     """Work, counted as seconds of cable motion simulated with `SOLVER`, or its equivalent.
 
     Whoever waits may stop it from another thread or a signal's handler.
+
+    budget    of everything since `renew`
+    known     what is known before there is a result, for whoever stops it then
+    left_out  what was not computed because the budget was spent
+    concluding  it was stopped or spent: only results are still put together
     """
 
+    budget: Budget = UNLIMITED
     simulated_s: float = 0.0
     stopped: bool = False
+    known: str = ""
+    left_out: list[str] = field(default_factory=list)
+    _forks_cpu_s: float = 0.0
+    _clock_s: float = field(default_factory=time.process_time)
+    _origin: Budget = NONE
+    _limit: Budget | None = None
+    concluding: bool = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process goes on with: its clock of CPU time is another."""
+        return {**vars(self), "_forks_cpu_s": self.cpu_s}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._clock_s = time.process_time()
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU seconds of this process since this was made, and of its forks."""
+        return time.process_time() - self._clock_s + self._forks_cpu_s
+
+    @property
+    def done(self) -> Budget:
+        """All work so far."""
+        return Budget(self.simulated_s, self.cpu_s)
+
+    @property
+    def limit(self) -> Budget:
+        """Where the present stage has to end."""
+        return self._origin.plus(self.budget) if self._limit is None else self._limit
+
+    @property
+    def spent(self) -> bool:
+        """Whether the present stage has to end: nothing more is begun, a fit ends where it is."""
+        return self.concluding or self.done.exceeds(self.limit)
+
+    def affords(self, what: str) -> bool:
+        """Whether the present stage may begin something; if not, it is noted as left out."""
+        if self.spent:
+            self.leave_out(what)
+            return False
+        return True
+
+    def leave_out(self, what: str) -> None:
+        """Note what is not computed."""
+        if what not in self.left_out:
+            self.left_out.append(what)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """One of `STAGES`."""
+        before, self._limit = self._limit, self._origin.plus(self.budget.share(STAGES[name]))
+        try:
+            yield
+        finally:
+            self._limit = before
+
+    @contextmanager
+    def part(self, share: Budget) -> Iterator[None]:
+        """A job that has a share of the work for itself, in this process or in a fork of it."""
+        before = vars(self).copy()
+        self.simulated_s, self._forks_cpu_s, self._clock_s = 0.0, 0.0, time.process_time()
+        self._limit = share
+        try:
+            yield
+        finally:
+            did, stopped = self.done, self.stopped
+            vars(self).update(before)
+            self.stopped = stopped
+            self.simulated_s += did.simulated_s
+
+    def add_forks(self, simulated_s: float, cpu_s: float) -> None:
+        """Count what forks have done."""
+        self.simulated_s += simulated_s
+        self._forks_cpu_s += cpu_s
+
+    def renew(self) -> None:
+        """Begin a budget: another computation with the same study."""
+        self._origin, self.concluding = self.done, False
 
     def stop(self) -> None:
-        """Let the next simulation raise StoppedError."""
-        self.stopped = True
+        """Let the next simulation raise StoppedError, unless it was stopped before."""
+        self.stopped = not self.concluding
+
+    def conclude(self) -> None:
+        """After it was stopped or spent: only what is needed to tell the results is computed."""
+        self.stopped, self.concluding = False, True
 
     def check(self) -> None:
         """Raises StoppedError: no more simulations are wanted."""
         if self.stopped:
-            raise StoppedError
+            raise StoppedError(self.known)
+        if not self.concluding:
+            most = self.limit.plus(self.budget.share(SLACK))
+            if self.done.exceeds(most):
+                raise SpentError(self.known)
 
     def add(self, models: int, duration_s: float, solver: Solver) -> None:
-        """Count a batch.  Raises StoppedError: no more are wanted."""
+        """Count a batch.  Raises StoppedError: no more are wanted; SpentError: nor afforded."""
         self.check()
         self.simulated_s += models * duration_s * self.cost(solver)
 

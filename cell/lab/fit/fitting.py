@@ -176,6 +176,7 @@ def problem_of(
         step=np.concatenate([space.step, _joined([b.step for b in unknown])]),
         low=np.concatenate([space.low, -limit]),
         high=np.concatenate([space.high, limit]),
+        affordable=lambda: not prepared.work.spent,
     )
 
 
@@ -322,7 +323,10 @@ def pinned(space: ParameterSpace, q: FloatArray) -> ParameterSpace:
 
 
 def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial) -> FloatArray:
-    """(unknowns,) likeliest initial state of one trial; as noted if it cannot be simulated."""
+    """(unknowns,) likeliest initial state of one trial; as noted if it cannot be simulated.
+
+    Where no work is left, as the first frames show it.
+    """
     state = prepared.initial_state(trial)
     problem = gauss_newton.Problem(
         residuals=lambda q: prepared.white(trial, prepared.predict(trial, [model] * len(q), q)),
@@ -331,10 +335,13 @@ def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial)
         step=state.step,
         low=-state.limit,
         high=state.limit,
+        affordable=lambda: not prepared.work.spent,
     )
     if state.count == 0:
         return np.zeros(0)
     start = estimate_initial_states(prepared, [trial], [model])[trial.name][0]
+    if prepared.work.spent:
+        return start
     try:
         return gauss_newton.minimise(problem, start).q
     except UNSIMULATED:

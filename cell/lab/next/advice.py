@@ -34,7 +34,7 @@ def meaning(diagnosis: Diagnosis) -> str:
         return "this is not a model of this cable, and no effect was looked for"
     if "noise_unknown" in diagnosis.codes and not diagnosis.missing:
         return "the noise is not known well enough to decide whether the model lacks an effect"
-    if "interrupted" in diagnosis.codes and not diagnosis.missing:
+    if diagnosis.ended_early and not diagnosis.missing:
         return "the search was stopped before it could decide whether the model lacks an effect"
     return VERDICTS[diagnosis.verdict]
 

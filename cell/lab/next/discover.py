@@ -110,6 +110,7 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
     with tempfile.TemporaryDirectory() as folder:
         tried = _each(terms.values(), Path(folder))
         examination = diagnose(another_search(fits, tried), rules)
+    fits.work.renew()
     base, found = examination.fits.baseline(), examination.accepted
     if found is base:
         study = fits.prepared.study.name

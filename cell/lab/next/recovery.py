@@ -18,7 +18,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.results import Diagnosis
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.data.work import StoppedError, Work
+from cell.lab.data.work import DIAGNOSIS, SpentError, StoppedError, Work
 from cell.lab.next.hidden import World
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
@@ -88,17 +88,17 @@ class _CopyDiagnosed:
     name: str
     rules: Rules
 
-    def __call__(self, number: int) -> tuple[Outcome, float]:
-        """Also the seconds of motion that it has simulated."""
-        work = Work()
+    def __call__(self, number: int) -> Outcome:
+        """Each copy has the budget of a diagnosis."""
+        work = Work(DIAGNOSIS)
         try:
             prepared = PreparedStudy.of(self.world.copy(number), solver=self.solver, work=work)
             copy = FitCache(prepared, self.space, self.library, sought=self.sought)
             said = judged(diagnose(copy, self.rules).diagnosis, self.name)
-        except (*UNSIMULATED, NoiseUnknownError) as error:
+        except (*UNSIMULATED, SpentError, NoiseUnknownError) as error:
             _LOG.info("copy %d: %s", number, error)
             said = Outcome("failed")
-        return said, work.simulated_s
+        return said
 
 
 def recover(
@@ -136,9 +136,8 @@ def recover(
     try:
         with closing(executor.map(of_copy, numbers, fits.work.check)) as results:
             for number, result in zip(numbers, results, strict=True):
-                outcome, simulated_s = result.value
+                outcome = result.value
                 outcomes.append(outcome)
-                fits.work.simulated_s += simulated_s
                 _LOG.info("copy %d: %s %s", number, outcome.said, ", ".join(outcome.named))
                 progress(f"diagnosing copies with {name}", len(outcomes), copies)
     except StoppedError:

@@ -101,6 +101,7 @@ def power_of(
     for number, one in enumerate(asked):
         progress(f"what the trials show of {one.effect.name}", number, len(asked))
         found.append(EffectPower(one, forecast(fits, one, linear, rules)))
+        fits.work.renew()
     if copies:
         found = [_tried(fits, e, copies, rules, progress, executor) for e in found]
     noise_m = fits.prepared.noise_model.noise.std_m

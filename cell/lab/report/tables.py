@@ -72,7 +72,7 @@ def sentence(
     misses = f"The model misses {short(before_mm)} mm{place}"
     if diagnosis.verdict == "unexplained":
         return unexplained(diagnosis, misses, noise_name)
-    if "interrupted" in diagnosis.codes and not diagnosis.missing:
+    if diagnosis.ended_early and not diagnosis.missing:
         return interrupted(diagnosis, misses)
     if not diagnosis.missing:
         return f"{misses}, {at_noise(diagnosis)}. {why_not_told(diagnosis) or NOT_WHY}"

@@ -99,8 +99,9 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
 
 
 def interrupted(diagnosis: Diagnosis, misses: str) -> str:
-    """Sentence of a diagnosis that was stopped: what came nearest until then."""
-    said = f"Interrupted. {misses}, {at_noise(diagnosis)}"
+    """Sentence of a diagnosis that ended early: what came nearest until then."""
+    why = "Interrupted." if "interrupted" in diagnosis.codes else "The limit of work was reached."
+    said = f"{why} {misses}, {at_noise(diagnosis)}"
     left = diagnosis.left
     if not diagnosis.nearest or left is None:
         return f"{said}; no effect was fitted yet."

@@ -141,7 +141,7 @@ class FitCache:
         The second is the tempered fit; of two that were compared it is the worse.
         """
         base, tempered = self.baseline(), self._tempered
-        if self._memory.second is None and tempered is not None:
+        if self._memory.second is None and tempered is not None and not self.work.spent:
             with contextlib.suppress(*UNSIMULATED):
                 self._memory.second = fit_model(
                     self.prepared, base.fit.space, tempered.q, options=POLISH
@@ -184,9 +184,14 @@ class FitCache:
         return hand_error(self.prepared, self.baseline().fit)
 
     def screened(self, base: FittedModel) -> list[ScreenedEffect]:
-        """Score tests of the whole library against a model, likeliest first."""
+        """Score tests of the whole library against a model, likeliest first.
+
+        None of a model that was not screened before the work was stopped.
+        """
         screens = self._memory.screens
         if base.names not in screens:
+            if self.work.concluding:
+                return []
             others = [e for n, e in self.library.items() if n not in base.names]
             screens[base.names] = screen(self.prepared, base.fit, others)
         return screens[base.names]

@@ -59,7 +59,9 @@ class Refits:
     def with_each(self, effects: Sequence[type[Effect]]) -> list[FittedModel]:
         """The model with each of the effects that it can be simulated with from some start."""
         prepared, models = self.extension.prepared, self.models
+        work = prepared.work
         unknown = [e for e in effects if self._key(e) not in models]
+        unknown = [e for e in unknown if work.affords(f"a fit with {self._name(e)}")]
         done = itertools.count(len(effects) - len(unknown) + 1)
 
         def refitted(job: _Refit) -> FittedModel | None:
@@ -75,6 +77,10 @@ class Refits:
                 return continued(prepared, model, POLISH)
             return model
 
+        def not_fitted(job: _Refit) -> FittedModel | None:
+            work.leave_out(f"a fit with {self._name(job.effect)}")
+            return None
+
         def was_fitted(job: _Refit, model: FittedModel | None) -> None:
             if model is not None:
                 models[model.names] = model
@@ -89,16 +95,22 @@ class Refits:
         functions = (refitted, taken_on)
         with side_by_side(prepared.work, functions, self.offered, len(unknown)) as beside:
             first = [_Refit(e) for e in unknown if e in effects[:FIRST] or e.file is not None]
-            beside.map(refitted, first, was_fitted)
+            beside.map(refitted, first, not_fitted, was_fitted)
             begun = [job.effect for job in first]
             above = (self._far([*effects[:FIRST], *begun]), ENOUGH_PASSES)
             hurried = replace(REFIT, above=above)
             # those with most shapes take longest, and so begin first
             rest = [_Refit(e, hurried) for e in unknown if e not in begun]
-            beside.map(refitted, sorted(rest, key=lambda j: -shapes_of(j.effect)), was_fitted)
+            by_shapes = sorted(rest, key=lambda j: -shapes_of(j.effect))
+            beside.map(refitted, by_shapes, not_fitted, was_fitted)
             found = self._fitted(effects)
-            beside.map(taken_on, self._to_take_on(found, self._far(effects)), was_taken_on)
+            rough = self._to_take_on(found, self._far(effects))
+            if rough and not work.spent:
+                beside.map(taken_on, rough, lambda model: model, was_taken_on)
         return [models[c.names] for c in found]
+
+    def _name(self, effect: type[Effect]) -> str:
+        return " and ".join((*sorted(self.extension.base.names), effect.name))
 
     def _key(self, effect: type[Effect]) -> frozenset[str]:
         return frozenset({*self.extension.base.names, effect.name})

@@ -14,6 +14,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.named_effects import EffectSelection, select_effects
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.work import DIAGNOSIS, Work
 from cell.lab.fit.fitting import pinned, space_with
 from cell.lab.fit.individual_model import check_same_kind, misfit, prior_space, read_model
 from cell.lab.search.fit_cache import FitCache
@@ -26,14 +27,17 @@ def fit_cache_of(
     prior: tuple[Path, Identified] | None = None,
     progress: Progress = no_progress,
     kind: ModelClass = ModelClass(),  # noqa: B008
+    work: Work | None = None,
 ) -> FitCache:
     """The study made ready, with an earlier individual's model as prior if there is one.
 
     The prior's effects are part of the model, and those of the selection that are.
     kind  what all such cables have in common; an individual's prior has its own
+    work  that the study may take; None = that of a diagnosis
     """
+    work = Work(DIAGNOSIS) if work is None else work
     if prior is None:
-        prepared = PreparedStudy.of(study)
+        prepared = PreparedStudy.of(study, work=work)
         space = kind.space(study.cable, study.gravity_m_per_s2, study.pull_m_per_s2)
     else:
         path, model = prior
@@ -41,9 +45,11 @@ def fit_cache_of(
         space = prior_space(study, model)
         seen: Noise | None = None  # of a model that was never compared with a measurement
         if model.frames_used:
-            seen = misfit(model, _least_rms_m(study, space, model, selection.candidates))
-        prepared = PreparedStudy.of(study, misfit=seen)
+            seen = misfit(model, _least_rms_m(study, space, model, selection.candidates, work))
+        prepared = PreparedStudy.of(study, misfit=seen, work=work)
     sought = tuple(e for e in selection.in_model if e not in space.effects)
+    level_mm = prepared.noise_model.noise.std_m * 1e3
+    work.known = f"no model is fitted yet; noise of study {study.name}: {level_mm:.3g} mm"
     full = space_with(space, [*space.effects, *sought])
     prior_q = None if prior is None else full.mean
     return FitCache(prepared, full, selection.candidates, progress, prior_q=prior_q, sought=sought)
@@ -67,13 +73,14 @@ def _least_rms_m(
     space: ParameterSpace,
     model: Identified,
     candidates: Mapping[str, type[Effect]],
+    work: Work,
 ) -> float:
     """Error of the earlier individual's model with whichever single effect helps it most, m.
 
     What even that leaves is the model's own error on this study; were it taken for information,
     the cable's parameters would be bent to remove it.
     """
-    prepared = PreparedStudy.of(study, misfit=misfit(model))
+    prepared = PreparedStudy.of(study, misfit=misfit(model), work=work)
     pilot = FitCache(prepared, pinned(space, space.mean), candidates)
     base = pilot.baseline()
     smooth = [e for e in candidates.values() if e.smooth and e not in space.effects]

@@ -14,6 +14,7 @@ from cell.cable.model import CableModel
 from cell.files.plain import plain
 from cell.lab.data.noise_model import NoiseUnknownError, noise_model_of
 from cell.lab.data.prepared import PreparedStudy, of_frames
+from cell.lab.data.work import SpentError, Work
 from cell.lab.fit.everywhere import everywhere
 from cell.lab.fit.fitting import best_initial_state
 from cell.lab.statistics.series import overall
@@ -122,12 +123,24 @@ class Comparison:
         return dict(plain(content))
 
 
-def compare_model(study: Study, model: CableModel, name: str = "model") -> Comparison:
+def compare_model(
+    study: Study, model: CableModel, name: str = "model", work: Work | None = None
+) -> Comparison:
     """Errors of a model on all trials; infinite where it cannot be simulated.
 
-    raises  NoiseUnknownError
+    work    to be counted with; where it is spent, trials begin as their first frames show it
+    raises  NoiseUnknownError; StoppedError: no more simulations are wanted
     """
-    prepared = PreparedStudy.of(study)
+    prepared = PreparedStudy.of(study, work=work)
+    try:
+        return _compared(prepared, model, name)
+    except SpentError:
+        prepared.work.conclude()
+        return _compared(prepared, model, name)
+
+
+def _compared(prepared: PreparedStudy, model: CableModel, name: str) -> Comparison:
+    """The same of a study that was made ready."""
     study, noise = prepared.unjoined, prepared.noise_model.noise
     predicted, cable, errors = {}, {}, {}
     found, wrenches = [], []

@@ -57,11 +57,20 @@ def limits(
         found = beside.map(
             of_some,
             jobs,
+            _left_out,
             lambda *_: progress("how strong other effects could be", next(done), len(jobs)),
         )
     by_effect = itertools.groupby(itertools.chain(*found), key=lambda limit: limit.effect)
     known = {name: tuple(of_it) for name, of_it in by_effect}
-    return tuple(limit for effect in effects for limit in known[effect.name])
+    for effect in effects:
+        if effect.name not in known:
+            whole.prepared.work.leave_out(f"the limit of {effect.name}")
+    return tuple(limit for effect in effects for limit in known.get(effect.name, ()))
+
+
+def _left_out(some: Sequence[type[Effect]]) -> tuple[Limit, ...]:
+    """Limits of effects for which the work does not suffice."""
+    return ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,14 +11,14 @@ from cell.lab.data.check import worst_verdict
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt, Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.data.work import StoppedError
+from cell.lab.data.work import SpentError, StoppedError
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect
 from cell.lab.verdict.checks import answers, explains
 from cell.lab.verdict.doubts import (
     doubts,
-    interrupted_doubt,
+    ended_doubt,
     no_model_doubt,
     unsimulated_doubt,
 )
@@ -67,18 +67,21 @@ def diagnose(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
     held-out trials.  Then every effect found is exchanged for every other while that brings
     evidence, and each is tested again with all others in.
 
+    Each stage has its share of the budget of `fits.work`.  What is left out because of it is told,
+    and then nothing is claimed that it could have changed.
+
     raises  StoppedError, UnsimulatedError: before the baseline was fitted; later, what is known is
             returned
     """
     searches = [fits]
     try:
         return _examined(searches, rules)
-    except StoppedError:
+    except StoppedError as error:
         known = _last_known(searches)
         if known is None:
             raise
-        fits.work.stopped = False
-        return _so_far(known, rules)
+        fits.work.conclude()
+        return _so_far(known, rules, error)
     except UnsimulatedError:
         known = _last_known(searches)
         if known is None:
@@ -94,31 +97,35 @@ def _last_known(searches: Sequence[FitCache]) -> FitCache | None:
 def _examined(searches: list[FitCache], rules: Rules) -> Examination:
     """The diagnosis by the last of the searches; one that it needs is added to them."""
     fits = searches[-1]
-    began_s = fits.work.simulated_s
-    base = fits.baseline()
+    work = fits.work
+    with work.stage("prepare" if len(searches) == 1 else "repeated search"):
+        base = fits.baseline()
     _LOG.info("study %s, baseline: %s", fits.prepared.study.name, errors_in_words(base))
     if is_no_model(fits, base.fit):
         return _unsearched(fits, base, rules, "unexplained", no_model_doubt())
-    screened = fits.screened(base)
-    singles = fits.fit_extended(base, fits.shortlist(base, rules.max_refits))
-    found = searched(fits, base, len(screened), rules, began_s)
+    with work.stage("search" if len(searches) == 1 else "repeated search"):
+        screened = fits.screened(base)
+        singles = fits.fit_extended(base, fits.shortlist(base, rules.max_refits))
+        all_tried = not work.left_out
+        found = searched(fits, base, len(screened), rules)
     if found.again is not None:
         searches.append(found.again)
         return _examined(searches, rules)
-    return _concluded(fits, found.model, singles, found.cut_short, rules)
+    with work.stage("conclude"):
+        return _concluded(fits, found.model, singles, all_tried, rules)
 
 
 def _concluded(
     fits: FitCache,
     current: FittedModel,
     singles: Sequence[FittedModel],
-    cut_short: bool,
+    all_tried: bool,
     rules: Rules,
 ) -> Examination:
     """What may be said of the model that a search ended at; or what comes nearest.
 
     singles    each effect worth it alone beside the baseline
-    cut_short  the search was ended by its limit
+    all_tried  none of these was left out because the budget was spent
     """
     base, library = fits.baseline(), len(fits.screened(fits.baseline()))
     found = explains(Evidence(fits, base, current, rules))
@@ -126,14 +133,16 @@ def _concluded(
     steps: tuple[FittedModel, ...] = (base,)
     partial = Partial(fits, tuple(singles), (base,))
     if found:
+        before = len(fits.work.left_out)
         current, tied = with_ties(fits, base, current, rules)
+        all_tried = all_tried and len(fits.work.left_out) == before
         steps = steps_to(fits, current, rules)
     else:
         partial = explain_partly(fits, fits.known(), library, rules)
     final = current if found else partial.steps[-1]
     evidence = Evidence(fits, base, current, rules, tied)
     return Examination(
-        diagnosis=_diagnosis(evidence, steps, partial, singles, final, cut_short),
+        diagnosis=_diagnosis(evidence, steps, partial, singles, final, all_tried),
         fits=fits,
         steps=steps,
         screened=tuple(fits.screened(base)),
@@ -151,13 +160,15 @@ def _diagnosis(
     partial: Partial,
     singles: Sequence[FittedModel],
     final: FittedModel,
-    cut_short: bool,
+    all_tried: bool,
 ) -> Diagnosis:
     """The verdict with what it rests on; arguments as in `Examination` and `_concluded`."""
     fits, base, rules = evidence.fits, evidence.base, evidence.rules
     library, tied = len(fits.screened(base)), evidence.tied
     asked = tuple(answers(evidence))
     verdict = worst_verdict(asked, evidence.is_base)
+    if not all_tried and verdict != "complete":
+        verdict = "cannot_tell"
     _LOG.info("verdict: %s", verdict)
     whole, most = partial.fits, partial.steps
     also = {e.name: tied_so_far(whole, most[-1], e, rules) for e in whole.added(most[-1])}
@@ -174,18 +185,20 @@ def _diagnosis(
         partial=all_found(whole, most, also, library, rules),
         nearest=nearest(partial, sound(singles, base), rules) if unexplained else (),
         warnings=(
-            *doubts(fits, whole, final, cut_short),
+            *doubts(fits, whole, final),
             *(doubt for answer in asked for doubt in answer.warnings(evidence)),
         ),
         checks=tuple(answer.result for answer in asked),
     )
 
 
-def _so_far(fits: FitCache, rules: Rules) -> Examination:
+def _so_far(fits: FitCache, rules: Rules, error: StoppedError) -> Examination:
     """What is known of a study when its diagnosis is stopped, nothing of it confirmed."""
     base = fits.baseline()
     tried = sum(len(c.names) == len(base.names) + 1 for c in fits.known())
-    doubt = interrupted_doubt(f"{tried} effects were fitted so far, nothing is confirmed")
+    doubt = ended_doubt(
+        isinstance(error, SpentError), f"{tried} effects were fitted so far, nothing is confirmed"
+    )
     return _unsearched(fits, base, rules, "cannot_tell", doubt)
 
 
@@ -208,7 +221,7 @@ def _unsearched(
         nearest=nearest(partial, sound(singles, base), rules),
         warnings=(
             why,
-            *doubts(fits, fits, base, cut_short=False),
+            *(d for d in doubts(fits, fits, base) if d.code != why.code),
         ),
     )
     return Examination(diagnosis, fits, (base,), screened, singles, base, base, fits.prepared)

@@ -26,7 +26,7 @@ MEANINGS = {
     "at_bound": ("a parameter is at its bound", ""),
     "diverges": ("a held-out trial cannot be simulated", ""),
     "unsimulated": ("the search ended where nothing can be simulated", "cannot_tell"),
-    "cut_short": ("the search for more effects reached its limit of work", ""),
+    "cut_short": ("the limit of work left something out", ""),
     "interrupted": ("a person stopped the command", "cannot_tell"),
     "lacks": ("effects of the library explain the residual of a fit", ""),
 }
@@ -66,10 +66,8 @@ def unsimulated_doubt() -> Doubt:
     )
 
 
-def doubts(
-    fits: FitCache, whole: FitCache, final: FittedModel, cut_short: bool
-) -> tuple[Doubt, ...]:
-    """Warnings of a diagnosis: about its final model, and whether the search was cut short.
+def doubts(fits: FitCache, whole: FitCache, final: FittedModel) -> tuple[Doubt, ...]:
+    """Warnings of a diagnosis: about its final model, and what its budget has left out.
 
     whole  what the final model was fitted with
     """
@@ -79,15 +77,9 @@ def doubts(
         found += tuple(starts_disagree(fits))
     if whole.added(final):
         found += _of_estimate(whole, final, codes)
-    if cut_short:
-        simulated_s = fits.prepared.work.simulated_s
-        found += (
-            Doubt(
-                "cut_short",
-                f"the search for further effects reached its limit, {simulated_s:.0f} s of "
-                "simulated motion",
-            ),
-        )
+    if left_out := fits.work.left_out:
+        more = f" and {len(left_out) - TOLD} more" if len(left_out) > TOLD else ""
+        found += (cut_short_doubt(f"left out: {', '.join(left_out[:TOLD])}{more}"),)
     return tuple(w for w in found if w.code != "beyond_noise")
 
 
@@ -101,9 +93,19 @@ def _of_estimate(fits: FitCache, final: FittedModel, codes: Collection[str]) -> 
         return ()
 
 
+def cut_short_doubt(what: str) -> Doubt:
+    """Warning of a result of which the budget of work has left something out."""
+    return Doubt("cut_short", f"the limit of work was reached: {what}")
+
+
 def interrupted_doubt(what: str) -> Doubt:
     """Warning of a result that was interrupted."""
     return Doubt("interrupted", f"interrupted: {what}")
+
+
+def ended_doubt(spent: bool, what: str) -> Doubt:
+    """Warning of what ended early, because its budget was spent or a person stopped it."""
+    return cut_short_doubt(what) if spent else interrupted_doubt(what)
 
 
 def insensitive_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:

@@ -132,17 +132,12 @@ class Searched:
     again: FitCache | None = None
 
 
-def searched(
-    fits: FitCache, base: FittedModel, library: int, rules: Rules, began_s: float
-) -> Searched:
-    """The search for effects that are believed, until it ends or must begin anew.
-
-    began_s  seconds of motion that were simulated before it began
-    """
+def searched(fits: FitCache, base: FittedModel, library: int, rules: Rules) -> Searched:
+    """The search for effects that are believed, until it ends or must begin anew."""
     space, criterion = StudySpace(fits, rules.max_refits), ConfirmedEffects(fits, library, rules)
 
     def in_time() -> bool:
-        return fits.work.simulated_s - began_s < rules.max_simulated_s
+        return fits.work.affords("further effects")
 
     def kept(current: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
         better = criterion.accepted(current, options)

@@ -6,13 +6,17 @@ from dataclasses import replace
 
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.results import Limit
-from cell.lab.data.work import StoppedError
+from cell.lab.data.work import SpentError, StoppedError
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.diagnose import Examination
-from cell.lab.verdict.doubts import interrupted_doubt
+from cell.lab.verdict.doubts import ended_doubt
 from cell.lab.verdict.fit_doubts import MEANINGLESS
+
+#: What is left out where there is no time for it.
+_LIMITS = "how strong other effects could be was not computed"
+_AGREEMENT = "whether the trials agree was not computed"
 
 
 def with_limits(examination: Examination) -> Examination:
@@ -21,17 +25,25 @@ def with_limits(examination: Examination) -> Examination:
     None of an unexplained study: beside a wrong model the true effect would be excluded; nor beside
     one whose parameters mean nothing.  None, and a warning, where there is no time for them.
     """
-    diagnosis = examination.diagnosis
+    diagnosis, work = examination.diagnosis, examination.fits.work
     if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", *MEANINGLESS}:
         return examination
     try:
-        return replace(examination, diagnosis=replace(diagnosis, limits=_limits(examination)))
-    except StoppedError:
-        examination.fits.work.stopped = False
-        doubt = interrupted_doubt("how strong other effects could be was not computed")
-        return replace(
-            examination, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, doubt))
-        )
+        with work.stage("strength"):
+            if work.spent:
+                return _without(examination, _LIMITS, spent=True)
+            found = _limits(examination)
+    except StoppedError as error:
+        work.conclude()
+        return _without(examination, _LIMITS, spent=isinstance(error, SpentError))
+    return replace(examination, diagnosis=replace(diagnosis, limits=found))
+
+
+def _without(examination: Examination, what: str, *, spent: bool) -> Examination:
+    """The examination with a warning of what is missing."""
+    diagnosis = examination.diagnosis
+    warnings = (*diagnosis.warnings, ended_doubt(spent, what))
+    return replace(examination, diagnosis=replace(diagnosis, warnings=warnings))
 
 
 def _limits(examination: Examination) -> tuple[Limit, ...]:
@@ -57,15 +69,16 @@ def with_agreement(examination: Examination) -> Examination:
     None, and a warning, where there is no time for it; none where no model's parameters mean
     anything.
     """
-    diagnosis = examination.diagnosis
+    diagnosis, fits = examination.diagnosis, examination.fits
+    work = fits.work
     if diagnosis.codes & {"interrupted", "not_searched", "hopeless"}:
         return examination
     try:
-        fits = examination.fits
-        found = agreement(fits.prepared, examination.final.fit, fits.progress)
-    except StoppedError:
-        examination.fits.work.stopped = False
-        doubt = interrupted_doubt("whether the trials agree was not computed")
-        diagnosis = replace(diagnosis, warnings=(*diagnosis.warnings, doubt))
-        return replace(examination, diagnosis=diagnosis)
+        with work.stage("strength"):
+            if work.spent:
+                return _without(examination, _AGREEMENT, spent=True)
+            found = agreement(fits.prepared, examination.final.fit, fits.progress)
+    except StoppedError as error:
+        work.conclude()
+        return _without(examination, _AGREEMENT, spent=isinstance(error, SpentError))
     return replace(examination, diagnosis=replace(diagnosis, agreement=found))

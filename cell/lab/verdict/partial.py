@@ -78,14 +78,15 @@ def explain_partly(
         before, error = error, _own_error(whole, whole.known())
         # Fits that were stuck have an error that is no model's own; trials that weigh little are
         # fitted from anywhere.
-        if error.std_m > WEIGHED_ANEW * before.std_m:
+        if error.std_m > WEIGHED_ANEW * before.std_m or whole.work.spent:
             break
     steps = _added(whole, base, singles, library, rules)
     steps = _significant_steps(whole, steps, library, rules)
     if len(steps) == 2:
         for rival in near_singles(whole, steps[1], singles, rules):
             StudySpace(whole, rules.max_refits).extended(rival)
-    if is_hopeless(whole, steps[-1].fit):  # no model of the cable explains what it does
+    unfinished = not whole.work.affords("the search for effects that explain most")
+    if unfinished or is_hopeless(whole, steps[-1].fit):  # no model explains what the cable does
         steps = [base]
     return Partial(whole, tuple(singles), tuple(steps))
 
@@ -126,7 +127,7 @@ def _added(
         return best if best is not None and left(best) < left(model) else None
 
     def in_time() -> bool:
-        return prepared.work.simulated_s < rules.max_simulated_s
+        return prepared.work.affords("the exchange of effects that explain most")
 
     final = exchanged(space, steps[-1], better, in_time)
     return in_order(space, final, lambda c: -left(c))
@@ -144,6 +145,8 @@ def _singles(whole: FitCache, library: int, rules: Rules) -> tuple[FitCache, lis
         singles = _finished(whole, base, StudySpace(whole, rules.max_refits).extended(base))
         best = largest_step(whole, base, singles, library, rules)
         if best is None:
+            break
+        if whole.work.spent:
             break
         lower = rebased(whole, taken_from(best.fit, base.fit.space), rules.tie_delta_chi2)
         if lower is whole:
@@ -181,6 +184,8 @@ def _finished(
     pending = [added_effect(base, c) for c in singles if not c.fit.solution.converged]
     finished: dict[frozenset[str], FittedModel] = {}
     for first in range(0, len(pending), POLISHED):  # it takes only so many to convergence at once
+        if fits.work.spent:
+            break
         few = fits.fit_extended(base, pending[first : first + POLISHED])
         finished |= {c.names: c for c in few}
     return [finished.get(c.names, c) for c in singles]
