@@ -17,9 +17,9 @@ SOLVER = Solver(segments=32, step_s=1e-3)
 #: use is the next one's.
 STAGES = {
     "prepare": 0.3,
-    "search": 0.6,
-    "repeated search": 0.75,
-    "conclude": 0.88,
+    "search": 0.55,
+    "repeated search": 0.78,
+    "conclude": 0.9,
     "strength": 0.97,
     "compare": 1.0,
 }

@@ -341,7 +341,7 @@ def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial)
         return np.zeros(0)
     start = estimate_initial_states(prepared, [trial], [model])[trial.name][0]
     if prepared.work.spent:
-        return start
+        return np.asarray(start)
     try:
         return gauss_newton.minimise(problem, start).q
     except UNSIMULATED:

@@ -23,8 +23,8 @@ from cell.lab.line.effect_fit import (
     NEAR,
     SIMULATED,
     TIE,
-    Budget,
     EffectFit,
+    LearningBudget,
     is_tied,
     natural,
 )
@@ -75,7 +75,7 @@ class CablesSpace:
     base: ParameterSpace
     plausible: FloatArray
     library: int
-    budget: Budget
+    budget: LearningBudget
     progress: Progress
 
     def next(
@@ -261,7 +261,7 @@ def on_all(
     plausible: FloatArray,
     simpler: SharedFit,
     best: EffectFit,
-    budget: Budget,
+    budget: LearningBudget,
 ) -> EffectFit:
     """Effects fitted to more cables than they were found on, from there.
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
-from cell.lab.data.work import Work
+from cell.lab.data.work import Budget, Work
 from cell.lab.fit.shared import PASSES, SharedFit
 
 FloatArray = NDArray[np.float64]
@@ -26,25 +26,28 @@ TIE = 9.0
 #: Motion that may be simulated for a result, s, counted as `work.Work` does: three to four
 #: minutes of one core.  The shares of it after which no further own solutions are looked for, no
 #: effect is refitted, none is taken to convergence, and no second effect is looked for.
-MOST_SIMULATED_S = 80_000.0
+MOST_SIMULATED_S, MOST_CPU_S = 80_000.0, 480.0
 
 
 @dataclass(eq=False)
-class Budget:
+class LearningBudget:
     """The limit of simulated work, and what was left out because of it.
 
     most_s  seconds of cables' motion
+    most_cpu_s  of CPU time, the outer limit: simulations that fail count for little motion
     cables  those that are not learned from, and why: what is found is found of the others
     """
 
     most_s: float = MOST_SIMULATED_S
+    most_cpu_s: float = MOST_CPU_S
     work: Work = field(default_factory=Work)
     left_out: list[str] = field(default_factory=list)
     cables: list[str] = field(default_factory=list)
 
     def allows(self, share: float, what: str) -> bool:
         """Whether less than a share of it is spent; if not, it is noted what is left out."""
-        if self.work.simulated_s < share * self.most_s:
+        most = Budget(self.most_s, self.most_cpu_s).share(share)
+        if not self.work.done.exceeds(most):
             return True
         self._leave_out(what)
         return False

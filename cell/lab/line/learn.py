@@ -21,7 +21,7 @@ from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.fitting import space_with
 from cell.lab.fit.shared import SharedFit, Spread, along_lines, fit_shared, prepared_cycle
 from cell.lab.line.cables_space import SECOND, CablesSpace, Progress, on_all
-from cell.lab.line.effect_fit import Budget, EffectFit, is_tied
+from cell.lab.line.effect_fit import EffectFit, LearningBudget, is_tied
 from cell.lab.line.learned_cables import identified_cables, learned_from
 from cell.lab.search.stepwise import levels
 from cell.workers.executor import Executor
@@ -103,7 +103,7 @@ def learn(
     library: Mapping[str, type[Effect]],
     progress: Progress = lambda _: None,
     known: Callable[[LearningResult], None] = lambda _: None,
-    budget: Budget | None = None,
+    budget: LearningBudget | None = None,
     executor: Executor | None = None,
 ) -> LearningResult:
     """The effects that the model of `options` lacks, from all cycles together.
@@ -115,7 +115,7 @@ def learn(
     executor  who identifies the cables; None = all cores of this computer
     raises  ValueError: no cable can be identified; NoiseUnknownError
     """
-    budget = Budget() if budget is None else budget
+    budget = LearningBudget() if budget is None else budget
     executor = this_computer(min(threads(), len(cycles))) if executor is None else executor
     usable = identified_cables(cycles, cable, options, progress, budget, executor)
     chosen = learned_from(usable, budget)
@@ -145,7 +145,7 @@ class _Line:
     base: ParameterSpace
     plausible: FloatArray
     library: tuple[type[Effect], ...]
-    budget: Budget
+    budget: LearningBudget
     progress: Progress
     known: Callable[[LearningResult], None]
 

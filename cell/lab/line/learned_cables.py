@@ -13,7 +13,7 @@ from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason, identify
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.line.cables_space import Progress
-from cell.lab.line.effect_fit import Budget
+from cell.lab.line.effect_fit import LearningBudget
 from cell.study.data import Study
 from cell.workers.executor import Executor
 
@@ -65,7 +65,7 @@ def identified_cables(
     cable: Cable,
     options: IdentifyOptions,
     progress: Progress,
-    budget: Budget,
+    budget: LearningBudget,
     executor: Executor,
 ) -> list[tuple[RecordedCycle, Identified]]:
     """Cycles with what each says of its own cable; what says nothing is left out, and told."""
@@ -89,7 +89,7 @@ def identified_cables(
 
 
 def learned_from(
-    usable: Sequence[tuple[RecordedCycle, Identified]], budget: Budget
+    usable: Sequence[tuple[RecordedCycle, Identified]], budget: LearningBudget
 ) -> list[tuple[RecordedCycle, Identified]]:
     """Those that are learned from.
 

@@ -1,3 +1,4 @@
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -230,3 +231,36 @@ def test_differences_reach_no_further_than_the_data_leave_open() -> None:
     assert np.sqrt(solution.covariance[1, 1]) == pytest.approx(
         1e-3 / (2.0 * np.pi * 40.0 * np.sqrt(0.5 * len(t_s))), rel=0.02
     )
+
+
+def test_where_slopes_grow_as_fast_as_steps_shrink_differences_are_not_taken_on_and_on() -> None:
+    """A comparison took ten minutes of them, where the cable could hardly be simulated."""
+    batches, size = [0], 12
+
+    def residuals(lanes: np.ndarray) -> np.ndarray:
+        """No two places have anything in common."""
+        batches[0] += 1
+        digests = [hashlib.blake2b(lane.tobytes() + b"\0", digest_size=8) for lane in lanes]
+        seeds = [int.from_bytes(d.digest(), "little") for d in digests]
+        return np.array([3.0 * np.random.default_rng(s).standard_normal(size) for s in seeds])
+
+    wide = np.full(size, 10.0)
+    start, step = np.zeros(size), np.full(size, 1e-2)
+    rough = Problem(residuals, start, 1e-4 * np.eye(size), step, -wide, wide)
+    minimise(rough, start, Options(most_passes=1))
+    assert batches[0] <= 5
+
+
+def test_a_fit_ends_where_it_is_when_no_more_work_is_afforded() -> None:
+    whole = minimise(misra(), np.log([500.0, 1e-4]), Options(tolerance=1e-4))
+    asked: list[None] = []
+
+    def affordable() -> bool:
+        asked.append(None)
+        return len(asked) < 3
+
+    problem = replace(misra(), affordable=affordable)
+    ended = minimise(problem, np.log([500.0, 1e-4]), Options(tolerance=1e-4))
+    assert ended.passes == 3 < whole.passes
+    assert not ended.converged and not ended.settled
+    assert whole.objective < ended.objective

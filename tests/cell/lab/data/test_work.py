@@ -26,7 +26,7 @@ def test_each_stage_ends_by_its_share_and_leaves_what_it_does_not_use() -> None:
         assert work.spent
     with work.stage("search"):
         assert not work.spent
-        simulate(work, 300.0)
+        simulate(work, 250.0)
         assert not work.affords("a fit with air_drag")
     assert work.left_out == ["a fit with air_drag"]
     assert not work.spent, "without a stage all of it is there"

@@ -43,7 +43,7 @@ from cell.lab.fit.shared import (
 )
 from cell.lab.line.cables_space import ALL_PASSES, CablesSpace, library_first, on_all
 from cell.lab.line.candidate import lines_of, section, write_candidate
-from cell.lab.line.effect_fit import TIE, Budget, EffectFit
+from cell.lab.line.effect_fit import TIE, EffectFit, LearningBudget
 from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.gates import Judgement, best_judged, gates, judge
 from cell.lab.line.learn import LearningResult, _LearningSpace, learn, negligible
@@ -445,7 +445,7 @@ def test_learning_ends_at_its_limit_of_work_and_says_what_it_left_out(
         return identify(trial, *args, options=options)
 
     monkeypatch.setattr("cell.lab.line.learned_cables.identify", but_one)
-    task, budget = cell_task(SETTINGS), Budget(most_s=1.0)
+    task, budget = cell_task(SETTINGS), LearningBudget(most_s=1.0)
     result = learn(dragged, task.cable, task.identification, TRIED, budget=budget)
     assert [c.name for c in result.cycles if c.name == dragged[1].name] == []
     assert len(result.ranking) == 1
@@ -490,7 +490,9 @@ def test_a_second_effect_that_explains_all_does_not_keep_the_first(result: Learn
     task = cell_task(SETTINGS)
     base = task.identification.kind.space(task.cable, result.cycles[0].study.gravity_m_per_s2)
     prepared = [prepared_cycle(c.whole) for c in result.cycles[:2]]
-    search = CablesSpace(tuple(prepared), base, result.baseline.q[:2], 2, Budget(), lambda _: None)
+    search = CablesSpace(
+        tuple(prepared), base, result.baseline.q[:2], 2, LearningBudget(), lambda _: None
+    )
     alone = [
         fit_shared([p], base, q[None]) for p, q in zip(prepared, result.baseline.q, strict=False)
     ]
@@ -528,7 +530,7 @@ def test_cables_that_cannot_be_simulated_as_their_holds_show_them_begin_elsewher
     monkeypatch.setattr("cell.lab.line.cables_space.fit_shared", fit_if_stiff)
     assert result.best is not None
     two = replace(result.best, fit=replace(result.best.fit, q=result.best.fit.q[:2]))
-    again = on_all(prepared, base, limp, result.baseline, two, Budget())
+    again = on_all(prepared, base, limp, result.baseline, two, LearningBudget())
     assert begun == [limp[-1, 0], result.baseline.q[-1, 0]]
     assert again.fit.chi2 == pytest.approx(result.best.fit.chi2, rel=1e-3)
 

@@ -9,7 +9,7 @@ import pytest
 
 from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason
 from cell.lab.data.check import Check
-from cell.lab.line.effect_fit import Budget
+from cell.lab.line.effect_fit import LearningBudget
 from cell.lab.line.learn import LearningResult
 from cell.lab.line.learned_cables import FITTED_TO, identified_cables, learned_from
 from cell.lab.line.learning_checks import GATES, LEARNING, learning_answers, learning_verdict
@@ -78,7 +78,7 @@ def test_a_line_of_more_cables_than_are_learned_from_can_be_complete() -> None:
     cables: Any = [
         (SimpleNamespace(name=f"c{i:02d}", held=1, executed=1), found) for i in range(FITTED_TO + 1)
     ]
-    budget = Budget()
+    budget = LearningBudget()
     assert len(learned_from(cables, budget)) == FITTED_TO
     (told,) = budget.cables
     assert told.startswith("c12: ")
@@ -102,7 +102,7 @@ def test_a_cable_that_the_model_does_not_fit_leaves_a_doubt_of_it(
     cycle: Any = SimpleNamespace(
         name="c1", held=1, study=SimpleNamespace(arc_length_m=1, trials=()), cable=None
     )
-    budget, options, nobody = Budget(), IdentifyOptions(), OneAfterAnother()
+    budget, options, nobody = LearningBudget(), IdentifyOptions(), OneAfterAnother()
     given: Any = None
     with pytest.raises(ValueError, match="c1: it cannot be identified"):
         identified_cables([cycle], given, options, lambda _: None, budget, nobody)

@@ -11,8 +11,10 @@ import pytest
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.progress import no_progress
 from cell.lab.data.results import to_json
 from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.data.work import STAGES, UNLIMITED, Budget, SpentError, Work
 from cell.lab.report.wording import nearest_note
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.screen import screen
@@ -20,7 +22,7 @@ from cell.lab.verdict import diagnose as diagnosing
 from cell.lab.verdict import forward_search
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.forward_search import with_ties
-from cell.lab.verdict.limits_and_agreement import with_agreement
+from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
 from cell.study.folder import read_study
 from tests.cell.lab.conftest import LONG
 
@@ -89,19 +91,26 @@ SCHEMA = {
 RIVALS = ("air_drag", "linear_air_drag", "tip_mass", "grip_angle", "natural_curvature")
 
 
-def explore(study, names=RIVALS):
+def explore(study, names=RIVALS, budget=UNLIMITED, progress=no_progress):
     known = library()
     space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
-    return FitCache(PreparedStudy.of(study), space, {n: known[n] for n in names})
+    prepared = PreparedStudy.of(study, work=Work(budget))
+    return FitCache(prepared, space, {n: known[n] for n in names}, progress)
 
 
 def test_an_effect_that_was_refitted_is_weighed_however_much_that_took(make_study):
     """Of a long study nothing was accepted, because its first refits had taken all there was."""
     drag = library()["air_drag"].active(drag_coefficient=2.0)
-    fits = explore(make_study([drag], seed=6), ("air_drag", "tip_mass"))
-    found = diagnose(fits, replace(DEFAULT_RULES, max_simulated_s=0.0)).diagnosis
+
+    def progress(text, done=0, total=0):
+        if "refitted with" in text and done == total and work.budget is UNLIMITED:
+            work.budget = Budget(simulated_s=work.simulated_s / STAGES["search"])
+
+    fits = explore(make_study([drag], seed=6), ("air_drag", "tip_mass"), progress=progress)
+    work = fits.work
+    found = diagnose(fits).diagnosis
+    assert work.budget is not UNLIMITED
     assert [f.effect for f in found.missing] == ["air_drag"]
-    assert "cut_short" in [w.code for w in found.warnings]
 
 
 def test_a_second_search_is_not_cut_short_by_the_work_of_the_first(make_study, monkeypatch):
@@ -118,10 +127,27 @@ def test_a_second_search_is_not_cut_short_by_the_work_of_the_first(make_study, m
     monkeypatch.setattr(diagnosing, "searched", noted)
     diagnose(explore(study, names))
     first_s, _ = ends_s
-    found = diagnose(explore(study, names), replace(DEFAULT_RULES, max_simulated_s=first_s))
+    found = diagnose(explore(study, names, Budget(simulated_s=first_s / STAGES["search"])))
     assert [f.effect for f in found.diagnosis.missing] == ["air_drag"]
-    assert "cut_short" not in found.diagnosis.codes
     assert ends_s[-1] > first_s
+
+
+def test_whatever_its_budget_a_diagnosis_ends_and_claims_no_more(make_study):
+    """Two studies of real rigs gave no answer in 400 s."""
+    drag = library()["air_drag"].active(drag_coefficient=2.0)
+    study, names = make_study([drag], seed=6), ("air_drag", "tip_mass", "grip_angle")
+    fits = explore(study, names)
+    right, all_s = diagnose(fits).diagnosis, fits.work.simulated_s
+    assert right.verdict == "missing"
+    for share in (0.25, 0.5):
+        fits = explore(study, names, Budget(simulated_s=share * all_s))
+        found = with_agreement(with_limits(diagnose(fits))).diagnosis
+        assert fits.work.simulated_s < 1.2 * share * all_s
+        assert found.verdict == right.verdict or "cut_short" in found.codes
+        assert {f.effect for f in found.missing} <= {"air_drag"}
+        jsonschema.validate(json.loads(json.dumps(to_json(found), allow_nan=False)), SCHEMA)
+    with pytest.raises(SpentError):
+        diagnose(explore(study, names, Budget(simulated_s=0.01 * all_s)))
 
 
 def test_a_complete_model_is_called_complete(make_study):

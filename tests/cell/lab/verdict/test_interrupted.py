@@ -16,12 +16,13 @@ from cell.cli import app
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rival import Rival
-from cell.lab.data.work import StoppedError
+from cell.lab.data.work import StoppedError, Work
 from cell.lab.next.suggest import distinguishing_motions
 from cell.lab.next.suggestion import Option
 from cell.lab.next.terms import admissible
 from cell.lab.report.tables import sentence, verdict_line
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.strength.compare import compare_model
 from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.limits_and_agreement import with_limits
 from cell.settings.surroundings import Surroundings
@@ -133,6 +134,57 @@ def interrupted(monkeypatch, during, number, *given):
 def folder(study, tmp_path):
     write_study(study, tmp_path / "study")
     return tmp_path / "study"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_before_a_model_is_fitted_the_noise_is_known(folder, tmp_path, monkeypatch, number):
+    out = tmp_path / "found.json"
+    given = ["diagnose", folder, "-o", out]
+    result = interrupted(monkeypatch, "fitting the model", number, *given)
+    assert result.exit_code == 128 + number
+    assert "no model is fitted yet; noise of study" in result.stderr
+    assert not out.exists()
+
+
+def test_the_verdict_is_printed_before_the_models_are_compared(folder, tmp_path, monkeypatch):
+    out, compared = tmp_path / "found.json", []
+
+    def noted(study, model, name="model", work=None):
+        print("COMPARED")
+        compared.append(model)
+        return compare_model(study, model, name, work)
+
+    monkeypatch.setattr("cell.api.lab.compare_model", noted)
+    given = ["diagnose", folder, "-o", out]
+    result = interrupted(monkeypatch, "comparing the models", signal.SIGTERM, *given)
+    assert result.exit_code == 128 + signal.SIGTERM
+    assert result.stdout.count("Verdict ") == 1
+    assert result.stdout.index("Verdict missing") < result.stdout.index("COMPARED")
+    assert "tip_mass" in result.stdout
+    assert len(compared) >= 2
+    assert json.loads(out.read_text())["verdict"] == "missing"
+
+
+@pytest.mark.parametrize("after", [3, 25, 80])
+def test_at_any_moment_what_is_known_is_printed(folder, tmp_path, monkeypatch, after):
+    """The signal comes with one of the batches of simulations, whatever that is for."""
+    out, add, batches = tmp_path / "found.json", Work.add, []
+
+    def counted(work, models, duration_s, solver):
+        batches.append(models)
+        if len(batches) == after:
+            os.kill(os.getpid(), signal.SIGTERM)
+        add(work, models, duration_s, solver)
+
+    monkeypatch.setattr(Work, "add", counted)
+    result = interrupted(monkeypatch, "never", signal.SIGTERM, "diagnose", folder, "-o", out)
+    assert result.exit_code == 128 + signal.SIGTERM
+    if not out.exists():
+        assert "no model is fitted yet; noise of study" in result.stderr
+        return
+    found = json.loads(out.read_text())
+    assert "interrupted" in [w["code"] for w in found["warnings"]]
+    assert f"Verdict {found['verdict']}: " in result.stdout
 
 
 def test_a_diagnosis_gives_the_best_answer_so_far(folder, tmp_path, monkeypatch):
