@@ -23,8 +23,8 @@ STAGES = {
     "strength": 0.97,
     "compare": 1.0,
 }
-#: Beyond the limit of its stage a simulation still begins within this share of the budget: fits end
-#: with the iteration that they are at.
+#: Beyond the limit of the budget, or of a job's share, a simulation still begins within this share
+#: of the budget: fits end with the iteration that they are at.
 SLACK = 0.05
 
 
@@ -95,6 +95,7 @@ class Work:
     _clock_s: float = field(default_factory=time.process_time)
     _origin: Budget = NONE
     _limit: Budget | None = None
+    _last: Budget | None = None
     concluding: bool = False
 
     def __getstate__(self) -> dict[str, Any]:
@@ -151,7 +152,7 @@ class Work:
         """A job that has a share of the work for itself, in this process or in a fork of it."""
         before = vars(self).copy()
         self.simulated_s, self._forks_cpu_s, self._clock_s = 0.0, 0.0, time.process_time()
-        self._limit = share
+        self._limit = self._last = share
         try:
             yield
         finally:
@@ -182,8 +183,8 @@ class Work:
         if self.stopped:
             raise StoppedError(self.known)
         if not self.concluding:
-            most = self.limit.plus(self.budget.share(SLACK))
-            if self.done.exceeds(most):
+            last = self._origin.plus(self.budget) if self._last is None else self._last
+            if self.done.exceeds(last.plus(self.budget.share(SLACK))):
                 raise SpentError(self.known)
 
     def add(self, models: int, duration_s: float, solver: Solver) -> None:

@@ -90,7 +90,8 @@ class Baseline:
         self.progress(f"weighing the model with {names}", 2, 3)
         count = found.prepared.count(fit_trials(found.prepared))
         errs = found.fit.rms_m > ERRS * found.prepared.expected_m("fit")
-        if found.fit.chi2 > MISFIT * count or (self.added is not None and errs):
+        far = found.fit.chi2 > MISFIT * count or (self.added is not None and errs)
+        if far and prepared.work.affords(f"other starts of the model with {names}"):
             best = self._from_other_starts(found, start, count)
             if self.added is not None and best.fit is not found.fit:
                 best = self._beside_noise_and_mesh(best)  # another model, beside which noise shows
@@ -177,6 +178,8 @@ class Baseline:
             return start
         fits = []
         for q in starts:
+            if fits and not prepared.work.affords("other shapes of the model's effects"):
+                break
             with contextlib.suppress(*UNSIMULATED):
                 fits.append(fit_model(prepared, space, q, options=REFIT))
         return min(fits, key=lambda f: f.objective).q if fits else start

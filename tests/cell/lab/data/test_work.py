@@ -34,7 +34,7 @@ def test_each_stage_ends_by_its_share_and_leaves_what_it_does_not_use() -> None:
 
 def test_beyond_a_slack_no_simulation_begins() -> None:
     work = Work(Budget(simulated_s=100.0))
-    with work.stage("compare"):
+    with work.stage("prepare"):
         simulate(work, 104.0)
         simulate(work, 10.0)
         with pytest.raises(SpentError):
