@@ -176,7 +176,7 @@ class Baseline:
                 starts.append(np.clip(space.coordinates(natural), space.low, space.high))
         if len(starts) == 1:
             return start
-        fits = []
+        fits: list[Fit] = []
         for q in starts:
             if fits and not prepared.work.affords("other shapes of the model's effects"):
                 break
