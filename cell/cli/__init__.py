@@ -9,6 +9,8 @@ import logging
 import os
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -60,18 +62,29 @@ class _Commands(typer.core.TyperGroup):
     So is Ctrl-D in place of an answer, which ends it with 2.
     """
 
+    def make_context(self, *given: Any, **named: Any) -> Any:
+        with _ending_told():
+            return super().make_context(*given, **named)
+
     def invoke(self, ctx: Any) -> Any:
-        try:
+        with _ending_told():
             return super().invoke(ctx)
-        except KeyboardInterrupt:
+
+
+@contextmanager
+def _ending_told() -> Iterator[None]:
+    """Typer ends without a word."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise
+    except typer.Abort as abort:  # of a question
+        if isinstance(abort.__context__, KeyboardInterrupt):
             print("interrupted", file=sys.stderr)
-            raise
-        except typer.Abort as abort:  # of a question
-            if isinstance(abort.__context__, KeyboardInterrupt):
-                print("interrupted", file=sys.stderr)
-                raise KeyboardInterrupt from None
-            print("the input ended before an answer: nothing is done", file=sys.stderr)
-            raise typer.Exit(BAD_INPUT) from None
+            raise KeyboardInterrupt from None
+        print("the input ended before an answer: nothing is done", file=sys.stderr)
+        raise typer.Exit(BAD_INPUT) from None
 
 
 app = typer.Typer(

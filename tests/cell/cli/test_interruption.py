@@ -76,6 +76,12 @@ def test_a_command_without_an_answer_says_that_it_was_interrupted(
     assert (done.exit_code, done.stderr) == (130, "interrupted\n")
 
 
+def test_while_its_words_are_read_a_command_says_so_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cell.cli.about", interrupted)
+    done = CliRunner().invoke(app, ["--version"])
+    assert (done.exit_code, done.stderr) == (130, "interrupted\n")
+
+
 def test_before_there_is_a_command_one_line_is_said_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

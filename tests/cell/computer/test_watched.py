@@ -112,6 +112,25 @@ def test_a_signal_ends_what_hears_none(given: signal.Signals) -> None:
     assert said.splitlines()[-1] == "interrupted"
 
 
+def test_a_signal_to_a_command_and_to_its_group_is_one() -> None:
+    """As `timeout` sends it: the answer was not waited for, and a diagnosis said nothing."""
+    doing = (
+        "from cell.computer.watched import answers_after_interrupt\n"
+        "import signal\nheard = []\nanswers_after_interrupt()\n"
+        "signal.signal(signal.SIGTERM, lambda number, frame: heard.append(number))\n"
+        "print('trying', flush=True)\nwhile not heard: time.sleep(0.05)\n"
+        "time.sleep(2.5); sys.exit(7)"
+    )
+    process = watched(doing, 1e3)
+    while process.stdout.readline() != "trying\n":
+        pass
+    process.send_signal(signal.SIGTERM)
+    time.sleep(0.1)
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (7, "")
+
+
 def test_ctrl_c_is_heard_by_the_command_first() -> None:
     doing = (
         "try:\n    print('trying', flush=True)\n    time.sleep(1000)\n"
