@@ -141,15 +141,13 @@ def minimise(
     here = _begun(problem, np.clip(start, problem.low, problem.high), jacobian)
     largest, stuck_at = problem.step, here.objective
     damping, growth, passes, converged, idle, stuck, settled = 0.0, 2.0, 1, False, 0, 0, False
-    finer_times = 0
     while True:
         normal = here.jacobian.T @ here.jacobian + problem.precision
         slope = here.jacobian.T @ here.residual + problem.precision @ (here.q - problem.mean)
         problem = replace(problem, step=within_deviations(largest, _deviations(normal)))
-        if finer_times < _MOST_FINER and (finer := _finer(problem, here)) is not here:
-            here, finer_times = finer, finer_times + 1
+        if (finer := _finer(problem, here)) is not here:
+            here = finer
             continue
-        finer_times = 0
         # Damping hides how far it still is along a valley, so nearness is judged without it.
         step = to_go = _bounded_step(problem, here.q, normal, slope, 0.0)
         square = float(here.residual @ here.residual)
@@ -159,8 +157,8 @@ def minimise(
         if stuck_at - here.objective > options.tolerance * scale:
             stuck, stuck_at = 0, here.objective
         settled = stuck >= (_STUCK_PASSES if promised <= scale else _ROUGH_PASSES)
-        last = settled or passes >= options.most_passes or (idle == 2 and scale > _ERRS)
-        last = last or not problem.affordable()
+        last = settled or (idle == 2 and scale > _ERRS)
+        last |= passes >= options.most_passes or not problem.affordable()
         if passes >= options.above[1] and here.objective > options.above[0]:
             break
         if near or last:
@@ -211,6 +209,7 @@ class _Point:
 
     updates  since the Jacobian was computed
     step     (p,) of its differences; none if it is updated or of another problem
+    refined  so often these were taken again because they were too large
     """
 
     q: FloatArray
@@ -219,6 +218,7 @@ class _Point:
     objective: float
     updates: int = 0
     step: FloatArray | None = None
+    refined: int = 0
 
     @property
     def usable(self) -> bool:
@@ -279,10 +279,12 @@ def _computed(problem: Problem, point: _Point) -> _Point:
 
 def _finer(problem: Problem, point: _Point) -> _Point:
     """The point with slopes over the problem's steps, if its own are over far larger ones."""
-    if point.step is None or not np.any(point.step > _COARSE * problem.step):
+    if point.step is None or point.refined == _MOST_FINER:
+        return point
+    if not np.any(point.step > _COARSE * problem.step):
         return point
     finer = _linearise(problem, point.q, point.residual)
-    return finer if finer.usable else point
+    return replace(finer, refined=point.refined + 1) if finer.usable else point
 
 
 def _updated(problem: Problem, point: _Point, step: FloatArray, weight: FloatArray) -> _Point:
