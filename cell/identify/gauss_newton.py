@@ -157,11 +157,10 @@ def minimise(
         if stuck_at - here.objective > options.tolerance * scale:
             stuck, stuck_at = 0, here.objective
         settled = stuck >= (_STUCK_PASSES if promised <= scale else _ROUGH_PASSES)
-        last = settled or (idle == 2 and scale > _ERRS)
-        last |= passes >= options.most_passes or not problem.affordable()
         if passes >= options.above[1] and here.objective > options.above[0]:
             break
-        if near or last:
+        last = passes >= options.most_passes or not problem.affordable()
+        if near or settled or last or (idle == 2 and scale > _ERRS):
             computed = _computed(problem, here)
             if computed is not here:
                 here = computed
@@ -199,8 +198,8 @@ def minimise(
     free = (here.q > problem.low) & (here.q < problem.high)
     left = (np.zeros_like(to_go), 0.0) if converged else (to_go, promised)
     at_minimum = here.q, here.residual, here.jacobian, _covariance(normal, free), free
-    objective = _objective(problem, here.q, here.residual)
-    return Solution(*at_minimum, objective, passes, converged, *left, converged or settled)
+    ended = _objective(problem, here.q, here.residual), passes, converged
+    return Solution(*at_minimum, *ended, *left, converged or settled)
 
 
 @dataclass(frozen=True, eq=False)
