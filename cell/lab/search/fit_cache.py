@@ -353,7 +353,9 @@ def _extension(fits: FitCache, base: FittedModel) -> Extension:
     if fits.prior_q is not None:
         # An earlier individual is far from one with, say, a load: there slopes say little.
         origins.append(np.concatenate([fits.prior_q, base.fit.q[len(fits.prior_q) :]]))
-    misfit = base is fits.baseline() and not fits.explained_by(base)
+    # Weighed by a model's own error, as a partial explanation is, no cable is bent to imitate.
+    measured = base is fits.baseline() and fits.prepared.noise_is_measured
+    misfit = measured and not fits.explained_by(base)
     far = fits.prior_q is not None
     return Extension(fits.prepared, base, tuple(origins), far, misfit)
 
