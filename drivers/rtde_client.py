@@ -21,6 +21,10 @@ class RtdeError(ConnectionError):
     """A controller answered no, or nothing, or something else than RTDE."""
 
 
+class InUseError(RtdeError):
+    """An input is claimed by another client.  Scenario: a fieldbus unit writes the same output."""
+
+
 class RtdeClient:
     """A connection to a controller, closed at the end of a `with`.
 
@@ -53,6 +57,12 @@ class RtdeClient:
         """Give the connection up; the controller frees the inputs that it had claimed."""
         self._socket.close()
 
+    @property
+    def address(self) -> str:
+        """IP address of this computer, as the controller sees it."""
+        address: str = self._socket.getsockname()[0]
+        return address
+
     def controller_version(self) -> tuple[int, int, int, int]:
         """Major, minor, bugfix and build of the controller's software.  Raises OSError."""
         answer = self._ask(Kind.CONTROLLER_VERSION)
@@ -71,7 +81,7 @@ class RtdeClient:
     def claim(self, names: Sequence[str]) -> Recipe:
         """Inputs of the controller that `write` may set together.
 
-        raises  RtdeError: another client has claimed one of them, or there is none; OSError
+        raises  InUseError: another client has claimed one; RtdeError: there is none; OSError
         """
         return _recipe(names, self._ask(Kind.INPUT_SETUP, ",".join(names).encode()))
 
@@ -79,6 +89,12 @@ class RtdeClient:
         """Begin to report.  Raises OSError."""
         if self._ask(Kind.START) != b"\x01":
             raise RtdeError("the controller does not start to report")
+
+    def pause(self) -> None:
+        """Have no more reported; what is claimed stays so.  Raises OSError."""
+        if self._ask(Kind.PAUSE) != b"\x01":
+            raise RtdeError("the controller does not cease to report")
+        self._waiting.clear()
 
     def newest(self, seconds: float) -> dict[str, Value]:
         """The values reported last, awaited for so long.  Raises OSError: nothing came in time."""
@@ -136,7 +152,7 @@ def _recipe(names: Sequence[str], answer: bytes) -> Recipe:
     types = tuple(answer[1:].decode("ascii", errors="replace").split(","))
     for name, kind in zip(names, types, strict=False):
         if kind == "IN_USE":
-            raise RtdeError(
+            raise InUseError(
                 f"{name} is in use by another client; of fieldbus units and RTDE clients only one "
                 "may write it"
             )

@@ -58,6 +58,8 @@ OUTPUTS: Mapping[str, str] = {
     **_named("VECTOR6INT32", "joint_mode"),
     **{f"output_int_register_{i}": "INT32" for i in range(REGISTERS)},
     **{f"output_double_register_{i}": "DOUBLE" for i in range(REGISTERS)},
+    **{f"input_int_register_{i}": "INT32" for i in range(REGISTERS)},
+    **{f"input_double_register_{i}": "DOUBLE" for i in range(REGISTERS)},
 }
 
 #: What a client can write, with its type.

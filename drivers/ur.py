@@ -8,6 +8,7 @@ controller's own watchdog stops the arm.
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import threading
 import time
@@ -261,6 +262,7 @@ class UrArm:
         o = self._options
         robot = RobotOptions(
             host=o.host,
+            pid=os.getpid(),
             tcp=o.tcp,
             period_s=1.0 / o.rate_hz,
             watchdog_hz=o.watchdog_hz,

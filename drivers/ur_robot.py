@@ -11,6 +11,8 @@ import numpy as np
 from drivers.clock import sleep_until
 from drivers.interfaces import ArmMode
 from drivers.priority import Pollers, own_threads
+from drivers.rtde_client import RtdeClient
+from drivers.ur_claim import ClaimedError, claim
 from drivers.ur_identity import identify
 from drivers.ur_versions import Version, has_dashboard, refusal
 
@@ -44,9 +46,13 @@ _NO_LIBRARY = (
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """Address of a robot and its allowed version; see `drivers.ur.UrOptions`."""
+    """Address of a robot and its allowed version; see `drivers.ur.UrOptions`.
+
+    pid  process that commands it
+    """
 
     host: str
+    pid: int
     tcp: tuple[float, ...]
     period_s: float
     watchdog_hz: float
@@ -66,8 +72,8 @@ class Robot:
     """A connected controller.
 
     before_threads  called once everything is loaded, before the clients start their threads
-    raises          RefusedError: no ur-rtde, no controller, a version that is not allowed, or the
-                    robot cannot start
+    raises          RefusedError: no ur-rtde, no controller, a version that is not allowed, another
+                    program that commands it, or the robot cannot start
     """
 
     def __init__(
@@ -85,7 +91,9 @@ class Robot:
         self._options = options
         self._remote, self._remote_asked_s = True, -np.inf
         self._dashboard = None
-        if has_dashboard(_allowed_version(options)):
+        version = _allowed_version(options)
+        self._claim = _claimed(options)
+        if has_dashboard(version):
             self._dashboard = dashboard_client.DashboardClient(options.host)
             self._dashboard.connect()
         self.receive = rtde_receive.RTDEReceiveInterface(
@@ -198,6 +206,16 @@ def _allowed_version(options: RobotOptions) -> Version:
     if (refused := refusal(version, options.allow_version)) is not None:
         raise RefusedError(refused.cause, refused.remedy)
     return version
+
+
+def _claimed(options: RobotOptions) -> RtdeClient:
+    """The claim to command the controller; it ends with this process."""
+    try:
+        return claim(options.host, options.pid)
+    except ClaimedError as error:
+        raise RefusedError(str(error), error.remedy) from error
+    except OSError as error:
+        raise RefusedError(str(error), ArmMode.LOST.remedy) from error
 
 
 def _within(seconds: float, holds: Callable[[], bool]) -> bool:

@@ -163,6 +163,23 @@ def pytest_configure(config: pytest.Config) -> None:
         _give_way()
     if config.getoption("--hardware") != (config.getoption("--config") is not None):
         raise pytest.UsageError("--hardware and --config FILE go together")
+    if config.getoption("--hardware") and not config.getoption("--collect-only"):
+        _own_devices(config)
+
+
+def _own_devices(config: pytest.Config) -> None:
+    """Hold the devices to the end of the tests; ends with 2 where another program commands them."""
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+    from cell.wiring.ownership import owned
+
+    path = config.getoption("--config")
+    owning = owned(load_settings(path), path)
+    try:
+        owning.__enter__()
+    except InputError as error:
+        pytest.exit(str(error), 2)
+    config.add_cleanup(lambda: owning.__exit__(None, None, None))
 
 
 @pytest.hookimpl(wrapper=True)

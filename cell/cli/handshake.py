@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,8 +38,9 @@ def handshake(
     start that is held at its beginning does nothing until it falls.  At its end the PLC reads a
     fault.
 
-    Exit codes: 0 if it was ended by Ctrl-C or SIGTERM; 2 if the settings are wrong, or the port
-    cannot be listened at.  A controller that does not answer is waited for.
+    Exit codes: 0 if it was ended by Ctrl-C or SIGTERM; 2 if the settings are wrong, the port cannot
+    be listened at, or another program sets the controller's outputs.  A controller that does not
+    answer is waited for.
     """
     from cell.plant.handshake.adapter import HandshakeAdapter
     from cell.plant.handshake.carrier import CarrierError
@@ -46,9 +49,9 @@ def handshake(
 
     warnings_to_terminal()
     with refusing():
-        settings, said = _settings(config)
+        settings, said, path = _settings(config)
         try:
-            with _carrier(settings, said) as carrier:
+            with _carrier(settings, said, path) as carrier:
                 adapter = HandshakeAdapter(carrier, runs, said.by)
                 for number in (signal.SIGINT, signal.SIGTERM):
                     signal.signal(number, lambda *_: adapter.end())
@@ -57,7 +60,7 @@ def handshake(
             refuse(error)
 
 
-def _settings(config: Path | None) -> tuple[Settings, Handshake]:
+def _settings(config: Path | None) -> tuple[Settings, Handshake, Path]:
     from cell.files.input_error import InputError
     from cell.settings import load_settings
 
@@ -66,22 +69,27 @@ def _settings(config: Path | None) -> tuple[Settings, Handshake]:
     settings = load_settings(config)
     if settings.plant is None or settings.plant.handshake is None:
         raise InputError.at(config, "is missing; say where the signals are", key="plant.handshake")
-    return settings, settings.plant.handshake
+    return settings, settings.plant.handshake, config
 
 
-def _carrier(settings: Settings, said: Handshake) -> Carrier:
+@contextmanager
+def _carrier(settings: Settings, said: Handshake, config: Path) -> Iterator[Carrier]:
     from cell.plant.handshake.controller import ControllerCarrier
     from cell.plant.handshake.modbus import ModbusCarrier
     from cell.settings.check_plant import controller_of
+    from cell.wiring.ownership import owned_outputs
 
     if said.carrier == "controller":
         host = controller_of(settings)
         assert host is not None, "checked when the settings were loaded"
-        return ControllerCarrier(said, host)
+        with owned_outputs(host, config), ControllerCarrier(said, host) as controller:
+            yield controller
+        return
     try:
         import pymodbus  # noqa: F401
     except ImportError as error:
         raise ValueError(
             "the handshake over Modbus needs pymodbus: pip install 'cable-cell[modbus]'"
         ) from error
-    return ModbusCarrier(said)
+    with ModbusCarrier(said) as modbus:
+        yield modbus

@@ -142,7 +142,7 @@ def run(options: RunOptions) -> None:
 
     Exit codes: 0 if all cables were inserted or measured, or if the dry run found no error; 1 if a
     cable was rejected or missed, a cycle failed or the dry run found an error; 2 if the settings or
-    the motion are wrong, and nothing has moved.
+    the motion are wrong, or another program commands the devices, and nothing has moved.
 
     At a terminal, press h to hold: the current motion is finished, then the hand stays still with
     what it holds.  Press u to continue.  A hold never clears a stop.  Ctrl-C stops the arm and
@@ -157,6 +157,7 @@ def run(options: RunOptions) -> None:
     from cell.terminal.logs import to_file
     from cell.wiring.arm_version import check_arm_version, remember_dry_run
     from cell.wiring.build import emulators_asked_for
+    from cell.wiring.ownership import owned
 
     _refuse_contradictions(options)
     results: list[Result] = []
@@ -169,6 +170,7 @@ def run(options: RunOptions) -> None:
         plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
         to_file(options.out.with_name(f"{options.out.name}.log"))
         with (
+            owned(settings, options.config),
             emulators_asked_for(settings, options.config, options.seed),
             interrupted_once() as not_lost,
             ExitStack() as shown,

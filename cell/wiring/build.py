@@ -36,6 +36,7 @@ from cell.simulated.emulated import EmulatedCell, runs_already
 from cell.simulated.showing import SimulatedAssistant
 from cell.simulated.twins import Twins, build_twins
 from cell.wiring.evidence import in_real_time, listed, with_recorder
+from cell.wiring.ownership import owned
 from drivers.clock import RealClock
 from drivers.emulators.launch import EmulatorError
 from drivers.files import FilesCamera
@@ -180,12 +181,13 @@ class StagedDevices:
 def staged_devices(
     settings: Settings, config: Path, known: Calibrated, seed: int, views: int
 ) -> Iterator[StagedDevices]:
-    """The devices of a cell that is to be calibrated, none of them connected yet.
+    """The devices of a cell that is to be calibrated, owned and none of them connected yet.
 
     views   of the board that a simulated assistant has ready
-    raises  InputError: emulators do not start, or run already
+    raises  InputError: another program owns them; emulators do not start, or run already
     """
     with ExitStack() as stack:
+        stack.enter_context(owned(settings, config))
         assistant = None
         if isinstance(settings.arm, given.SimulatedArm):
             twins = build_twins(settings, seed, 1, known)

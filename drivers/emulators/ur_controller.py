@@ -388,6 +388,8 @@ _OUTPUT_GROUPS = {
     "tool_digital_output": (16, 0b11),
 }
 
+_REGISTER = re.compile(r"(in|out)put_(int|double)_register_(\d+)")
+
 _Getter = Callable[[Controller], Value]
 
 
@@ -423,11 +425,10 @@ _GETTERS: Mapping[str, _Getter] = {
 
 def _getter(name: str) -> _Getter:
     """What gives an output variable; 0 for those that are not emulated."""
-    for kind, attribute in (("int", "int_out"), ("double", "double_out")):
-        prefix = f"output_{kind}_register_"
-        if name.startswith(prefix):
-            index = int(name.removeprefix(prefix))
-            return lambda c: getattr(c.registers, attribute)[index]
+    if (register := _REGISTER.fullmatch(name)) is not None:
+        attribute = f"{register[2]}_{register[1]}"
+        index = int(register[3])
+        return lambda c: getattr(c.registers, attribute)[index]
     count = TYPES[OUTPUTS[name]][1]
     nothing: Value = 0 if count == 1 else [0] * count
     return _GETTERS.get(name, lambda c: nothing)
