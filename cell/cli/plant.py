@@ -17,6 +17,7 @@ from cell.cli.streams import emit
 
 if TYPE_CHECKING:
     from cell.plant.messages import Notice, Status
+    from cell.run.machine import CellState, Event
 
 app = group()
 
@@ -136,7 +137,7 @@ def send(
     if as_json:
         emit(json.dumps(to_json(answer), ensure_ascii=False))
     elif answer.accepted:
-        emit(f"{command}: accepted; the cell is {answer.state.value}")
+        emit(f"{command}: accepted; {_what_follows(answer.state, event)}")
     else:
         print(answer.reason, file=sys.stderr)
     raise typer.Exit(ALL_DONE if answer.accepted else NOT_ALL_DONE)
@@ -204,6 +205,16 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return "somebody"
+
+
+def _what_follows(state: CellState, event: Event | None) -> str:
+    """Where a command that was accepted leads, at once or when the cycle comes to it."""
+    from cell.run.machine import target_of
+
+    to = None if event is None else target_of(state, event)
+    if to is None:
+        return f"the cell is {state.value}"
+    return f"the cell goes from {state.value} to {to.value}"
 
 
 def _lost() -> None:

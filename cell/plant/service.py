@@ -87,6 +87,8 @@ class Service:
             self._open = (self._mark.file,)
             reporter.state(CellState.STOPPED)
             reporter.fault(fault)
+        # whether it resets by itself when it begins: nothing waits for a person's word
+        self._fresh = not self._open
         cell.machine.on_change = self._told
 
     # --- the link's threads -------------------------------------------------------------------
@@ -124,7 +126,7 @@ class Service:
     def _moved(self, request: Request, command: Event) -> Answer:
         """Let the machine take the transition, where the cell rests."""
         machine = self._cell.machine
-        if not machine.can(command) or machine.state is CellState.COMPLETE:
+        if not machine.can(command):
             return self._refused(command.value)
         if self._ending.is_set():
             return self._refused(command.value, "the service is about to end")
@@ -141,17 +143,22 @@ class Service:
             self._part, self._wanted, self._begins = part, product, request
             self._reporter.cycle(self._number, self._part, product)
             return Answer(True, machine.send(command))
+        if machine.state is CellState.COMPLETE:  # it resets by itself, at once
+            return Answer(True, machine.state)
+        note = request.note
         if machine.state is CellState.ABORTED or self._open:
             self._acknowledge(request)
+            note = ""  # it is the acknowledgement's
         if command is Event.RESET:
+            self._fresh = False
             self._begins = request
-            machine.send(command)
+            self._cell.reset(request.by, note)
         return Answer(True, machine.state)
 
     def _aborted(self, answer: Answer) -> Answer:
         """Into Aborted from Stopped: no cycle obeys it there, and a reset would take it back."""
         machine = self._cell.machine
-        if machine.state is not CellState.STOPPED or self._fresh():  # else a cycle obeys it
+        if machine.state is not CellState.STOPPED or self._fresh:  # else a cycle obeys it
             return answer
         try:
             self._cell.check()
@@ -204,8 +211,7 @@ class Service:
         try:
             while not self._ending.is_set():
                 self._select_wanted(tell=True)
-                state = self._cell.machine.state
-                if state in (CellState.STOPPED, CellState.ABORTED) and self._rests(state):
+                if self._waits_for_person():
                     continue
                 result = self._prepared() or self._idle()
                 if result is not None:
@@ -215,28 +221,27 @@ class Service:
             self._over.set()
             tending.join()
 
+    def _waits_for_person(self) -> bool:
+        """Wait while a person has to say something first; whether that was so."""
+        with self._changed:
+            state = self._cell.machine.state
+            if state is not CellState.ABORTED and (state is not CellState.STOPPED or self._fresh):
+                return False
+        while self._cell.machine.state is state and not self._ending.is_set():
+            self._wait_a_moment()
+        return True
+
     def _prepared(self) -> Result | None:
         """Make the cell ready; a file says meanwhile that the hand may be moving."""
         self._mark.leave("the program or the computer ended while the cell was made ready")
         self._stop_if_late()
+        with self._changed:  # a person may send a reset, too
+            self._fresh = False
+            if self._cell.machine.state is not CellState.RESETTING:
+                self._cell.machine.send(Event.RESET)
         result = self._cell.prepare(self._number, self._plan)
         self._mark.remove()
         return result
-
-    def _rests(self, state: CellState) -> bool:
-        """Wait for a person if one has to say something; whether that was so."""
-        if state is CellState.STOPPED and self._fresh():
-            return False
-        self._wait(lambda: self._cell.machine.state is not state)
-        return True
-
-    def _fresh(self) -> bool:
-        """Whether this service has just begun, and has nothing to be acknowledged."""
-        return (
-            not self._open
-            and self._cell.machine.seconds()[CellState.RESETTING] == 0.0
-            and (self._cell.machine.seconds()[CellState.CLEARING] == 0.0)
-        )
 
     def _idle(self) -> Result | None:
         """The cycle that is asked for next, or why there is none; None = the service ends."""
@@ -247,11 +252,12 @@ class Service:
                     return None
                 self._wait_a_moment()
         except (InterruptedByCommandError, DeviceError) as error:
-            self._mark.leave(
-                str(error)
-            )  # before anybody is told: the service may be killed at once
+            # before anybody is told: the service may be killed at once
+            self._mark.leave(str(error))
             with self._changed:
-                return self._cell.leave_idle(error)
+                if self._cell.machine.state is CellState.IDLE:
+                    return self._cell.leave_idle(error)
+            self._mark.remove()  # a start came first: its cycle obeys what was given
         self._stop_if_late()
         self._select_wanted(tell=False)  # as the start has told
         return self._cell.run_prepared(self._part)
@@ -267,16 +273,19 @@ class Service:
 
     def _ended(self, result: Result, told: Callable[[Result], None]) -> None:
         recorded = cycle_of(Path(result.folder)) is not None
-        if result.fault is not None:
-            self._open = (Path(result.folder),)
+        with self._changed:  # nobody acknowledges before all is known that is to be
+            if result.fault is not None:
+                self._open = (Path(result.folder),)
+            if recorded:
+                self._mark.remove()
+                self._number += 1
+                self._reporter.result(result)
+            elif result.fault is not None:
+                fault = FaultNotice(self._number - 1, time_s=time.time(), **vars(result.fault))
+                self._reporter.fault(fault)
+            self._cell.come_to_rest()
         if recorded:
-            self._mark.remove()
-            self._number += 1
-            self._reporter.result(result)
             told(result)
-        elif result.fault is not None:
-            fault = FaultNotice(self._number - 1, time_s=time.time(), **vars(result.fault))
-            self._reporter.fault(fault)
 
     def _select_wanted(self, *, tell: bool) -> None:
         with self._changed:
@@ -286,10 +295,6 @@ class Service:
             self._product = wanted
             if tell:
                 self._reporter.product(wanted)
-
-    def _wait(self, until: Callable[[], bool]) -> None:
-        while not until() and not self._ending.is_set():
-            self._wait_a_moment()
 
     def _wait_a_moment(self) -> None:
         self._life.waiting()

@@ -87,6 +87,12 @@ class Commands:
                 raise InterruptedByCommandError(*self._interruption)
 
     @property
+    def aborted(self) -> bool:
+        """Whether an abort was given and not acknowledged."""
+        with self._changed:
+            return self._interruption is not None and self._interruption[0] is Event.ABORT
+
+    @property
     def pause(self) -> Event | None:
         """The pause asked for and not taken back, if any."""
         with self._changed:

@@ -69,6 +69,7 @@ class Cell:
         self._watched = watched
         self._archive = Archive() if archive is None else archive
         self._unacknowledged: list[CycleListing] = []
+        self._acknowledged: list[CycleListing] = []
         self._prepared: OneCycle | None = None
 
     @property
@@ -109,9 +110,20 @@ class Cell:
             raise EventRefusedError(f"nothing to acknowledge while {self.machine.state.value}")
         self.commands.clear()
         _LOG.warning("acknowledged by %s: %s", by, note)
-        listings, self._unacknowledged = self._unacknowledged, []
-        for listing in listings:
+        self._acknowledged, self._unacknowledged = self._unacknowledged, []
+        for listing in self._acknowledged:
             listing.acknowledge(by, note)
+
+    def reset(self, by: str = "", note: str = "") -> None:
+        """A person sends the hand home, which the log and the ledger keep.
+
+        raises  EventRefusedError: the cell is not stopped, or complete
+        """
+        self.machine.send(Event.RESET)
+        _LOG.warning("reset by %s: %s", by, note)
+        listings, self._acknowledged = self._acknowledged, []
+        for listing in listings:
+            listing.reset(by, note)
 
     def take_up(self, folder: Path) -> None:
         """A cycle of an earlier run to which `acknowledge` refers, too, by its folder."""
@@ -161,6 +173,7 @@ class Cell:
         except BaseException as error:
             self._end(cycle.progress, error)
         result = self._conclude(cycle)
+        self.come_to_rest()
         del cycle  # and its pictures
         release_free_memory()
         return result
@@ -168,7 +181,8 @@ class Cell:
     def prepare(self, number: int, plan: Plan = INSERTING) -> Result | None:
         """Make ready for a cycle and rest in Idle, where `run_prepared` goes on.
 
-        returns  None: it is ready, and nothing is recorded yet; or how cycle `number` failed
+        returns  None: it is ready, and nothing is recorded yet; or how cycle `number` failed, and
+                 the cell is to `come_to_rest`
         raises   EventRefusedError: the cell was stopped by a fault that nobody acknowledged
         """
         if self.machine.state is not CellState.RESETTING and not self.machine.can(Event.RESET):
@@ -184,6 +198,7 @@ class Cell:
     def run_prepared(self, part: str | None = None) -> Result:
         """The cycle that is prepared, as `run_cycle`; Start may have been sent already.
 
+        After a stop or a fault the cell is still to `come_to_rest`.
         raises  EventRefusedError: none is prepared
         """
         cycle = self._as_made_now(self._taken())
@@ -206,7 +221,7 @@ class Cell:
         self.commands.check()
 
     def leave_idle(self, error: BaseException) -> Result:
-        """Come to rest in Stopped or Aborted because of what `check` has raised.
+        """Stop or abort because of what `check` has raised; the cell is then to `come_to_rest`.
 
         A fault of a device is recorded as the cycle that was prepared; a command is not.
         raises  EventRefusedError: none is prepared
@@ -217,6 +232,16 @@ class Cell:
             return self._fail(cycle, error)
         self._end(cycle.progress, error)
         return self._conclude(cycle)
+
+    def come_to_rest(self) -> None:
+        """From Stopping into Stopped, from Aborting into Aborted, when all of that is on record.
+
+        Until then nobody can acknowledge it.  An abort that came meanwhile counts.
+        """
+        if self.machine.state is CellState.STOPPING and self.commands.aborted:
+            self.machine.send(Event.ABORT)
+        if self.machine.state in (CellState.STOPPING, CellState.ABORTING):
+            self.machine.send(Event.DONE)
 
     # --- from the beginning of a cycle to its end ---------------------------------------------
 
@@ -328,15 +353,15 @@ class Cell:
         _LOG.error("the arm is %s, %s", mode.value.replace("_", " "), cable)
         if unreached(error) or mode is ArmMode.LOST:
             self._steps.do_again(AGAIN_WHEN_LOST)
-        for sent in (event, Event.DONE):
-            if self.machine.can(sent):
-                self.machine.send(sent)
+        rests = CellState.ABORTED if event is Event.ABORT else CellState.STOPPED
+        if self.machine.can(event):
+            self.machine.send(event)
         progress.fault = replace(fault, cable=cable)
         progress.recording.fault(progress.fault)
         with suppress(RecordError):  # there is another try at the end
             progress.record.use_reserve()
             progress.record.state(
-                state=self.machine.state.value,
+                state=rests.value,
                 arm=mode.value,
                 cable=cable,
                 traceback=None

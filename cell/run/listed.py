@@ -81,9 +81,19 @@ class CycleListing:
 
     def acknowledge(self, by: str, note: str) -> None:
         """A person says that the cycle's fault was looked at."""
+        self._put(Acknowledgement(datetime.now(UTC), by, note))
+
+    def reset(self, by: str, note: str) -> None:
+        """A person has the cell reset after that: part of the acknowledgement's note."""
+        said = None if self._entry is None else self._entry.acknowledged
+        if said is not None:
+            words = ": ".join(filter(None, (f"reset by {by}", note)))
+            self._put(replace(said, note="; ".join(filter(None, (said.note, words)))))
+
+    def _put(self, said: Acknowledgement) -> None:
         if self._setup is not None and self._entry is not None:
-            said = Acknowledgement(datetime.now(UTC), by, note)
-            self._setup.ledger.put(replace(self._entry, acknowledged=said))
+            self._entry = replace(self._entry, acknowledged=said)
+            self._setup.ledger.put(self._entry)
 
     def end(self, result: Result, identified: Identified | None) -> None:
         """The cycle has ended; None = its cable was not identified."""

@@ -86,6 +86,11 @@ TRANSITIONS: tuple[tuple[str, str, str], ...] = (
 )
 
 
+def target_of(state: CellState, event: Event) -> CellState | None:
+    """Where an event leads from a state; None = it is refused there."""
+    return next((CellState(t) for s, e, t in TRANSITIONS if (s, e) == (state, event)), None)
+
+
 def _chart_class() -> type[StateChart[Any]]:
     states: dict[str, dict[str, object]] = {
         state.value: {"value": state.value, "initial": state is CellState.STOPPED, "on": {}}
@@ -157,8 +162,7 @@ class Machine:
 
     def can(self, event: Event) -> bool:
         """Whether the present state knows `event`."""
-        with self._lock:
-            return any(s == self.state and e == event for s, e, _ in TRANSITIONS)
+        return target_of(self.state, event) is not None
 
     def seconds(self) -> dict[CellState, float]:
         """Time spent in every state so far, the present one included, s."""
