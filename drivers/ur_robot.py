@@ -38,6 +38,8 @@ _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
 _PROGRAM_S = 5.0
 _REMOTE_EVERY_S = 0.5
+#: A controller notices within this that a connection has ended.
+_FREED_S = 1.0
 _NO_LIBRARY = (
     "pip install 'ur-rtde>=1.6'; it is made for Python 3.11 and 3.12 on Linux x86-64, and must be "
     "built from source elsewhere"
@@ -209,13 +211,22 @@ def _allowed_version(options: RobotOptions) -> Version:
 
 
 def _claimed(options: RobotOptions) -> RtdeClient:
-    """The claim to command the controller; it ends with this process."""
-    try:
-        return claim(options.host, options.pid)
-    except ClaimedError as error:
-        raise RefusedError(str(error), error.remedy) from error
-    except OSError as error:
-        raise RefusedError(str(error), ArmMode.LOST.remedy) from error
+    """The claim to command the controller; it ends with this process.
+
+    One of the same program is of a connection that has just ended, and soon is no more.
+    """
+    until_s = time.monotonic() + _FREED_S
+    while True:
+        try:
+            return claim(options.host, options.pid)
+        except ClaimedError as error:
+            owner = error.commander
+            ours = owner is not None and owner.here and owner.pid == options.pid
+            if not ours or time.monotonic() > until_s:
+                raise RefusedError(str(error), error.remedy) from error
+        except OSError as error:
+            raise RefusedError(str(error), ArmMode.LOST.remedy) from error
+        time.sleep(0.005)
 
 
 def _within(seconds: float, holds: Callable[[], bool]) -> bool:

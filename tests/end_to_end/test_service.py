@@ -175,7 +175,7 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     ledger.close()
     assert {c.part for c in killed_cycles} == {"A-1", None}
     assert [(c.acknowledged.by, c.acknowledged.note) for c in killed_cycles] == [
-        ("Ada", "looked")
+        ("Ada", "looked; reset by Ada")
     ] * 2
     assert (stopped_cycle.cycle, stopped_cycle.fault.code) == (2, "stop")
 

@@ -19,6 +19,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_as_test
 
+from cell.plant.folded import possible_in
 from cell.plant.messages import COMMANDS, Kind, Request
 from cell.plant.reporter import Reporter
 from cell.plant.service import Service
@@ -37,6 +38,9 @@ from drivers.sim.clock import SimClock
 FAKE = Path(__file__).parents[3] / "config" / "fake.yaml"
 #: More moments than there are until a service waits for a person, whatever it was given.
 MANY = 200
+#: So many moments without a change, and it waits.
+STILL = 10
+MOMENTS = (0, 1, 2, 3, 4, 5, 8, 13)
 WAITING = {
     *(CellState.IDLE, CellState.STOPPED, CellState.ABORTED),
     *(CellState.HELD, CellState.SUSPENDED),
@@ -187,11 +191,34 @@ class ServiceStates(RuleBasedStateMachine):
         if self._lock.depth == 0:
             self._lockstep.moment()
 
-    @rule(command=st.sampled_from(sorted(COMMANDS)), after=st.integers(0, 15))
-    def command(self, command: Event, after: int) -> None:
-        """A command is accepted if, and only if, the table knows it in this state."""
-        for _ in range(after):
+    @rule(number=st.integers(0, 3), after=st.sampled_from(MOMENTS))
+    def possible(self, number: int, after: int) -> None:
+        """One of the commands that the state knows."""
+        self._advance(after)
+        known = possible_in(self._cell.machine.state) or sorted(COMMANDS)
+        self._give(known[number % len(known)])
+
+    @rule(command=st.sampled_from(sorted(COMMANDS)), after=st.sampled_from(MOMENTS))
+    def any(self, command: Event, after: int) -> None:
+        self._advance(after)
+        self._give(command)
+
+    def _advance(self, moments: int) -> None:
+        for _ in range(moments):
             self._lockstep.advance()
+
+    def _settle(self) -> None:
+        """Until the service waits for a person, or has ended."""
+        changes, same = 0, 0
+        for _ in range(MANY):
+            self._lockstep.advance()
+            same = same + 1 if changes == len(self._states) else 0
+            changes = len(self._states)
+            if self._lockstep.over or (self._states[-1] in WAITING and same > STILL):
+                return
+
+    def _give(self, command: Event) -> None:
+        """A command is accepted if, and only if, the table knows it in this state."""
         cell, state = self._cell, self._cell.machine.state
         known = target_of(state, command) is not None or cell.commands.resumes(command)
         stopping = command in (Event.STOP, Event.ABORT)
@@ -211,11 +238,10 @@ class ServiceStates(RuleBasedStateMachine):
             assert cell.machine.state is CellState.RESETTING
             assert len(self._states) <= 2 or not self._latched(), "it stops again at once"
 
-    @rule(after=st.integers(0, 15))
+    @rule(after=st.sampled_from(MOMENTS))
     def device_fails(self, after: int) -> None:
         """As its watch says, which only looks in a cycle and in Idle."""
-        for _ in range(after):
-            self._lockstep.advance()
+        self._advance(after)
         if self._cell.machine.state in (CellState.IDLE, CellState.EXECUTE, CellState.HELD):
             self._causes += 1
             self._cell.commands.fail(DeviceLostError("arm", "is lost", "look"))
@@ -231,10 +257,6 @@ class ServiceStates(RuleBasedStateMachine):
             return True
         return False
 
-    def _settle(self) -> None:
-        for _ in range(MANY):
-            self._lockstep.advance()
-
     def teardown(self) -> None:
         try:
             self._settle()
@@ -242,7 +264,7 @@ class ServiceStates(RuleBasedStateMachine):
             assert state in WAITING
             assert not self._due, f"accepted, but {state}: {self._states}"
             if state in (CellState.HELD, CellState.SUSPENDED):
-                self.command(Event.STOP, 0)
+                self._give(Event.STOP)
             self._service.end()
             self._settle()
             assert self._lockstep.over
