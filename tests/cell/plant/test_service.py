@@ -82,7 +82,7 @@ def test_nothing_moves_if_the_process_was_halted_after_it_had_accepted(
         assert given == [Event.STOP]
         service.end()
 
-    monkeypatch.setattr(cell, "prepare", lambda *_: cell.machine.send(Event.RESET) and None)
+    monkeypatch.setattr(cell, "prepare", lambda *_: None)
     service._prepared()
     if command is Event.START:
         cell.machine.send(Event.DONE)
