@@ -158,7 +158,9 @@ def _lock(device: Device, owning: ExitStack) -> None:
         os.close(descriptor)
         who = "another program" if owner is None else str(owner)
         raise _OwnedError(
-            device, f"{device.name}: in use by {who}; {_REMEDY}", owner and owner.pid
+            device,
+            f"{device.name}: in use by {who}; {_REMEDY}",
+            None if owner is None else owner.pid,
         ) from None
     owning.callback(os.close, descriptor)
     since, command = time.strftime("%Y-%m-%d %H:%M:%S"), shlex.join([_program(), *sys.argv[1:]])
