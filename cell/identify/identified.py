@@ -129,10 +129,14 @@ class Identified:
         pull = self.space.pull_m_per_s2
         return {} if pull is None else {"pull_m_per_s2": pull}
 
-    def _effect_files(self) -> dict[str, dict[str, dict[str, str]]]:
+    def _effect_files(self) -> dict[str, dict[str, dict[str, str | bool]]]:
         """Where a user's own effects are from; nothing if there are none."""
         own = {e.name: e.file for e in self.space.effects if e.file is not None}
-        files = {n: {"path": str(f.path), "sha256": f.sha256} for n, f in own.items()}
+        files: dict[str, dict[str, str | bool]] = {
+            n: {"path": str(f.path), "sha256": f.sha256} for n, f in own.items()
+        }
+        for name in (n for n, f in own.items() if f.confined):
+            files[name]["confined"] = True
         return {"effect_files": files} if files else {}
 
     @classmethod

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import urlsplit
 
+from cell.computer.peers import user_of_peer
 from cell.web.sessions import Session, Sessions, local_session
+from cell.web.users import Users
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -54,10 +58,14 @@ class Guard:
 
     sessions  None = loopback without accounts
     secure    whether it is reached by TLS
+    users     accounts: without sessions nobody is let in any more once there are some
     """
 
-    def __init__(self, app: App, sessions: Sessions | None, secure: bool) -> None:
+    def __init__(
+        self, app: App, sessions: Sessions | None, secure: bool, users: Users | None = None
+    ) -> None:
         self._app = app
+        self._users = users
         self._sessions = sessions
         self._secure = secure
 
@@ -115,7 +123,9 @@ class Guard:
 
     def _ended(self, session: Session | None) -> bool:
         """Whether the session of a socket that is open has ended since: nobody is heard by it."""
-        if self._sessions is None or session is None:
+        if self._sessions is None:
+            return self._has_accounts()
+        if session is None:
             return False
         return self._sessions.renewed(session.key, used=False) is None
 
@@ -124,6 +134,10 @@ class Guard:
         host = headers.get("host", "")
         if self._sessions is None and not is_loopback(host):
             return 421
+        if self._sessions is None and self._has_accounts():
+            return 503
+        if self._sessions is None and not _is_of_this_user(scope):
+            return 403
         changes = scope["type"] == "websocket" or scope["method"] not in _SAFE
         socket = scope["path"].startswith("/_nicegui_ws")  # by long polling, too
         origin = headers.get("origin")
@@ -137,6 +151,25 @@ class Guard:
             return 303 if plain and not scope["path"].startswith("/_nicegui") else 401
         return 0
 
+    def _has_accounts(self) -> bool:
+        """Whether users were added since this server began without; also if nobody can tell."""
+        try:
+            return self._users is not None and len(self._users) > 0
+        except (OSError, ValueError):
+            return True
+
+
+def _is_of_this_user(scope: Scope) -> bool:
+    """Whether a connection is of who runs this server, or of root; where the system tells it."""
+    client, server = scope.get("client"), scope.get("server")
+    if sys.platform != "linux" or client is None or server is None:
+        return True
+    try:
+        user = user_of_peer((client[0], client[1]), (server[0], server[1]))
+    except ValueError:  # no connection by TCP
+        return True
+    return user in (0, os.getuid())
+
 
 async def _refuse(scope: Scope, send: Send, status: int) -> None:
     if scope["type"] == "websocket":
@@ -146,5 +179,9 @@ async def _refuse(scope: Scope, send: Send, status: int) -> None:
     if status == 303:
         headers.append((b"location", LOGIN.encode()))
     await send({"type": "http.response.start", "status": status, "headers": headers})
-    said = {303: b"log in", 401: b"log in", 403: b"from another site", 413: b"too long"}
+    said = {
+        **{303: b"log in", 401: b"log in", 413: b"too long"},
+        403: b"from another site, or another user's: cell user add makes accounts",
+        503: b"users were added: start cell serve again, and log in",
+    }
     await send({"type": "http.response.body", "body": said.get(status, b"not this host")})

@@ -5,11 +5,13 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
 
+from cell.cable.effects.remote import MARK
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError
 from cell.files.yaml_document import read_yaml
@@ -54,6 +56,8 @@ class Lab:
         self._right: deque[tuple[str, str, str]] = deque(maxlen=_RIGHT)
         self._promoting = threading.Lock()
         self._checking = threading.Lock()
+        with suppress(OSError):  # where nothing can be written no effect is kept either
+            write_whole(workspace.effects / MARK, "Effects of this folder run in sandboxes only.\n")
 
     def __enter__(self) -> Lab:
         return self

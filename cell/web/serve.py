@@ -52,7 +52,7 @@ def serve(
     tls     certificate and its key; None = without, on loopback only
     raises  OSError: the address is taken
     """
-    app = Guard(application(room, users, tls is not None), room.sessions, tls is not None)
+    app = Guard(application(room, users, tls is not None), room.sessions, tls is not None, users)
     options: dict[str, Any] = {}
     if tls is not None:
         options = {"ssl_certfile": str(tls[0]), "ssl_keyfile": str(tls[1])}
@@ -65,6 +65,7 @@ def serve(
             port=address[1],
             log_level="warning",
             server_header=False,
+            proxy_headers=room.sessions is not None,  # else any local user is whom they say
             ws_max_size=1 << 20,
             timeout_graceful_shutdown=2,
             **options,

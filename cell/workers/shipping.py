@@ -15,14 +15,17 @@ from pathlib import Path
 from typing import Any
 
 from cell.cable.effects import Effect, load_effect
+from cell.cable.effects.remote import confine_effects, is_remote
 from cell.identify.model_class import ModelClass
 from cell.workers.executor import WorkersError
 
+#: Path at the client, hash, source, and whether it is confined.
+_Source = tuple[str, str, bytes, bool]
 #: Where this process keeps sources that it was sent; it is removed at the process's end.
 _folder: tempfile.TemporaryDirectory[str] | None = None
 #: Classes of users' effects by path at the client and hash, and what they are sent as.
 _classes: dict[tuple[str, str], type[Effect]] = {}
-_sources: dict[type[Effect], tuple[str, str, bytes]] = {}
+_sources: dict[type[Effect], _Source] = {}
 
 
 def pack(content: object) -> bytes:
@@ -66,31 +69,34 @@ class _Packer(pickle.Pickler):
         return NotImplemented
 
 
-def _source_of(effect: type[Effect]) -> tuple[str, str, bytes]:
-    """Path at the client, hash, source."""
+def _source_of(effect: type[Effect]) -> _Source:
+    """Path at the client, hash, source, and whether it is confined."""
     if effect not in _sources:
         assert effect.file is not None
         path, sha256 = effect.file.path, effect.file.sha256
         source = path.read_bytes()
         if hashlib.sha256(source).hexdigest() != sha256:
             raise WorkersError(f"{path}: was changed after it was read; run the command again")
-        _know(effect, (str(path), sha256, source))
+        _know(effect, (str(path), sha256, source, is_remote(effect)))
     return _sources[effect]
 
 
-def _know(effect: type[Effect], source: tuple[str, str, bytes]) -> None:
+def _know(effect: type[Effect], source: _Source) -> None:
     _sources[effect] = source
     _classes[source[:2]] = effect
 
 
-def _effect(path: str, sha256: str, source: bytes) -> type[Effect]:
+def _effect(path: str, sha256: str, source: bytes, confined: bool) -> type[Effect]:
     """The class of a source; the same of the same source."""
     if (path, sha256) not in _classes:
         if hashlib.sha256(source).hexdigest() != sha256:
             raise WorkersError(f"{path}: its source does not arrive whole; run the command again")
         # it was tried by the process that sends it, which refuses what does not come to an end
-        effect = load_effect(_written(Path(path).name, sha256, source), trusted=True)
-        _know(effect, (path, sha256, source))
+        file = _written(Path(path).name, sha256, source)
+        if confined:
+            confine_effects(file)
+        effect = load_effect(file, trusted=True)
+        _know(effect, (path, sha256, source, confined))
     return _classes[path, sha256]
 
 

@@ -63,10 +63,14 @@ class Parameter:
 
 @dataclass(frozen=True)
 class EffectFile:
-    """File of a user's own effect: resolved path and SHA-256 of its content, hexadecimal."""
+    """File of a user's own effect: resolved path and SHA-256 of its content, hexadecimal.
+
+    confined  nobody has read it: all its code runs in sandboxes
+    """
 
     path: Path
     sha256: str
+    confined: bool = False
 
 
 class CableData(NamedTuple):

@@ -39,6 +39,24 @@ class Loops:
 
 
 _LOOPS: dict[type[Effect], Loops] = {}
+#: Whether loops are kept on disk.
+_kept = True
+
+
+def keep_nothing() -> None:
+    """From now on this process writes no loops to disk, and reads none."""
+    global _kept
+    _kept = False
+
+
+def take_loops(effect: type[Effect], loops: Loops) -> None:
+    """Numbers that stand for the loops of an effect whose code is in another process."""
+    _LOOPS[effect] = loops
+
+
+def symbol_of(address: int) -> str:
+    """Name of the effect of a loop."""
+    return next(e.name for e, loops in _LOOPS.items() if address in (loops.force, loops.moment))
 
 
 def loops_of(effect: type[Effect]) -> Loops:
@@ -164,6 +182,8 @@ def hooks_of(effects: Sequence[ActiveEffect]) -> Hooks:
 
 def _module(source: str, effect: type[Effect]) -> Any:
     """Module made from `source`, in a file named after all that its machine code depends on."""
+    if not _kept:
+        return _run(source.replace(", cache=True", ""), effect, Path(f"{effect.name}.py"))
     defined_in = getattr(sys.modules.get(effect.__module__), "__file__", None)
     text = Path(defined_in).read_text(encoding="utf-8") if defined_in else ""
     effect_is = f"{effect.__module__}.{effect.__qualname__}"  # numba loads it by this name
@@ -176,6 +196,11 @@ def _module(source: str, effect: type[Effect]) -> Any:
         ) as file:
             file.write(source)
         Path(file.name).replace(path)
+    return _run(source, effect, path)
+
+
+def _run(source: str, effect: type[Effect], path: Path) -> Any:
+    """Module of a source whose `EFFECT` is an effect."""
     module = types.ModuleType(path.stem)
     module.__file__ = str(path)
     module.__dict__["EFFECT"] = effect

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import linecache
 import re
 import sys
 from contextlib import ExitStack
@@ -18,6 +19,7 @@ from cell.cable.effects.check import HOOKS, Doing, check, visit_many_states
 from cell.cable.effects.compiled import loops_of, proof_of
 from cell.cable.effects.own import first_line, watch_hooks
 from cell.cable.effects.refused import EffectError
+from cell.cable.effects.remote import is_confined, load_remote
 from cell.cable.effects.trial import COMPILING_S, try_effect
 from cell.computer.watched import PATIENCE_S, must_end
 
@@ -46,6 +48,8 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
 
     trusted  the program wrote the file itself: it is not tried elsewhere first, and imports nothing
              from its folder
+    A file of a folder whose effects are confined is run in a sandbox only.
+
     raises   EffectError: with the file and line of the mistake; FileNotFoundError
     """
     file = Path(path).resolve()
@@ -53,6 +57,8 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
         raise FileNotFoundError(f"{path}: no such effect file; give the path of a Python file")
     if file.stat().st_size > MAX_BYTES:
         raise EffectError(file, 1, f"has more than {MAX_BYTES} bytes: is it an effect?")
+    if is_confined(file):
+        return load_remote(file, file.read_bytes())
     proof = proof_of(file)
     if not trusted and not proof.exists():
         try_effect(file, _tried)
@@ -66,12 +72,35 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
                 step.enter_context(must_end(f"{file}:{line}: {what}"))
 
         doing("its module", 1, PATIENCE_S)
-        return _loaded(file, doing, alone=trusted)
+        return _loaded(file, file.read_bytes(), doing, alone=trusted)
+
+
+def load_source(file: Path, source: bytes, doing: Doing) -> type[Effect]:
+    """The one effect of a source, checked and compiled; its file need not be there.
+
+    raises  EffectError
+    """
+    linecache.cache[str(file)] = len(source), None, _lines(source), str(file)
+    return _loaded(file, source, doing)
+
+
+def try_source(file: Path, source: bytes, doing: Doing) -> type[Effect]:
+    """The same, after everything that its code is run for: the states of a swing, too."""
+    effect = load_source(file, source, doing)
+    _visit(effect, doing)
+    return effect
+
+
+def _lines(source: bytes) -> list[str]:
+    return source.decode(errors="replace").splitlines(keepends=True)
 
 
 def _tried(file: Path, doing: Doing) -> None:
     """Everything that an effect's code is run for: checks, compiling, the states of a swing."""
-    effect = _loaded(file, doing)
+    _visit(_loaded(file, file.read_bytes(), doing), doing)
+
+
+def _visit(effect: type[Effect], doing: Doing) -> None:
     if effect.force is None and effect.moment is None:
         return
     doing(f"{effect.name}: a hook, in some state of a swing,", first_line(effect), PATIENCE_S)
@@ -79,27 +108,31 @@ def _tried(file: Path, doing: Doing) -> None:
 
 
 class _FromSource(SourceFileLoader):
-    """Compiles the source that is there, and leaves nothing beside it.
+    """Compiles the source that it is given, and leaves nothing on disk.
 
     Python's own loader trusts code on disk of the same size and second.
     """
 
+    def __init__(self, name: str, path: str, source: bytes) -> None:
+        super().__init__(name, path)
+        self._source = source
+
     def get_code(self, fullname: str) -> CodeType:
         """Code of the module, from its source."""
-        code: CodeType = self.source_to_code(self.get_data(self.path), self.path)
+        code: CodeType = self.source_to_code(self._source, self.path)
         return code
 
 
-def _loaded(file: Path, doing: Doing, *, alone: bool = False) -> type[Effect]:
-    """Effect of a file.
+def _loaded(file: Path, source: bytes, doing: Doing, *, alone: bool = False) -> type[Effect]:
+    """Effect of a file with this source.
 
     alone  the file needs no other beside it: a copy elsewhere has the same machine code, which is
            found by the module's name
     """
-    sha256 = file_sha256(file)
+    sha256 = hashlib.sha256(source).hexdigest()
     where = sha256 if alone else hashlib.sha256(str(file).encode()).hexdigest()
     name = f"cable_effect_{file.stem}_{where[:8]}"
-    loader = _FromSource(name, str(file))
+    loader = _FromSource(name, str(file), source)
     spec = importlib.util.spec_from_file_location(name, file, loader=loader)
     if spec is None or file.suffix != ".py":
         raise EffectError(file, 1, "is not a Python file; its name must end with .py")

@@ -14,6 +14,7 @@ from numba import typeof
 
 from cell.cable.effects.base import Effect
 from cell.cable.effects.refused import EffectError
+from cell.cable.effects.remote import is_remote, run_remote
 from cell.computer.watched import must_end
 
 #: Hooks that run in every step, compiled.
@@ -32,6 +33,8 @@ def run_engine(function: Any, own: tuple[type[Effect], ...], *args: Any) -> Any:
     """
     if not own:
         return function(*args)
+    if any(is_remote(e) for e in own):
+        return run_remote(function.__name__, own, *args)
     if not function.signatures:  # compiling takes as long as it takes
         function.compile(tuple(typeof(a) for a in args))  # type: ignore[no-untyped-call]
     with _at_work(own, "a compiled hook"):

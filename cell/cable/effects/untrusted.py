@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+import builtins
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import GeneratorType
 
 import numpy as np
 
@@ -19,23 +22,43 @@ _NUMPY = {
     *("interp", "linspace", "max", "maximum", "mean", "min", "minimum", "ones", "ones_like"),
     *("stack", "sum", "where", "zeros", "zeros_like", "float64", "int64", "ndarray"),
 }
-#: Names of Python that reach beyond a computation.
-_BEYOND = {
-    *("breakpoint", "compile", "delattr", "dir", "eval", "exec", "getattr", "globals", "help"),
-    *("input", "locals", "memoryview", "object", "open", "setattr", "super", "type", "vars"),
+#: Names of Python that only compute; its others are refused.
+_BUILTINS = {
+    *("abs", "all", "any", "bool", "complex", "dict", "divmod", "enumerate", "filter", "float"),
+    *("int", "isinstance", "len", "list", "map", "max", "min", "pow", "range", "reversed"),
+    *("round", "set", "sorted", "staticmethod", "sum", "tuple", "zip"),
+    *("ArithmeticError", "ValueError", "ZeroDivisionError", "OverflowError"),
 }
-#: Methods of arrays that reach files and memory.
-_OF_ARRAYS = {"ctypes", "data", "dump", "dumps", "setflags", "tofile"}
+#: What `site` adds to them: `license` prints any file.
+_SITE = {"copyright", "credits", "exit", "help", "license", "quit"}
+#: Methods and fields of arrays and lists that only compute.
+_OF_ARRAYS = {
+    *("T", "all", "any", "append", "astype", "clip", "copy", "cumsum", "dot", "flatten", "imag"),
+    *("max", "mean", "min", "ndim", "ravel", "real", "reshape", "shape", "size", "sum"),
+    *("transpose",),
+}
+#: What has methods that do more: print globals, read memory, write files.
+_OBJECTS = (np.ndarray, str, bytes, list, dict, tuple, type, type(lambda: 0), GeneratorType)
+#: Syntax that a law needs; other is refused.
+_SYNTAX = (
+    *(ast.Module, ast.ClassDef, ast.FunctionDef, ast.Lambda, ast.Return, ast.arguments, ast.arg),
+    *(ast.Assign, ast.AnnAssign, ast.AugAssign, ast.NamedExpr, ast.For, ast.While, ast.If),
+    *(ast.Break, ast.Continue, ast.Pass, ast.Raise, ast.Assert, ast.Import, ast.ImportFrom),
+    *(ast.alias, ast.Expr, ast.BoolOp, ast.BinOp, ast.UnaryOp, ast.IfExp, ast.Compare, ast.Call),
+    *(ast.keyword, ast.Constant, ast.Attribute, ast.Subscript, ast.Slice, ast.Starred, ast.Name),
+    *(ast.List, ast.Tuple, ast.Dict, ast.Set, ast.ListComp, ast.SetComp, ast.DictComp),
+    *(ast.GeneratorExp, ast.comprehension, ast.expr_context, ast.boolop, ast.operator),
+    *(ast.unaryop, ast.cmpop),
+)
 _REMEDY = "read the file, and give it as --effect if you trust it"
-#: Attributes by which code is reached from an object begin so.
-_INNER = ("__", "f_", "gi_", "cr_", "ag_", "tb_", "co_", "func_", "mro")
 
 
 def check_untrusted(path: Path) -> None:
-    """Refuse a file that could do more than compute.
+    """Refuse a file that could do more than compute: a help to who writes a law, not a protection.
 
-    It may import `math`, parts of numpy and what an effect is made of.  This protects from files
-    that a program wrote.
+    It may import `math`, parts of numpy and what an effect is made of, use names of Python and
+    methods of arrays that only compute, and must give what it imports one name that nothing else
+    has.  What protects is the sandbox in which the file runs.
 
     raises  EffectError: with the line, what is not allowed, and what to do
     """
@@ -48,14 +71,29 @@ def check_untrusted(path: Path) -> None:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import | ast.ImportFrom):
             modules |= _imported(path, node)
+    bound = Counter(name for node in ast.walk(tree) for name in _bound(node))
     of_attributes = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Attribute)}
     for node in ast.walk(tree):
         found = _beyond(node, modules)
         if isinstance(node, ast.Name) and node.id in modules and id(node) not in of_attributes:
             found = f"another name for `{node.id}`"  # whose attributes would not be looked at
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            twice = [n for n in _bound(node) if bound[n] > 1]
+            found = found or (f"`{twice[0]}` with two meanings" if twice else "")
         if found:
             cause = f"{found} is not allowed in a file of --candidates; {_REMEDY}"
             raise EffectError(path, getattr(node, "lineno", 1), cause)
+
+
+def _bound(node: ast.AST) -> list[str]:
+    """Names to which a node gives a meaning."""
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        return [a.asname or a.name for a in node.names]
+    if isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Load):
+        return [node.id]
+    if isinstance(node, ast.ClassDef | ast.FunctionDef):
+        return [node.name]
+    return [node.arg] if isinstance(node, ast.arg) else []
 
 
 def _imported(path: Path, node: ast.Import | ast.ImportFrom) -> dict[str, str]:
@@ -92,24 +130,27 @@ def _is_plain_numpy(name: str) -> bool:
 
 def _beyond(node: ast.AST, modules: Mapping[str, str]) -> str:
     """What a node reaches beyond a computation; empty if it does not."""
-    if isinstance(node, ast.Name) and node.id in _BEYOND:
-        return f"`{node.id}`"
-    if isinstance(node, ast.Attribute):
-        if node.attr.startswith(_INNER) or node.attr in _OF_ARRAYS:
-            return f"`.{node.attr}`"
-        of = node.value.id if isinstance(node.value, ast.Name) else ""
-        if modules.get(of) == "numpy" and not _is_plain_numpy(node.attr):
-            return f"`{of}.{node.attr}`"
-    if isinstance(node, ast.MatchClass):
-        for attribute in node.kwd_attrs:
-            if attribute.startswith(_INNER) or attribute in _OF_ARRAYS:
-                return f"`.{attribute}`"
     for name in _identifiers(node):
         if name.startswith("__"):
             return f"`{name}`"
-    if isinstance(node, ast.Global | ast.Nonlocal | ast.AsyncFunctionDef):
+    if isinstance(node, ast.Name) and node.id not in _BUILTINS and _is_of_python(node.id):
+        return f"`{node.id}`"
+    if isinstance(node, ast.Attribute):
+        of = node.value.id if isinstance(node.value, ast.Name) else ""
+        if of in modules:
+            plain = modules[of] == "math" or _is_plain_numpy(node.attr)
+            return "" if plain else f"`{of}.{node.attr}`"
+        if node.attr.startswith("_"):
+            return f"`.{node.attr}`"
+        if node.attr not in _OF_ARRAYS and any(hasattr(o, node.attr) for o in _OBJECTS):
+            return f"`.{node.attr}`"
+    if not isinstance(node, _SYNTAX):
         return f"`{type(node).__name__.lower()}`"
     return ""
+
+
+def _is_of_python(name: str) -> bool:
+    return hasattr(builtins, name) or name in _SITE
 
 
 def _identifiers(node: ast.AST) -> Iterator[str]:

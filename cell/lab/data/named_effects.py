@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cell.cable.effects import Effect, library
+from cell.cable.effects.remote import confine_effects
 from cell.cable.effects.untrusted import check_untrusted
 from cell.identify.model_class import effect_from, known_effects
 from cell.lab.data.progress import Progress, no_progress
@@ -65,13 +66,13 @@ def select_for_diagnosis(effects: Sequence[str], known: Sequence[str]) -> Effect
 def candidates_in(folder: Path, progress: Progress = no_progress) -> tuple[list[str], list[str]]:
     """Files of effects in a folder that can be tried, in order; why each of the others cannot.
 
-    A file that could do more than compute is not run.  The others are tried one after another, each
-    in a process of its own.
+    A file that could do more than compute is not run.  The others run in sandboxes, now and later.
     raises  ValueError: it is no folder, or holds no Python file
     """
     files = sorted(folder.glob("*.py"))
     if not files:
         raise ValueError(f"{folder}: holds no effect (*.py); give a folder with effect files")
+    confine_effects(folder)
     good, refused, names = list[str](), list[str](), dict[str, Path]()
     for number, file in enumerate(files):
         progress("checking candidates", number, len(files))

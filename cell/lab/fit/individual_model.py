@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cell.cable.effects import Effect, EffectFile, file_sha256
+from cell.cable.effects.remote import confine_effects
 from cell.cable.geometry import Cable
 from cell.files.input_error import InputError
 from cell.files.text_file import read_json_object
@@ -59,7 +60,10 @@ def _effects(
             )
         given = own.get(name)
         if given is None:
-            known[name] = effect_from(str(_effect_file(model, name, entry)))
+            file = _effect_file(model, name, entry)
+            if entry.get("confined"):
+                confine_effects(file)
+            known[name] = effect_from(str(file))
         elif given.file is None or given.file.sha256 != entry["sha256"]:
             raise _changed(model, name, entry, given.file)
         else:

@@ -39,9 +39,12 @@ _CLIENTS = 100
 
 @dataclass
 class Person(User):  # type: ignore[misc]
-    """User of a session."""
+    """User of a session.
 
-    operates: bool = False
+    operates  whether it may give commands, now
+    """
+
+    operates: Callable[[], bool] = lambda: False
 
 
 class Users:
@@ -59,7 +62,9 @@ class Users:
     ) -> User | None:
         """The user; None = refused."""
         if username is None:
-            return Person(UserRole.User, ANONYMOUS, True) if self._anonymous else None
+            if not self._anonymous:
+                return None
+            return Person(UserRole.User, ANONYMOUS, self._has_no_accounts)
         try:
             known = self._accounts.known(username, password or "")
         except (ValueError, OSError) as error:
@@ -68,7 +73,16 @@ class Users:
         if known is None:
             _LOG.warning("refused: user %r, or the password", username)
             return None
-        return Person(UserRole.User, username, known.role >= Role.operate)
+        operates = known.role >= Role.operate
+        return Person(UserRole.User, username, lambda: operates)
+
+    def _has_no_accounts(self) -> bool:
+        """Whether nobody has a name, so that who has none may command; no, if nobody can tell."""
+        try:
+            return len(self._accounts) == 0
+        except (ValueError, OSError) as error:
+            _LOG.error("%s", error)
+            return False
 
 
 class GuardedSession(InternalSession):  # type: ignore[misc]
@@ -89,7 +103,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
         """Call methods, if this user may."""
-        if not isinstance(self.user, Person) or not self.user.operates:
+        if not isinstance(self.user, Person) or not self.user.operates():
             denied = ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
             return [ua.CallMethodResult(StatusCode=denied) for _ in params]
         token = caller.set(self.user.name or ANONYMOUS)
@@ -125,7 +139,8 @@ class GuardedServer(InternalServer):  # type: ignore[misc]
 
     accounts  who may come
     folder    of certificates
-    open_     clients may come without encryption and without a name
+    open_     clients may come without encryption and without a name; once there are accounts, who
+              has no name only watches
     """
 
     def __init__(self, accounts: Accounts, folder: Path, open_: bool) -> None:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import socket
 import subprocess
 import sys
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
 
 from cell.cli.passwords import typed_password
+from cell.computer.peers import user_of_peer
 from cell.plant.client import Client
 from cell.plant.messages import Answer, Request
 from cell.records.ledger.actions import listed_actions, take_over
@@ -61,11 +65,13 @@ def asked(
     method: str = "GET",
     kind: str = "http",
     body: bytes = b"",
+    ends: Mapping[str, tuple[str, int]] = MappingProxyType({}),
     **headers: str,
 ) -> int:
     """Status of the answer; of a websocket 101, or 403 if it was refused."""
     given = {"host": "cell.plant", **headers}
     scope = {
+        **ends,
         "type": kind,
         "path": path,
         "method": method,
@@ -124,6 +130,40 @@ def test_on_loopback_a_foreign_name_is_refused() -> None:
     assert asked(guard, host="localhost:8080") == 200
     assert asked(guard, host="[::1]:8080") == 200
     assert asked(guard, host="rebound.example:8080") == 421
+
+
+def test_a_server_without_accounts_closes_once_there_are_some(tmp_path: Path) -> None:
+    users = Users(tmp_path / "users.json")
+    guard = Guard(inner, None, False, users)
+    assert asked(guard, host="localhost") == 200
+    users.add("ada", Role.watch, "correct horse")
+    assert asked(guard, host="localhost") == 503
+    opened = {"kind": "websocket", "origin": "http://localhost", "host": "localhost"}
+    assert asked(guard, "/_nicegui_ws/socket.io/", **opened) == 403
+    users.file.chmod(0o644)  # nobody can tell
+    assert asked(guard, host="localhost") == 503
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the system does not tell")
+@pytest.mark.parametrize("family", ["127.0.0.1", "::1"])
+def test_the_user_of_a_connection_is_known(family: str) -> None:
+    kind = socket.AF_INET6 if ":" in family else socket.AF_INET
+    with socket.create_server((family, 0), family=kind) as server:
+        here = server.getsockname()[:2]
+        with socket.create_connection(here) as client:
+            peer = client.getsockname()[:2]
+            assert user_of_peer(peer, here) == os.getuid()
+            assert user_of_peer((family, peer[1] % 60000 + 1), here) is None
+
+
+def test_without_accounts_only_who_runs_the_server_is_let_in(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ends = {"client": ("127.0.0.1", 4711), "server": ("127.0.0.1", 8080)}
+    for user, status in ((os.getuid(), 200), (0, 200), (os.getuid() + 1, 403), (None, 403)):
+        monkeypatch.setattr("cell.web.guard.user_of_peer", lambda *_, user=user: user)
+        guard = Guard(inner, None, False)
+        assert asked(guard, host="localhost", ends=ends) == status
 
 
 def test_a_body_that_is_too_long_is_refused() -> None:

@@ -197,9 +197,10 @@ class Site:
 @contextmanager
 def site(folder: Path, listen: str) -> Iterator[Site]:
     runs, port = folder / "runs", free_port()
-    users = Users(folder / "opcua" / "users.json")
-    users.add("ada", Role.operate, PASSWORD)
-    users.add("bob", Role.watch, PASSWORD)
+    if listen != "127.0.0.1":
+        users = Users(folder / "opcua" / "users.json")
+        users.add("ada", Role.operate, PASSWORD)
+        users.add("bob", Role.watch, PASSWORD)
     opcua = OpcUa(listen=listen, port=port, folder=folder / "opcua", name=NAME)
     cell = FakeCell(runs)
     with cell.link, served(settings_with(opcua), runs) as loop:

@@ -13,6 +13,7 @@ from asyncua import Client, ua
 from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from cell.plant.users import Role, Users
 from cell.settings.plant import OpcUa
 
 from .conftest import PASSWORD, Seen, Site
@@ -149,9 +150,27 @@ def test_a_session_is_not_taken_over_by_its_token(beyond: Site, trusted: Path) -
     beyond.look(look, user="ada", certificate=trusted)
 
 
-def test_secrets_are_readable_by_their_owner_only_and_no_password_is_kept(loopback: Site) -> None:
+def test_once_there_are_users_nobody_without_a_name_commands(loopback: Site) -> None:
+    users = Users(loopback.folder / "users.json")
+
+    async def look(seen: Seen) -> None:
+        assert await seen.call(STOP) != "BadUserAccessDenied"
+        users.add("ada", Role.operate, PASSWORD)
+        asked = len(loopback.cell.asked)
+        for command in (STOP, "BaseStateMachine.MachineState.Abort"):
+            assert await seen.call(command) == "BadUserAccessDenied"
+        assert len(loopback.cell.asked) == asked
+        await seen.read("Cell.State")
+
+    try:
+        loopback.look(look)
+    finally:
+        users.remove("ada")
+
+
+def test_secrets_are_readable_by_their_owner_only_and_no_password_is_kept(beyond: Site) -> None:
     for name in ("own/key.pem", "users.json"):
-        assert stat.S_IMODE((loopback.folder / name).stat().st_mode) == 0o600
-    text = (loopback.folder / "users.json").read_text(encoding="utf-8")
+        assert stat.S_IMODE((beyond.folder / name).stat().st_mode) == 0o600
+    text = (beyond.folder / "users.json").read_text(encoding="utf-8")
     assert PASSWORD not in text
     assert "$argon2id$" in text

@@ -1,0 +1,143 @@
+"""In a sandbox: loads effects that nobody has read, calls their hooks, and the engine with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+import numpy as np
+
+from cell.cable.dynamics import simulate
+from cell.cable.effects import compiled
+from cell.cable.effects.base import CableData, Effect, HandMotion
+from cell.cable.effects.check import HOOKS
+from cell.cable.effects.compiled import loops_of
+from cell.cable.effects.library import library, load_source, try_source, unscreened
+from cell.cable.effects.own import COMPILED, first_line, run_engine
+from cell.cable.effects.refused import EffectError
+from cell.cable.geometry import Cable, Motion
+from cell.cable.model import CableModel
+from cell.cable.statics import balance
+from cell.cable.stepping import integrate
+from cell.computer.confinement import MEMORY_BYTES
+from cell.computer.sandbox import Channel, libraries, tend
+
+#: Functions of the engine by name, and which of their arguments they write to.
+ENGINE: dict[str, tuple[Any, tuple[int, ...]]] = {
+    "balance": (balance, (0,)),
+    "integrate": (integrate, (0, 9, 10)),
+}
+#: A law's answer in words is cut at so many characters.
+_LONGEST = 2000
+
+
+def main(control: int) -> NoReturn:
+    """Of the nursery: load what sandboxes need, and make them."""
+    _load_engine()
+    tend(control, serve, libraries())
+
+
+def serve(channel: Channel) -> None:
+    """Do requests until nobody gives any more."""
+    compiled.keep_nothing()
+    effects: dict[str, type[Effect]] = {}
+    while True:
+        try:
+            request = channel.receive()
+        except EOFError:
+            return
+        try:
+            answer = _done(channel, request, effects)
+        except EffectError as error:
+            answer = {"refused": (str(error.path), error.line, error.cause)}
+        except MemoryError:
+            cause = f"takes more than {MEMORY_BYTES / 1024**3:g} GiB: mend that"
+            answer = {"refused": ("", 1, cause)}
+        channel.send(answer)
+
+
+def _done(channel: Channel, request: Any, effects: dict[str, type[Effect]]) -> dict[str, Any]:
+    """Answer to one request.  Raises EffectError."""
+    if "file" in request:
+
+        def doing(what: str, line: int, seconds: float) -> None:
+            channel.send({"doing": (what, line, seconds)})
+
+        load = try_source if request["try"] else load_source
+        effect = load(Path(request["file"]), request["text"].encode(), doing)
+        effects[effect.name] = effect
+        return {"effect": _described(effect)}
+    if "hook" in request:
+        effect = effects[request["effect"]]
+        return {"value": _called(channel, effect, request["hook"], *request["args"])}
+    function, written = ENGINE[request["engine"]]
+    args = list(request["args"])
+    known = library() | unscreened() | effects
+    tuple_at = next(i for i, a in enumerate(args) if isinstance(a, tuple))
+    forces, moments, *others = args[tuple_at]
+    addresses = (
+        np.array([loops_of(known[n]).force for n in forces], dtype=np.int64),
+        np.array([loops_of(known[n]).moment for n in moments], dtype=np.int64),
+    )
+    args[tuple_at] = (*addresses, *others)
+    own = tuple(effects[n] for n in dict.fromkeys([*forces, *moments]) if n in effects)
+    result = run_engine(function, own, *args)
+    return {"value": int(result), "arrays": [args[i] for i in written], "memory": others[2]}
+
+
+def _called(channel: Channel, effect: type[Effect], hook: str, *args: Any) -> Any:
+    """What a hook returns; a hand's motion is requested at the times that the hook needs."""
+    *first, values = args
+    p = SimpleNamespace(**values)
+    if hook == "clamp":
+        begin, end, times = first
+
+        def pose(t_s: Any) -> Any:
+            channel.send({"pose": np.asarray(t_s, dtype=np.float64)})
+            return tuple(channel.receive())
+
+        moved: Callable[[Any], Any] = effect.clamp(HandMotion(pose, begin, end), p)  # type: ignore[misc]
+        return tuple(np.asarray(v, dtype=np.float64) for v in moved(times))
+    cable, *others = first
+    result = getattr(effect, hook)(CableData(*cable), *others, p)
+    if isinstance(result, tuple):
+        return tuple(float(v) for v in result)
+    return np.asarray(result, dtype=np.float64) if isinstance(result, np.ndarray) else float(result)
+
+
+def _described(effect: type[Effect]) -> dict[str, Any]:
+    """What others need to know of an effect."""
+    hooks = [h for h in HOOKS if getattr(effect, h) is not None]
+    return {
+        "name": effect.name,
+        "law": (effect.__doc__ or "")[:_LONGEST],
+        "parameters": [
+            (
+                *(q.name, q.unit, float(q.low), float(q.high), float(q.default)),
+                *(tuple(map(float, q.starts)), bool(q.amplitude), bool(q.fitted)),
+                tuple(map(float, q.scan)),
+            )
+            for q in effect.parameters
+        ],
+        "memory": tuple(effect.memory),
+        "dissipative": bool(effect.dissipative),
+        "smooth": bool(effect.smooth),
+        "wider": None if effect.wider is None else effect.wider.name,
+        "hooks": hooks,
+        "line": first_line(effect) if {*COMPILED} & {*hooks} else 1,
+    }
+
+
+def _load_engine() -> None:
+    """Have the engine, and the library's loops, from disk, or compile and keep them."""
+    still = Motion(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
+    effects = [e for e in library().values() if e.force or e.moment]
+    model = CableModel.uniform(
+        Cable(free_length_m=0.1, line_density_kg_per_m=0.0074, width_m=0.016, thickness_m=0.0001),
+        rigidity_n_m2=3e-5,
+        viscosity_n_m2_s=1e-7,
+        effects=tuple(e.active() for e in effects),
+    )
+    simulate(model, still, np.array([0.0, 0.01]), np.array([0.1]))

@@ -1,0 +1,250 @@
+"""Processes that are confined before they run what nobody has read, and serve requests.
+
+A process of this program's own code alone, the nursery, loads what is trusted; each sandbox is a
+fork of it that confines itself.  Between a sandbox and this process only plain values pass.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NoReturn
+
+from cell.computer.confinement import UnconfinedError, confine
+from cell.computer.plain_values import MOST_BYTES, decode, encode
+from cell.computer.watched import LOOK_S, GivenTime, UnderWay
+
+#: The nursery may take so long to load, s: a part of it may have to be compiled.
+START_S = 180.0
+_SIZE = 8
+_CHUNK = 1 << 20
+
+
+class SandboxEndedError(RuntimeError):
+    """A sandbox's process has ended.  Scenario: a law divides by zero in compiled code."""
+
+
+class SandboxStuckError(RuntimeError):
+    """A request does not come to an end.  Scenario: a law with a loop without end."""
+
+
+class Channel:
+    """One end of the line between a sandbox and who asks it."""
+
+    def __init__(self, line: socket.socket) -> None:
+        self._line = line
+        self._buffer = bytearray()
+
+    def send(self, value: object, wait: Callable[[bool], None] = lambda write: None) -> None:
+        """Send a value.  Raises OSError: the other end is closed."""
+        content = encode(value)
+        left = memoryview(len(content).to_bytes(_SIZE, "little") + content)
+        while left:
+            wait(True)
+            left = left[os.write(self._line.fileno(), left[:_CHUNK]) :]
+
+    def receive(self, wait: Callable[[bool], None] = lambda write: None) -> Any:
+        """The next value.  Raises EOFError: the other end is closed; ValueError: no value."""
+        size = int.from_bytes(self._read(_SIZE, wait), "little")
+        if size > MOST_BYTES:
+            raise ValueError(f"a message of {size} bytes")
+        return decode(self._read(size, wait))
+
+    def close(self) -> None:
+        """Close this end."""
+        self._line.close()
+
+    def fileno(self) -> int:
+        """Its file's number."""
+        return self._line.fileno()
+
+    def _read(self, size: int, wait: Callable[[bool], None]) -> bytes:
+        while len(self._buffer) < size:
+            wait(False)
+            if not (more := os.read(self._line.fileno(), _CHUNK)):
+                raise EOFError
+            self._buffer += more
+        content = bytes(self._buffer[:size])
+        del self._buffer[:size]
+        return content
+
+
+class Nursery:
+    """Makes sandboxes; it ends with the last process that has it.
+
+    main  `module:function` of this program; what it calls is `tend`
+    """
+
+    def __init__(self, main: str) -> None:
+        module, function = main.split(":")
+        self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        code = f"from {module} import {function}; {function}({theirs.fileno()})"
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", code],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+                | {"OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
+            )
+        self._process.returncode = 0  # it ends when nobody has it any more, and is not waited for
+
+    def sandbox(self) -> Sandbox:
+        """A new sandbox.  Raises UnconfinedError: this computer cannot confine one."""
+        ours, theirs = socket.socketpair()
+        try:
+            with theirs:
+                socket.send_fds(self._control, [b"s"], [theirs.fileno()])
+        except OSError as error:
+            raise UnconfinedError(f"the sandbox does not start: {error}") from error
+        return Sandbox(Channel(ours))
+
+
+class Sandbox:
+    """A confined process; threads of this one ask it one after another."""
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._asking = threading.RLock()
+        self._given, self._under_way, self._patience_s = GivenTime(0), UnderWay(), START_S
+        try:
+            begun = channel.receive(self._wait)
+        except (OSError, EOFError, ValueError, SandboxStuckError) as error:
+            channel.close()
+            raise UnconfinedError(f"the sandbox does not start: {error!r}") from error
+        if "unconfined" in begun:
+            channel.close()
+            raise UnconfinedError(begun["unconfined"])
+        self._pid = int(begun["pid"])
+        self._process = os.pidfd_open(self._pid)
+        self._given = GivenTime(self._pid)
+
+    def ask(
+        self,
+        request: object,
+        patience_s: float,
+        more: Callable[[Any], tuple[bool, Any]] = lambda answer: (True, None),
+    ) -> Any:
+        """The answer to a request.
+
+        patience_s  of this process's own time; it begins anew with every message
+        more        of each message: whether it is the last, and what is sent back if it is not
+        raises      SandboxStuckError, SandboxEndedError: it is not there any more
+        """
+        with self._asking:
+            try:
+                self._patience_s = patience_s
+                self._send(request)
+                while True:
+                    answer = self._receive()
+                    last, reply = more(answer)
+                    if last:
+                        return answer
+                    if reply is not None:
+                        self._send(reply)
+            except BaseException:
+                self.end()
+                raise
+
+    def be_patient(self, patience_s: float) -> None:
+        """What is under way may take so long from now."""
+        self._patience_s = patience_s
+
+    def end(self) -> None:
+        """Kill it."""
+        if self._process >= 0:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._process, signal.SIGKILL)
+            os.close(self._process)
+            self._process = -1
+            self._channel.close()
+
+    @property
+    def is_there(self) -> bool:
+        """Whether it was not ended."""
+        return self._process >= 0
+
+    def _send(self, value: object) -> None:
+        self._under_way = UnderWay()
+        try:
+            self._channel.send(value, self._wait)
+        except OSError as error:
+            raise SandboxEndedError from error
+
+    def _receive(self) -> Any:
+        self._under_way = UnderWay()
+        try:
+            return self._channel.receive(self._wait)
+        except (OSError, EOFError, ValueError) as error:
+            raise SandboxEndedError from error
+
+    def _wait(self, write: bool) -> None:
+        """Until something can be read or written.  Raises SandboxStuckError."""
+        line = [self._channel]
+        while True:
+            ready = select.select([] if write else line, line if write else [], [], LOOK_S)
+            if ready[0] or ready[1]:
+                return
+            self._under_way.look(self._given.since_last_look_s())
+            if self._under_way.is_stuck(self._patience_s):
+                raise SandboxStuckError
+
+
+def tend(control: int, serve: Callable[[Channel], None], readable: Iterable[Path]) -> NoReturn:
+    """In the nursery: make sandboxes, each of which serves, until nobody wants any more.
+
+    serve     does requests until EOFError; only in a confined process
+    readable  folders of programs, which a sandbox may read
+    """
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    folders = list(readable)
+    line = socket.socket(fileno=control)
+    while True:
+        asked, given, _, _ = socket.recv_fds(line, 1, 1)
+        if not asked:
+            os._exit(0)
+        parent = os.getpid()
+        if os.fork() == 0:
+            _begin(given[0], parent, serve, folders)
+        os.close(given[0])
+
+
+def _begin(
+    given: int, parent: int, serve: Callable[[Channel], None], folders: Iterable[Path]
+) -> NoReturn:
+    """In a fork of the nursery: keep the line alone, be confined, and serve."""
+    try:
+        channel = Channel(socket.socket(fileno=given))
+        os.closerange(3, given)
+        os.closerange(given + 1, os.sysconf("SC_OPEN_MAX"))
+        pid = os.getpid()
+        try:
+            confine(folders, parent)
+        except OSError as error:
+            channel.send({"unconfined": error.strerror or str(error)})
+            os._exit(1)
+        channel.send({"pid": pid})
+        serve(channel)
+    except BaseException:
+        os._exit(1)
+    os._exit(0)
+
+
+def libraries() -> list[Path]:
+    """Folders of what Python and this program load."""
+    shared = [Path("/lib"), Path("/lib64"), Path("/usr/lib"), Path("/usr/lib64")]
+    here = Path(__file__).resolve().parents[1]
+    python = [Path(p) for p in (sys.prefix, sys.base_prefix) if p != "/usr"]
+    installed = [Path(p) for p in sys.path if p.endswith(("site-packages", "dist-packages"))]
+    return [here, *python, *installed, *shared]
