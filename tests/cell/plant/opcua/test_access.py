@@ -157,7 +157,7 @@ def test_once_there_are_users_nobody_without_a_name_commands(loopback: Site) -> 
         assert await seen.call(STOP) != "BadUserAccessDenied"
         users.add("ada", Role.operate, PASSWORD)
         asked = len(loopback.cell.asked)
-        for command in (STOP, "BaseStateMachine.MachineState.Abort"):
+        for command in (STOP, "BaseStateMachine.Abort"):
             assert await seen.call(command) == "BadUserAccessDenied"
         assert len(loopback.cell.asked) == asked
         await seen.read("Cell.State")
