@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -56,8 +55,6 @@ class Lab:
         self._right: deque[tuple[str, str, str]] = deque(maxlen=_RIGHT)
         self._promoting = threading.Lock()
         self._checking = threading.Lock()
-        with suppress(OSError):  # where nothing can be written no effect is kept either
-            write_whole(workspace.effects / MARK, "Effects of this folder run in sandboxes only.\n")
 
     def __enter__(self) -> Lab:
         return self
@@ -101,6 +98,7 @@ class Lab:
         if not checked.good:
             return "\n".join(checked.said)
         try:
+            write_whole(self.workspace.effects / MARK, "Effects here run in sandboxes only.\n")
             write_whole(self.workspace.effects / f"{name}.py", text)
         except OSError as error:
             return str(error)
