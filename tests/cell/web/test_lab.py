@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from cell.cable.effects.remote import is_confined
 from cell.files.yaml_document import yaml_text
 from cell.web.lab import Lab, named_files
 from cell.web.lab_tasks import CableEntries, LabTasks, Subject
@@ -47,6 +48,7 @@ def test_the_template_is_right_and_what_could_do_more_than_compute_is_not_run(la
     assert not Path("x").exists()
     assert lab.save_effect("my_drag", TEMPLATE) == ""
     assert lab.workspace.names(lab.workspace.effects, ".py") == ["my_drag"]
+    assert is_confined((lab.workspace.effects / "my_drag.py").resolve())
 
 
 def test_a_busy_computer_is_not_blamed_on_the_law(
