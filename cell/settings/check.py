@@ -35,7 +35,7 @@ def freedoms(settings: Settings, map_std_m: float) -> str:
 
     map_std_m  of the camera's map, over both axes; 0 = not known
     """
-    start, hold, offsets = settings.motion.start, settings.motion.hold, settings.motion.offsets
+    start, hold, offsets = settings.motion.freedom, settings.motion.hold, settings.motion.offsets
     free = start.window_s > 0.0
     begins = "at once, with one of the offsets"
     if free:
@@ -102,7 +102,7 @@ def _hand_within_limits(document: Document, settings: Settings) -> list[Problem]
     motion, limits, home = settings.motion, settings.limits, settings.motion.home
     lowered_m = home.y_m - motion.lower_m
     deepest_m = lowered_m - motion.offsets.last_m
-    furthest_m = home.x_m - motion.advance_m - motion.start.further_m
+    furthest_m = home.x_m - motion.advance_m - motion.freedom.further_m
     places: list[tuple[Key, str, float, tuple[float, float]]] = [
         (("motion", "home", "x_m"), "x_m", home.x_m, limits.x_m),
         (("motion", "home", "y_m"), "y_m", home.y_m, limits.y_m),

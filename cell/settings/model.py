@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from cell.settings.devices import (
     FilesCamera,
@@ -118,10 +118,6 @@ class Start(Section):
 AUTO_WINDOW_S = 0.25
 
 
-def _start(given: object) -> object:
-    return Start(window_s=AUTO_WINDOW_S) if given == "auto" else given
-
-
 class Hold(Section):
     """A hold as long as needed: it ends, at one of a few moments, if more frames would change the
     chosen offset's probability by less than 1 %.  A cable that is to be rejected is held longest.
@@ -163,11 +159,10 @@ class Motion(Section):
     decide_s: Wait = 0.2
     """From the last frame of the swing until the execution begins: time for the computer."""
     offsets: Offsets = Offsets()
-    start: Annotated[
-        Start, BeforeValidator(_start, json_schema_input_type=Start | Literal["auto"])
-    ] = Start()
+    start: Start | Literal["auto"] = "auto"
     """When the execution begins, and how fast it is; `auto` = up to 0.25 s later, with any offset
-    and at any of the usual paces, where no offset passes surely at once."""
+    and at any of the usual paces, where no offset passes surely at once; `{}` = at once, with one
+    of the offsets."""
     advance_m: Distance = 0.050
     """Left, towards the destination."""
     settle_s: Wait = 0.2
@@ -195,6 +190,11 @@ class Motion(Section):
                 "remove hold_s"
             )
         return self
+
+    @property
+    def freedom(self) -> Start:
+        """What `start` allows."""
+        return Start(window_s=AUTO_WINDOW_S) if isinstance(self.start, str) else self.start
 
 
 class Limits(Briskness):

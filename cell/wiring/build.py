@@ -299,7 +299,7 @@ def _delays(settings: Settings, known: Calibrated) -> KnownDelays | None:
 
 def _choice(settings: Settings, known: Calibrated) -> ChoiceOptions:
     """How to choose; where the camera puts the destination is uncertain by the map as well."""
-    start = settings.motion.start
+    start = settings.motion.freedom
     options = ChoiceOptions(
         least_probability=settings.choice.min_probability,
         freely=Freedom(start.window_s, start.paces, start.further_m),

@@ -354,15 +354,17 @@ def test_every_length_angle_time_and_pixel_has_a_plausible_range() -> None:
 WITHOUT_A_RANGE = {"ideal_cycle_s", "retry_s", "force_n"}
 
 
-def test_start_may_be_auto_and_a_check_says_what_is_free(tmp_path: Path) -> None:
+def test_a_start_is_free_unless_told_otherwise_and_a_check_says_so(tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
-    path.write_text(FAKE)
+    path.write_text(FAKE.replace("motion:\n", "motion:\n  start: {}\n"))
     said = freedoms(load_settings(path), 0.0)
     assert said.startswith("starts at once, with one of the offsets; holds 1 s; feedback auto; ")
     assert said.endswith("serves openings of ±1.16 mm at best")  # half a step, 1.64 × 0.1 mm
-    path.write_text(FAKE.replace("motion:\n", "motion:\n  start: auto\n  hold: {}\n"))
-    settings = load_settings(path)
-    assert settings.motion.start.window_s == 0.25
-    said = freedoms(settings, 0.0)
-    assert "up to 0.25 s later, between the offsets, 4 slower paces; holds 0.4 … 1 s" in said
-    assert said.endswith("serves openings of ±0.16 mm at best")
+    for start in ("", "  start: auto\n", "  start: {window_s: 0.25, paces: [1.2, 1.3]}\n"):
+        path.write_text(FAKE.replace("motion:\n", f"motion:\n{start}  hold: {{}}\n"))
+        settings = load_settings(path)
+        assert settings.motion.freedom.window_s == 0.25
+        said = freedoms(settings, 0.0)
+        paces = 2 if "paces" in start else 4
+        assert f"up to 0.25 s later, between the offsets, {paces} slower paces" in said
+        assert said.endswith("serves openings of ±0.16 mm at best")
