@@ -37,6 +37,8 @@ class Client:
 
     timeout_s  so long an answer is waited for
     often      the status is asked for many times per second: its connection is kept until `close`
+    away       why the cell that is followed is not there; None = it is
+    heard_s    when it was last heard of, on the monotonic clock
     on_lost    told, in the thread that follows, when a cell that was followed is there no more, or
                says nothing any more
     on_there   told there when it is reached again and nothing has happened meanwhile; otherwise
@@ -62,6 +64,8 @@ class Client:
         self._lock = threading.Lock()
         self._open: set[socket.socket] = set()
         self._kept: tuple[ExitStack, _Conversation] | None = None
+        self.away: LinkError | None = None
+        self.heard_s = 0.0
 
     def connect(self, wait_s: float = 0.0) -> Client:
         """Make sure that a cell is there; returns this client.
@@ -123,6 +127,7 @@ class Client:
             try:
                 for message in self._messages(after):
                     before, there, pause_s = there, True, _FIRST_S
+                    self.away, self.heard_s = None, time.monotonic()
                     if message is not None:
                         after = message.run, message.sequence
                         yield message
@@ -130,7 +135,8 @@ class Client:
                         self._on_there()
             except ProtocolError:
                 raise
-            except LinkError:
+            except LinkError as error:
+                self.away = error
                 if there:
                     there = False
                     self._on_lost()

@@ -9,7 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from cell.records.recording.growing import GrowingRecording, recording_under_way, small_jpeg
+from cell.records.recording.growing import (
+    GrowingRecording,
+    is_unrecorded,
+    recording_under_way,
+    small_jpeg,
+)
 from drivers.threads import GuardedThread
 
 _LOG = logging.getLogger(__name__)
@@ -35,10 +40,15 @@ class LivePicture:
 
 
 class LiveCamera:
-    """Keeps one picture, the newest: a browser that is slow misses those between."""
+    """Keeps one picture, the newest: a browser that is slow misses those between.
+
+    unrecorded  the cycle under way is not recorded
+    """
 
     def __init__(self, runs: Path, now_s: Callable[[], float] = time.monotonic) -> None:
         self.newest: LivePicture | None = None
+        self.unrecorded = False
+        self._begins = False
         self._runs, self._now_s = runs, now_s
         self._growing: GrowingRecording | None = None
         self._asked_s = -_ASKED_S
@@ -57,6 +67,8 @@ class LiveCamera:
     def read(self) -> None:
         """Look for a newer picture now; without a cycle under way there is none any more."""
         path = recording_under_way(self._runs)
+        without = path is None and is_unrecorded(self._runs)
+        self.unrecorded, self._begins = without and self._begins, without  # its file comes soon
         if path is None:
             self._growing = self.newest = None
             return

@@ -20,7 +20,7 @@ from calib.store import KINDS
 from cell.calibration import coverage
 from cell.files.input_error import InputError
 from cell.settings import load_settings
-from cell.web import cycles
+from cell.web import cycles, heartbeat
 from cell.web.guard import COOKIE, LOGIN, Guard
 from cell.web.lab_routes import lab_routes
 from cell.web.pages.cycle import build as build_cycle
@@ -144,6 +144,7 @@ def _framed(visit: Visit, request: Request) -> None:
         ui.link(t(words[theme]), f"/choose?theme={theme}").classes(small)
         if visit.room.sessions is not None:
             ui.link(f"{t('Log out')} {visit.name}", "/logout").classes(small)
+    heartbeat.begin(visit)
 
 
 def _login_routes(app: FastAPI, room: Room, users: Users, secure: bool) -> None:

@@ -46,11 +46,18 @@ LOOKS: dict[CellState, Look] = {
 }
 #: No cell is there.
 AWAY = Look(N_("No cell runs"), _GREY, "#ffffff")
+#: A cell may be there, and says nothing.
+UNKNOWN = Look(N_("No connection"), _GREY, "#ffffff")
 
 CSS = """
 .q-btn { text-transform: none; }
 .big-button { min-height: 4.5rem; min-width: 7rem; font-size: 1.35rem; font-weight: 600; }
-.q-btn.disabled { filter: grayscale(1); opacity: 0.45 !important; }
+.q-btn.disabled, .q-btn:disabled { filter: grayscale(1); opacity: 0.45 !important; }
+.no-connection-plate { display: none; width: 100%; padding: 1rem; border-radius: 4px;
+  background-color: #4a5563; color: #ffffff; position: sticky; top: 3.5rem; z-index: 20; }
+.no-answer-said { display: none; }
+body.no-connection .no-connection-plate, body.no-answer .no-answer-said { display: block; }
+body.no-connection #state-card { display: none; }
 .state-plate { font-size: clamp(2rem, 7vw, 4rem); font-weight: 700; line-height: 1.1; }
 .figure { font-size: 1.6rem; font-weight: 600; font-variant-numeric: tabular-nums; }
 .unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }

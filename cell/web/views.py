@@ -9,7 +9,7 @@ from typing import Any
 
 from cell.records.ledger.ledger import ListedCycle
 from cell.run.machine import Event
-from cell.web.theme import AWAY, LOOKS, N_, Look
+from cell.web.theme import AWAY, LOOKS, N_, UNKNOWN, Look
 from cell.web.watching import Seen
 from cell.web.wording import Translate
 
@@ -74,6 +74,7 @@ class LiveView:
     adapters  troubles with the programs between the cell and the plant: name → what is wrong
     reason    why the newest cable was rejected or missed
     result    of the newest cycle: heading of a figure → its text
+    unknown_s since when nothing is known of the cell, Unix time; None = it says what it does
     """
 
     look: Look
@@ -94,6 +95,7 @@ class LiveView:
     reasons: tuple[tuple[str, int, str], ...]
     note: str
     folder: str
+    unknown_s: float | None = None
 
 
 def live_view(seen: Seen, now_s: float) -> LiveView:
@@ -110,8 +112,11 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
         where = STEPS.get(f.step, f.step.replace("_", " "))
         fault = FaultView(f.device or "", where, f.cause, tuple(filter(None, (f.remedy, f.cable))))
     figures = seen.figures
+    look = LOOKS[status.state] if status and there else AWAY
+    if seen.unknown_s is not None:
+        look = UNKNOWN
     return LiveView(
-        look=LOOKS[status.state] if status and there else AWAY,
+        look=look,
         step=STEPS.get(step, step.replace("_", " ")) if there else "",
         step_s=max(0.0, now_s - seen.step_since_s) if seen.step_since_s and there else None,
         cycle=status.cycle if status else 0,
@@ -129,6 +134,7 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
         reasons=figures.reasons if figures else (),
         note=seen.note,
         folder=Path(str(last.get("folder", ""))).name,
+        unknown_s=seen.unknown_s,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ from pathlib import Path
 from cell.plant.client import Client
 from cell.plant.messages import Request
 from cell.plant.wire import LinkError
+from cell.run.commands import too_old
 from cell.run.machine import Event
 from cell.settings.model import Settings
 from cell.web.audit import Audit
@@ -18,6 +19,7 @@ from cell.web.camera import LiveCamera
 from cell.web.control import Control
 from cell.web.films import Films
 from cell.web.guided import Guided
+from cell.web.heartbeat import Heartbeats
 from cell.web.lab import Lab
 from cell.web.sessions import Session, Sessions
 from cell.web.users import Role
@@ -60,7 +62,7 @@ class Room:
     def with_devices(self, begin: Callable[[], str]) -> str:
         """Begin what moves the arm, unless something else has the devices; why not, or ""."""
         with self.taking:
-            if self.watch.seen.there:
+            if self.watch.seen.may_run:
                 return "a cell runs and has the devices: end it first"
             if self.guided.state.runs:
                 return f"{self.guided.state.title} is under way"
@@ -73,8 +75,9 @@ class Room:
 class Visit:
     """A page that is open.
 
-    page  identifies it among all that are open
-    t     translates a message into its language
+    page        identifies it among all that are open
+    t           translates a message into its language
+    heartbeats  that it was sent
     """
 
     room: Room
@@ -82,6 +85,7 @@ class Visit:
     page: str
     language: str
     t: Translate
+    heartbeats: Heartbeats = field(default_factory=Heartbeats)
 
     @property
     def name(self) -> str:
@@ -95,14 +99,24 @@ class Visit:
             session = self.room.sessions.renewed(self.session.key, used=used)
         return session is not None and session.user.role >= role
 
-    def do(self, what: str, role: Role, act: Callable[[], str], note: str = "") -> str:
+    def do(
+        self,
+        what: str,
+        role: Role,
+        act: Callable[[], str],
+        note: str = "",
+        *,
+        asked_s: float | None = None,
+    ) -> str:
         """Do something that is written to the audit log, done or refused.
 
         act      does it; returns why it could not be done, or ""
+        asked_s  of what may move the arm: since when it may have been asked; refused when too old
         returns  why it was not done, or that it was and is not in the log, in English, or ""
         """
         denied = "you may not do this, or your session has ended"
-        refused = act() if self.may(role) else denied
+        late = "" if asked_s is None else too_old(what, asked_s)
+        refused = (late or act()) if self.may(role) else denied
         try:
             self.room.audit.write(
                 self.name, what, not refused, "; ".join(filter(None, (note, refused)))
@@ -112,19 +126,27 @@ class Visit:
             return refused or f"done, but it cannot be written to {file}: {why}; make room there"
         return refused
 
-    def acknowledge(self, by: str, note: str, possible: Container[Event]) -> str:
-        """A person's word after a fault or a stop, and the reset that follows; why not, or "".
+    def acknowledge(self, asked_s: float, by: str, note: str) -> str:
+        """A person's word after a fault or a stop, upon which nothing moves; why not, or "".
 
-        possible  commands that the present state accepts: after a fault it is cleared first
+        asked_s, by  as of `command`
         """
-        refused = self.command(Event.CLEAR, by, note) if Event.CLEAR in possible else ""
-        return refused or self.command(Event.RESET, by, note)
+        return self._ask(Request(None, self._who(by), note, asked_s=asked_s))
 
-    def command(self, event: Event, by: str = "", note: str = "", part: str = "") -> str:
+    def command(self, event: Event, asked_s: float, part: str = "") -> str:
         """Give a command to the cell; why it was not obeyed, or "".  Waits for the answer.
 
-        by  named person, of an acknowledgement; "" = who has the account
+        asked_s  since when the page may have been asked, on the monotonic clock
         """
+        return self._ask(Request(event, self._who(), part=part or None, asked_s=asked_s))
+
+    def _who(self, by: str = "") -> str:
+        """Who asks; `by` = who says so of an account that several use."""
+        return f"web:{self.name}" + (f" ({by})" if by and by != self.name else "")
+
+    def _ask(self, request: Request) -> str:
+        event, part = request.command, request.part or ""
+        what = "acknowledge" if event is None else event.value
 
         def act() -> str:
             holder = self.room.control.heard(self.page)
@@ -132,11 +154,10 @@ class Visit:
                 return "take control first: somebody else has it, or nobody"
             if len(part) > _LONGEST_PART or not part.isprintable():
                 return f"a part id has at most {_LONGEST_PART} printable characters"
-            who = f"web:{self.name}" + (f" ({by})" if by and by != self.name else "")
             try:
-                answer = self.room.client.send(Request(event, who, note, part or None))
+                answer = self.room.client.send(request)
             except LinkError as error:
                 return str(error)
             return "" if answer.accepted else answer.reason
 
-        return self.do(event.value, Role.operate, act, note)
+        return self.do(what, Role.operate, act, request.note)

@@ -13,7 +13,7 @@ from pathlib import Path
 from cell.plant.client import Client
 from cell.plant.folded import status_after
 from cell.plant.messages import Kind, Notice, Status
-from cell.plant.wire import ProtocolError
+from cell.plant.wire import NoCellError, ProtocolError
 from cell.records.ledger.actions import take_over
 from cell.records.ledger.effectiveness import Shift, shifts
 from cell.records.ledger.error import LedgerError
@@ -26,6 +26,8 @@ from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
 
+#: A cell that says nothing for so long is shown as unknown, s; a sign of life is sent every 0.4 s.
+UNKNOWN_S = 1.3
 #: The ledger is asked again after so long, s: after a result, and in between.
 _ASK_S = 2.0
 
@@ -49,22 +51,29 @@ class Seen:
 
     status        None = no cell was seen yet
     there         whether a cell runs now
+    unknown_s     since when nothing was heard of a cell that may run, Unix time; None = it was
     step_since_s  when the step under way began, Unix time
     note          why nothing is known, in words
     """
 
     status: Status | None = None
     there: bool = False
+    unknown_s: float | None = None
     step_since_s: float | None = None
     figures: ShiftFigures | None = None
     note: str = ""
+
+    @property
+    def may_run(self) -> bool:
+        """Whether a cell runs, or one that says nothing may: it has the devices."""
+        return self.there or self.unknown_s is not None
 
 
 class Watch:
     """Follows the cell within a `with`; `seen` is what is known, from any thread."""
 
     def __init__(self, client: Client, settings: Settings, runs: Path) -> None:
-        self.seen = Seen()
+        self._seen = Seen()
         self._client = client
         self._settings = settings
         self._runs = runs
@@ -82,27 +91,38 @@ class Watch:
         self._over = True
         self._ask.set()
 
+    @property
+    def seen(self) -> Seen:
+        """What is known now."""
+        client, seen = self._client, self._seen
+        age_s, silent = time.monotonic() - client.heard_s, client.away is not None
+        if silent and isinstance(client.away, NoCellError):
+            return replace(seen, there=False)
+        if seen.status is not None and (silent or age_s > UNKNOWN_S):
+            return replace(seen, there=False, unknown_s=time.time() - age_s)
+        return seen
+
     def lost(self) -> None:
         """The cell is there no more: for the client's `on_lost`."""
         with self._lock:
-            self.seen = replace(self.seen, there=False)
+            self._seen = replace(self._seen, there=False)
 
     def found(self) -> None:
         """It is there again as it was: for the client's `on_there`."""
         with self._lock:
-            self.seen = replace(self.seen, there=True)
+            self._seen = replace(self._seen, there=True)
 
     def _follow(self) -> None:
         try:
             for message in self._client.follow():
                 with self._lock:
-                    self.seen = seen_after(self.seen, message)
+                    self._seen = seen_after(self._seen, message)
                 if isinstance(message, Status) or message.kind is Kind.RESULT:
                     self._ask.set()
         except ProtocolError as error:
             _LOG.warning("%s", error)
             with self._lock:
-                self.seen = replace(self.seen, there=False, note=str(error))
+                self._seen = replace(self._seen, there=False, note=str(error))
 
     def _blind(self, error: BaseException) -> None:
         with self._lock:
@@ -117,7 +137,7 @@ class Watch:
             figures = shift_figures(self._settings, self._runs, datetime.now().astimezone())
             self._list_actions()
             with self._lock:
-                self.seen = replace(self.seen, figures=figures)
+                self._seen = replace(self._seen, figures=figures)
             self._ask.wait(_ASK_S)
             self._ask.clear()
 

@@ -217,10 +217,12 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
     page.type("by", "Ada")
     page.type("note", "cable taken out")
     page.click("acknowledge")
+    until(lambda: cell.status().fault is None)
+    assert cell.status().state == "stopped"  # nothing moves before the reset
+    page.click("reset")
     page.reaches("Idle")
-    assert cell.status().fault is None
     done = [json.loads(line) for line in audit_file(runs).read_text("utf-8").splitlines()]
-    actions = ["take control", *["start"] * 4, "hold", "stop", "reset"]
+    actions = ["take control", *["start"] * 4, "hold", "stop", "acknowledge", "reset"]
     assert [(d["action"], d["done"]) for d in done] == [(action, True) for action in actions]
 
     browser.get(f"http://127.0.0.1:{port}/history")

@@ -64,12 +64,24 @@ class GrowingRecording:
 
 def recording_under_way(runs: Path) -> Path | None:
     """The file of the newest cycle's recording while it is written; None = there is none."""
+    newest = _newest_cycle(runs)
+    path = None if newest is None else newest / form.PART
+    return path if path is not None and path.exists() else None
+
+
+def is_unrecorded(runs: Path) -> bool:
+    """Whether the newest cycle has no result yet, and is not recorded either."""
+    newest = _newest_cycle(runs)
+    names = ("result.json", form.PART, form.FILE)
+    return newest is not None and not any((newest / name).exists() for name in names)
+
+
+def _newest_cycle(runs: Path) -> Path | None:
+    """Its folder; None = there is none yet."""
     try:
-        names = sorted((p.name for p in runs.iterdir() if p.name[:1].isdigit()), reverse=True)
+        return max((p for p in runs.iterdir() if p.name[:1].isdigit()), default=None)
     except OSError:
         return None
-    path = runs / names[0] / form.PART if names else None
-    return path if path is not None and path.exists() else None
 
 
 def small_jpeg(image: NDArray[np.uint8], width_px: int) -> bytes:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Awaitable, Callable
 
 from nicegui import run, ui
 
@@ -12,6 +11,7 @@ from cell.settings import load_settings
 from cell.settings.model import Settings
 from cell.web.calibration_view import WORDS, Part, parts
 from cell.web.guided import OpenQuestion, calibrate_command
+from cell.web.heartbeat import on_press
 from cell.web.pages.tables import table
 from cell.web.theme import BLUE, GREEN, N_, RED
 from cell.web.users import Role
@@ -119,21 +119,21 @@ class _Page:
                     products = [*self._settings.products] if part == "grip" else []
                     for product in products or [""]:
                         words, name = f"{t(title)} {product}".strip(), f"{part or 'all'}{product}"
-                        start = self._start(part, product)
-                        button = ui.button(words, on_click=start, color=BLUE)
+                        button = ui.button(words, color=BLUE)
+                        on_press(self._visit, button, title, self._start(part, product))
                         button.props(f'text-color=white no-caps data-test="start-{name}"')
                         buttons.append(button)
 
         def update() -> None:
-            there = room.watch.seen.there
+            there = room.watch.seen.may_run
             runs.set_visibility(there)
             for button in buttons:
                 button.set_enabled(not there and not room.guided.state.runs)
 
         self._updates.append(update)
 
-    def _start(self, part: str, product: str = "") -> Callable[[], Any]:
-        async def start() -> None:
+    def _start(self, part: str, product: str = "") -> Callable[[float], Awaitable[None]]:
+        async def start(asked_s: float) -> None:
             visit = self._visit
             command = calibrate_command(part, visit.room.config, product)
             title = " ".join(filter(None, ("calibrate", part, product)))
@@ -141,7 +141,7 @@ class _Page:
             def act() -> str:
                 return visit.room.with_devices(lambda: visit.room.guided.start(title, command))
 
-            self._told(await run.io_bound(visit.do, title, Role.engineer, act))
+            self._told(await run.io_bound(visit.do, title, Role.engineer, act, asked_s=asked_s))
 
         return start
 
@@ -154,7 +154,8 @@ class _Page:
             )
             with ui.row() as answers:
                 for words, word, colour in (("", N_("Done, go on"), GREEN), ("n", N_("No"), BLUE)):
-                    button = ui.button(t(word), color=colour, on_click=self._answer(words))
+                    button = ui.button(t(word), color=colour)
+                    on_press(self._visit, button, word, self._answer(words))
                     button.classes("big-button").props(
                         f'text-color=white data-test="answer{words}"'
                     )
@@ -201,8 +202,8 @@ class _Page:
         except OSError:
             return 0.0
 
-    def _answer(self, words: str) -> Callable[[], Any]:
-        async def answer() -> None:
+    def _answer(self, words: str) -> Callable[[float], Awaitable[None]]:
+        async def answer(asked_s: float) -> None:
             to = self._visit.room.guided.state.ask
             self._told(
                 await run.io_bound(
@@ -211,6 +212,7 @@ class _Page:
                     Role.engineer,
                     lambda: self._question.answer(words),
                     f"{to} {words or 'done'}",
+                    asked_s=asked_s,
                 )
             )
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Awaitable, Callable, Mapping
+from datetime import datetime
 
 from nicegui import run, ui
 
 from cell.run.machine import Event
 from cell.web.cycles import cycle_folder, newest_picture
+from cell.web.heartbeat import on_press
 from cell.web.theme import AMBER, AWAY, BLUE, GREEN, N_, RED
 from cell.web.users import Role
 from cell.web.views import (
@@ -78,6 +79,8 @@ class _Live:
             word = ui.label().classes("state-plate").props("role=status data-test=state")
             step = ui.label().classes("text-xl").props("data-test=step")
             cycle = ui.label().classes("text-xl").props("data-test=cycle")
+            unrecorded = ui.label(self._t("This cycle is not recorded."))
+            unrecorded.classes("text-xl").props("data-test=unrecorded")
 
         def update(view: LiveView) -> None:
             card.style(f"background-color: {view.look.ground}; color: {view.look.letters}")
@@ -91,9 +94,13 @@ class _Live:
                 step.text = self._t(view.note) or self._t(
                     "Start it with cell run --cycles forever."
                 )
+            if view.unknown_s is not None:
+                at = datetime.fromtimestamp(view.unknown_s).astimezone()
+                step.text = f"{self._t('State unknown since')} {at:%H:%M:%S}"
             named = [f"{self._t('Cable')} {view.cycle}"] if view.cycle else []
             named += [f"{self._t('Part')} {view.part}"] if view.part else []
             cycle.text = " · ".join([*named, *([view.product] if view.product else [])])
+            unrecorded.set_visibility(bool(view.step) and self._visit.room.camera.unrecorded)
 
         self._updates.append(update)
 
@@ -119,7 +126,7 @@ class _Live:
                     button = ui.button(t(word), icon=icon, color=colour)
                     button.classes("big-button").props(f"data-test={event.value}")
                     button.props(f"text-color={'black' if event is Event.HOLD else 'white'}")
-                    button.on_click(self._given(event, part))
+                    on_press(visit, button, word, self._given(event, part))
                     buttons[event] = button
             ui.label(t("Stop is not an emergency stop: that is the red button at the robot."))
 
@@ -152,10 +159,10 @@ class _Live:
         self._told(visit.do("take control", Role.operate, act))
         self._update()
 
-    def _given(self, event: Event, part: ui.input) -> Callable[[], Any]:
-        async def give() -> None:
+    def _given(self, event: Event, part: ui.input) -> Callable[[float], Awaitable[None]]:
+        async def give(asked_s: float) -> None:
             code = (part.value or "").strip() if event is Event.START else ""
-            self._told(await run.io_bound(self._visit.command, event, "", "", code))
+            self._told(await run.io_bound(self._visit.command, event, asked_s, code))
             if event is Event.START:
                 part.value = ""
             self._update()
@@ -180,33 +187,44 @@ class _Live:
                 by.props("maxlength=60 data-test=by")
                 note.props("maxlength=500 data-test=note")
 
-                async def acknowledge() -> None:
+                async def acknowledge(asked_s: float) -> None:
                     if not (by.value.strip() and note.value.strip()):
                         self._told(t("Give your name, and what you found and did."))
                         return
                     words = (by.value.strip(), note.value.strip())
-                    refused = await run.io_bound(self._visit.acknowledge, *words, self._possible())
+                    refused = await run.io_bound(self._visit.acknowledge, asked_s, *words)
                     self._told(refused)
                     if not refused:
                         note.value = ""
+                    self._update()
 
-                button = ui.button(t("Acknowledge and reset"), color=BLUE, on_click=acknowledge)
-                button.classes("big-button").props("text-color=white data-test=acknowledge")
+                async def reset(asked_s: float) -> None:
+                    self._told(await run.io_bound(self._visit.command, Event.RESET, asked_s))
+                    self._update()
+
+                word = N_("Acknowledge: nothing moves")
+                saying = ui.button(t(word), color=BLUE)
+                on_press(self._visit, saying, word, acknowledge)
+                saying.classes("big-button").props("text-color=white data-test=acknowledge")
+                word = N_("Reset: the jaws open, the hand goes home")
+                moving = ui.button(t(word), color=AMBER)
+                on_press(self._visit, moving, word, reset)
+                moving.classes("big-button").props("text-color=black data-test=reset")
 
         def update(view: LiveView) -> None:
-            asked = Event.CLEAR in view.buttons or (
-                Event.RESET in view.buttons and view.look.word == "Stopped"
-            )
-            card.set_visibility(view.fault is not None or asked)
-            heading.text = t("A person must look first.")
+            asked = Event.CLEAR in view.buttons or "acknowledgement" in view.waiting
+            may_reset = Event.RESET in view.buttons and view.look.word == "Stopped"
+            card.set_visibility(view.fault is not None or asked or may_reset)
+            if operates:
+                for element in (by, note, saying):
+                    element.set_visibility(asked)
+                moving.set_visibility(may_reset and not asked)
+            heading.text = t("A person must look first.") if asked else t("Acknowledged.")
             cause.text = remedy.text = ""
             if view.fault is not None:
                 heading.text, cause.text, remedy.text = fault_texts(view.fault, t)
 
         self._updates.append(update)
-
-    def _possible(self) -> frozenset[Event]:
-        return live_view(self._visit.room.watch.seen, time.time()).buttons
 
     def _own_name(self) -> str:
         return "" if self._visit.room.sessions is None else self._visit.name

@@ -96,3 +96,24 @@ def test_nothing_moves_if_the_process_was_halted_after_it_had_accepted(
     assert accepted.accepted
     service._idle() if command is Event.START else service._prepared()
     assert given == [Event.STOP]
+
+
+def test_acknowledging_moves_nothing_and_the_reset_that_follows_does(
+    tmp_path: Path, told: Told
+) -> None:
+    """One press acknowledged, opened the jaws and brought the hand home."""
+    runs = tmp_path / "runs"
+    Record(runs, 1, datetime.now(UTC))  # a cycle that was killed
+    service = service_of(runs, told)
+    word = Request(None, "Ada", "cable taken out")
+    answer = service.answer(word)
+    assert (answer.accepted, answer.state) == (True, CellState.STOPPED)
+    said = [(kind, data) for kind, data in told if kind in (Kind.ACKNOWLEDGED, Kind.WAITING)]
+    assert said[-2:] == [
+        (Kind.ACKNOWLEDGED, {"by": "Ada", "note": "cable taken out"}),
+        (Kind.WAITING, {"waiting_for": ["reset"]}),
+    ]
+    assert not service._fresh  # else it would make itself ready now
+    assert "there is nothing to acknowledge" in service.answer(word).reason
+    assert ask(service, Event.ABORT).accepted
+    assert service.answer(word).state is CellState.STOPPED

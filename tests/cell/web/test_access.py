@@ -10,7 +10,11 @@ import subprocess
 import sys
 from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import Path
+<<<<<<< HEAD
 from types import MappingProxyType
+=======
+from time import monotonic
+>>>>>>> d2bcdb5b (Pages show a picture older than 1.5 s as unknown; acknowledging and resetting are two acts)
 from typing import Any
 
 import pytest
@@ -307,7 +311,7 @@ def test_who_may_only_watch_commands_nothing_and_it_is_logged(tmp_path: Path) ->
     assert session is not None
     watching = visit(tmp_path / "runs", session, sessions)
     watching.room.control.take("page 1", "eve")
-    assert "may not" in watching.command(Event.STOP)
+    assert "may not" in watching.command(Event.STOP, monotonic())
     assert watching.room.client.requests == []  # type: ignore[attr-defined]
     [line] = watching.room.audit.file.read_text("utf-8").splitlines()
     said = json.loads(line)
@@ -319,20 +323,40 @@ def test_a_start_needs_control_and_a_stop_does_not(tmp_path: Path) -> None:
     operating = visit(tmp_path / "runs", local_session(), None)
     client = operating.room.client
     assert isinstance(client, Asked)
-    assert "take control" in operating.command(Event.START)
-    assert operating.command(Event.STOP) == ""
+    now_s = monotonic()
+    assert "take control" in operating.command(Event.START, now_s)
+    assert operating.command(Event.STOP, now_s - 60.0) == ""
     operating.room.control.take("page 1", "local")
-    assert operating.command(Event.RESET, "Ada", "cable taken out") == ""
-    fault = (Event.CLEAR, Event.STOP)
-    assert operating.acknowledge("Ada", "cable taken out", fault) == ""
-    assert "printable" in operating.command(Event.START, part="A\n")
-    assert "printable" in operating.command(Event.START, part="A" * 201)
+    assert operating.command(Event.RESET, now_s) == ""
+    assert operating.acknowledge(now_s, "Ada", "cable taken out") == ""
+    assert "printable" in operating.command(Event.START, now_s, "A\n")
+    assert "printable" in operating.command(Event.START, now_s, "A" * 201)
     assert client.requests == [
         Request(Event.STOP, "web:local"),
-        Request(Event.RESET, "web:local (Ada)", "cable taken out"),
-        Request(Event.CLEAR, "web:local (Ada)", "cable taken out"),
-        Request(Event.RESET, "web:local (Ada)", "cable taken out"),
+        Request(Event.RESET, "web:local"),
+        Request(None, "web:local (Ada)", "cable taken out"),
     ]
+    assert [r.asked_s for r in client.requests] == [now_s - 60.0, now_s, now_s]
+
+
+def test_what_is_pressed_on_an_old_picture_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A start that was pressed while the pages' server was halted moved the arm."""
+    operating, done = visit(tmp_path / "runs", local_session(), None), []
+    beats = operating.heartbeats
+    first = beats.send()
+    assert monotonic() - 0.5 < beats.sent_s(first) <= monotonic()
+    for unknown in (0, 99, None, "1", [1]):
+        assert beats.sent_s(unknown) == 0.0
+    for _ in range(200):
+        beats.send()
+    assert beats.sent_s(first) == 0.0
+    act = lambda: done.append(1) or ""  # noqa: E731
+    refused = operating.do("calibrate", Role.operate, act, asked_s=monotonic() - 1.5)
+    assert refused.startswith("calibrate was given 1.5 s ago, and is refused after 1 s")
+    assert done == []
+    assert operating.do("calibrate", Role.operate, act, asked_s=monotonic()) == ""
 
 
 def test_a_line_torn_by_a_power_cut_tears_no_other(tmp_path: Path) -> None:
@@ -354,12 +378,12 @@ def test_what_is_done_and_not_in_the_log_is_told(
     """On a full disk the cell was stopped, and whoever had stopped it was told nothing."""
     operating = visit(tmp_path / "runs", local_session(), None)
     monkeypatch.setattr("cell.web.audit.os.write", lambda *_: 3)
-    said = operating.command(Event.STOP)
+    said = operating.command(Event.STOP, monotonic())
     assert said.startswith("done, but it cannot be written to") and "No space left" in said
     assert operating.room.client.requests == [  # type: ignore[attr-defined]
         Request(Event.STOP, "web:local")
     ]
-    assert "take control" in operating.command(Event.START)
+    assert "take control" in operating.command(Event.START, monotonic())
 
 
 MOVING = Task("Measure", "cell", (("run",),), moves=True)

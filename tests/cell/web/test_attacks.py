@@ -215,9 +215,10 @@ def test_no_button_takes_the_place_of_its_opposite(
     served: Served, state: CellState, possible: tuple[Event, ...]
 ) -> None:
     """Who pressed Hold twice could press Continue, which came where Hold had been."""
-    served.room.watch.seen = Seen(Status("run", 1, state, 0.0, possible=possible), True)
+    served.room.client.heard_s = float("inf")
+    served.room.watch._seen = Seen(Status("run", 1, state, 0.0, possible=possible), True)
     shown = served.web.get("/", headers=served.log_in("operate")).text
-    served.room.watch.seen = Seen()
+    served.room.watch._seen = Seen()
     for button in ("hold", "unhold"):
         (classes,) = re.findall(rf'"class":(\[[^]]*\])[^[]*"data-test":"{button}"', shown)
         assert json.loads(classes) == ["big-button"], f"{button} is hidden"

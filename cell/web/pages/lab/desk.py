@@ -80,8 +80,11 @@ class Desk:
         found = (j for j in self.lab.jobs.seen() if j.task.subject == self._name)
         return next(found, None)
 
-    def ask(self, task: Task) -> bool:
-        """Put a job in the queue, audited; whether it was taken."""
+    def ask(self, task: Task, asked_s: float | None = None) -> bool:
+        """Put a job in the queue, audited; whether it was taken.
+
+        asked_s  of a job that moves the arm, as of `Visit.do`
+        """
         visit, jobs = self.visit, self.lab.jobs
 
         def submit() -> str:
@@ -91,7 +94,7 @@ class Desk:
             return visit.room.with_devices(submit) if task.moves else submit()
 
         words = task.typed.splitlines()[-1]
-        refused = visit.do(f"lab {task.title.lower()}", Role.engineer, act, words)
+        refused = visit.do(f"lab {task.title.lower()}", Role.engineer, act, words, asked_s=asked_s)
         self.asked()
         self.told(refused)
         return not refused

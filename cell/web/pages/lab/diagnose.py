@@ -7,6 +7,7 @@ from pathlib import Path
 from nicegui import run, ui
 
 from cell.cable.effects import library
+from cell.web.heartbeat import on_press
 from cell.web.jobs import Task
 from cell.web.lab_views import (
     VERDICTS,
@@ -18,7 +19,7 @@ from cell.web.lab_views import (
     read_result,
 )
 from cell.web.pages.lab.desk import Desk, first_lines, frame, heading, output, printed
-from cell.web.theme import BLUE
+from cell.web.theme import BLUE, N_
 
 _PASSED = """
 <q-td :props="props">
@@ -166,12 +167,13 @@ class Part:
         with ui.dialog() as dialog, ui.card():
             ui.label(t("The hand grips a cable and moves. Stay beside it, clear of its way."))
 
-            def measure() -> None:
+            async def measure(asked_s: float) -> None:
                 dialog.close()
-                desk.ask(task)
+                desk.ask(task, asked_s)
 
             with ui.row():
-                button = ui.button(t("Measure now"), on_click=measure, color=BLUE)
+                button = ui.button(t("Measure now"), color=BLUE)
+                on_press(desk.visit, button, N_("Measure now"), measure)
                 button.props("text-color=white data-test=measure-now")
                 ui.button(t("Close"), on_click=dialog.close).props("outline")
         button = ui.button(t("Measure"), icon="straighten", on_click=dialog.open)
