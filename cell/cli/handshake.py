@@ -85,11 +85,5 @@ def _carrier(settings: Settings, said: Handshake, config: Path) -> Iterator[Carr
         with owned_outputs(host, config), ControllerCarrier(said, host) as controller:
             yield controller
         return
-    try:
-        import pymodbus  # noqa: F401
-    except ImportError as error:
-        raise ValueError(
-            "the handshake over Modbus needs pymodbus: pip install 'cable-cell[modbus]'"
-        ) from error
     with ModbusCarrier(said) as modbus:
         yield modbus

@@ -178,10 +178,7 @@ def test_inputs_of_an_arm_that_are_heard_no_more_are_lost() -> None:
 
 
 def test_a_modbus_server_that_dies_is_a_plc_that_is_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def fails(self: object) -> None:
-        boom()
-
-    monkeypatch.setattr(ModbusCarrier, "_run", fails)
+    monkeypatch.setattr(ModbusCarrier, "_serve", lambda self: boom())
     carrier = ModbusCarrier(Handshake.model_validate({"port": free_port()}))
     carrier._thread.run()
     with pytest.raises(CarrierError, match="Modbus has ended: ValueError: boom"):

@@ -10,11 +10,8 @@ import subprocess
 import sys
 from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import Path
-<<<<<<< HEAD
-from types import MappingProxyType
-=======
 from time import monotonic
->>>>>>> d2bcdb5b (Pages show a picture older than 1.5 s as unknown; acknowledging and resetting are two acts)
+from types import MappingProxyType
 from typing import Any
 
 import pytest
