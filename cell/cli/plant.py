@@ -5,7 +5,6 @@ from __future__ import annotations
 import getpass
 import json
 import sys
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -156,22 +155,17 @@ def service(
     Exit codes: 0; 2 if the settings are wrong.
     """
     from cell.files.input_error import InputError
+    from cell.plant.systemd import unit_of
     from cell.settings import load_settings
 
     try:
         load_settings(config)
     except InputError as error:
         refuse(error)
-    template = files("cell.plant").joinpath("templates", "cable-cell.service").read_text("utf-8")
-    emit(
-        template.format(
-            config=config.resolve(),
-            runs=out.resolve(),
-            folder=Path.cwd(),
-            user=user or _user(),
-            python=sys.executable,
-        ).rstrip()
-    )
+    try:
+        emit(unit_of(config.resolve(), out.resolve(), Path.cwd(), user or _user()))
+    except ValueError as error:
+        refuse(error)
 
 
 def _line_of(config: Path | None) -> str | None:

@@ -4,11 +4,57 @@ from __future__ import annotations
 
 import os
 import socket
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
+from importlib.resources import files
+from pathlib import Path
 
 #: What must not be lost waits so long for a systemd that is busy, s; the rest does not wait.
 _IMPORTANT_S = 1.0
+
+
+def unit_of(config: Path, runs: Path, folder: Path, user: str) -> str:
+    """The unit of a service.
+
+    config, runs, folder  the settings, the records, and where the service works; absolute
+    raises  ValueError: a path that systemd does not take; the message says what to do
+    """
+    for path in (config, runs, folder, Path(sys.executable)):
+        if "\n" in str(path):
+            raise ValueError(f"{str(path)!r}: systemd takes no path with a line break; rename it")
+    if set(sys.executable) & set("\\\"'"):
+        raise ValueError(
+            f"{sys.executable}: systemd runs no program with a quote or a backslash in its path; "
+            "make the environment in another folder"
+        )
+    template = files("cell.plant").joinpath("templates", "cable-cell.service").read_text("utf-8")
+    return template.format(
+        about=_literal(str(config)),
+        config=_argument(str(config)),
+        runs=_argument(str(runs)),
+        folder=_literal(str(folder)),
+        user=_literal(user),
+        # no variable is replaced in the name of the program itself, but in what it is called
+        program=_quoted(_literal(sys.executable)),
+        python=_argument(sys.executable),
+    ).rstrip()
+
+
+def _literal(text: str) -> str:
+    """Text in which systemd replaces nothing (systemd.unit(5), Specifiers)."""
+    return text.replace("%", "%%")
+
+
+def _quoted(text: str) -> str:
+    """One word (systemd.syntax(7), Quoting)."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def _argument(text: str) -> str:
+    """One word of a command line (systemd.service(5), Command lines)."""
+    return _quoted(_literal(text).replace("$", "$$"))
 
 
 class Notifier:

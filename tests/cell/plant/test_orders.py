@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 import socket
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import pytest
+
 from cell.plant.folded import possible_in
 from cell.plant.messages import Request
 from cell.plant.orders import latch
 from cell.plant.reporter import Reporter
-from cell.plant.systemd import Notifier
+from cell.plant.systemd import Notifier, unit_of
 from cell.run.commands import Commands
 from cell.run.machine import CellState, Event, Machine
 
@@ -44,6 +48,39 @@ def test_each_pause_that_has_not_begun_can_be_taken_back() -> None:
     assert commands.pause is Event.SUSPEND
     assert latch(cast(Any, cell), Request(Event.UNSUSPEND, "plc")).accepted
     assert commands.pause is None
+
+
+@pytest.mark.parametrize(
+    "name", ["plain", "a b", "50%", "%h", "$HOME", "${x}", 'q"q', "b\\s", "@x"]
+)
+def test_a_unit_means_the_paths_that_it_was_made_of(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a path with a blank systemd saw two words, and of `%h` a home."""
+    of_program = "plain" if set(name) & set('"\\') else name
+    monkeypatch.setattr("sys.executable", f"/opt/{of_program}/python")
+    config, runs, folder = (Path("/srv", name, last) for last in ("cell.yaml", "runs", "work"))
+    unit = dict(
+        line.split("=", 1)
+        for line in unit_of(config, runs, folder, "ada").splitlines()
+        if "=" in line
+    )
+    program, *words = shlex.split(unit["ExecStart"])  # quoted as for a shell, without its rest
+    assert program.replace("%%", "%") == f"@/opt/{of_program}/python"
+    meant = [word.replace("%%", "%").replace("$$", "$") for word in words]
+    assert meant == [
+        *(f"/opt/{of_program}/python", "-m", "cell", "run", "--config", str(config)),
+        *("--out", str(runs), "--cycles", "forever", "--json"),
+    ]
+    for word in (program, *words, unit["WorkingDirectory"], unit["Description"]):
+        assert not re.search("%(?!%)", word.replace("%%", ""))
+    assert not any("$" in word.replace("$$", "") for word in words)
+    assert unit["WorkingDirectory"].replace("%%", "%") == str(folder)
+    with pytest.raises(ValueError, match="line break"):
+        unit_of(Path("/a\nb"), runs, folder, "ada")
+    monkeypatch.setattr("sys.executable", '/opt/q"q/python')
+    with pytest.raises(ValueError, match="another folder"):
+        unit_of(config, runs, folder, "ada")
 
 
 def test_without_systemd_nothing_is_told() -> None:
