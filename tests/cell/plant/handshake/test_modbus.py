@@ -57,8 +57,8 @@ def test_what_has_nothing_behind_it_is_an_illegal_function() -> None:
         answers = [
             plc.write_register(0, 1),
             plc.write_registers(0, [1, 2]),
-            plc.readwrite_registers(read_address=0, read_count=1, write_address=0, values=[1]),
-            plc.mask_write_register(0),
+            plc.readwrite_registers(read_address=0, read_count=1, values=[1]),
+            plc.mask_write_register(),
             plc.read_holding_registers(0),
             plc.read_input_registers(0),
             plc.read_device_information(),
