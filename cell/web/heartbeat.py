@@ -10,15 +10,12 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING
 
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from cell.web.theme import N_
-
-if TYPE_CHECKING:
-    from cell.web.visit import Visit
+from cell.web.wording import Translate
 
 #: A picture is shown as unknown, and nothing can be pressed, if it is older, s.
 LOST_S = 1.5
@@ -114,9 +111,8 @@ class Heartbeats:
         return self._sent_s.get(number, 0.0) if isinstance(number, int) else 0.0
 
 
-def begin(visit: Visit) -> None:
+def begin(heartbeats: Heartbeats, t: Translate) -> None:
     """Have the page ask, and show how old its picture is."""
-    t = visit.t
     words = {
         "since": t(N_("State unknown since")),
         "lost": t(
@@ -134,25 +130,25 @@ def begin(visit: Visit) -> None:
 
     def answer(asked: GenericEventArguments) -> None:
         if isinstance(asked.args, int | float):
-            ui.run_javascript(f"cell.heard({float(asked.args)!r}, {visit.heartbeats.send()})")
+            ui.run_javascript(f"cell.heard({float(asked.args)!r}, {heartbeats.send()})")
 
     ui.on("heartbeat", answer)
 
 
 def on_press(
-    visit: Visit, button: ui.button, what: str, act: Callable[[float], Awaitable[None]]
+    heartbeats: Heartbeats, button: ui.button, what: str, act: Callable[[float], Awaitable[None]]
 ) -> None:
     """Do something when a button is pressed that may move the arm.
 
-    what  as the person reads it, if nothing answers
+    what  in the language of the page: it is said if nothing answers
     act   gets the time, on the monotonic clock, since when the button may have been pressed
     """
 
     async def pressed(given: GenericEventArguments) -> None:
         beat, number = given.args if isinstance(given.args, list) else (0, 0)
         try:
-            await act(visit.heartbeats.sent_s(beat))
+            await act(heartbeats.sent_s(beat))
         finally:
             ui.run_javascript(f"cell.done({int(number)})")
 
-    button.on("click", pressed, js_handler=f"() => cell.give(emit, {json.dumps(visit.t(what))})")
+    button.on("click", pressed, js_handler=f"() => cell.give(emit, {json.dumps(what)})")

@@ -144,7 +144,7 @@ def _framed(visit: Visit, request: Request) -> None:
         ui.link(t(words[theme]), f"/choose?theme={theme}").classes(small)
         if visit.room.sessions is not None:
             ui.link(f"{t('Log out')} {visit.name}", "/logout").classes(small)
-    heartbeat.begin(visit)
+    heartbeat.begin(visit.heartbeats, t)
 
 
 def _login_routes(app: FastAPI, room: Room, users: Users, secure: bool) -> None:

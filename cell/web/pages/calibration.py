@@ -120,7 +120,9 @@ class _Page:
                     for product in products or [""]:
                         words, name = f"{t(title)} {product}".strip(), f"{part or 'all'}{product}"
                         button = ui.button(words, color=BLUE)
-                        on_press(self._visit, button, title, self._start(part, product))
+                        on_press(
+                            self._visit.heartbeats, button, t(title), self._start(part, product)
+                        )
                         button.props(f'text-color=white no-caps data-test="start-{name}"')
                         buttons.append(button)
 
@@ -155,7 +157,7 @@ class _Page:
             with ui.row() as answers:
                 for words, word, colour in (("", N_("Done, go on"), GREEN), ("n", N_("No"), BLUE)):
                     button = ui.button(t(word), color=colour)
-                    on_press(self._visit, button, word, self._answer(words))
+                    on_press(self._visit.heartbeats, button, t(word), self._answer(words))
                     button.classes("big-button").props(
                         f'text-color=white data-test="answer{words}"'
                     )

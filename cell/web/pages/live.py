@@ -126,7 +126,7 @@ class _Live:
                     button = ui.button(t(word), icon=icon, color=colour)
                     button.classes("big-button").props(f"data-test={event.value}")
                     button.props(f"text-color={'black' if event is Event.HOLD else 'white'}")
-                    on_press(visit, button, word, self._given(event, part))
+                    on_press(visit.heartbeats, button, t(word), self._given(event, part))
                     buttons[event] = button
             ui.label(t("Stop is not an emergency stop: that is the red button at the robot."))
 
@@ -204,11 +204,11 @@ class _Live:
 
                 word = N_("Acknowledge: nothing moves")
                 saying = ui.button(t(word), color=BLUE)
-                on_press(self._visit, saying, word, acknowledge)
+                on_press(self._visit.heartbeats, saying, t(word), acknowledge)
                 saying.classes("big-button").props("text-color=white data-test=acknowledge")
                 word = N_("Reset: the jaws open, the hand goes home")
                 moving = ui.button(t(word), color=AMBER)
-                on_press(self._visit, moving, word, reset)
+                on_press(self._visit.heartbeats, moving, t(word), reset)
                 moving.classes("big-button").props("text-color=black data-test=reset")
 
         def update(view: LiveView) -> None:

@@ -19,7 +19,7 @@ from cell.web.lab_views import (
     read_result,
 )
 from cell.web.pages.lab.desk import Desk, first_lines, frame, heading, output, printed
-from cell.web.theme import BLUE, N_
+from cell.web.theme import BLUE
 
 _PASSED = """
 <q-td :props="props">
@@ -173,7 +173,7 @@ class Part:
 
             with ui.row():
                 button = ui.button(t("Measure now"), color=BLUE)
-                on_press(desk.visit, button, N_("Measure now"), measure)
+                on_press(desk.visit.heartbeats, button, t("Measure now"), measure)
                 button.props("text-color=white data-test=measure-now")
                 ui.button(t("Close"), on_click=dialog.close).props("outline")
         button = ui.button(t("Measure"), icon="straighten", on_click=dialog.open)
