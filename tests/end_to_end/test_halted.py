@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -18,7 +19,7 @@ from typing import Any
 import pytest
 
 from cell.plant.client import Client
-from cell.plant.messages import Request
+from cell.plant.messages import Answer, Request
 from cell.run.machine import CellState, Event
 
 from .test_web import CONFIG, LivePage, answers, browser, free_port, until  # noqa: F401
@@ -181,7 +182,12 @@ def test_a_halted_cell_is_seen_and_obeys_nothing_that_it_gets_late(
     screen = opened(browser, port)
     cell.halt()
     press_at_once(browser, "start")
-    shell = Process("-m", "cell", "send", "start", "--runs", runs)
+    shell = Client(runs, timeout_s=60.0)  # as `cell send` has it
+    answered: list[Answer] = []
+    sending = threading.Thread(
+        target=lambda: answered.append(shell.send(Request(Event.START, "shell")))
+    )
+    sending.start()
     seen = screen.is_unknown_within(OLDEST_S + DRAWN_S)
     assert seen["state"] == "No connection" and "State unknown since" in screen.text("step")
     for command in ("start", "stop"):
@@ -193,4 +199,5 @@ def test_a_halted_cell_is_seen_and_obeys_nothing_that_it_gets_late(
     screen.reaches("Stopped")
     assert cell.end() == ["stop"]
     screen.reaches("No cell runs")
-    shell.end()
+    sending.join(60.0)
+    assert [a.wrong for a in answered] == ["asked_s"]
