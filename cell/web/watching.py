@@ -126,11 +126,11 @@ class Watch:
 
     def _blind(self, error: BaseException) -> None:
         with self._lock:
-            self.seen = replace(self.seen, there=False, note=said(error))
+            self._seen = replace(self._seen, there=False, note=said(error))
 
     def _uncounted(self, error: BaseException) -> None:
         with self._lock:
-            self.seen = replace(self.seen, figures=None)
+            self._seen = replace(self._seen, figures=None)
 
     def _count(self) -> None:
         while not self._over:

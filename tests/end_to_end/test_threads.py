@@ -256,7 +256,7 @@ def test_a_service_of_which_no_sign_of_life_comes_stops_and_ends(
         machine=service._cell.machine, command=lambda *c: commands.append(c)
     )
     monkeypatch.setattr(Service, "_tend", boom)
-    monkeypatch.setattr(Service, "_rests", lambda self, state: not time.sleep(0.005))
+    monkeypatch.setattr(Service, "_waits_for_person", lambda self: not time.sleep(0.005))
     service.run(lambda result: None)
     assert commands == [(Event.STOP, "nobody tells that the service lives: ValueError: boom")]
 
@@ -294,8 +294,9 @@ def test_an_opcua_server_that_shows_nothing_new_ends(
 
 
 def test_a_page_whose_cell_is_followed_no_more_says_so(tmp_path: Path) -> None:
-    watch = Watch(SimpleNamespace(follow=boom), None, tmp_path)  # type: ignore[arg-type]
-    watch.seen = Seen(there=True, figures=SimpleNamespace())  # type: ignore[arg-type]
+    client = SimpleNamespace(follow=boom, away=None, heard_s=0.0)
+    watch = Watch(client, None, tmp_path)  # type: ignore[arg-type]
+    watch._seen = Seen(there=True, figures=SimpleNamespace())  # type: ignore[arg-type]
     with watch:
         until(lambda: not watch.seen.there and watch.seen.figures is None)
     assert watch.seen.note == "ValueError: boom"
