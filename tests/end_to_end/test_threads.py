@@ -137,7 +137,7 @@ def test_a_thread_on_which_nothing_depends_is_logged(caplog: pytest.LogCaptureFi
     assert caplog.messages == ["the thread progress has ended: ValueError: boom"]
 
 
-def test_an_exception_of_a_computation_is_raised_where_it_is_taken() -> None:
+def test_a_computations_exception_is_raised_where_taken() -> None:
     with ThreadPoolExecutor(1) as pool, pytest.raises(ValueError, match="boom"):
         found_by(pool.submit(boom), Commands())
     with pytest.raises((TypeError, AttributeError, PicklingError)):  # what no pipe can carry
@@ -209,7 +209,7 @@ def test_poses_that_are_missing_are_noted() -> None:
     assert notes == ["measured poses are missing from here on: ValueError: boom"]
 
 
-def test_a_file_that_cannot_be_synced_is_told_to_who_writes_next(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_synced_is_told_next(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "r.mcap", {form.EPOCH: "0"})
     writer._sink.sync = boom  # type: ignore[method-assign]
     writer.sync()
@@ -247,7 +247,7 @@ def test_a_link_that_dies_is_a_cell_that_is_away(
         until(away)
 
 
-def test_a_service_of_which_no_sign_of_life_comes_stops_and_ends(
+def test_a_service_without_signs_of_life_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = service_of(tmp_path / "runs", [])
@@ -267,7 +267,7 @@ def test_an_adapter_that_is_kept_no_more_is_told() -> None:
     assert told[0][0] == "opcua" and "not started again: ValueError: boom" in told[0][1]
 
 
-def test_an_mqtt_adapter_that_takes_nothing_ends_with_the_error(tmp_path: Path) -> None:
+def test_an_mqtt_adapter_that_takes_nothing_ends(tmp_path: Path) -> None:
     told: list[bool] = []
     taker = Taker(tmp_path, SimpleNamespace(taken=boom), lambda: told.append(True))  # type: ignore[arg-type]
     with taker:

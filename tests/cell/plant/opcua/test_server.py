@@ -173,7 +173,7 @@ def test_what_a_state_does_not_know_is_refused_with_a_status_and_a_reason(stoppe
     assert stopped.cell.machine.state is CellState.STOPPED
 
 
-def test_a_call_that_waited_while_the_server_was_halted_is_refused(stopped: Site) -> None:
+def test_a_call_that_waited_at_a_halted_server_is_refused(stopped: Site) -> None:
     """It moved the arm as soon as the server went on."""
 
     async def watch(seen: Seen) -> None:
