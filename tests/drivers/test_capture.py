@@ -273,7 +273,7 @@ def test_silence_is_a_lost_camera_until_it_is_connected_again(make) -> None:
         bench.camera.start(1)
 
 
-def test_the_end_of_the_stream_is_told_to_the_reader_and_to_the_next(make) -> None:
+def test_the_end_of_the_stream_is_told_to_the_next_too(make) -> None:
     bench = make()
     bench.connect()
     bench.camera.start(5)

@@ -105,7 +105,7 @@ def test_nothing_is_left_of_the_copies():
     assert threading.active_count() == threads
 
 
-def test_a_copy_in_the_middle_of_a_job_does_not_outlive_its_parent():
+def test_a_copy_with_a_job_does_not_outlive_its_parent():
     program = (
         "import os, sys, time\n"
         "from cell.computer.forks import forks\n"
