@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import threading
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,6 +12,7 @@ from typing import Any, TypeVar
 import numba
 from llvmlite.binding import get_host_cpu_features
 from numba import njit, types
+from numba.core.event import Event, Listener, register
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
@@ -50,6 +53,34 @@ def inline(function: Callable[..., Any], *, checked: bool = False) -> Any:
     dispatcher: Any = njit(**options)(function)
     dispatcher.__class__ = _Inlined
     return dispatcher
+
+
+class _Compiling(Listener):
+    """Sums the CPU seconds that compilations take, each thread's outermost ones."""
+
+    def __init__(self) -> None:
+        self.cpu_s = 0.0
+        self._of_thread = threading.local()
+
+    def on_start(self, event: Event) -> None:
+        """A compilation begins, perhaps within another."""
+        begun = self._of_thread.__dict__.setdefault("begun", [])
+        begun.append(time.thread_time())
+
+    def on_end(self, event: Event) -> None:
+        """It ends."""
+        begun_s = self._of_thread.begun.pop()
+        if not self._of_thread.begun:
+            self.cpu_s += time.thread_time() - begun_s
+
+
+_COMPILING = _Compiling()
+register("numba:compile", _COMPILING)  # type: ignore[no-untyped-call]
+
+
+def computing_s() -> float:
+    """CPU seconds of this process without compilation, which happens once on a computer."""
+    return time.process_time() - _COMPILING.cpu_s
 
 
 def hash_of(sources: Iterable[Path]) -> str:

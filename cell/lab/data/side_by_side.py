@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from cell.cable.effects.base import Effect
 from cell.cable.solver import threads
+from cell.computer.compiling import computing_s
 from cell.computer.forks import Forks, forks
 from cell.lab.data.work import Budget, SpentError, Work
 
@@ -109,14 +109,14 @@ def _counted(
     """The function's result with the work that it has taken."""
 
     def counted(job: _Job[Given]) -> _Done[Returned]:
-        before_s, began_s = work.simulated_s, time.process_time()
+        before_s, began_s = work.simulated_s, computing_s()
         result, spent = None, False
         with work.part(job.share):
             try:
                 result = function(job.given)
             except SpentError:
                 spent = True
-        took = Budget(work.simulated_s - before_s, time.process_time() - began_s)
+        took = Budget(work.simulated_s - before_s, computing_s() - began_s)
         return _Done(result, spent, took, os.getpid())
 
     return counted

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 from cell.cable.solver import Solver
+from cell.computer.compiling import computing_s
 
 #: Within 4 µm (rms over the markers of a swing) of a converged cable.
 SOLVER = Solver(segments=32, step_s=1e-3)
@@ -92,7 +92,7 @@ class Work:
     known: str = ""
     left_out: list[str] = field(default_factory=list)
     _forks_cpu_s: float = 0.0
-    _clock_s: float = field(default_factory=time.process_time)
+    _clock_s: float = field(default_factory=computing_s)
     _origin: Budget = NONE
     _limit: Budget | None = None
     _last: Budget | None = None
@@ -104,12 +104,12 @@ class Work:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._clock_s = time.process_time()
+        self._clock_s = computing_s()
 
     @property
     def cpu_s(self) -> float:
-        """CPU seconds of this process since this was made, and of its forks."""
-        return time.process_time() - self._clock_s + self._forks_cpu_s
+        """CPU seconds of this process since this was made, and of its forks; without compiling."""
+        return computing_s() - self._clock_s + self._forks_cpu_s
 
     @property
     def done(self) -> Budget:
@@ -151,7 +151,7 @@ class Work:
     def part(self, share: Budget) -> Iterator[None]:
         """A job that has a share of the work for itself, in this process or in a fork of it."""
         before = vars(self).copy()
-        self.simulated_s, self._forks_cpu_s, self._clock_s = 0.0, 0.0, time.process_time()
+        self.simulated_s, self._forks_cpu_s, self._clock_s = 0.0, 0.0, computing_s()
         self._limit = self._last = share
         try:
             yield
