@@ -123,6 +123,8 @@ class _Child:
         # looked at before anything is sent: ur-rtde hangs in a call without connection
         if not (robot.isConnected() and self._robot.control.isConnected()):
             raise _LostError("the connection dropped")
+        if self._robot.unknown:
+            raise _LostError(self._robot.unknown)
         robot_s = robot.getTimestamp()
         # time in which this process was not run is not the controller's silence
         self._silent_s += min(now_s - self._looked_s, 2.0 * self._period_s)
@@ -151,6 +153,8 @@ class _Child:
                 self._shared.put(Slot.SLOWED, 1.0)
             self._end_motion()
         elif mode is not ArmMode.READY and self._mode in (ArmMode.READY, ArmMode.REDUCED_SPEED):
+            if mode is ArmMode.LOCAL_CONTROL and self._robot.plays:
+                self._end_motion()  # the program would go on; without its watchdog fed it soon ends
             self._motion = None
             self._shared.put(Slot.STREAMING, 0.0)
             if mode is not ArmMode.STOPPED:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import socket
 from dataclasses import dataclass
 
 from drivers.rtde_client import RtdeClient
-from drivers.ur_addresses import DASHBOARD_PORT
+from drivers.ur_dashboard import Dashboard
 from drivers.ur_versions import Version, has_dashboard, version_text
 
 
@@ -45,14 +44,11 @@ def identify(host: str, seconds: float = 2.0) -> Identity:
 
 
 def _serial_number(host: str, seconds: float) -> str:
-    with (
-        socket.create_connection((host, DASHBOARD_PORT), seconds) as dashboard,
-        dashboard.makefile("rw", encoding="utf-8", errors="replace", newline="\n") as lines,
-    ):
-        lines.readline()  # its greeting
-        lines.write("get serial number\n")
-        lines.flush()
-        number = lines.readline().strip()
+    dashboard = Dashboard(host, seconds)
+    try:
+        number = dashboard.ask("get serial number")
+    finally:
+        dashboard.close()
     if not number.isdecimal():
         raise ConnectionError(f"the dashboard tells no serial number, but {number[:80]!r}")
     return number

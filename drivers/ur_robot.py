@@ -13,6 +13,7 @@ from drivers.interfaces import ArmMode
 from drivers.priority import Pollers, own_threads
 from drivers.rtde_client import RtdeClient
 from drivers.ur_claim import ClaimedError, claim
+from drivers.ur_dashboard import RemoteControl
 from drivers.ur_identity import identify
 from drivers.ur_versions import Version, has_dashboard, refusal
 
@@ -37,7 +38,6 @@ _POLLING_SLACK_S = 4e-4
 _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
 _PROGRAM_S = 5.0
-_REMOTE_EVERY_S = 0.5
 #: A controller notices within this that a connection has ended.
 _FREED_S = 1.0
 _NO_LIBRARY = (
@@ -82,7 +82,6 @@ class Robot:
         self, options: RobotOptions, before_threads: Callable[[], None] = lambda: None
     ) -> None:
         try:
-            import dashboard_client
             import rtde_control
             import rtde_receive
         except ImportError as error:
@@ -91,19 +90,17 @@ class Robot:
         before_threads()
         before = own_threads()
         self._options = options
-        self._remote, self._remote_asked_s = True, -np.inf
-        self._dashboard = None
         version = _allowed_version(options)
         self._claim = _claimed(options)
-        if has_dashboard(version):
-            self._dashboard = dashboard_client.DashboardClient(options.host)
-            self._dashboard.connect()
+        self._pendant = _pendant(options.host, version)
         self.receive = rtde_receive.RTDEReceiveInterface(
             options.host, 1.0 / options.period_s, _OUTPUTS
         )
         self._check_can_start()
         self.control = rtde_control.RTDEControlInterface(options.host, 1.0 / options.period_s)
         self._pollers = Pollers(own_threads() - before, _POLLING_SLACK_S)
+        if self._pendant is not None:
+            self._pendant.begin()
         self._prepare()
 
     def rest_until(self, due_s: float) -> None:
@@ -127,26 +124,31 @@ class Robot:
             return ArmMode.PROTECTIVE_STOP
         if self.receive.getRobotMode() != _RUNNING:
             return ArmMode.POWER_OFF
-        if self.receive.getRuntimeState() != _PLAYING:
-            return ArmMode.STOPPED if self._is_remote() else ArmMode.LOCAL_CONTROL
+        if self._pendant is not None and not self._pendant.given:
+            return ArmMode.LOCAL_CONTROL
+        if not self.plays:
+            return ArmMode.STOPPED
         if self.speed(moving) < _FULL_SPEED:
             return ArmMode.REDUCED_SPEED
         return ArmMode.READY
 
+    @property
+    def plays(self) -> bool:
+        """Whether a program runs, as it may though the pendant has control."""
+        return bool(self.receive.getRuntimeState() == _PLAYING)
+
+    @property
+    def unknown(self) -> str:
+        """Why nobody knows any more who has control; "" = it is known, or there is no dashboard."""
+        return "" if self._pendant is None else self._pendant.unknown
+
     def ask_anew(self) -> None:
-        """Forget what the dashboard said last."""
-        self._remote_asked_s = -np.inf
-
-    def _is_remote(self) -> bool:
-        """Whether the pendant leaves control to us; the dashboard is not asked in every cycle.
-
-        Without a dashboard nobody tells: True, and what is not started says what may be the cause.
-        """
-        now_s = time.monotonic()
-        if self._dashboard is not None and now_s > self._remote_asked_s + _REMOTE_EVERY_S:
-            self._remote = bool(self._dashboard.isInRemoteControl())
-            self._remote_asked_s = now_s
-        return self._remote
+        """Ask the dashboard now.  Raises RefusedError: it does not answer."""
+        if self._pendant is not None:
+            try:
+                self._pendant.ask()
+            except OSError as error:
+                raise RefusedError(f"the dashboard: {error}", ArmMode.LOST.remedy) from error
 
     def restart_program(self) -> None:
         """Upload the program anew without the old command starting with it.
@@ -156,7 +158,7 @@ class Robot:
         self.control.kickWatchdog()  # leaves "no command" in the register, see hardware trap 4
         self._end_programs()
         self.control.reuploadScript()
-        if not _within(_PROGRAM_S, lambda: self.receive.getRuntimeState() == _PLAYING):
+        if not _within(_PROGRAM_S, lambda: self.plays):
             raise RefusedError("the program does not start", self._start_remedy())
         before = np.array(self.receive.getActualTCPPose()[:3])
         self._prepare()
@@ -178,14 +180,14 @@ class Robot:
 
     def _end_programs(self) -> None:
         """End what still runs where there is no dashboard: ur-rtde would crash asking it to."""
-        if self._dashboard is not None or not self.control.isProgramRunning():
+        if self._pendant is not None or not self.control.isProgramRunning():
             return
         self.control.stopScript()
         if not _within(_PROGRAM_S, lambda: not self.control.isProgramRunning()):
             raise RefusedError("another program runs", "stop it at the pendant, then reset")
 
     def _start_remedy(self) -> str:
-        if self._dashboard is not None:
+        if self._pendant is not None:
             return "look at the pendant's log"
         return (
             "PolyScope X does not tell why: at the pendant, release the brakes, choose the control "
@@ -208,6 +210,16 @@ def _allowed_version(options: RobotOptions) -> Version:
     if (refused := refusal(version, options.allow_version)) is not None:
         raise RefusedError(refused.cause, refused.remedy)
     return version
+
+
+def _pendant(host: str, version: Version) -> RemoteControl | None:
+    """Who has control; None = no dashboard tells, and what does not start says what may be why."""
+    if not has_dashboard(version):
+        return None
+    try:
+        return RemoteControl(host)
+    except OSError as error:
+        raise RefusedError(f"the dashboard: {error}", ArmMode.LOST.remedy) from error
 
 
 def _claimed(options: RobotOptions) -> RtdeClient:

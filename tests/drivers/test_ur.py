@@ -220,6 +220,42 @@ def test_local_control_is_a_state_with_a_remedy(arm, ur_emulator, line) -> None:
     assert arm.state().mode is ArmMode.READY
 
 
+def test_local_control_in_motion_stops_the_arm_though_the_controller_would_go_on(
+    arm, ur_emulator, line
+) -> None:
+    set_moving(arm, line)
+    asked_s = time.monotonic()
+    ur_emulator.ask("local", on=True)
+    until(lambda: arm.state().mode is ArmMode.LOCAL_CONTROL)
+    until(lambda: not arm.state().moving)
+    rest = arm.state().pose
+    events = ur_emulator.ask("state")["events"]
+    stopped_s = [e["t_s"] for e in events if e["what"] == "servo stop"][-1]
+    assert 0.0 < stopped_s - asked_s < 0.7, "it is asked twice a second"
+    for act in (arm.reset, lambda: arm.follow(line(start=rest))):
+        with pytest.raises(StoppedError, match="local_control; switch the pendant to remote"):
+            act()
+    ur_emulator.ask("local", on=False)
+    arm.reset()
+    time.sleep(0.2)
+    assert arm.state().pose.y_m == pytest.approx(rest.y_m, abs=1e-4)
+    arm.follow(line(dy_m=0.01, start=rest))
+    until(lambda: not arm.state().moving)
+    assert arm.state().pose.y_m == pytest.approx(rest.y_m + 0.01, abs=2e-4)
+
+
+def test_a_dashboard_that_closes_once_is_asked_again_and_one_that_is_gone_is_a_lost_arm(
+    arm, ur_emulator
+) -> None:
+    ur_emulator.ask("drop", ports=[29999])
+    time.sleep(0.8)
+    assert arm.state().mode is ArmMode.READY
+    ur_emulator.ask("refuse", on=True)
+    ur_emulator.ask("drop", ports=[29999])
+    with pytest.raises(DeviceLostError, match="the dashboard does not tell who has control: Conn"):
+        until(lambda: arm.state().mode is not ArmMode.READY)
+
+
 def test_a_slider_below_full_speed_is_a_state_with_a_remedy(arm, ur_emulator, line) -> None:
     ur_emulator.ask("speed_fraction", value=0.4)
     until(lambda: arm.state().mode is ArmMode.REDUCED_SPEED)
@@ -280,8 +316,6 @@ def test_a_program_that_ended_can_be_started_anew(arm, ur_emulator, line) -> Non
 
 
 def test_the_dashboard_is_asked_now_and_then_not_in_every_cycle(arm, ur_emulator) -> None:
-    ur_emulator.ask("end_program")
-    until(lambda: arm.state().mode is ArmMode.STOPPED)
     before = ur_emulator.ask("state")["dashboard_lines"]
     time.sleep(0.6)
     assert 1 <= ur_emulator.ask("state")["dashboard_lines"] - before <= 4

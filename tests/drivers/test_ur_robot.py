@@ -30,8 +30,7 @@ def mode(
         getTargetSpeedFraction=lambda: slider,
         getSpeedScaling=lambda: scaling,
     )
-    it._dashboard = SimpleNamespace(isInRemoteControl=lambda: remote)
-    it.ask_anew()
+    it._pendant = SimpleNamespace(given=remote)
     return it.mode(moving)
 
 
@@ -58,6 +57,7 @@ def test_safety_comes_before_everything_else(bits: tuple[int, ...], expected: Ar
 def test_power_program_control_and_speed_in_this_order() -> None:
     assert mode(NORMAL, robot=5, runtime=1, remote=False, slider=0.1) is ArmMode.POWER_OFF
     assert mode(NORMAL, runtime=1, remote=False, slider=0.1) is ArmMode.LOCAL_CONTROL
+    assert mode(NORMAL, remote=False, slider=0.1) is ArmMode.LOCAL_CONTROL, "though a program runs"
     assert mode(NORMAL, runtime=1, slider=0.1) is ArmMode.STOPPED
     assert mode(NORMAL, slider=0.99) is ArmMode.REDUCED_SPEED
 

@@ -50,10 +50,13 @@ from cell.web.camera import LiveCamera
 from cell.web.guided import Guided
 from cell.web.jobs import Jobs, State
 from cell.web.watching import Seen, Watch
+from drivers import ur_dashboard
 from drivers.capture import StreamingCamera
 from drivers.interfaces import ConnectError
 from drivers.recording import CaptureOptions
 from drivers.threads import GuardedThread, only_logged
+from drivers.ur_child import _Child, _LostError
+from drivers.ur_dashboard import RemoteControl
 from drivers.ur_io import UrIo
 from tests.cell.plant.opcua.conftest import free_port, settings_with
 from tests.cell.plant.test_link import BEGUN, obeys
@@ -169,6 +172,19 @@ def test_a_camera_whose_thread_dies_is_lost() -> None:
     camera = StreamingCamera(boom, CaptureOptions(0.0), Clock())
     with pytest.raises(ConnectError, match="camera: ValueError: boom"):
         camera.connect()
+
+
+def test_an_arm_of_which_nobody_knows_who_has_control_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ur_dashboard, "Dashboard", lambda host: SimpleNamespace(ask=lambda _: ""))
+    pendant = RemoteControl("127.0.0.9")
+    dies(pendant._thread)
+    child: Any = _Child.__new__(_Child)
+    connected = SimpleNamespace(isConnected=lambda: True)
+    child._robot = SimpleNamespace(receive=connected, control=connected, unknown=pendant.unknown)
+    with pytest.raises(_LostError, match="who has control: ValueError: boom"):
+        child._measure(0.0)
 
 
 def test_inputs_of_an_arm_that_are_heard_no_more_are_lost() -> None:

@@ -1,0 +1,88 @@
+"""The dashboard server of a UR controller, asked without ur-rtde: no answer is waited for long."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+
+from drivers.threads import GuardedThread, said
+from drivers.ur_addresses import DASHBOARD_PORT
+
+_EVERY_S = 0.5
+
+
+class Dashboard:
+    """A connection to the dashboard server of a controller.
+
+    seconds  that connecting or an answer may take
+    raises   OSError: nobody is there, or it does not answer
+    """
+
+    def __init__(self, host: str, seconds: float = 2.0) -> None:
+        self._socket = socket.create_connection((host, DASHBOARD_PORT), seconds)
+        self._lines = self._socket.makefile("rw", encoding="utf-8", errors="replace", newline="\n")
+        try:
+            self._line()  # its greeting
+        except OSError:
+            self.close()
+            raise
+
+    def ask(self, command: str) -> str:
+        """The answer to a command.  Raises OSError; the connection is then of no more use."""
+        self._lines.write(command + "\n")
+        self._lines.flush()
+        return self._line()
+
+    def close(self) -> None:
+        """Give the connection up."""
+        self._socket.close()
+
+    def _line(self) -> str:
+        line = self._lines.readline()
+        if not line:
+            raise ConnectionError("the dashboard has closed the connection")
+        return line.strip()
+
+
+class RemoteControl:
+    """Whether the pendant leaves control to us: a thread of its own asks twice a second.
+
+    While the pendant has control a controller takes no program, but goes on with the one that runs.
+
+    given    what was answered last
+    unknown  why nobody asks any more; "" = it is asked
+    raises   OSError: the dashboard does not answer
+    """
+
+    def __init__(self, host: str) -> None:
+        self.given = True
+        self.unknown = ""
+        self._host = host
+        self._asking = threading.Lock()
+        self._dashboard = Dashboard(host)
+        self.ask()
+        self._thread = GuardedThread("remote control", self._watch, self._died)
+
+    def begin(self) -> None:
+        """Ask from now on."""
+        self._thread.start()
+
+    def ask(self) -> None:
+        """Ask now, over a new connection if the old one has broken off.  Raises OSError."""
+        with self._asking:
+            try:
+                answer = self._dashboard.ask("is in remote control")
+            except OSError:
+                self._dashboard.close()
+                self._dashboard = Dashboard(self._host)
+                answer = self._dashboard.ask("is in remote control")
+            self.given = answer != "false"
+
+    def _watch(self) -> None:
+        while True:
+            time.sleep(_EVERY_S)
+            self.ask()
+
+    def _died(self, error: BaseException) -> None:
+        self.unknown = f"the dashboard does not tell who has control: {said(error)}"
