@@ -44,7 +44,9 @@ def config(light_config: Path) -> Path:
     with unrecorded(config).open("a", encoding="utf-8") as file:
         file.write(PRODUCTS)
     before, view, after = re.split(r"\n  view: (.*)", light_config.read_text(encoding="utf-8"))
-    after = after.replace("\nworld:", f"\ncalibration: {{}}\n\nworld:\n  camera: {view}\n#")
+    after = after.replace(
+        "\nworld:", f"\ncalibration: {{folder: {config.parent}}}\n\nworld:\n  camera: {view}\n#"
+    )
     to_calibrate(config).write_text(before + after, encoding="utf-8")
     return config
 
