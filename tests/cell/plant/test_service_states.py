@@ -139,12 +139,13 @@ PLAN = Plan(
 def cell_in(runs: Path, on_step: Callable[[int, str], None]) -> Cell:
     """A cell whose devices only stand still, on simulated time, which stands still, too."""
     arm = SimpleNamespace(
+        name="arm",
         stop=lambda reason: None,
         state=lambda: SimpleNamespace(moving=False, mode=ArmMode.READY),
         lag_s=0.03,
     )
-    camera = SimpleNamespace(stop=lambda: None, check=lambda: None)
-    gripper = SimpleNamespace(state=lambda: SimpleNamespace(holding=False))
+    camera = SimpleNamespace(name="camera", stop=lambda: None, check=lambda: None)
+    gripper = SimpleNamespace(name="gripper", state=lambda: SimpleNamespace(holding=False))
     devices = SimpleNamespace(arm=arm, camera=camera, gripper=gripper, clock=SimClock())
     return Cell(cast(Any, devices), made(), runs, on_step)
 
