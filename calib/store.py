@@ -32,7 +32,7 @@ FloatArray = NDArray[np.float64]
 _KEYS = ("format", "kind", "made", "how", "devices", "error", "result", "covariance", "hash")
 
 
-class StoreError(ValueError):
+class CalibrationFileError(ValueError):
     """A calibration file cannot be used: which file, which key, why, and the remedy.
 
     Scenario: a file of another format; a number changed by hand, so that the error stated beside
@@ -60,7 +60,7 @@ class StoredCalibration:
         """A number of the result.  Raises StoreError: it is none."""
         value = self.result.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise StoreError(self._wrong(f"{name} = {value!r} is no number"))
+            raise CalibrationFileError(self._wrong(f"{name} = {value!r} is no number"))
         return float(value)
 
     def array(self, name: str, shape: tuple[int, ...]) -> FloatArray:
@@ -70,7 +70,7 @@ class StoredCalibration:
         except (TypeError, ValueError):
             value = np.empty(0)
         if value.shape != shape or not np.all(np.isfinite(value)):
-            raise StoreError(self._wrong(f"{name} must be {shape} finite numbers"))
+            raise CalibrationFileError(self._wrong(f"{name} must be {shape} finite numbers"))
         return value
 
     def _wrong(self, what: str) -> str:
@@ -101,30 +101,32 @@ def load(path: Path, kind: str) -> StoredCalibration:
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise StoreError(f"{path}: {error.strerror}; {remedy}") from error
+        raise CalibrationFileError(f"{path}: {error.strerror}; {remedy}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise StoreError(f"{path}: not YAML: {error}; {remedy}") from error
+        raise CalibrationFileError(f"{path}: not YAML: {error}; {remedy}") from error
     if not isinstance(tree, dict) or tree.get("format") != FORMAT:
         found = tree.get("format") if isinstance(tree, dict) else None
-        raise StoreError(f"{path}: format: {found!r}; must be {FORMAT!r}; {remedy}")
+        raise CalibrationFileError(f"{path}: format: {found!r}; must be {FORMAT!r}; {remedy}")
     missing = [key for key in _KEYS if key not in tree]
     if missing:
-        raise StoreError(f"{path}: {missing[0]}: missing; {remedy}")
+        raise CalibrationFileError(f"{path}: {missing[0]}: missing; {remedy}")
     if tree["kind"] != kind:
-        raise StoreError(f"{path}: kind: {tree['kind']!r}; must be {kind!r}; {remedy}")
+        raise CalibrationFileError(f"{path}: kind: {tree['kind']!r}; must be {kind!r}; {remedy}")
     said = tree.pop("hash")
     if said != _hash(tree):
-        raise StoreError(
+        raise CalibrationFileError(
             f"{path}: hash: was changed since it was made, so that nothing says how good it is; "
             f"{remedy}, or type the numbers into the settings"
         )
     for key in ("how", "devices", "error", "result"):
         if not isinstance(tree[key], dict):
-            raise StoreError(f"{path}: {key}: must be a mapping; {remedy}")
+            raise CalibrationFileError(f"{path}: {key}: must be a mapping; {remedy}")
     try:
         made = datetime.fromisoformat(str(tree["made"]))
     except ValueError as error:
-        raise StoreError(f"{path}: made: {tree['made']!r} is no time; {remedy}") from error
+        raise CalibrationFileError(
+            f"{path}: made: {tree['made']!r} is no time; {remedy}"
+        ) from error
     covariance = np.asarray(tree["covariance"] or np.empty((0, 0)), dtype=np.float64)
     return StoredCalibration(
         kind, made.replace(tzinfo=made.tzinfo or UTC), tree["how"], tree["devices"],

@@ -24,7 +24,7 @@ from drivers.interfaces import (
     Frame,
 )
 from drivers.priority import raise_thread
-from drivers.recording import SLOW_REMEDY, ArrivedShot, CaptureOptions, Recording, Shot
+from drivers.recording import SLOW_REMEDY, ArrivedShot, CaptureOptions, FrameSequence, Shot
 from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ _WAKING_S = 0.002
 _LOST_REMEDY = "check the camera's cable and power, then connect again"
 
 
-class Source(Protocol):
+class FrameSource(Protocol):
     """An open camera that streams; used by one thread only."""
 
     @property
@@ -67,7 +67,7 @@ class StreamingCamera:
 
     def __init__(
         self,
-        open_source: Callable[[], Source],
+        open_source: Callable[[], FrameSource],
         options: CaptureOptions,
         clock: Clock,
         name: str = "camera",
@@ -139,7 +139,7 @@ class _Stream:
 
     def __init__(
         self,
-        open_source: Callable[[], Source],
+        open_source: Callable[[], FrameSource],
         options: CaptureOptions,
         clock: Clock,
         device: str,
@@ -153,7 +153,7 @@ class _Stream:
         self._rate_hz: float | None = None
         self._recent: deque[ArrivedShot] = deque(maxlen=max(2, options.settle_frames))
         self._error: DeviceError | None = None
-        self._recording: Recording | None = None
+        self._recording: FrameSequence | None = None
         self._thread = GuardedThread(device, self._run, self._died)
         self._thread.start()
 
@@ -239,7 +239,7 @@ class _Stream:
                 (t.arrived_s - t.shot.stamp_s for t in self._recent if t.shot.stamp_s is not None),
                 default=0.0,
             )
-            self._recording = Recording(
+            self._recording = FrameSequence(
                 frame_count,
                 self._clock.now_s(),
                 origin_s,

@@ -86,7 +86,7 @@ class ArrivedShot:
     arrived_s: float
 
 
-class Recording:
+class FrameSequence:
     """Frames of one `start`, checked one by one as they come."""
 
     def __init__(

@@ -34,7 +34,7 @@ class OtherMotionError(DeviceError):
 
 
 @dataclass(frozen=True)
-class Answer:
+class RecordedPoses:
     """Measured poses as the arm told them when it was asked for those of a time."""
 
     start_s: float
@@ -58,7 +58,7 @@ class ReplayArm:
         home: Pose,
         rate_hz: float,
         lag_s: float,
-        answers: Sequence[Answer],
+        answers: Sequence[RecordedPoses],
         filmed: Sequence[Trajectory],
         revisions: Sequence[Trajectory] = (),
     ) -> None:
@@ -263,7 +263,7 @@ class ReplayGripper:
         return GripperState(self._clock.now_s(), 0.0, self._closed and self._holds, False)
 
 
-def _end_s(answer: Answer) -> float:
+def _end_s(answer: RecordedPoses) -> float:
     return answer.end_s
 
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Self
 
-from drivers.rtde_wire import Kind, Packet, Recipe, Splitter, Value, WireError
+from drivers.rtde_wire import PackageType, Packet, Recipe, Splitter, Value, WireError
 from drivers.ur_addresses import RTDE_PORT
 
 
@@ -41,7 +41,7 @@ class RtdeClient:
         self._socket = socket.create_connection((host, RTDE_PORT), seconds)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
-            if self._ask(Kind.PROTOCOL_VERSION, b"\x00\x02") != b"\x01":
+            if self._ask(PackageType.PROTOCOL_VERSION, b"\x00\x02") != b"\x01":
                 raise RtdeError("the controller does not speak version 2 of RTDE")
         except OSError:
             self.close()
@@ -65,7 +65,7 @@ class RtdeClient:
 
     def controller_version(self) -> tuple[int, int, int, int]:
         """Major, minor, bugfix and build of the controller's software.  Raises OSError."""
-        answer = self._ask(Kind.CONTROLLER_VERSION)
+        answer = self._ask(PackageType.CONTROLLER_VERSION)
         try:
             major, minor, bugfix, build = struct.unpack(">4I", answer)
         except struct.error as error:
@@ -75,7 +75,7 @@ class RtdeClient:
     def report(self, names: Sequence[str], rate_hz: float) -> None:
         """Let the controller report values; `start` begins.  Raises OSError."""
         request = struct.pack(">d", rate_hz) + ",".join(names).encode()
-        answer = self._ask(Kind.OUTPUT_SETUP, request)
+        answer = self._ask(PackageType.OUTPUT_SETUP, request)
         self._output = _recipe(names, answer)
 
     def claim(self, names: Sequence[str]) -> Recipe:
@@ -83,16 +83,16 @@ class RtdeClient:
 
         raises  InUseError: another client has claimed one; RtdeError: there is none; OSError
         """
-        return _recipe(names, self._ask(Kind.INPUT_SETUP, ",".join(names).encode()))
+        return _recipe(names, self._ask(PackageType.INPUT_SETUP, ",".join(names).encode()))
 
     def start(self) -> None:
         """Begin to report.  Raises OSError."""
-        if self._ask(Kind.START) != b"\x01":
+        if self._ask(PackageType.START) != b"\x01":
             raise RtdeError("the controller does not start to report")
 
     def pause(self) -> None:
         """Have no more reported; what is claimed stays so.  Raises OSError."""
-        if self._ask(Kind.PAUSE) != b"\x01":
+        if self._ask(PackageType.PAUSE) != b"\x01":
             raise RtdeError("the controller does not cease to report")
         self._waiting.clear()
 
@@ -100,19 +100,19 @@ class RtdeClient:
         """The values reported last, awaited for so long.  Raises OSError: nothing came in time."""
         due_s = time.monotonic() + seconds
         self._receive(0.0)
-        while not any(p.kind == Kind.DATA for p in self._waiting):
+        while not any(p.kind == PackageType.DATA for p in self._waiting):
             left_s = due_s - time.monotonic()
             if left_s <= 0.0:
                 raise RtdeError(f"the controller reports nothing for {seconds:.2f} s")
             self._receive(left_s)
-        payload = [p.payload for p in self._waiting if p.kind == Kind.DATA][-1]
+        payload = [p.payload for p in self._waiting if p.kind == PackageType.DATA][-1]
         self._waiting.clear()
         assert self._output is not None, "report() comes first"
         return self._output.decoded(payload)
 
     def write(self, recipe: Recipe, values: Iterable[Value]) -> None:
         """Set claimed inputs.  Raises OSError."""
-        self._send(Packet(Kind.DATA, recipe.encoded(values)))
+        self._send(Packet(PackageType.DATA, recipe.encoded(values)))
 
     # --- packets ------------------------------------------------------------------------------
 
@@ -120,7 +120,7 @@ class RtdeClient:
         self._socket.settimeout(self._seconds)
         self._socket.sendall(packet.encoded())
 
-    def _ask(self, kind: Kind, payload: bytes = b"") -> bytes:
+    def _ask(self, kind: PackageType, payload: bytes = b"") -> bytes:
         """Payload of the answer, which is of the same kind."""
         self._send(Packet(kind, payload))
         due_s = time.monotonic() + self._seconds

@@ -78,7 +78,7 @@ INPUTS: Mapping[str, str] = {
 }
 
 
-class Kind(IntEnum):
+class PackageType(IntEnum):
     """What a packet is; the letters of the guide."""
 
     PROTOCOL_VERSION = 86

@@ -38,7 +38,7 @@ from drivers.ur_pose import matrices_of, matrix_of
 from drivers.ur_process import ChildProcess, start_child
 from drivers.ur_reach import check_reach
 from drivers.ur_robot import RobotOptions
-from drivers.ur_shared import COLUMNS, Column, Slot
+from drivers.ur_shared import COLUMNS, SharedColumn, Slot
 from drivers.ur_versions import Version
 
 _LOST_REMEDY = ArmMode.LOST.remedy
@@ -146,9 +146,9 @@ class UrArm:
         with self._lock:
             child = self._alive()
             (sample,) = child.shared.samples(1)
-            speed = float(sample[Column.SPEED_M_PER_S])
+            speed = float(sample[SharedColumn.SPEED_M_PER_S])
             return ArmState(
-                float(sample[Column.T_S]),
+                float(sample[SharedColumn.T_S]),
                 self._pose(sample),
                 speed,
                 self._busy(child) or speed > _MOVING_M_PER_S,
@@ -159,7 +159,7 @@ class UrArm:
         """Raises LimitError: out of reach, or a joint too fast; DeviceLostError."""
         with self._lock:
             (sample,) = self._alive().shared.samples(1)
-            self._check_reach(_from_zero(path), sample[Column.Q1_RAD :])
+            self._check_reach(_from_zero(path), sample[SharedColumn.Q1_RAD :])
 
     def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Raises LimitError: still moving, off the plane, out of reach, too late; StoppedError."""
@@ -173,7 +173,7 @@ class UrArm:
             (sample,) = shared.samples(1)
             self._check_on_plane(sample)
             begun = _from_zero(path)
-            self._check_reach(begun, sample[Column.Q1_RAD :])
+            self._check_reach(begun, sample[SharedColumn.Q1_RAD :])
             now_s = time.monotonic()
             if start_s is not None and start_s < now_s:
                 raise too_late(self.name, now_s - start_s)
@@ -201,7 +201,7 @@ class UrArm:
                 raise nothing_to_revise(self.name)
             (sample,) = shared.samples(1)
             begun = _from_zero(path)
-            self._check_reach(begun, sample[Column.Q1_RAD :])
+            self._check_reach(begun, sample[SharedColumn.Q1_RAD :])
             if from_s < time.monotonic():
                 raise revised_too_late(self.name, time.monotonic() - from_s)
             told, taken = shared.get(Slot.REVISIONS), shared.get(Slot.REVISED)
@@ -220,10 +220,10 @@ class UrArm:
         """Measured poses; the robot's own time stamps, brought to the cell's clock."""
         with self._lock:
             log = self._log if self._child is None else self._child.shared.samples_since(start_s)
-        t_s = log[:, Column.T_S]
+        t_s = log[:, SharedColumn.T_S]
         chosen = log[(t_s >= start_s) & (t_s <= end_s)]
         poses = self._options.mount.each_to_plane(matrices_of(_tool_of(chosen)))
-        return Trajectory(chosen[:, Column.T_S].copy(), *(v.copy() for v in poses.T))
+        return Trajectory(chosen[:, SharedColumn.T_S].copy(), *(v.copy() for v in poses.T))
 
     def stop(self, reason: str) -> None:
         """Decelerate now and stay stopped until `reset`."""
@@ -370,7 +370,7 @@ class UrArm:
     def _check_model(self, child: ChildProcess) -> None:
         (sample,) = child.shared.samples(1)
         model = MODELS[self._options.model]
-        X_BT = model.forward(sample[Column.Q1_RAD :], matrix_of(np.array(self._options.tcp)))
+        X_BT = model.forward(sample[SharedColumn.Q1_RAD :], matrix_of(np.array(self._options.tcp)))
         there, here = self._options.mount.to_plane(X_BT), self._pose(sample)
         apart_m = float(np.hypot(there.x_m - here.x_m, there.y_m - here.y_m))
         if apart_m > _MODEL_TOLERANCE_M:
@@ -402,7 +402,7 @@ class UrArm:
 
 def _tool_of(samples: FloatArray) -> FloatArray:
     """(…, 14) samples → (…, 6) the tool's pose."""
-    return samples[..., Column.TCP : Column.TCP + 6]
+    return samples[..., SharedColumn.TCP : SharedColumn.TCP + 6]
 
 
 def _from_zero(path: Trajectory) -> Trajectory:

@@ -10,7 +10,7 @@ from drivers.ur_versions import Version, has_dashboard, version_text
 
 
 @dataclass(frozen=True)
-class Identity:
+class ControllerIdentity:
     """A controller.
 
     version        major, minor, bugfix, build
@@ -31,7 +31,7 @@ class Identity:
         return version_text(self.version)
 
 
-def identify(host: str, seconds: float = 2.0) -> Identity:
+def identify(host: str, seconds: float = 2.0) -> ControllerIdentity:
     """The controller at an address, asked without ur-rtde: nothing of it can hang or crash.
 
     seconds  that any answer may take
@@ -40,7 +40,7 @@ def identify(host: str, seconds: float = 2.0) -> Identity:
     with RtdeClient(host, seconds) as client:
         version = client.controller_version()
     number = _serial_number(host, seconds) if has_dashboard(version[:2]) else None
-    return Identity(version, number)
+    return ControllerIdentity(version, number)
 
 
 def _serial_number(host: str, seconds: float) -> str:

@@ -37,7 +37,7 @@ class Slot(IntEnum):
     SLOWED = 10  # child: 1 from when a path was broken off because it was slowed until a reset
 
 
-class Column(IntEnum):
+class SharedColumn(IntEnum):
     """Numbers of a sample."""
 
     T_S = 0  # on the cell's clock
@@ -90,7 +90,7 @@ class SharedState:
         """(n, 14) those not before a time, of the last half of the ring; only these are copied."""
         count = int(self._header[Slot.SAMPLES])
         kept = range(max(0, count - RING // 2), count)
-        first = bisect_left(kept, t_s, key=lambda k: float(self._ring[k % RING, Column.T_S]))
+        first = bisect_left(kept, t_s, key=lambda k: float(self._ring[k % RING, SharedColumn.T_S]))
         return self._between(kept.start + first, count)
 
     def _between(self, first: int, end: int) -> FloatArray:

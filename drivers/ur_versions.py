@@ -15,7 +15,7 @@ Version = tuple[int, int]  # major, minor
 FIRST_WITHOUT_DASHBOARD = 10
 
 
-class Known(StrEnum):
+class SupportLevel(StrEnum):
     """How much is known of a version."""
 
     PROVED = "proved"  # the driver's own tests run with it
@@ -30,7 +30,7 @@ class VersionRange:
 
     first: Version
     last: Version
-    known: Known
+    known: SupportLevel
     says: str
 
 
@@ -40,46 +40,53 @@ RANGES = (
     VersionRange(
         (0, 0),
         (5, 5),
-        Known.BREAKS,
+        SupportLevel.BREAKS,
         "its dashboard server tells neither remote control nor the serial number",
     ),
-    VersionRange((5, 6), (5, 21), Known.PROVED, "the driver is proved with it"),
+    VersionRange((5, 6), (5, 21), SupportLevel.PROVED, "the driver is proved with it"),
     VersionRange(
         (5, 22),
         (5, 22),
-        Known.UNKNOWN,
+        SupportLevel.UNKNOWN,
         "ur-rtde once could not start its program on 5.22 (its issue 334), and nobody says that "
         "1.6.5 can",
     ),
     VersionRange(
         (5, 23),
         (5, 23),
-        Known.EXPECTED,
+        SupportLevel.EXPECTED,
         "ur-rtde 1.6.5 has the registers and program lines of 5.23",
     ),
     VersionRange(
-        (5, 24), (5, 25), Known.UNKNOWN, "ur-rtde 1.6.5 treats it as 5.23; nothing else is known"
+        (5, 24),
+        (5, 25),
+        SupportLevel.UNKNOWN,
+        "ur-rtde 1.6.5 treats it as 5.23; nothing else is known",
     ),
     VersionRange(
-        (5, 26), (5, 26), Known.EXPECTED, "ur-rtde 1.6.5 has lines of its program for 5.26"
+        (5, 26), (5, 26), SupportLevel.EXPECTED, "ur-rtde 1.6.5 has lines of its program for 5.26"
     ),
-    VersionRange((5, 27), (9, 999), Known.UNKNOWN, "it is newer than what ur-rtde 1.6.5 knows"),
+    VersionRange(
+        (5, 27), (9, 999), SupportLevel.UNKNOWN, "it is newer than what ur-rtde 1.6.5 knows"
+    ),
     VersionRange(
         (10, 0),
         (10, 9),
-        Known.BREAKS,
+        SupportLevel.BREAKS,
         "ur-rtde 1.6.5 starts its program on PolyScope X from 10.10 on only",
     ),
     VersionRange(
         (10, 10),
         (10, 13),
-        Known.EXPECTED,
+        SupportLevel.EXPECTED,
         "ur-rtde 1.6.5 starts its program on PolyScope X without a dashboard server",
     ),
-    VersionRange((10, 14), _NEWEST, Known.UNKNOWN, "it is newer than what ur-rtde 1.6.5 knows"),
+    VersionRange(
+        (10, 14), _NEWEST, SupportLevel.UNKNOWN, "it is newer than what ur-rtde 1.6.5 knows"
+    ),
 )
 
-_PROVED = next(r for r in RANGES if r.known is Known.PROVED)
+_PROVED = next(r for r in RANGES if r.known is SupportLevel.PROVED)
 _FIRST, _LAST = (".".join(map(str, v)) for v in (_PROVED.first, _PROVED.last))
 _INSTALL = f"install PolyScope {_FIRST} to {_LAST}"
 _INSTALL_X = "install PolyScope X 10.10 or newer"
@@ -100,7 +107,7 @@ def known_of(version: Version) -> VersionRange:
 
 def is_proved(version: Version) -> bool:
     """Whether the driver runs with it on nobody's responsibility."""
-    return known_of(version).known is Known.PROVED
+    return known_of(version).known is SupportLevel.PROVED
 
 
 def refusal(version: Version, allowed: Version | None) -> Refusal | None:
@@ -110,10 +117,12 @@ def refusal(version: Version, allowed: Version | None) -> Refusal | None:
     """
     found = known_of(version)
     name = version_text(version)
-    if found.known is Known.PROVED or (found.known is not Known.BREAKS and version == allowed):
+    if found.known is SupportLevel.PROVED or (
+        found.known is not SupportLevel.BREAKS and version == allowed
+    ):
         return None
     cause = f"the controller runs PolyScope {name}, {found.known}: {found.says}"
-    if found.known is Known.BREAKS:
+    if found.known is SupportLevel.BREAKS:
         return Refusal(cause, _INSTALL_X if version >= (10, 0) else _INSTALL)
     if allowed is not None:
         cause += f"; arm.allow_version allows {version_text(allowed)}"

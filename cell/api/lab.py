@@ -22,7 +22,7 @@ from cell.lab.data.opened_study import open_study
 from cell.lab.data.own_check import read_own_checks
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.data.work import DIAGNOSIS, SpentError, StoppedError, Work
+from cell.lab.data.work import DIAGNOSIS, SpentError, Work, WorkStoppedError
 from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.asked import select_asked
@@ -311,7 +311,7 @@ def _compared(fits: FitCache, models: Sequence[CableModel]) -> tuple[Comparison,
     try:
         with work.stage("compare"):
             return tuple(compare_model(study, model, work=work) for model in models)
-    except StoppedError:
+    except WorkStoppedError:
         work.conclude()
         return tuple(compare_model(study, model, work=work) for model in models)
 

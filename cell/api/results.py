@@ -44,7 +44,7 @@ from cell.study.wrench_file import COLUMNS
 
 if TYPE_CHECKING:
     from cell.lab.data.prepared import PreparedStudy
-    from cell.lab.next.advice import Step
+    from cell.lab.next.advice import NextStep
     from cell.lab.next.study_power import StudyPower
     from cell.lab.next.suggestion import Suggestion
     from cell.lab.search.fitted_model import FittedModel
@@ -201,7 +201,7 @@ class DiagnoseResult(Shown):
 
     diagnosis: Diagnosis
     comparisons: tuple[Comparison, ...]
-    todo: tuple[Step, ...]
+    todo: tuple[NextStep, ...]
     examination: Examination
 
     @cached_property

@@ -23,7 +23,7 @@ DEFAULT_SEGMENTS = 28
 
 
 @dataclass(frozen=True)
-class Block:
+class ParameterBlock:
     """Up to LANES models whose steps call the same effects, ready to run.
 
     lanes      their numbers in the batch
@@ -44,7 +44,7 @@ class Block:
     effects: tuple[Any, ...]
     own: tuple[type[Effect], ...]
 
-    def go_on_from(self, trunk: Sequence[Block]) -> None:
+    def go_on_from(self, trunk: Sequence[ParameterBlock]) -> None:
         """Take the state that the same models have come to, of which there are fewer lanes.
 
         trunk  blocks whose lanes are models; lane i of this batch has model i modulo their number
@@ -65,7 +65,7 @@ class Block:
 
 def assemble(
     models: Sequence[CableModel], segments: int, start_s: float, threads: int = 1
-) -> list[Block]:
+) -> list[ParameterBlock]:
     """Blocks for all models; those whose steps call different effects go to different blocks."""
     if segments < 4:
         raise ValueError(f"segments = {segments}: must be ≥ 4")
@@ -90,7 +90,7 @@ def _kind(model: CableModel) -> object:
 
 def _block(
     batch: list[CableModel], lanes: tuple[int, ...], n: int, hooks: Hooks, start_s: float
-) -> Block:
+) -> ParameterBlock:
     state = at.vectors(n + 1, at.FIELDS)
     models = list({id(model): model for model in batch}.values())  # each once
     w = len(models)
@@ -139,7 +139,7 @@ def _block(
     place = {id(model): k for k, model in enumerate(models)}
     order = [place[id(model)] for model in batch] + [0] * (at.LANES - len(batch))
     state[:] = state[:, :, order]
-    return Block(
+    return ParameterBlock(
         lanes,
         -(-len(batch) // WIDEST) * WIDEST,
         n,

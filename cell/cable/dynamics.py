@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.assembly import Block, assemble, slipped_out
+from cell.cable.assembly import ParameterBlock, assemble, slipped_out
 from cell.cable.geometry import Motion, Start
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, LanesError, Solver, threads
@@ -168,7 +168,7 @@ def _moved(
     rests: bool,
     arc_length_m: FloatArray,
     out: Sequence[FloatArray] | FloatArray,
-) -> list[tuple[Block, LanesError]]:
+) -> list[tuple[ParameterBlock, LanesError]]:
     """Write (times, markers, 2) of each lane to `out`; blocks with lanes that cannot be."""
     solver, times_s, models = swing.solver, swing.times_s, swing.models
     workers = threads() if solver.threads is None else solver.threads

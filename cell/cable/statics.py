@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.cable.assembly import Block
+from cell.cable.assembly import ParameterBlock
 from cell.cable.compiling import compiled, inline
 from cell.cable.effects.own import run_engine
 from cell.cable.effects.pointer import REST, call_force, call_moment
@@ -169,7 +169,7 @@ class UnsettledError(LanesError):
     """No static equilibrium was found.  Scenario: an effect's force that grows without bound."""
 
 
-def settle(block: Block, base: FloatArray) -> None:
+def settle(block: ParameterBlock, base: FloatArray) -> None:
     """Bring the block's state to rest under the clamp poses in row 0 of `base`.
 
     raises  UnsettledError

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cell.cable import camera
 from cell.cable import layout as at
-from cell.cable.assembly import Block, marker_weights
+from cell.cable.assembly import ParameterBlock, marker_weights
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion
 from cell.cable.hands import Hands
@@ -69,7 +69,7 @@ class Swing:
 
 def move(
     swing: Swing,
-    blocks: Sequence[Block],
+    blocks: Sequence[ParameterBlock],
     grids: Sequence[Grid],
     arc_length_m: FloatArray,
     out: Sequence[FloatArray] | FloatArray,
@@ -84,17 +84,17 @@ def move(
 
 def failures(
     swing: Swing,
-    blocks: Sequence[Block],
+    blocks: Sequence[ParameterBlock],
     grids: Sequence[Grid],
     arc_length_m: FloatArray,
     out: Sequence[FloatArray] | FloatArray,
-) -> list[tuple[Block, LanesError]]:
+) -> list[tuple[ParameterBlock, LanesError]]:
     """The same; blocks of which lanes cannot be simulated, with why.  None of theirs is written."""
     cell, weights = marker_weights(swing.models, arc_length_m, swing.solver.segments)
     longest = max(grids, key=lambda grid: grid.steps)
     hands = Hands(swing.paths, swing.models, longest.in_equal_steps)
 
-    def run(block: Block, grid: Grid) -> LanesError | None:
+    def run(block: ParameterBlock, grid: Grid) -> LanesError | None:
         try:
             _run(block, grid, hands, swing, (cell, weights), out)
         except LanesError as error:
@@ -161,7 +161,9 @@ class Grid:
         return Steps(self.begin_s, self.solver.step_s, self.steps, collocation)
 
 
-def _bend(block: Block, order: Sequence[int], bent: Sequence[FloatArray], length_m: float) -> None:
+def _bend(
+    block: ParameterBlock, order: Sequence[int], bent: Sequence[FloatArray], length_m: float
+) -> None:
     """Add the places and velocities of the modes to the state of a block."""
     n = block.segments
     state = block.state.reshape(n + 1, at.FIELDS, at.LANES)
@@ -175,7 +177,7 @@ def _bend(block: Block, order: Sequence[int], bent: Sequence[FloatArray], length
 
 
 def _run(
-    block: Block,
+    block: ParameterBlock,
     grid: Grid,
     hands: Hands,
     swing: Swing,
@@ -233,7 +235,7 @@ def _among(grid: Grid, times_s: FloatArray) -> FloatArray:
 
 
 def _integrate(
-    block: Block,
+    block: ParameterBlock,
     grid: Grid,
     base: FloatArray,
     times_s: Sequence[FloatArray],
@@ -272,7 +274,7 @@ def _integrate(
     return bends
 
 
-def _needed(block: Block, grid: Grid, lanes: Swing) -> list[FloatArray]:
+def _needed(block: ParameterBlock, grid: Grid, lanes: Swing) -> list[FloatArray]:
     """When positions are needed of all lanes computed: at the pictures, or on a fine grid."""
     times = [lanes.times_s[lane] for lane in block.lanes]
     earliest = min(times, key=lambda t: float(t[0]) if t.size else np.inf)

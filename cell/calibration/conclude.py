@@ -21,7 +21,7 @@ from calib.store import StoredCalibration
 from calib.thread import find_thread
 from calib.timing import Delay, arm_lag, camera_latency
 from cell.calibration.measure import marks_m, matrix_of, seen_marks
-from cell.calibration.raw import Picture, SeenMove, ShownCell
+from cell.calibration.raw import NamedImage, SeenMove, ShownCell
 from cell.settings import Settings
 from cell.settings.calibrated import CIRCLE_95, devices_of
 from cell.settings.translate import pose_of, vision_of
@@ -37,7 +37,7 @@ _STRETCH_TOLD = 1e-3
 
 
 def camera_from(
-    pictures: Sequence[Picture], board: Board
+    pictures: Sequence[NamedImage], board: Board
 ) -> tuple[CameraFit, tuple[BoardView, ...], tuple[str, ...]]:
     """Lens, the views that it comes from, and what was wrong with other pictures.
 
@@ -64,7 +64,7 @@ def doubts_about(fit: CameraFit) -> tuple[str, ...]:
 
 
 def _views(
-    pictures: Sequence[Picture], board: Board, lens: Lens | None, troubles: list[str]
+    pictures: Sequence[NamedImage], board: Board, lens: Lens | None, troubles: list[str]
 ) -> list[BoardView]:
     views, wrong = [], []
     for picture in pictures:

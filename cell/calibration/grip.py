@@ -15,8 +15,8 @@ from calib.grip import LEAST_POSES, GripFit, GripView, fit_grip
 from calib.plane import PlaneView
 from calib.store import StoredCalibration
 from cell.calibration.measure import Say, within_limits
-from cell.calibration.raw import Picture, ShownCell, ShownPose
-from cell.calibration.session import Rest, Session
+from cell.calibration.raw import NamedImage, ShownCell, ShownPose
+from cell.calibration.session import CalibrationSession, RestingView
 from cell.calibration.showing import Assistant
 from cell.settings import Settings
 from cell.settings.calibrated import devices_of
@@ -44,7 +44,7 @@ _REMEDIES = {
 
 
 def show_cable(
-    session: Session, assistant: Assistant, view: PlaneView, say: Say
+    session: CalibrationSession, assistant: Assistant, view: PlaneView, say: Say
 ) -> ShownCell | None:
     """A cable gripped as in a cycle, at rest in poses of the hand; let go of where it was gripped.
 
@@ -61,7 +61,7 @@ def show_cable(
         assistant.clear()  # whoever held the cable has their hands between the jaws
         for number, goal in enumerate(goals, 1):
             rest = _at_rest(session, goal, view)
-            picture = Picture(f"grip_{number:02d}.png", rest.image)
+            picture = NamedImage(f"grip_{number:02d}.png", rest.image)
             poses.append(ShownPose("fit", rest.pose, picture))
             say(f"pose {number}", number, len(goals))
         session.go_to(session.home)
@@ -95,7 +95,7 @@ def grip_poses(settings: Settings, view: PlaneView) -> list[Pose]:
     return goals
 
 
-def _at_rest(session: Session, goal: Pose, view: PlaneView) -> Rest:
+def _at_rest(session: CalibrationSession, goal: Pose, view: PlaneView) -> RestingView:
     """A cable that has come to rest, or cannot be seen.  Raises MisfitError: it swings on."""
     look = cable_look(session.settings)
     session.go_to(goal)

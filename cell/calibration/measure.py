@@ -18,8 +18,8 @@ from calib.plane import PlaneView
 from calib.plate import find_plate
 from calib.poses import choose_poses, in_picture
 from cell.calibration.coverage import Look
-from cell.calibration.raw import Picture, SeenMove, ShownCell, ShownPose
-from cell.calibration.session import FilmedMove, Session
+from cell.calibration.raw import NamedImage, SeenMove, ShownCell, ShownPose
+from cell.calibration.session import CalibrationSession, FilmedMove
 from cell.calibration.showing import BOARD_VIEWS, THREADS, Assistant
 from cell.plan.measuring import Move, least_duration_s, measuring_path
 from cell.settings import Settings
@@ -53,17 +53,21 @@ def marks_m(marks: JawMarks) -> FloatArray:
 
 
 def show_board(
-    session: Session, assistant: Assistant, board: Board, say: Say, look: Look | None = None
-) -> list[Picture]:
+    session: CalibrationSession,
+    assistant: Assistant,
+    board: Board,
+    say: Say,
+    look: Look | None = None,
+) -> list[NamedImage]:
     """Pictures of the board in many poses, with word of where corners are lacking.
 
     look  is shown every picture, with the views so far
     """
-    pictures: list[Picture] = []
+    pictures: list[NamedImage] = []
     views: list[BoardView] = []
     for number in range(1, BOARD_VIEWS + 1):
         assistant.board(number, lacking(views))
-        picture = Picture(f"board_{number:02d}.png", session.picture())
+        picture = NamedImage(f"board_{number:02d}.png", session.picture())
         pictures.append(picture)
         try:
             view = find_board(picture.image, board, picture.name)
@@ -100,7 +104,7 @@ def lacking(views: Sequence[BoardView]) -> str:
 
 
 def show_hand(
-    session: Session, assistant: Assistant, fit: Callable[[ShownCell], CellFit], say: Say
+    session: CalibrationSession, assistant: Assistant, fit: Callable[[ShownCell], CellFit], say: Say
 ) -> ShownCell:
     """The hand at rest in poses, the later ones where they teach most; and a plumb line."""
     assistant.clear()
@@ -113,7 +117,7 @@ def show_hand(
     def show(goal: Pose, role: str) -> None:
         rest = session.rest_at(goal)
         name = f"pose_{len(poses) + 1:02d}.png"
-        poses.append(ShownPose(role, rest.pose, Picture(name, rest.image)))
+        poses.append(ShownPose(role, rest.pose, NamedImage(name, rest.image)))
         say(f"pose {len(poses)}", len(poses), total)
 
     for goal in first_poses(settings):

@@ -29,7 +29,7 @@ FARTHEST_M = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class NamedImage:
     """A picture and its name."""
 
     name: str
@@ -42,13 +42,13 @@ class ShownPose:
 
     role: str
     pose: Pose
-    picture: Picture
+    picture: NamedImage
 
     @property
     def mirrored(self) -> ShownPose:
         """The same, its picture the other way round."""
         turned = np.ascontiguousarray(self.picture.image[:, ::-1])
-        return replace(self, picture=Picture(self.picture.name, turned))
+        return replace(self, picture=NamedImage(self.picture.name, turned))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,21 +74,21 @@ class SeenMove:
     seen_m: FloatArray
 
 
-def save_pictures(folder: Path, pictures: Sequence[Picture]) -> None:
+def save_pictures(folder: Path, pictures: Sequence[NamedImage]) -> None:
     """Write pictures as PNG."""
     folder.mkdir(parents=True, exist_ok=True)
     for picture in pictures:
         _save(folder / picture.name, picture.image)
 
 
-def read_pictures(folder: Path) -> tuple[Picture, ...]:
+def read_pictures(folder: Path) -> tuple[NamedImage, ...]:
     """All pictures of a folder, by name.  Raises InputError: there are none, or not readable."""
     if not folder.is_dir():
         raise InputError([Problem(folder, 1, None, "", "is no folder; give one with pictures")])
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in _PICTURES)
     if not paths:
         raise InputError([Problem(folder, 1, None, "", "has no pictures (PNG, TIFF, JPEG)")])
-    return tuple(Picture(path.name, _read(path)) for path in paths)
+    return tuple(NamedImage(path.name, _read(path)) for path in paths)
 
 
 def save_cell(folder: Path, shown: ShownCell) -> None:
@@ -119,7 +119,7 @@ def read_cell(folder: Path) -> ShownCell:
             raise _wrong(table, line, message)
         if abs(angle) > 2.0 * np.pi:
             raise _wrong(table, line, f"{angle:g} rad; give radians, not degrees", "angle_rad")
-        poses.append(ShownPose(role, Pose(x, y, angle), Picture(name, _read(folder / name))))
+        poses.append(ShownPose(role, Pose(x, y, angle), NamedImage(name, _read(folder / name))))
     present = itertools.takewhile(Path.exists, (_thread(folder, k) for k in itertools.count(1)))
     threads = tuple(_read(path) for path in present)
     return ShownCell(tuple(poses), threads, _read(folder / _WITHOUT) if threads else None)

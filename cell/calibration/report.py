@@ -18,7 +18,7 @@ from calib.plane import PlaneView
 from calib.store import StoredCalibration
 from calib.timing import Delay
 from cell.calibration.conclude import Times
-from cell.calibration.raw import Picture, SeenMove, ShownCell
+from cell.calibration.raw import NamedImage, SeenMove, ShownCell
 from cell.settings import Settings
 from cell.settings.calibrated import CIRCLE_95
 from drivers.interfaces import Image
@@ -44,7 +44,7 @@ def camera_report(
     stored: StoredCalibration,
     fit: CameraFit,
     views: Sequence[BoardView],
-    pictures: Sequence[Picture],
+    pictures: Sequence[NamedImage],
     troubles: Sequence[str],
 ) -> str:
     """Page about a lens: coverage, errors per picture, disagreement of halves, uncertainty."""

@@ -41,7 +41,7 @@ _BROKEN_OFF = "calibration broken off"
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
+class RestingView:
     """The hand at rest: measured pose, the mean over a while; the mean of some pictures."""
 
     pose: Pose
@@ -58,7 +58,7 @@ class FilmedMove:
 
 
 @dataclass(frozen=True, eq=False)
-class Session:
+class CalibrationSession:
     """Connected devices of a cell."""
 
     settings: Settings
@@ -75,7 +75,7 @@ class Session:
             self._await_rest(float(path.t_s[-1]))
         clock.sleep_s(_CALM_S)
 
-    def rest_at(self, goal: Pose, count: int = 4) -> Rest:
+    def rest_at(self, goal: Pose, count: int = 4) -> RestingView:
         """The hand at rest in a pose, and the mean of `count` pictures of it.
 
         raises  DeviceError; CameraError: the hand moved meanwhile
@@ -97,7 +97,7 @@ class Session:
                 "let the arm come to rest; check its mounting and gain",
             )
         x, y, angle = places.mean(axis=0)
-        return Rest(Pose(float(x), float(y), float(angle)), image)
+        return RestingView(Pose(float(x), float(y), float(angle)), image)
 
     def picture(self, count: int = 1) -> Image:
         """Mean of `count` pictures."""
@@ -173,7 +173,7 @@ class Session:
 @contextmanager
 def opened(
     settings: Settings, devices: Devices, *, moves: bool, say: Callable[[str], None]
-) -> Iterator[Session]:
+) -> Iterator[CalibrationSession]:
     """Devices connected, with empty jaws where the arm moves; stopped and closed at the end.
 
     raises  DeviceError
@@ -193,7 +193,7 @@ def opened(
                 raise GripError(
                     devices.gripper.name, "holds something", "calibrating needs empty jaws"
                 )
-        yield Session(settings, devices)
+        yield CalibrationSession(settings, devices)
 
 
 def _stopped(arm: Arm, kind: type[BaseException] | None, *_: object) -> None:

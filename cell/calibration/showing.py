@@ -47,7 +47,7 @@ class Assistant(Protocol):
 
 
 @dataclass(frozen=True)
-class Person:
+class Operator:
     """Asks a person at a terminal.
 
     ask     shows words and waits; returns what was typed; raises EOFError: nobody is there

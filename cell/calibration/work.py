@@ -17,15 +17,15 @@ import numpy as np
 from calib.cell import CellFit
 from calib.errors import CalibrationError
 from calib.plane import PlaneView
-from calib.store import StoredCalibration, StoreError, load, save
+from calib.store import CalibrationFileError, StoredCalibration, load, save
 from calib.timing import Delay
 from cell.calibration import conclude, grip, measure, raw
 from cell.calibration.conclude import Drift
 from cell.calibration.coverage import Look
 from cell.calibration.measure import Say
 from cell.calibration.report import camera_report, cell_report, grip_report, time_report
-from cell.calibration.session import Session, opened
-from cell.calibration.showing import BOARD_VIEWS, Assistant, Person
+from cell.calibration.session import CalibrationSession, opened
+from cell.calibration.showing import BOARD_VIEWS, Assistant, Operator
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.files.rescue import kept, remedy
@@ -93,8 +93,8 @@ class CalibrationJob:
         except ValueError as error:
             raise InputError.at(config, str(error), key="calibration") from error
         self._stack = contextlib.ExitStack()
-        self._session: Session | None = None
-        self._assistant: Assistant = Person(ask)
+        self._session: CalibrationSession | None = None
+        self._assistant: Assistant = Operator(ask)
         self._made: dict[str, StoredCalibration] = {}
         self._reports: dict[str, Path] = {}
         self._unwritten: list[str] = []
@@ -110,7 +110,7 @@ class CalibrationJob:
     ) -> None:
         """Let go of the devices.  Raises BrokenOffError: nothing came of what was under way."""
         self._stack.__exit__(kind, error, trace)
-        if isinstance(error, DeviceError | EmulatorError | CalibrationError | StoreError):
+        if isinstance(error, DeviceError | EmulatorError | CalibrationError | CalibrationFileError):
             raise BrokenOffError(str(error)) from error
 
     # --- parts --------------------------------------------------------------------------------
@@ -225,7 +225,7 @@ class CalibrationJob:
         poses = []
         for k, goal in enumerate(measure.first_poses(self._settings)[::2]):
             rest = session.rest_at(goal)
-            poses.append(raw.ShownPose("fit", rest.pose, raw.Picture(f"{k}", rest.image)))
+            poses.append(raw.ShownPose("fit", rest.pose, raw.NamedImage(f"{k}", rest.image)))
         shown = raw.ShownCell(tuple(poses))
         found = conclude.today(shown, cell, None, self._settings, str(self._config))
         if not found.good:
@@ -279,7 +279,7 @@ class CalibrationJob:
 
     # --- devices and files --------------------------------------------------------------------
 
-    def _open(self) -> Session:
+    def _open(self) -> CalibrationSession:
         if self._session is not None:
             return self._session
         settings = self._settings
@@ -320,7 +320,7 @@ class CalibrationJob:
                 f"run `cell calibrate {before.kind} --config {self._config}`",
             )
 
-    def _check_taken(self, folder: Path, pictures: Sequence[raw.Picture]) -> None:
+    def _check_taken(self, folder: Path, pictures: Sequence[raw.NamedImage]) -> None:
         """Raises InputError: pictures of a folder are not of the settings' camera."""
         width, height = self._settings.camera.width_px, self._settings.camera.height_px
         for picture in pictures:

@@ -15,7 +15,7 @@ from cell.cli.shared import NOT_ALL_DONE, Config, group, interrupted_once, refus
 from cell.cli.typed import TypedLines
 
 if TYPE_CHECKING:
-    from cell.simulated.faults import Faults
+    from cell.simulated.faults import DeviceFaults
 
 app = group()
 
@@ -43,7 +43,7 @@ def emulate(
     """
     from cell.files.input_error import InputError
     from cell.settings import load_settings
-    from cell.simulated.faults import Faults, read_fault
+    from cell.simulated.faults import DeviceFaults, read_fault
     from cell.wiring.build import emulating
 
     parent = os.getppid()
@@ -59,7 +59,7 @@ def emulate(
             contextlib.suppress(KeyboardInterrupt),
         ):
             print(cell.whereabouts(), flush=True)
-            faults = Faults(cell, lambda text: print(text, file=sys.stderr, flush=True))
+            faults = DeviceFaults(cell, lambda text: print(text, file=sys.stderr, flush=True))
             for one in given:
                 faults.give(one)
             typed = TypedLines()
@@ -73,7 +73,7 @@ def emulate(
         refuse(error)
 
 
-def _obey(faults: Faults, line: str) -> None:
+def _obey(faults: DeviceFaults, line: str) -> None:
     """Do what was typed; what is not understood is said, and changes nothing."""
     from cell.simulated.faults import REPAIR, read_fault
 

@@ -17,7 +17,7 @@ from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
 from cell.cli.shared import BAD_INPUT, NOT_ALL_DONE, group, tell_notes
 
 if TYPE_CHECKING:
-    from cell.exchange.peer import Trial
+    from cell.exchange.peer import PeerTrial
     from cell.identify.identified import Identified
 
 app = group()
@@ -139,7 +139,7 @@ def _to_mujoco(
         raise typer.Exit(NOT_ALL_DONE)
 
 
-def _motions(study: Path, model: Path, identified: Identified) -> tuple[Trial, ...]:
+def _motions(study: Path, model: Path, identified: Identified) -> tuple[PeerTrial, ...]:
     """The motions of a study of the same kind of cable; those that begin bent are told."""
     from cell.exchange.peer import trials_of
     from cell.lab.fit.individual_model import check_same_kind

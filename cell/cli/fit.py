@@ -31,7 +31,7 @@ app = group()
 
 
 @dataclass(frozen=True)
-class FitOptions:
+class FitCommandOptions:
     """What `cell fit` is told."""
 
     study: Annotated[
@@ -85,8 +85,8 @@ class FitCommand(JsonCommand):
 
 
 @app.command(cls=FitCommand)
-@taking(FitOptions)
-def fit(options: FitOptions) -> None:
+@taking(FitCommandOptions)
+def fit(options: FitCommandOptions) -> None:
     """Fit the cable's parameters, and those of effects, to the study's `fit` trials.
 
     With --from FILE.xml: to the springs and dampers of a chain, as `cell export` writes it.
@@ -100,7 +100,7 @@ def fit(options: FitOptions) -> None:
     _fit_to_study(options, options.study)
 
 
-def _fit_to_chain(options: FitOptions, chain: Path) -> None:
+def _fit_to_chain(options: FitCommandOptions, chain: Path) -> None:
     """A model of a chain in MuJoCo's XML; what it does not have of the file is told."""
     from cell.exchange.from_mujoco import model_from_mujoco
     from cell.lab.report.model_tables import model_table
@@ -124,7 +124,7 @@ def _fit_to_chain(options: FitOptions, chain: Path) -> None:
     deliver(printed, *json_files(data, options.out, options.as_json))
 
 
-def _fit_to_study(options: FitOptions, study: Path) -> None:
+def _fit_to_study(options: FitCommandOptions, study: Path) -> None:
     """A model of a study, with what is doubtful about it, and profiles if they are wanted."""
     from cell.api.lab import fitted, set_up
     from cell.lab.data.named_effects import select_effects

@@ -129,7 +129,7 @@ def _one(given: _Identify) -> None:
 
 
 def _all(given: _Identify) -> None:
-    from cell.lab.data.work import StoppedError, Work
+    from cell.lab.data.work import Work, WorkStoppedError
     from cell.lab.line.identified_table import identified_table
     from cell.lab.line.identify_all import IdentifiedAll, identify_all
     from cell.lab.line.recordings import packer, recordings_in
@@ -153,7 +153,7 @@ def _all(given: _Identify) -> None:
                     recordings, pack, table, executor, progress, wanted.check
                 ):
                     found = so_far
-            except StoppedError:
+            except WorkStoppedError:
                 pass
     data = {**found.to_json(), "table": str(given.csv)}
 

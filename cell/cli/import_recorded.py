@@ -18,7 +18,7 @@ from cell.files.overwriting import check_new_study, check_output
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedImport:
     """Films or recordings, and where their study is to be.
 
     hand           of a film: CSV of the hand, t_s, x_m, y_m, angle_rad
@@ -37,7 +37,7 @@ class Recorded:
     as_json: Path | None
 
 
-def film_study(given: Recorded) -> NoReturn:
+def film_study(given: RecordedImport) -> NoReturn:
     """A video of a cable becomes a recording, by the cell's own vision, and that a study."""
     from cell.settings import load_settings
     from cell.simulated.filmed import read_film
@@ -66,7 +66,7 @@ def film_study(given: Recorded) -> NoReturn:
     recordings_study(given, [recording])
 
 
-def recordings_study(given: Recorded, recordings: list[Path]) -> NoReturn:
+def recordings_study(given: RecordedImport, recordings: list[Path]) -> NoReturn:
     """Recordings of this program need no mapping."""
     from cell.lab.data.merge_studies import merge_into
 

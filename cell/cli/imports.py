@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from cell.cli.delivery import deliver, json_files
-from cell.cli.import_recorded import Recorded, film_study, recordings_study
+from cell.cli.import_recorded import RecordedImport, film_study, recordings_study
 from cell.cli.lab import refusing, show, working
 from cell.cli.options import taking
 from cell.cli.result_json import Json, JsonCommand, print_result
@@ -18,7 +18,7 @@ from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, tell_notes
 from cell.files.overwriting import check_new_study, check_output
 
 if TYPE_CHECKING:
-    from cell.lab.report.look_page import Look
+    from cell.lab.report.look_page import StudyOverview
     from cell.study.imports.finding import Finding
     from cell.study.imports.trials import Files
     from cell.study.imports.understand import Understanding
@@ -115,9 +115,9 @@ def import_(options: ImportOptions) -> None:
         _propose(options)
 
 
-def _recorded(options: ImportOptions) -> Recorded:
+def _recorded(options: ImportOptions) -> RecordedImport:
     hands = options.hand or []
-    return Recorded(
+    return RecordedImport(
         tuple(options.files),
         _folder(options),
         hands[0] if hands else None,
@@ -233,7 +233,7 @@ def _relative(file: Path, folder: Path) -> str:
 
 
 def _proposal_json(
-    findings: tuple[Finding, ...], look: Look, mapping: Path, preview: Path, command: str
+    findings: tuple[Finding, ...], look: StudyOverview, mapping: Path, preview: Path, command: str
 ) -> dict[str, Any]:
     return {
         "format": "cable-proposal/1",
@@ -247,7 +247,7 @@ def _proposal_json(
     }
 
 
-def _proposal_lines(look: Look) -> list[str]:
+def _proposal_lines(look: StudyOverview) -> list[str]:
     """What was understood, the most certain first, and what is odd or wrong."""
     groups = dict(list(look.says.items())[::-1]) | {"Odd:": look.odd, "To be mended:": look.wrong}
     return [

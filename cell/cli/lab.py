@@ -128,7 +128,7 @@ def compare(
     """
     from cell.api.results import CompareResult
     from cell.lab.data.opened_study import open_study
-    from cell.lab.data.work import DIAGNOSIS, StoppedError, Work
+    from cell.lab.data.work import DIAGNOSIS, Work, WorkStoppedError
     from cell.lab.search.setup import read_models
     from cell.lab.strength.compare import compare_model, model_names
 
@@ -146,7 +146,7 @@ def compare(
             progress(f"comparing {name}", len(comparisons), len(individuals))
             try:
                 comparisons.append(compare_model(opened, m.model, name, work))
-            except StoppedError:
+            except WorkStoppedError:
                 if not comparisons:
                     raise
                 tell_notes([f"{name} and what follows is not compared: {ENDED[bool(interrupted)]}"])

@@ -167,7 +167,7 @@ def _answer(
         return data, faults_parts(counted)
     if options.oee:
         from cell.records.ledger.effectiveness import shifts
-        from cell.settings.records import Ledger as Section
+        from cell.settings.records import LedgerSettings as Section
 
         given = (None if settings is None else settings.ledger) or Section()
         begins = [time.fromisoformat(t) for t in given.shifts]

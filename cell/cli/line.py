@@ -123,7 +123,7 @@ def learn(options: LearnOptions) -> None:
         learned = judged(found, settings, left_out)
         result = learned.learned
         kept = more.keep(result.best.effects if result.best else ())
-        ours = _Line(config, settings.product)
+        ours = _LineOptions(config, settings.product)
         again = _again(asked.words(), ours, out, own, laws)
         todo, motion = _asking(result, ours, out, again, progress)
     missed = [f"left out: {line}" for line in learned.left_out]
@@ -178,7 +178,7 @@ def _so_far(
 
 
 @dataclass(frozen=True)
-class _Line:
+class _LineOptions:
     """Whose model it is: settings, and a product of them."""
 
     config: Path
@@ -215,7 +215,11 @@ class _Asked:
 
 
 def _again(
-    asked: Sequence[object], line: _Line, out: Path, effects: Sequence[str], laws: Path | None
+    asked: Sequence[object],
+    line: _LineOptions,
+    out: Path,
+    effects: Sequence[str],
+    laws: Path | None,
 ) -> str:
     """`cell learn` with the cables measured meanwhile, too."""
     given = [*asked, *([] if _measured(out) in asked else [_measured(out)])]
@@ -240,7 +244,7 @@ def _measured(out: Path) -> Path:
 
 
 def _asking(
-    result: LearningResult, line: _Line, out: Path, again: str, progress: Progress
+    result: LearningResult, line: _LineOptions, out: Path, again: str, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
     """The motion that tells what these cycles cannot: the commands for it, and its file."""
     from cell.lab.line.next_cable import asked, open_to

@@ -18,7 +18,7 @@ from cell.cli.streams import emit
 
 if TYPE_CHECKING:
     from cell.plant.mqtt.adapter import MqttAdapter
-    from cell.plant.mqtt.form import Form
+    from cell.plant.mqtt.form import PayloadForm
     from cell.plant.mqtt.outbox import MqttOutbox
     from cell.settings.model import Settings
     from cell.settings.plant.mqtt import Mqtt
@@ -104,7 +104,7 @@ def _adapter(settings: Settings, said: Mqtt, runs: Path, outbox: MqttOutbox) -> 
     if set(line) & set("/+#"):
         raise ValueError(f"{line!r} cannot be a part of a topic (/+#); give plant.mqtt.line")
 
-    def form_anew() -> Form:
+    def form_anew() -> PayloadForm:
         if said.format == "json":
             return PlainJson(f"{said.prefix}/{line}")
         return EdgeNode(said.group, line, outbox.count_up("births") - 1, said.primary_host)

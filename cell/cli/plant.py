@@ -16,7 +16,7 @@ from cell.cli.streams import emit
 
 if TYPE_CHECKING:
     from cell.plant.messages import Notice, Status
-    from cell.run.machine import CellState, Event
+    from cell.run.machine import CellState, MachineEvent
 
 app = group()
 
@@ -111,7 +111,7 @@ def send(
     from cell.plant.client import Client
     from cell.plant.messages import COMMANDS, Request, to_json
     from cell.plant.wire import LinkError
-    from cell.run.machine import Event
+    from cell.run.machine import MachineEvent
 
     others = ("acknowledge", "product")
     if command not in others and command not in COMMANDS:
@@ -125,7 +125,7 @@ def send(
         refuse(ValueError(f"--part {error}"))
     if command == "acknowledge" and product is not None:
         refuse(ValueError("acknowledge: --product is not for it; leave it out"))
-    event = None if command in others else Event(command)
+    event = None if command in others else MachineEvent(command)
     line, client = _line_of(config), Client(runs, timeout_s=_ANSWER_S)
     try:
         if line is not None:
@@ -201,7 +201,7 @@ def _user() -> str:
         return "somebody"
 
 
-def _what_follows(state: CellState, event: Event | None) -> str:
+def _what_follows(state: CellState, event: MachineEvent | None) -> str:
     """Where a command that was accepted leads, at once or when the cycle comes to it."""
     from cell.run.machine import target_of
 

@@ -14,13 +14,13 @@ from typing import Any
 from cell.cli.making import MadeCell
 from cell.plant.children import Adapters, command_of
 from cell.plant.link import Handler, Link
-from cell.plant.messages import COMMANDS, Answer, Request, Status
+from cell.plant.messages import COMMANDS, CommandReply, Request, Status
 from cell.plant.orders import LATCHED, latch, refusal
 from cell.plant.reporter import Reporter
 from cell.plant.service import Service
 from cell.plant.wire import LinkError
 from cell.records.result import Result
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.run.plans import Plan
 from cell.settings.model import Settings
 from cell.settings.referred import calibration_hash, line_of
@@ -117,7 +117,7 @@ class PlantEnd:
         }
         self.reporter = Reporter(link.publish, products)
 
-    def _link(self, handler: Handler, obeyed: Collection[Event]) -> Link:
+    def _link(self, handler: Handler, obeyed: Collection[MachineEvent]) -> Link:
         status = Status(
             run="",
             sequence=0,
@@ -132,7 +132,7 @@ class PlantEnd:
         )
         return Link(self._runs, status, handler, obeyed)
 
-    def _answer(self, request: Request) -> Answer:
+    def _answer(self, request: Request) -> CommandReply:
         if request.command in LATCHED:
             return latch(self._cell, request)
         what = request.command.value if request.command else "product"

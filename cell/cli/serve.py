@@ -14,7 +14,7 @@ from cell.cli.shared import BAD_INPUT, MaybeConfig, group, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
 
 if TYPE_CHECKING:
-    from cell.web.visit import Room
+    from cell.web.visit import PagesContext
 
 app = typer.Typer(
     name="serve",
@@ -99,7 +99,7 @@ def _serve(config: Path, runs: Path, at: _Address, file: Path) -> None:
     serve_pages(room, accounts, (at.host, at.port), tls)
 
 
-def _room(config: Path, runs: Path, accounts: object) -> Room:
+def _room(config: Path, runs: Path, accounts: object) -> PagesContext:
     """What the pages share.  Raises InputError: the settings are wrong."""
     from cell.plant.client import Client
     from cell.settings import load_settings
@@ -110,18 +110,18 @@ def _room(config: Path, runs: Path, accounts: object) -> Room:
     from cell.web.guided import Guided
     from cell.web.sessions import Sessions
     from cell.web.users import Users
-    from cell.web.visit import Room
-    from cell.web.watching import Watch
+    from cell.web.visit import PagesContext
+    from cell.web.watching import CellWatch
 
     settings = load_settings(config)
-    watches: list[Watch] = []
+    watches: list[CellWatch] = []
     client = Client(runs, on_lost=lambda: watches[0].lost(), on_there=lambda: watches[0].found())
-    watch = Watch(client, settings, runs)
+    watch = CellWatch(client, settings, runs)
     watches.append(watch)
     sessions = Sessions(accounts.named) if isinstance(accounts, Users) else None
     audit = Audit(audit_file(runs))
     seen = (Films(), LiveCamera(runs), Guided())
-    return Room(config, settings, runs, client, watch, Control(), audit, *seen, sessions)
+    return PagesContext(config, settings, runs, client, watch, Control(), audit, *seen, sessions)
 
 
 @user.command()

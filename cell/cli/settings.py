@@ -104,7 +104,7 @@ def doctor(
     from cell.files.input_error import InputError
     from cell.run.computer_check import CameraLoad, check_computer
     from cell.settings import Settings, load_settings
-    from cell.settings.devices import FilesCamera
+    from cell.settings.devices import FilesCameraSettings
     from cell.settings.starting import answered
     from cell.settings.translate import vision_of
     from cell.terminal.console import conditions_table
@@ -119,7 +119,11 @@ def doctor(
     except InputError as error:
         refuse(error)
     camera = settings.camera
-    size = (1280, 1024) if isinstance(camera, FilesCamera) else (camera.width_px, camera.height_px)
+    size = (
+        (1280, 1024)
+        if isinstance(camera, FilesCameraSettings)
+        else (camera.width_px, camera.height_px)
+    )
     load = CameraLoad(*size, camera.frame_rate_hz, vision_of(settings))
     found = check_computer(load, seconds, lambda step: print(f"measuring {step}", file=sys.stderr))
     if as_json:

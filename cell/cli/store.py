@@ -36,7 +36,7 @@ def upload(
     store.
     """
     from cell.files.input_error import InputError
-    from cell.records.recording.store import Store, StoreError
+    from cell.records.recording.store import RecordingStoreError, Store
     from cell.records.recording.uploads import bring, waiting
     from cell.settings import load_settings
     from cell.settings.referred import line_of
@@ -51,14 +51,14 @@ def upload(
         found = waiting(runs)
         try:
             store = Store(settings.recording.store)
-        except StoreError as error:
+        except RecordingStoreError as error:
             raise ValueError(str(error)) from error
         with working("upload") as progress:
             for number, recording in enumerate(found):
                 progress(str(recording), number, len(found))
                 try:
                     done += bring(store, recording, line_of(settings), nullcontext) is not None
-                except (StoreError, OSError) as error:
+                except (RecordingStoreError, OSError) as error:
                     failed += 1
                     print(f"{recording}: {error}", file=sys.stderr)
     print(f"{store.url}: uploaded and verified: {done}; not uploaded: {failed}")
@@ -96,10 +96,10 @@ def fetch(
 
 @contextmanager
 def _store_errors() -> Iterator[None]:
-    from cell.records.recording.store import StoreError
+    from cell.records.recording.store import RecordingStoreError
 
     try:
         yield
-    except StoreError as error:
+    except RecordingStoreError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE) from error

@@ -17,7 +17,7 @@ from cell.files.overwriting import check_new_study
 from cell.files.words import counted
 
 if TYPE_CHECKING:
-    from cell.lab.report.look_page import Look
+    from cell.lab.report.look_page import StudyOverview
 
 app = group()
 
@@ -124,11 +124,11 @@ def look_at_study(
     raise typer.Exit(NOT_ALL_DONE if look.wrong else ALL_DONE)
 
 
-def _look(folder: Path) -> Look:
+def _look(folder: Path) -> StudyOverview:
     """A study as it is, with all that is known to be wrong and odd.  Raises InputError."""
     from cell.files.input_error import InputError
     from cell.lab.data.rest_drift import rest_drifts
-    from cell.lab.report.look_page import Look
+    from cell.lab.report.look_page import StudyOverview
     from cell.study.facts import facts_of
     from cell.study.folder import study_as_it_is, study_folder
     from cell.study.imports.quality import slips
@@ -147,4 +147,4 @@ def _look(folder: Path) -> Look:
     wrenches = [w for t in study.trials if (w := wrench_facts(t)) is not None]
     odd = [*notes, *map(str, rest_drifts(study)), *oddities(facts, study.noise_std_m)]
     title = f"A look at {study.name}"
-    return Look(study.name, title, study.trials, facts, {}, wrong, odd, wrenches)
+    return StudyOverview(study.name, title, study.trials, facts, {}, wrong, odd, wrenches)

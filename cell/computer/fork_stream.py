@@ -31,7 +31,7 @@ class ProcessLostError(RuntimeError):
 
 
 @dataclass
-class _Row(Generic[Given, Returned]):
+class _JobRow(Generic[Given, Returned]):
     """Jobs that wait, are under way, or are done and not yet taken.
 
     given, taken  how many jobs were begun or wait, and of how many the result was taken
@@ -106,7 +106,7 @@ def stream(
     check     may raise while a result is waited for
     raises    OSError: this user may have no more processes; what `jobs` raises
     """
-    row, left = _Row[Given, Returned](), iter(jobs)
+    row, left = _JobRow[Given, Returned](), iter(jobs)
     slots = [_Slot(function, number) for number in range(copies)]
     threads: list[threading.Thread] = []
     try:
@@ -178,7 +178,7 @@ class _Slot:
             copy.end()
 
 
-def _work(slot: _Slot, row: _Row[Any, Any]) -> None:
+def _work(slot: _Slot, row: _JobRow[Any, Any]) -> None:
     while (job := row.next()) is not None:
         try:
             row.put(job[0], slot.do(job[1]))

@@ -15,9 +15,9 @@ from cell.exchange.mjcf import mjcf
 from cell.exchange.peer import (
     BAR_M,
     REFERENCE,
-    Difference,
+    PeerTrial,
     Reference,
-    Trial,
+    TipDifference,
     compare,
     difference,
     engine_tip,
@@ -45,8 +45,8 @@ class Export:
     step_s: float
     effects: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
-    differences: tuple[Difference, ...]
-    missing: tuple[Difference, ...]
+    differences: tuple[TipDifference, ...]
+    missing: tuple[TipDifference, ...]
 
     @property
     def within_bar(self) -> bool:
@@ -68,7 +68,7 @@ class Export:
         }
 
 
-def _plain(one: Difference) -> dict[str, Any]:
+def _plain(one: TipDifference) -> dict[str, Any]:
     """Numbers that JSON can have: null where MuJoCo diverged."""
     return {n: None if v == np.inf else v for n, v in vars(one).items()}
 
@@ -77,7 +77,7 @@ def export_to_mujoco(
     model: CableModel,
     origin: str,
     links: int | None = None,
-    trials: Sequence[Trial] = (),
+    trials: Sequence[PeerTrial] = (),
 ) -> Export:
     """The XML of a model, compared with the engine by the stroke and in these trials.
 
@@ -89,7 +89,7 @@ def export_to_mujoco(
     references = [Reference.of(kept, trial) for trial in (stroke(), *trials)]
     chain, step_s, first = _cheapest(kept, references[0], LINKS if links is None else (links,))
     differences = (first, *(compare(kept, chain, step_s, r) for r in references[1:]))
-    missing: list[Difference] = []
+    missing: list[TipDifference] = []
     whole = unseen(model)
     if len(whole.effects) > len(kept.effects):
         for r in references:
@@ -103,9 +103,9 @@ def export_to_mujoco(
 
 def _cheapest(
     model: CableModel, reference: Reference, links: Sequence[int]
-) -> tuple[Chain, float, Difference]:
+) -> tuple[Chain, float, TipDifference]:
     """The first chain and step that keep the stroke within the share of the bar, else the best."""
-    tried: list[tuple[Chain, float, Difference]] = []
+    tried: list[tuple[Chain, float, TipDifference]] = []
     for step_s in STEPS_S:
         least = np.inf
         for number in links:
@@ -126,7 +126,7 @@ def _notes(
     chain: Chain,
     effects: Sequence[str],
     left: Sequence[LeftOut],
-    differences: Sequence[Difference],
+    differences: Sequence[TipDifference],
 ) -> list[str]:
     """The comment at the head of the file."""
     notes = [

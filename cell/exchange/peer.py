@@ -32,7 +32,7 @@ COMPARED_S = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class PeerTrial:
     """A motion with which two programs are compared.
 
     straight_until_s  the cable is held straight along the clamp angle until then; None = at rest
@@ -46,7 +46,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Difference:
+class TipDifference:
     """Distance between the tips in one motion, m: root mean square over time, and largest."""
 
     name: str
@@ -54,26 +54,26 @@ class Difference:
     most_m: float
 
 
-def stroke() -> Trial:
+def stroke() -> PeerTrial:
     """The hand moves 50 mm down, from rest to rest, and holds."""
     end = STILL_S + STROKE_S + HOLD_S
     t = np.arange(0.0, end + 1e-9, 0.002)
     down = -STROKE_M * quintic(np.clip((t - STILL_S) / STROKE_S, 0.0, 1.0))
-    return Trial("50 mm stroke", Motion(t, np.zeros_like(t), down, np.zeros_like(t)), 0.0, end)
+    return PeerTrial("50 mm stroke", Motion(t, np.zeros_like(t), down, np.zeros_like(t)), 0.0, end)
 
 
-def trials_of(study: Study) -> tuple[tuple[Trial, ...], tuple[str, ...]]:
+def trials_of(study: Study) -> tuple[tuple[PeerTrial, ...], tuple[str, ...]]:
     """The motions of a study, and the names of its trials that begin bent: they are left out."""
     trials = []
     for t in study.trials:
         if not t.bent:
             first = min(t.grip.t_s[0], t.markers.t_s[0]) if t.release_s is None else t.release_s
             last = float(t.markers.t_s[-1])
-            trials.append(Trial(t.name, t.grip, float(first), last, t.release_s))
+            trials.append(PeerTrial(t.name, t.grip, float(first), last, t.release_s))
     return tuple(trials), tuple(t.name for t in study.trials if t.bent)
 
 
-def engine_tip(model: CableModel, trial: Trial, times_s: FloatArray) -> FloatArray:
+def engine_tip(model: CableModel, trial: PeerTrial, times_s: FloatArray) -> FloatArray:
     """(T, 2) the tip by the project's engine, m.  Raises `simulate`'s errors."""
     straight = trial.straight_until_s is not None
     return np.asarray(
@@ -90,7 +90,7 @@ def engine_tip(model: CableModel, trial: Trial, times_s: FloatArray) -> FloatArr
 
 
 def mujoco_tip(
-    xml: str, chain: Chain, bends_rad: FloatArray, trial: Trial, times_s: FloatArray
+    xml: str, chain: Chain, bends_rad: FloatArray, trial: PeerTrial, times_s: FloatArray
 ) -> FloatArray:
     """(T, 2) the tip by MuJoCo, nan from where it diverges on, m.
 
@@ -131,31 +131,31 @@ def _diverged(mujoco: Any) -> tuple[int, ...]:
     return tuple(int(k) for k in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC))
 
 
-def difference(name: str, tip_m: FloatArray, other_m: FloatArray) -> Difference:
+def difference(name: str, tip_m: FloatArray, other_m: FloatArray) -> TipDifference:
     """Distance of two tips (T, 2); infinite if one has diverged."""
     apart = np.linalg.norm(tip_m - other_m, axis=1)
     if not np.all(np.isfinite(apart)):
-        return Difference(name, np.inf, np.inf)
-    return Difference(name, float(np.sqrt(np.mean(apart**2))), float(apart.max()))
+        return TipDifference(name, np.inf, np.inf)
+    return TipDifference(name, float(np.sqrt(np.mean(apart**2))), float(apart.max()))
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
     """The engine's tip, (T, 2), m, in a motion, at instants (T,), s."""
 
-    trial: Trial
+    trial: PeerTrial
     times_s: FloatArray
     tip_m: FloatArray
 
     @classmethod
-    def of(cls, model: CableModel, trial: Trial) -> Reference:
+    def of(cls, model: CableModel, trial: PeerTrial) -> Reference:
         """By the project's engine on its fine mesh.  Raises `simulate`'s errors."""
         count = int((trial.end_s - trial.start_s) / COMPARED_S + 1e-9)
         times = np.asarray(trial.start_s + COMPARED_S * np.arange(count + 1.0))
         return cls(trial, times, engine_tip(model, trial, times))
 
 
-def compare(model: CableModel, chain: Chain, step_s: float, reference: Reference) -> Difference:
+def compare(model: CableModel, chain: Chain, step_s: float, reference: Reference) -> TipDifference:
     """How far MuJoCo's tip is from the engine's, for a step of which 5 ms are a multiple."""
     xml = mjcf(chain, step_s, resting_bends(model, chain.links, 0.0), ())
     trial = reference.trial

@@ -45,10 +45,10 @@ def read_chain(path: Path) -> HingeChain:
         said = " ".join(str(error).split())
         message = f"MuJoCo cannot read it: {said}; mend that, or export the chain again"
         raise InputError.at(path, message, line=line_in(said)) from error
-    return _Reading(path, model, data, element_lines(text)).chain()
+    return _MjcfReader(path, model, data, element_lines(text)).chain()
 
 
-class _Reading:
+class _MjcfReader:
     """One file, compiled by MuJoCo at its initial configuration."""
 
     def __init__(

@@ -41,21 +41,21 @@ class Plot:
 
 
 @dataclass(frozen=True)
-class Picture:
+class PagePicture:
     """A picture within a page, as JPEG."""
 
     name: str
     base64: str
 
     @staticmethod
-    def of(image: NDArray[Any], width_px: int, name: str) -> Picture:
+    def of(image: NDArray[Any], width_px: int, name: str) -> PagePicture:
         """Of an image, made as wide as is said."""
         height = round(image.shape[0] * width_px / image.shape[1])
         small = cv2.resize(image, (width_px, height), interpolation=cv2.INTER_AREA)
         done, data = cv2.imencode(".jpg", small)
         assert done
         text = base64.b64encode(data.tobytes()).decode()
-        return Picture(name.replace("_", " "), text)
+        return PagePicture(name.replace("_", " "), text)
 
 
 def code(text: str) -> Markup:

@@ -399,7 +399,9 @@ def _window(trial: Trial, duration_s: float) -> Trial:
     return replace(trial, markers=Markers(t_s[keep], trial.markers.xy_m[keep]))
 
 
-def _problem(space: ParameterSpace, residuals: gauss_newton.Residuals) -> gauss_newton.Problem:
-    return gauss_newton.Problem(
+def _problem(
+    space: ParameterSpace, residuals: gauss_newton.Residuals
+) -> gauss_newton.LeastSquaresProblem:
+    return gauss_newton.LeastSquaresProblem(
         residuals, space.mean, space.precision, space.step, space.low, space.high
     )

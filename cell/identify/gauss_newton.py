@@ -33,7 +33,7 @@ _COARSE, _MOST_FINER = 2.0, 3
 
 
 @dataclass(frozen=True)
-class Problem:
+class LeastSquaresProblem:
     """Minimise |r(q)|² + (q − mean)ᵀ precision (q − mean) within bounds.
 
     mean, step, low, high  (p,); `step` is the largest of the finite differences, taken away from a
@@ -121,7 +121,7 @@ UNSIMULATED = (UnsimulatedError, np.linalg.LinAlgError)
 
 
 def minimise(
-    problem: Problem,
+    problem: LeastSquaresProblem,
     start: FloatArray,
     options: Options = Options(),
     jacobian: FloatArray | None = None,
@@ -225,7 +225,7 @@ class _Point:
         return bool(np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.jacobian)))
 
 
-def _begun(problem: Problem, start: FloatArray, jacobian: FloatArray | None) -> _Point:
+def _begun(problem: LeastSquaresProblem, start: FloatArray, jacobian: FloatArray | None) -> _Point:
     """The start of a fit."""
     here = _linearise(problem, start) if jacobian is None else _seen(problem, start, jacobian)
     if not here.usable:
@@ -233,7 +233,9 @@ def _begun(problem: Problem, start: FloatArray, jacobian: FloatArray | None) -> 
     return here
 
 
-def _linearise(problem: Problem, q: FloatArray, known: FloatArray | None = None) -> _Point:
+def _linearise(
+    problem: LeastSquaresProblem, q: FloatArray, known: FloatArray | None = None
+) -> _Point:
     """The point at q, its Jacobian by finite differences.
 
     known  residual there, where the slopes come from elsewhere
@@ -253,13 +255,13 @@ def _linearise(problem: Problem, q: FloatArray, known: FloatArray | None = None)
     return _Point(q, residual, jacobian, _objective(problem, q, residual), step=problem.step)
 
 
-def _seen(problem: Problem, q: FloatArray, jacobian: FloatArray) -> _Point:
+def _seen(problem: LeastSquaresProblem, q: FloatArray, jacobian: FloatArray) -> _Point:
     """The point at q, its Jacobian known."""
     residual = problem.residuals(q[None])[0]
     return _Point(q, residual, jacobian, _objective(problem, q, residual))
 
 
-def jacobian_at(problem: Problem, q: FloatArray, covariance: FloatArray) -> FloatArray:
+def jacobian_at(problem: LeastSquaresProblem, q: FloatArray, covariance: FloatArray) -> FloatArray:
     """(rows, p) by finite differences at q; not finite where it cannot be simulated.
 
     covariance  (p, p) of q: no difference reaches further than its standard deviations
@@ -268,7 +270,7 @@ def jacobian_at(problem: Problem, q: FloatArray, covariance: FloatArray) -> Floa
     return _linearise(replace(problem, step=step), q).jacobian
 
 
-def _computed(problem: Problem, point: _Point) -> _Point:
+def _computed(problem: LeastSquaresProblem, point: _Point) -> _Point:
     """The point with a Jacobian that is not updated, unless none can be computed there."""
     if not point.updates:
         return point
@@ -276,7 +278,7 @@ def _computed(problem: Problem, point: _Point) -> _Point:
     return computed if computed.usable else point
 
 
-def _finer(problem: Problem, point: _Point) -> _Point:
+def _finer(problem: LeastSquaresProblem, point: _Point) -> _Point:
     """The point with slopes over the problem's steps, if its own are over far larger ones."""
     if point.step is None or point.refined == _MOST_FINER:
         return point
@@ -286,7 +288,9 @@ def _finer(problem: Problem, point: _Point) -> _Point:
     return replace(finer, refined=point.refined + 1) if finer.usable else point
 
 
-def _updated(problem: Problem, point: _Point, step: FloatArray, weight: FloatArray) -> _Point:
+def _updated(
+    problem: LeastSquaresProblem, point: _Point, step: FloatArray, weight: FloatArray
+) -> _Point:
     """The point a step on: the least change of the Jacobian, in units of weight^-½, explains it.
 
     source  Broyden, Math. Comp. 19 (1965) 577, "good" method
@@ -298,7 +302,7 @@ def _updated(problem: Problem, point: _Point, step: FloatArray, weight: FloatArr
     return _Point(q, residual, jacobian, _objective(problem, q, residual), point.updates + 1)
 
 
-def _objective(problem: Problem, q: FloatArray, residual: FloatArray) -> float:
+def _objective(problem: LeastSquaresProblem, q: FloatArray, residual: FloatArray) -> float:
     away = q - problem.mean
     value = float(residual @ residual + away @ problem.precision @ away)
     return value if np.isfinite(value) else np.inf
@@ -316,7 +320,11 @@ def _deviations(normal: FloatArray) -> FloatArray:
 
 
 def _bounded_step(
-    problem: Problem, q: FloatArray, normal: FloatArray, slope: FloatArray, damping: float
+    problem: LeastSquaresProblem,
+    q: FloatArray,
+    normal: FloatArray,
+    slope: FloatArray,
+    damping: float,
 ) -> FloatArray:
     """Damped step; parameters that it would drive out of bounds go to the bound and stay there."""
     damped = normal + damping * np.diag(np.diag(normal))

@@ -158,7 +158,7 @@ def fit_as_paper(
         return whiteners[0](predict(trial, models, arc_length_m, options.solver))
 
     swing = slice(n + 1, n + 3)
-    problem = gauss_newton.Problem(
+    problem = gauss_newton.LeastSquaresProblem(
         residuals,
         space.mean[swing],
         space.precision[swing, swing],

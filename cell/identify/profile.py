@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
-from cell.identify.gauss_newton import UNSIMULATED, Options, Problem, Solution, minimise
+from cell.identify.gauss_newton import UNSIMULATED, LeastSquaresProblem, Options, Solution, minimise
 
 FloatArray = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class ProfilePoint:
 
 
 @dataclass(frozen=True)
-class Profile:
+class LikelihoodProfile:
     """Of one parameter: points in its order, the minimum among them, and the interval of 95 %.
 
     low, high   -∞ or ∞ where no value is excluded; the parameter's bound if that ends the interval
@@ -63,7 +63,9 @@ class Profile:
     better: bool
 
 
-def profile(problem: Problem, solution: Solution, index: int, options: Options) -> Profile:
+def profile(
+    problem: LeastSquaresProblem, solution: Solution, index: int, options: Options
+) -> LikelihoodProfile:
     """The profile of parameter `index` around a minimum, to both sides until 95 % is excluded.
 
     problem   its residuals white and of unit size
@@ -73,11 +75,11 @@ def profile(problem: Problem, solution: Solution, index: int, options: Options) 
     left, low = _side(problem, solution, index, -1.0, options)
     right, high = _side(problem, solution, index, 1.0, options)
     points = (*reversed(left), best, *right)
-    return Profile(points, low, high, any(p.rise < -(BETTER**2) for p in points))
+    return LikelihoodProfile(points, low, high, any(p.rise < -(BETTER**2) for p in points))
 
 
 def _side(
-    problem: Problem, solution: Solution, index: int, sign: float, options: Options
+    problem: LeastSquaresProblem, solution: Solution, index: int, sign: float, options: Options
 ) -> tuple[list[ProfilePoint], float]:
     """Points to one side, outwards, and where the interval ends there."""
     bound = float((problem.low if sign < 0.0 else problem.high)[index])
@@ -139,7 +141,7 @@ def _bracket(
 
 
 def _held(
-    problem: Problem, start: FloatArray, index: int, value: float, options: Options
+    problem: LeastSquaresProblem, start: FloatArray, index: int, value: float, options: Options
 ) -> Solution | None:
     """The minimum with one parameter held; None if the model cannot be simulated there."""
     low, high, q = problem.low.copy(), problem.high.copy(), start.copy()

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from cell.plant.messages import PROTOCOL, Answer, Notice, Request, Status, to_json
+from cell.plant.messages import PROTOCOL, CommandReply, Notice, Request, Status, to_json
 from cell.plant.wire import (
     LONGEST_LINE,
     SILENCE_S,
@@ -104,7 +104,7 @@ class Client:
                     self._kept = stack.pop_all(), talk
             return status
 
-    def send(self, request: Request) -> Answer:
+    def send(self, request: Request) -> CommandReply:
         """Ask for something, once.
 
         raises  NoCellError: no cell was asked; LinkError: what became of the request is not known,

@@ -42,7 +42,7 @@ class Journal:
         return self._lines[sequence + 1]
 
 
-class Connection:
+class CellConnection:
     """A connected program.  Nothing here waits.
 
     greeted  whether it has said which version it speaks

@@ -6,25 +6,29 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
-from cell.plant.messages import COMMANDS, Kind, Notice, Status
+from cell.plant.messages import COMMANDS, MessageKind, Notice, Status
 from cell.plant.wire import fault_of
-from cell.run.machine import TRANSITIONS, CellState, Event
+from cell.run.machine import TRANSITIONS, CellState, MachineEvent
 
 
-def possible_in(state: CellState, obeyed: Collection[Event] = COMMANDS) -> tuple[Event, ...]:
+def possible_in(
+    state: CellState, obeyed: Collection[MachineEvent] = COMMANDS
+) -> tuple[MachineEvent, ...]:
     """Commands that a state accepts, in the order of the table of transitions.
 
     obeyed  those that the cell obeys at all
     """
-    known = (Event(event) for source, event, _ in TRANSITIONS if source == state)
+    known = (MachineEvent(event) for source, event, _ in TRANSITIONS if source == state)
     return tuple(event for event in known if event in obeyed)
 
 
-def status_after(status: Status, notice: Notice, obeyed: Collection[Event] = COMMANDS) -> Status:
+def status_after(
+    status: Status, notice: Notice, obeyed: Collection[MachineEvent] = COMMANDS
+) -> Status:
     """The status that contains a notice; the times in each state are not counted on."""
     status, data = replace(status, sequence=notice.sequence), notice.data
     match notice.kind:
-        case Kind.STATE:
+        case MessageKind.STATE:
             state = CellState(data["state"])
             return replace(
                 status,
@@ -33,25 +37,25 @@ def status_after(status: Status, notice: Notice, obeyed: Collection[Event] = COM
                 step=None,
                 possible=possible_in(state, obeyed),
             )
-        case Kind.STEP:
+        case MessageKind.STEP:
             return replace(status, step=data["step"])
-        case Kind.CYCLE:
+        case MessageKind.CYCLE:
             part, product = data["part"], data["product"]
             status = replace(status, cycle=data["cycle"], part=part, product=product)
             return _of_product(status, data)
-        case Kind.RESULT:
+        case MessageKind.RESULT:
             outcome = data["outcome"]
             counts = {**status.counts, outcome: status.counts.get(outcome, 0) + 1}
             return replace(status, counts=counts, last=data)
-        case Kind.FAULT:
+        case MessageKind.FAULT:
             return replace(status, fault=fault_of(data))
-        case Kind.ACKNOWLEDGED:
+        case MessageKind.ACKNOWLEDGED:
             return replace(status, fault=None)
-        case Kind.PRODUCT:
+        case MessageKind.PRODUCT:
             return _of_product(replace(status, product=data["product"]), data)
-        case Kind.WAITING:
+        case MessageKind.WAITING:
             return replace(status, waiting_for=tuple(data["waiting_for"]))
-        case Kind.ADAPTER:
+        case MessageKind.ADAPTER:
             others = {k: v for k, v in status.adapters.items() if k != data["adapter"]}
             trouble = {data["adapter"]: data["trouble"]} if data["trouble"] else {}
             return replace(status, adapters={**others, **trouble})

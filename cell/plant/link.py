@@ -22,11 +22,19 @@ from uuid import uuid4
 
 from cell.plant.connection import Journal
 from cell.plant.folded import possible_in, status_after
-from cell.plant.messages import COMMANDS, Answer, Kind, Notice, Request, Status, to_json
-from cell.plant.server import Server
+from cell.plant.messages import (
+    COMMANDS,
+    CommandReply,
+    MessageKind,
+    Notice,
+    Request,
+    Status,
+    to_json,
+)
+from cell.plant.server import CommandServer
 from cell.plant.wire import line_of, socket_of
 from cell.run.commands import INTERRUPTING, too_old
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from drivers.threads import GuardedThread
 
 _LOG = logging.getLogger(__name__)
@@ -38,7 +46,7 @@ _CLOSE_S = 2.0
 #: the cycle, which tells four things while it computes the choice, has its core for itself.
 _TOGETHER_S = 0.04
 
-Handler = Callable[[Request], Answer]
+Handler = Callable[[Request], CommandReply]
 
 
 class Link:
@@ -57,7 +65,7 @@ class Link:
         runs: Path,
         status: Status,
         handler: Handler,
-        obeyed: Collection[Event] = COMMANDS,
+        obeyed: Collection[MachineEvent] = COMMANDS,
     ) -> None:
         self.path = socket_of(runs)
         self.run = uuid4().hex
@@ -73,10 +81,12 @@ class Link:
         self._taking_in = threading.Lock()
         self._new: deque[Notice] = deque()
         self._bell: SimpleQueue[bool] = SimpleQueue()
-        self._asked: SimpleQueue[tuple[Request, Callable[[Answer], None]] | None] = SimpleQueue()
+        self._asked: SimpleQueue[tuple[Request, Callable[[CommandReply], None]] | None] = (
+            SimpleQueue()
+        )
         self._opened = ExitStack()
 
-    def publish(self, kind: Kind, data: Mapping[str, Any]) -> Notice:
+    def publish(self, kind: MessageKind, data: Mapping[str, Any]) -> Notice:
         """Tell all programs, without waiting for any; from any thread.
 
         data  is not changed afterwards
@@ -98,7 +108,7 @@ class Link:
     def __enter__(self) -> Link:
         with ExitStack() as stack:
             server = stack.enter_context(
-                Server(self.path, self.run, self._journal, self.status, self._ask)
+                CommandServer(self.path, self.run, self._journal, self.status, self._ask)
             )
             threads = [
                 GuardedThread("link", partial(self._ring, server), lambda _: server.abandon()),
@@ -124,7 +134,7 @@ class Link:
         """Put what is new into status and journal; only one thread at a time."""
         while self._new:
             notice = self._new.popleft()
-            if notice.kind is Kind.STATE:
+            if notice.kind is MessageKind.STATE:
                 seconds = self._seconds(notice.ran_s)
                 self._status = replace(self._status, state_seconds=seconds)
                 self._since_s = notice.ran_s
@@ -142,7 +152,7 @@ class Link:
         seconds[state] = seconds.get(state, 0.0) + now_s - self._since_s
         return seconds
 
-    def _ring(self, server: Server) -> None:
+    def _ring(self, server: CommandServer) -> None:
         """Take in what is published, and let the server send it, much at once."""
         goes_on = True
         while goes_on:
@@ -162,7 +172,7 @@ class Link:
                 goes_on = self._bell.get_nowait()
         return goes_on
 
-    def _ask(self, request: Request, then: Callable[[Answer], None]) -> None:
+    def _ask(self, request: Request, then: Callable[[CommandReply], None]) -> None:
         self._asked.put((request, then))
 
     def _obey(self) -> None:
@@ -174,13 +184,13 @@ class Link:
             except Exception as error:  # it must not end the cell, nor this thread
                 _LOG.exception("request %s", request)
                 reason = f"{type(error).__name__}: {error}"
-                answer = Answer(False, self.status().state, reason)
+                answer = CommandReply(False, self.status().state, reason)
             then(answer)
 
-    def _too_old(self, request: Request) -> Answer | None:
+    def _too_old(self, request: Request) -> CommandReply | None:
         """The refusal of a request that has waited somewhere; a stop is obeyed however late."""
         if request.command in INTERRUPTING:
             return None
         what = "product" if request.command is None else request.command.value
         late = too_old(what, request.asked_s)
-        return Answer(False, self.status().state, late, "asked_s") if late else None
+        return CommandReply(False, self.status().state, late, "asked_s") if late else None

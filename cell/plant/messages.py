@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 
 #: Of the messages; a program that speaks another version is refused.
 PROTOCOL = 2
 
 #: What a person or another machine may ask for; `done` is the cell's own.
-COMMANDS = frozenset(Event) - {Event.DONE}
+COMMANDS = frozenset(MachineEvent) - {MachineEvent.DONE}
 
 
 class Mode(StrEnum):
@@ -25,7 +25,7 @@ class Mode(StrEnum):
     MANUAL = "manual"
 
 
-class Kind(StrEnum):
+class MessageKind(StrEnum):
     """What a notice is about; its `data` are those named here.
 
     STATE         state, step = null, since (Unix time, s)
@@ -97,7 +97,7 @@ class Status:
     products: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
     state_seconds: Mapping[str, float] = field(default_factory=dict)
-    possible: tuple[Event, ...] = ()
+    possible: tuple[MachineEvent, ...] = ()
     waiting_for: tuple[str, ...] = ()
     fault: FaultNotice | None = None
     adapters: Mapping[str, str] = field(default_factory=dict)
@@ -121,7 +121,7 @@ class Notice:
     run: str
     sequence: int
     time_s: float
-    kind: Kind
+    kind: MessageKind
     data: Mapping[str, Any]
     ran_s: float = 0.0
 
@@ -139,7 +139,7 @@ class Request:
     asked_s  when it was asked, on the monotonic clock, which all programs of a computer share
     """
 
-    command: Event | None
+    command: MachineEvent | None
     by: str
     note: str = ""
     part: str | None = None
@@ -148,7 +148,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Answer:
+class CommandReply:
     """What became of a request.
 
     accepted  whether it was obeyed, or is latched to be
@@ -163,6 +163,6 @@ class Answer:
     wrong: str = ""
 
 
-def to_json(message: Status | Notice | Request | Answer | FaultNotice) -> dict[str, Any]:
+def to_json(message: Status | Notice | Request | CommandReply | FaultNotice) -> dict[str, Any]:
     """A message as plain data."""
     return asdict(message)

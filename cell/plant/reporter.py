@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from cell.plant.messages import FaultNotice, Kind
+from cell.plant.messages import FaultNotice, MessageKind
 from cell.records.result import Result
 from cell.run.machine import CellState
 
@@ -33,7 +33,7 @@ class Reporter:
 
     def __init__(
         self,
-        publish: Callable[[Kind, Mapping[str, Any]], object],
+        publish: Callable[[MessageKind, Mapping[str, Any]], object],
         products: Mapping[str, Mapping[str, str | None]] | None = None,
     ) -> None:
         self.suspended_for = ""
@@ -45,7 +45,7 @@ class Reporter:
     def state(self, state: CellState) -> None:
         """The cell has come to a state."""
         before, self._state = self._state, state
-        self._publish(Kind.STATE, {"state": state.value, "step": None, "since": time.time()})
+        self._publish(MessageKind.STATE, {"state": state.value, "step": None, "since": time.time()})
         wait = _WAITS.get(state)
         if state is CellState.STOPPED and before is CellState.CLEARING:
             wait = "reset"
@@ -56,37 +56,39 @@ class Reporter:
     def step(self, number: int, step: str) -> None:
         """A step begins; a pause is none."""
         if step not in _PAUSES:
-            self._publish(Kind.STEP, {"step": step, "cycle": number})
+            self._publish(MessageKind.STEP, {"step": step, "cycle": number})
 
     def cycle(self, number: int, part: str | None, product: str | None) -> None:
         """A cycle begins."""
         about = {} if product is None else self._products.get(product, {})
-        self._publish(Kind.CYCLE, {"cycle": number, "part": part, "product": product, **about})
+        self._publish(
+            MessageKind.CYCLE, {"cycle": number, "part": part, "product": product, **about}
+        )
 
     def result(self, result: Result) -> None:
         """A cycle has ended; its fault is told of, too."""
-        self._publish(Kind.RESULT, result.to_json())
+        self._publish(MessageKind.RESULT, result.to_json())
         if result.fault is not None:
             self.fault(FaultNotice(result.cycle, time_s=time.time(), **asdict(result.fault)))
 
     def fault(self, fault: FaultNotice) -> None:
         """A fault that nobody has acknowledged."""
-        self._publish(Kind.FAULT, asdict(fault))
+        self._publish(MessageKind.FAULT, asdict(fault))
 
     def acknowledged(self, by: str, note: str) -> None:
         """A person has looked at the fault."""
-        self._publish(Kind.ACKNOWLEDGED, {"by": by, "note": note})
+        self._publish(MessageKind.ACKNOWLEDGED, {"by": by, "note": note})
 
     def product(self, name: str) -> None:
         """What the next cycle makes."""
-        self._publish(Kind.PRODUCT, {"product": name, **self._products.get(name, {})})
+        self._publish(MessageKind.PRODUCT, {"product": name, **self._products.get(name, {})})
 
     def adapter(self, name: str, trouble: str) -> None:
         """A program that the service started has ended; empty = it runs again."""
-        self._publish(Kind.ADAPTER, {"adapter": name, "trouble": trouble})
+        self._publish(MessageKind.ADAPTER, {"adapter": name, "trouble": trouble})
 
     def waiting(self, *reasons: str) -> None:
         """What the cell waits for; told once."""
         if reasons != self._waiting:
             self._waiting = reasons
-            self._publish(Kind.WAITING, {"waiting_for": list(reasons)})
+            self._publish(MessageKind.WAITING, {"waiting_for": list(reasons)})

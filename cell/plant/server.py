@@ -15,8 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from cell.plant.connection import Connection, Journal, LaggingError
-from cell.plant.messages import PROTOCOL, Answer, Request, Status, to_json
+from cell.plant.connection import CellConnection, Journal, LaggingError
+from cell.plant.messages import PROTOCOL, CommandReply, Request, Status, to_json
 from cell.plant.wire import LinkError, has_unix_sockets, line_of, request_of
 from drivers.threads import GuardedThread, only_logged
 
@@ -30,7 +30,7 @@ _CLOSE_S = 2.0
 _NO_FILES_S = 0.1
 
 
-class Server:
+class CommandServer:
     """Serves programs within a `with`.
 
     path     of the socket; only this user may connect
@@ -48,15 +48,15 @@ class Server:
         run: str,
         journal: Journal,
         status: Callable[[], Status],
-        ask: Callable[[Request, Callable[[Answer], None]], None],
+        ask: Callable[[Request, Callable[[CommandReply], None]], None],
     ) -> None:
         self._path = path
         self._greeting = line_of("greeting", {"protocol": PROTOCOL, "run": run})
         self._journal = journal
         self._status = status
         self._ask = ask
-        self._answers: deque[tuple[Connection, Answer]] = deque()
-        self._connections: set[Connection] = set()
+        self._answers: deque[tuple[CellConnection, CommandReply]] = deque()
+        self._connections: set[CellConnection] = set()
         self._opened = ExitStack()
         self._over = False
 
@@ -65,7 +65,7 @@ class Server:
         with suppress(OSError):  # it is full: the thread wakes anyway; or closed
             self._waking.send(b".")
 
-    def __enter__(self) -> Server:
+    def __enter__(self) -> CommandServer:
         with ExitStack() as stack:
             self._listening = _listening_at(self._path, stack)
             self._selector = stack.enter_context(selectors.DefaultSelector())
@@ -136,7 +136,7 @@ class Server:
             _LOG.warning("a program could not connect: %s", error)
             time.sleep(_NO_FILES_S)
             return
-        connection = Connection(connected)
+        connection = CellConnection(connected)
         self._connections.add(connection)
         self._selector.register(connected, selectors.EVENT_READ, connection)
         if len(self._connections) > MOST_CLIENTS:
@@ -144,7 +144,7 @@ class Server:
             return
         connection.put(self._greeting)
 
-    def _hear(self, connection: Connection) -> None:
+    def _hear(self, connection: CellConnection) -> None:
         try:
             for kind, data in connection.read():
                 if connection in self._connections:
@@ -154,7 +154,7 @@ class Server:
         except OSError:
             self._drop(connection)
 
-    def _answer(self, connection: Connection, kind: str, data: Any) -> None:
+    def _answer(self, connection: CellConnection, kind: str, data: Any) -> None:
         """Do what a program asks.  Raises ValueError: it is nothing that can be asked."""
         if not connection.greeted:
             if kind != "greeting" or not isinstance(data, dict):
@@ -171,14 +171,14 @@ class Server:
             try:
                 request = request_of(data)
             except ValueError as error:
-                refused = Answer(False, self._status().state, str(error))
+                refused = CommandReply(False, self._status().state, str(error))
                 self._tell(connection, "answer", to_json(refused))
             else:
                 self._ask(request, lambda answer: self._answered(connection, answer))
         else:
             raise ValueError(f"{kind!r} is no message to a cell")
 
-    def _follow(self, connection: Connection, data: Any) -> None:
+    def _follow(self, connection: CellConnection, data: Any) -> None:
         """Tell it all notices from now on, or from where it was."""
         status = self._status()
         match data:
@@ -191,17 +191,17 @@ class Server:
                 self._tell(connection, "status", to_json(status))
                 connection.told = status.sequence
 
-    def _answered(self, connection: Connection, answer: Answer) -> None:
+    def _answered(self, connection: CellConnection, answer: CommandReply) -> None:
         self._answers.append((connection, answer))
         self.wake()
 
-    def _tell(self, connection: Connection, kind: str, data: Any) -> None:
+    def _tell(self, connection: CellConnection, kind: str, data: Any) -> None:
         try:
             connection.put(line_of(kind, data))
         except LaggingError:
             self._drop(connection)
 
-    def _send(self, connection: Connection) -> None:
+    def _send(self, connection: CellConnection) -> None:
         try:
             connection.write(self._journal)
         except LaggingError:
@@ -215,13 +215,13 @@ class Server:
             if self._selector.get_key(connection.socket).events != events:
                 self._selector.modify(connection.socket, events, connection)
 
-    def _refuse(self, connection: Connection, reason: str) -> None:
+    def _refuse(self, connection: CellConnection, reason: str) -> None:
         """Disconnect it, and say why."""
         self._tell(connection, "refused", reason)
         self._send(connection)
         self._drop(connection)
 
-    def _drop(self, connection: Connection) -> None:
+    def _drop(self, connection: CellConnection) -> None:
         if connection in self._connections:
             self._connections.remove(connection)
             self._selector.unregister(connection.socket)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from cell.plant.left_behind import Mark, earlier_cycles
-from cell.plant.messages import Answer, FaultNotice, Request
+from cell.plant.messages import CommandReply, FaultNotice, Request
 from cell.plant.orders import latch, refusal
 from cell.plant.reporter import Reporter
 from cell.plant.signs_of_life import SignsOfLife
@@ -18,7 +18,7 @@ from cell.records.result import Result
 from cell.run.commands import InterruptedByCommandError, too_old
 from cell.run.cycle import Cell
 from cell.run.endings import fault_of
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING, Plan
 from cell.settings.product import product_for
 from drivers.interfaces import DeviceError
@@ -93,7 +93,7 @@ class Service:
 
     # --- the link's threads -------------------------------------------------------------------
 
-    def answer(self, request: Request) -> Answer:
+    def answer(self, request: Request) -> CommandReply:
         """Do what is asked, or refuse it; returns at once."""
         with self._changed:
             if request.product is not None and request.product not in self._products:
@@ -104,33 +104,37 @@ class Service:
                 why = f"{request.product!r} is not known, but {known}"
                 return self._refused("product", why, "product")
             command = request.command
-            if command in (Event.START, Event.RESET, Event.CLEAR):
+            if command in (MachineEvent.START, MachineEvent.RESET, MachineEvent.CLEAR):
                 answer = self._moved(request, command)
             elif command is not None:
-                if command is Event.SUSPEND:
+                if command is MachineEvent.SUSPEND:
                     self._reporter.suspended_for = request.note
                 answer = latch(self._cell, request)
-                if command is Event.ABORT and answer.accepted:
+                if command is MachineEvent.ABORT and answer.accepted:
                     answer = self._aborted(answer)
             elif request.product is None:
                 answer = self._acknowledged(request)
             else:
-                answer = Answer(True, self._cell.machine.state)
-            if answer.accepted and command is not Event.START and request.product is not None:
+                answer = CommandReply(True, self._cell.machine.state)
+            if (
+                answer.accepted
+                and command is not MachineEvent.START
+                and request.product is not None
+            ):
                 self._wanted = request.product
                 if self._cell.machine.state in _BETWEEN:  # else when the cycle has ended
                     self._reporter.product(request.product)
             self._changed.notify_all()
             return answer
 
-    def _moved(self, request: Request, command: Event) -> Answer:
+    def _moved(self, request: Request, command: MachineEvent) -> CommandReply:
         """Let the machine take the transition, where the cell rests."""
         machine = self._cell.machine
         if not machine.can(command):
             return self._refused(command.value)
         if self._ending.is_set():
             return self._refused(command.value, "the service is about to end")
-        if command is Event.START:
+        if command is MachineEvent.START:
             try:
                 self._cell.check()
             except (InterruptedByCommandError, DeviceError) as error:
@@ -142,20 +146,20 @@ class Service:
                 return self._refused(command.value, str(error), "part" if part else "product")
             self._part, self._wanted, self._begins = part, product, request
             self._reporter.cycle(self._number, self._part, product)
-            return Answer(True, machine.send(command))
+            return CommandReply(True, machine.send(command))
         if machine.state is CellState.COMPLETE:  # it resets by itself, at once
-            return Answer(True, machine.state)
+            return CommandReply(True, machine.state)
         note = request.note
         if machine.state is CellState.ABORTED or self._open:
             self._acknowledge(request)
             note = ""  # it is the acknowledgement's
-        if command is Event.RESET:
+        if command is MachineEvent.RESET:
             self._fresh = False
             self._begins = request
             self._cell.reset(request.by, note)
-        return Answer(True, machine.state)
+        return CommandReply(True, machine.state)
 
-    def _aborted(self, answer: Answer) -> Answer:
+    def _aborted(self, answer: CommandReply) -> CommandReply:
         """Into Aborted from Stopped: no cycle obeys it there, and a reset would take it back."""
         machine = self._cell.machine
         if machine.state is not CellState.STOPPED or self._fresh:  # else a cycle obeys it
@@ -169,19 +173,19 @@ class Service:
                 fault, _ = fault_of(machine.state.value, error)
                 notice = FaultNotice(self._number - 1, time_s=time.time(), **vars(fault))
                 self._reporter.fault(notice)
-        machine.send(Event.ABORT)
-        return Answer(True, machine.send(Event.DONE))
+        machine.send(MachineEvent.ABORT)
+        return CommandReply(True, machine.send(MachineEvent.DONE))
 
-    def _acknowledged(self, request: Request) -> Answer:
+    def _acknowledged(self, request: Request) -> CommandReply:
         """A person's word alone: nothing moves before a reset."""
         state = self._cell.machine.state
         if state is CellState.ABORTED:
-            return self._moved(request, Event.CLEAR)
+            return self._moved(request, MachineEvent.CLEAR)
         if state is not CellState.STOPPED or not self._open:
             return self._refused("acknowledge", "there is nothing to acknowledge")
         self._acknowledge(request)
         self._reporter.waiting("reset")
-        return Answer(True, state)
+        return CommandReply(True, state)
 
     def _acknowledge(self, request: Request) -> None:
         self._cell.acknowledge(request.by, request.note)
@@ -194,7 +198,7 @@ class Service:
                 except RecordError as error:  # the next service asks again
                     _LOG.warning("%s", error)
 
-    def _refused(self, what: str, why: str = "", wrong: str = "") -> Answer:
+    def _refused(self, what: str, why: str = "", wrong: str = "") -> CommandReply:
         return refusal(self._cell, what, why, wrong)
 
     def end(self) -> None:
@@ -238,7 +242,7 @@ class Service:
         with self._changed:  # a person may send a reset, too
             self._fresh = False
             if self._cell.machine.state is not CellState.RESETTING:
-                self._cell.machine.send(Event.RESET)
+                self._cell.machine.send(MachineEvent.RESET)
         result = self._cell.prepare(self._number, self._plan)
         self._mark.remove()
         return result
@@ -269,7 +273,7 @@ class Service:
         if begins is not None and begins.command is not None:
             late = too_old(begins.command.value, begins.asked_s)
             if late:
-                self._cell.command(Event.STOP, late)
+                self._cell.command(MachineEvent.STOP, late)
 
     def _ended(self, result: Result, told: Callable[[Result], None]) -> None:
         recorded = cycle_of(Path(result.folder)) is not None
@@ -317,7 +321,7 @@ class Service:
 
     def _untended(self, error: BaseException) -> None:
         """Systemd would kill the service in the middle of a motion: it stops and ends itself."""
-        self._cell.command(Event.STOP, f"nobody tells that the service lives: {said(error)}")
+        self._cell.command(MachineEvent.STOP, f"nobody tells that the service lives: {said(error)}")
         self._ending.set()
 
     def _tend(self) -> None:
@@ -326,4 +330,4 @@ class Service:
             paused = self._cell.machine.state in _UNHURRIED
             self._life.tell(paused=paused)
             if self._ending.is_set() and paused:
-                self._cell.command(Event.STOP, "the service ends")
+                self._cell.command(MachineEvent.STOP, "the service ends")

@@ -19,8 +19,17 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from cell.plant.messages import COMMANDS, Answer, FaultNotice, Kind, Mode, Notice, Request, Status
-from cell.run.machine import CellState, Event
+from cell.plant.messages import (
+    COMMANDS,
+    CommandReply,
+    FaultNotice,
+    MessageKind,
+    Mode,
+    Notice,
+    Request,
+    Status,
+)
+from cell.run.machine import CellState, MachineEvent
 
 #: A program that follows hears something at least so often, s.
 HEARTBEAT_S = 0.4
@@ -87,12 +96,12 @@ def read_line(line: bytes) -> tuple[str, Any]:
 
 def notice_of(data: Mapping[str, Any]) -> Notice:
     """Back from JSON.  Raises KeyError, TypeError, ValueError: not a notice."""
-    return Notice(**{**_known(Notice, data), "kind": Kind(data["kind"])})
+    return Notice(**{**_known(Notice, data), "kind": MessageKind(data["kind"])})
 
 
-def answer_of(data: Mapping[str, Any]) -> Answer:
+def answer_of(data: Mapping[str, Any]) -> CommandReply:
     """Back from JSON.  Raises KeyError, TypeError, ValueError: not an answer."""
-    return Answer(**{**_known(Answer, data), "state": CellState(data["state"])})
+    return CommandReply(**{**_known(CommandReply, data), "state": CellState(data["state"])})
 
 
 def status_of(data: Mapping[str, Any]) -> Status:
@@ -102,7 +111,7 @@ def status_of(data: Mapping[str, Any]) -> Status:
         "state": CellState(data["state"]),
         "mode": Mode(data["mode"]),
         "products": tuple(data["products"]),
-        "possible": tuple(map(Event, data["possible"])),
+        "possible": tuple(map(MachineEvent, data["possible"])),
         "waiting_for": tuple(data["waiting_for"]),
         "fault": None if data["fault"] is None else fault_of(data["fault"]),
     }
@@ -136,7 +145,9 @@ def request_of(data: Any) -> Request:
     command = known.pop("command", None)
     if command is not None and command not in COMMANDS:
         raise ValueError(f"{command!r} is no command; those are {', '.join(sorted(COMMANDS))}")
-    return Request(command=None if command is None else Event(command), asked_s=asked_s, **known)
+    return Request(
+        command=None if command is None else MachineEvent(command), asked_s=asked_s, **known
+    )
 
 
 def _is_whole(text: str) -> bool:

@@ -39,7 +39,7 @@ TOGETHER = 5
 
 
 @dataclass(frozen=True)
-class Signal:
+class ChartSignal:
     """A quantity that has left its limits.
 
     what      in words
@@ -70,12 +70,12 @@ class Signal:
         )
 
 
-def signals(results: Sequence[Result]) -> list[Signal]:
+def signals(results: Sequence[Result]) -> list[ChartSignal]:
     """What has changed in the cycles of one model, oldest first; nothing is said of a few."""
     return [*_of_forecasts(results), *_of_swings(results), *_of_cables(results)]
 
 
-def _of_forecasts(results: Sequence[Result]) -> list[Signal]:
+def _of_forecasts(results: Sequence[Result]) -> list[ChartSignal]:
     executed = [
         (r.folder, (r.measured_miss_m - r.predicted_miss_m), r.predicted_std_m)
         for r in results
@@ -88,7 +88,7 @@ def _of_forecasts(results: Sequence[Result]) -> list[Signal]:
     return [_signal("forecasts err by more", [c for c, _, _ in executed], np.abs(errors), change)]
 
 
-def _of_swings(results: Sequence[Result]) -> list[Signal]:
+def _of_swings(results: Sequence[Result]) -> list[ChartSignal]:
     swung = [
         (r.folder, r.residual_rms_m, r.noise_m) for r in results if r.residual_rms_m and r.noise_m
     ]
@@ -99,7 +99,7 @@ def _of_swings(results: Sequence[Result]) -> list[Signal]:
     return [_signal("the model misses the swing by more", [c for c, _, _ in swung], misses, change)]
 
 
-def _of_cables(results: Sequence[Result]) -> list[Signal]:
+def _of_cables(results: Sequence[Result]) -> list[ChartSignal]:
     """EI and viscosity, as every cable was identified: nothing else shows them if fits follow."""
     found = []
     known = [(r.folder, *logs) for r in results if (logs := _rigidity_and_viscosity(r.parameters))]
@@ -121,7 +121,7 @@ def _of_cables(results: Sequence[Result]) -> list[Signal]:
         since = at - int(np.argmax(np.abs(newest) / np.sqrt(np.arange(1, TOGETHER + 1))))
         after = float(np.exp(np.mean(away[since:])))
         found.append(
-            Signal(what, folders[since], folders[at], len(folders) - since, 1.0, after, True)
+            ChartSignal(what, folders[since], folders[at], len(folders) - since, 1.0, after, True)
         )
     return found
 
@@ -137,13 +137,13 @@ def _rigidity_and_viscosity(parameters: Mapping[str, float]) -> tuple[float, flo
 
 def _signal(
     what: str, folders: Sequence[str], sizes_m: FloatArray, change: tuple[int, int]
-) -> Signal:
+) -> ChartSignal:
     since, at = change
     before = float(np.sqrt(np.mean(sizes_m[:since] ** 2)))
     after = float(np.sqrt(np.mean(sizes_m[since:] ** 2)))
     if after < before:
         what = what.replace("more", "less")
-    return Signal(what, folders[since], folders[at], len(folders) - since, before, after)
+    return ChartSignal(what, folders[since], folders[at], len(folders) - since, before, after)
 
 
 def _change(q: FloatArray, slow: bool = True) -> tuple[int, int] | None:

@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from cell.files.figure_style import ADDED, MODEL, QUIET, SEEN, laid_out
-from cell.files.page import Picture, Plot, page
+from cell.files.page import PagePicture, Plot, page
 from cell.files.table import TableData
 from cell.records.folder import Recorded
 from cell.records.recording import form
@@ -131,7 +131,7 @@ def _mm(length_m: float | None) -> str:
     return "?" if length_m is None else f"{length_m * 1e3:.0f} mm"
 
 
-def _strip(recording: Recording) -> list[Picture]:
+def _strip(recording: Recording) -> list[PagePicture]:
     """Frames evenly over both films, with the cable as it was seen."""
     count = recording.count(form.IMAGE)
     chosen = set(np.linspace(0, count - 1, min(STRIP, count)).round().astype(int).tolist())
@@ -142,7 +142,7 @@ def _strip(recording: Recording) -> list[Picture]:
         if number not in chosen:
             continue
         shown.append(
-            Picture.of(drawn(frame.image, points), STRIP_PX, f"{frame.t_s - first_s:.2f} s")
+            PagePicture.of(drawn(frame.image, points), STRIP_PX, f"{frame.t_s - first_s:.2f} s")
         )
     return shown
 
@@ -153,10 +153,10 @@ def _missing(recording: Recording) -> str:
     return "; ".join(f"{g['frames']} frames from {g['first']}: {g['cause']}" for g in gaps)
 
 
-def _seen(record: Recorded) -> list[Picture]:
+def _seen(record: Recorded) -> list[PagePicture]:
     """The pictures of the folder that can be read."""
     read = [(path.stem, cv2.imread(str(path))) for path in sorted(record.folder.glob("*.png"))]
-    return [Picture.of(image, PICTURE_PX, name) for name, image in read if image is not None]
+    return [PagePicture.of(image, PICTURE_PX, name) for name, image in read if image is not None]
 
 
 def _tip_path(

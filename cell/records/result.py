@@ -44,7 +44,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Check:
+class AgreementCheck:
     """One thing that a dry run found out.
 
     found      in SI units, `unit`
@@ -144,7 +144,7 @@ class Result:
     model_misses: bool = False
     fault: Fault | None = None
     speed: float | None = None
-    checks: tuple[Check, ...] = ()
+    checks: tuple[AgreementCheck, ...] = ()
     part: str | None = None
     product: str | None = None
     delay_s: float | None = None
@@ -167,5 +167,5 @@ class Result:
         if known.get("corrections") is not None:
             known["corrections"] = tuple(Correction(**c) for c in data["corrections"])
         known["stops"] = tuple(data.get("stops", ()))
-        known["checks"] = tuple(Check(**check) for check in data.get("checks", ()))
+        known["checks"] = tuple(AgreementCheck(**check) for check in data.get("checks", ()))
         return cls(**known)

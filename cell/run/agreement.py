@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.identify.golden_section import where_least
-from cell.records.result import Check
+from cell.records.result import AgreementCheck
 from cell.run.findings import RehearsedMotion
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
@@ -36,7 +36,7 @@ _VIEW = "correct camera.view, or arm.plane_…"
 
 def agreement(
     followed: Sequence[RehearsedMotion], *, lag_s: float, frame_rate_hz: float
-) -> tuple[Check, ...]:
+) -> tuple[AgreementCheck, ...]:
     """What the motions of a dry run say of arm and camera.
 
     lag_s          as in the settings
@@ -45,14 +45,14 @@ def agreement(
     filmed = [f for f in followed if f.film is not None]
     speeds = [float(np.max(_speed_m_per_s(f.hand))) for f in followed]
     return (
-        Check("hand: greatest speed", max(speeds, default=0.0), "m/s"),
+        AgreementCheck("hand: greatest speed", max(speeds, default=0.0), "m/s"),
         *_arm(filmed, lag_s),
         *_frames(filmed, frame_rate_hz),
         *_camera(filmed),
     )
 
 
-def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[Check]:
+def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[AgreementCheck]:
     """Lag of the arm behind its commands, and how far it then is beside its path."""
 
     def left_over(lag_s: float) -> FloatArray:
@@ -68,7 +68,7 @@ def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[Check]:
 
     found_s = _least(lambda s: float(np.mean(left_over(s) ** 2)), 0.0, LONGEST_DELAY_S)
     return [
-        Check(
+        AgreementCheck(
             "arm: lag",
             found_s,
             "s",
@@ -76,7 +76,7 @@ def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[Check]:
             lag_s + DELAY_TOLERANCE_S,
             f"set arm.lag_s to {found_s:.4f}",
         ),
-        Check(
+        AgreementCheck(
             "arm: beside its path",
             float(left_over(found_s).max()),
             "m",
@@ -86,14 +86,14 @@ def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[Check]:
     ]
 
 
-def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[Check]:
+def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[AgreementCheck]:
     films = [f.film for f in filmed if f.film is not None]
     steps_s = np.concatenate([np.diff(film.frame_s) for film in films])
     found = np.concatenate([np.isfinite(film.jaw_m[:, 0]) for film in films])
     tolerance_hz = RATE_TOLERANCE * frame_rate_hz
     return [
-        Check("camera: pictures", float(sum(len(film.frame_s) for film in films))),
-        Check(
+        AgreementCheck("camera: pictures", float(sum(len(film.frame_s) for film in films))),
+        AgreementCheck(
             "camera: frame rate",
             float(1.0 / np.mean(steps_s)),
             "Hz",
@@ -101,7 +101,7 @@ def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[Che
             frame_rate_hz + tolerance_hz,
             "shorten the exposure, or lower camera.frame_rate_hz",
         ),
-        Check(
+        AgreementCheck(
             "camera: jaw found in",
             float(np.mean(found)),
             "",
@@ -111,7 +111,7 @@ def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[Che
     ]
 
 
-def _camera(filmed: Sequence[RehearsedMotion]) -> list[Check]:
+def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
     """The jaw as the camera sees it against the jaw as the arm reports it.
 
     seen = shift + scale · turned(reported a delay earlier): for each delay the rest is linear in
@@ -132,7 +132,7 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[Check]:
     delay_s = _least(lambda s: float(np.mean(fit(s)[0] ** 2)), -LONGEST_DELAY_S, LONGEST_DELAY_S)
     left_m, turn, shift_m = fit(delay_s)
     return [
-        Check(
+        AgreementCheck(
             "camera: stamps late by",
             delay_s,
             "s",
@@ -140,14 +140,14 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[Check]:
             DELAY_TOLERANCE_S,
             f"add {delay_s:.4f} to camera.latency_s",
         ),
-        Check(
+        AgreementCheck(
             "camera: jaw beside the arm",
             abs(shift_m),
             "m",
             high=BESIDE_TOLERANCE_M,
             remedy=f"by {shift_m.real * 1e3:.1f}, {shift_m.imag * 1e3:.1f} mm: {_VIEW}",
         ),
-        Check(
+        AgreementCheck(
             "camera: scale",
             abs(turn),
             "",
@@ -155,7 +155,7 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[Check]:
             1.0 + SCALE_TOLERANCE,
             f"divide camera.view.metres_per_pixel by {abs(turn):.4f}",
         ),
-        Check(
+        AgreementCheck(
             "camera: direction",
             float(np.angle(turn)),
             "rad",
@@ -163,7 +163,7 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[Check]:
             DIRECTION_TOLERANCE_RAD,
             "turn the camera level, or correct arm.plane_x_axis and arm.plane_y_axis",
         ),
-        Check(
+        AgreementCheck(
             "camera: what remains, rms",
             float(np.sqrt(np.mean(left_m**2))),
             "m",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.timing import LEAST_FRAMES, Delay, lag_change, latency_change
-from cell.records.result import Check
+from cell.records.result import AgreementCheck
 from drivers.interfaces import Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -39,7 +39,7 @@ def delay_checks(
     told: Trajectory,
     lag_s: float,
     known: KnownDelays,
-) -> tuple[Check, ...]:
+) -> tuple[AgreementCheck, ...]:
     """Latency and lag beside those in use; nothing if the motion does not show them.
 
     stamps_s  (N,) of frames, the latency taken off
@@ -61,9 +61,9 @@ def delay_checks(
     )
 
 
-def _check(what: str, delay: Delay, most_s: float, remedy: str) -> Check:
+def _check(what: str, delay: Delay, most_s: float, remedy: str) -> AgreementCheck:
     """Refuses only what its own interval does not explain."""
     most_s += delay.half_width_s
     if delay.rms_m > _MOST_MISFIT_M:
-        return Check(f"{what}, not told by this motion", delay.value_s, "s")
-    return Check(what, delay.value_s, "s", -most_s, most_s, remedy)
+        return AgreementCheck(f"{what}, not told by this motion", delay.value_s, "s")
+    return AgreementCheck(what, delay.value_s, "s", -most_s, most_s, remedy)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import threading
 import time
 
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from drivers.interfaces import DeviceError
 
-INTERRUPTING = frozenset({Event.STOP, Event.ABORT})
-PAUSING = frozenset({Event.HOLD, Event.SUSPEND})
+INTERRUPTING = frozenset({MachineEvent.STOP, MachineEvent.ABORT})
+PAUSING = frozenset({MachineEvent.HOLD, MachineEvent.SUSPEND})
 #: A command to move that is older is refused, s: whoever gave it expects no motion any more.
 OLDEST_S = 1.0
-RESUMING = {Event.HOLD: Event.UNHOLD, Event.SUSPEND: Event.UNSUSPEND}
+RESUMING = {MachineEvent.HOLD: MachineEvent.UNHOLD, MachineEvent.SUSPEND: MachineEvent.UNSUSPEND}
 
 
 def too_old(what: str, asked_s: float) -> str:
@@ -32,7 +32,7 @@ def too_old(what: str, asked_s: float) -> str:
 class InterruptedByCommandError(Exception):
     """A stop or an abort was given.  Scenario: somebody opens the guard in the middle of a step."""
 
-    def __init__(self, event: Event, reason: str) -> None:
+    def __init__(self, event: MachineEvent, reason: str) -> None:
         super().__init__(f"{event.value}: {reason}")
         self.event = event
         self.reason = reason
@@ -47,9 +47,9 @@ class Commands:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._interruption: tuple[Event, str] | None = None
+        self._interruption: tuple[MachineEvent, str] | None = None
         self._failure: DeviceError | None = None
-        self._pauses: list[Event] = []
+        self._pauses: list[MachineEvent] = []
         self._resumed_s = 0.0
 
     def fail(self, error: DeviceError) -> None:
@@ -59,13 +59,13 @@ class Commands:
                 self._failure = error
             self._changed.notify_all()
 
-    def give(self, event: Event, reason: str = "") -> None:
+    def give(self, event: MachineEvent, reason: str = "") -> None:
         """Latch a command.  Raises ValueError: not a command that a running cycle obeys."""
         with self._changed:
             if event in INTERRUPTING:
                 # An abort outranks a stop; otherwise the first reason is the one that counts.
                 if self._interruption is None or (
-                    event is Event.ABORT and self._interruption[0] is Event.STOP
+                    event is MachineEvent.ABORT and self._interruption[0] is MachineEvent.STOP
                 ):
                     self._interruption = (event, reason)
             elif event in PAUSING:
@@ -90,20 +90,20 @@ class Commands:
     def aborted(self) -> bool:
         """Whether an abort was given and not acknowledged."""
         with self._changed:
-            return self._interruption is not None and self._interruption[0] is Event.ABORT
+            return self._interruption is not None and self._interruption[0] is MachineEvent.ABORT
 
     @property
-    def pause(self) -> Event | None:
+    def pause(self) -> MachineEvent | None:
         """The pause asked for and not taken back, if any."""
         with self._changed:
             return self._pauses[0] if self._pauses else None
 
-    def resumes(self, event: Event) -> bool:
+    def resumes(self, event: MachineEvent) -> bool:
         """Whether `event` takes back a pause that was asked for."""
         with self._changed:
             return any(RESUMING[pause] is event for pause in self._pauses)
 
-    def wait_until_resumed(self, pause: Event) -> None:
+    def wait_until_resumed(self, pause: MachineEvent) -> None:
         """Block while `pause` lasts.  Raises InterruptedByCommandError; DeviceError.
 
         A stop takes the place of what ended the pause if this process was halted since.
@@ -114,7 +114,7 @@ class Commands:
                 waited = self._changed.wait()
             late = too_old(RESUMING[pause].value, self._resumed_s) if waited else ""
             if late and self._interruption is None:
-                self._interruption = (Event.STOP, late)
+                self._interruption = (MachineEvent.STOP, late)
         self.check()
 
     def clear(self) -> None:

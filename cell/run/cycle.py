@@ -19,12 +19,12 @@ from cell.run.archive import Archive
 from cell.run.commands import INTERRUPTING, Commands
 from cell.run.endings import EXPECTED, fault_of, unreached, unrecorded
 from cell.run.listed import CycleListing
-from cell.run.machine import CellState, Event, EventRefusedError, Machine
+from cell.run.machine import CellState, EventRefusedError, Machine, MachineEvent
 from cell.run.movements import slowed
 from cell.run.one_cycle import OneCycle
 from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, changing_over, rehearsing
 from cell.run.product import ProductTask
-from cell.run.progress import Progress
+from cell.run.progress import CycleProgress
 from cell.run.recorded import CycleRecording
 from cell.run.station import Station, Task
 from cell.run.step_runner import StepRunner
@@ -85,7 +85,7 @@ class Cell:
         """What a person should know of the recordings and of the ledger."""
         return self._archive.notes()
 
-    def command(self, event: Event, reason: str = "") -> None:
+    def command(self, event: MachineEvent, reason: str = "") -> None:
         """Stop, abort, hold, unhold, suspend or unsuspend, from any thread, at any time.
 
         A stop or an abort is given to the arm before this returns.
@@ -104,8 +104,8 @@ class Cell:
         raises    EventRefusedError: the cell is not stopped
         """
         if self.machine.state is CellState.ABORTED:
-            self.machine.send(Event.CLEAR)
-            self.machine.send(Event.DONE)
+            self.machine.send(MachineEvent.CLEAR)
+            self.machine.send(MachineEvent.DONE)
         if self.machine.state is not CellState.STOPPED:
             raise EventRefusedError(f"nothing to acknowledge while {self.machine.state.value}")
         self.commands.clear()
@@ -119,7 +119,7 @@ class Cell:
 
         raises  EventRefusedError: the cell is not stopped, or complete
         """
-        self.machine.send(Event.RESET)
+        self.machine.send(MachineEvent.RESET)
         _LOG.warning("reset by %s: %s", by, note)
         listings, self._acknowledged = self._acknowledged, []
         for listing in listings:
@@ -162,7 +162,7 @@ class Cell:
         part    id of the cable; None = it has none
         raises  EventRefusedError: the cell was stopped by a fault that nobody acknowledged
         """
-        if not self.machine.can(Event.RESET):
+        if not self.machine.can(MachineEvent.RESET):
             raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
         cycle = self._cycle(number, plan)
         self._open(cycle, part)
@@ -185,7 +185,9 @@ class Cell:
                  the cell is to `come_to_rest`
         raises   EventRefusedError: the cell was stopped by a fault that nobody acknowledged
         """
-        if self.machine.state is not CellState.RESETTING and not self.machine.can(Event.RESET):
+        if self.machine.state is not CellState.RESETTING and not self.machine.can(
+            MachineEvent.RESET
+        ):
             raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
         cycle = self._cycle(number, plan)
         try:
@@ -239,9 +241,9 @@ class Cell:
         Until then nobody can acknowledge it.  An abort that came meanwhile counts.
         """
         if self.machine.state is CellState.STOPPING and self.commands.aborted:
-            self.machine.send(Event.ABORT)
+            self.machine.send(MachineEvent.ABORT)
         if self.machine.state in (CellState.STOPPING, CellState.ABORTING):
-            self.machine.send(Event.DONE)
+            self.machine.send(MachineEvent.DONE)
 
     # --- from the beginning of a cycle to its end ---------------------------------------------
 
@@ -252,7 +254,7 @@ class Cell:
         station = replace(self._station, task=slowed(self._station.task, plan.speed))
         record, recording = LaterRecord(self._runs, number), CycleRecording(None)
         first = plan.resetting[0].name
-        progress = Progress(
+        progress = CycleProgress(
             number, record, recording, station, plan.given, first, product=self._made.name
         )
         return OneCycle(plan, self._made, progress, self.machine.seconds())
@@ -296,12 +298,12 @@ class Cell:
     def _reset(self, cycle: OneCycle) -> None:
         """Resetting, into Idle."""
         if self.machine.state is not CellState.RESETTING:
-            self._steps.send(cycle.progress, Event.RESET)
+            self._steps.send(cycle.progress, MachineEvent.RESET)
         with cycle.progress.written_after():
             cycle.progress.record.check_room()
             self._steps.carry_out(cycle.progress, cycle.plan.resetting)
             self._former = None
-            self._steps.send(cycle.progress, Event.DONE)
+            self._steps.send(cycle.progress, MachineEvent.DONE)
         if self._watched:
             cycle.progress.watch.begin()
 
@@ -311,11 +313,11 @@ class Cell:
         with progress.written_after():
             progress.record.check_room()
             if self.machine.state is not CellState.STARTING:
-                self._steps.send(progress, Event.START)
+                self._steps.send(progress, MachineEvent.START)
             for stages in (plan.starting, plan.execute, plan.completing):
                 self._steps.carry_out(progress, stages)
                 self._former = None  # what it has left was let go
-                self._steps.send(progress, Event.DONE)
+                self._steps.send(progress, MachineEvent.DONE)
 
     def _fail(self, cycle: OneCycle, error: BaseException) -> Result:
         """How a cycle failed that was not begun: it gets a record all the same."""
@@ -342,7 +344,7 @@ class Cell:
         )
         return result
 
-    def _end(self, progress: Progress, error: BaseException) -> None:
+    def _end(self, progress: CycleProgress, error: BaseException) -> None:
         """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""
         fault, event = fault_of(progress.step, error)
         foreign = None if isinstance(error, EXPECTED) else error
@@ -353,7 +355,7 @@ class Cell:
         _LOG.error("the arm is %s, %s", mode.value.replace("_", " "), cable)
         if unreached(error) or mode is ArmMode.LOST:
             self._steps.do_again(AGAIN_WHEN_LOST)
-        rests = CellState.ABORTED if event is Event.ABORT else CellState.STOPPED
+        rests = CellState.ABORTED if event is MachineEvent.ABORT else CellState.STOPPED
         if self.machine.can(event):
             self.machine.send(event)
         progress.fault = replace(fault, cable=cable)

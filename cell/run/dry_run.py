@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.computer.memory import freeze_loaded_objects
-from cell.records.result import Check
+from cell.records.result import AgreementCheck
 from cell.run.findings import Findings, JawFilm, RehearsedMotion
 from cell.run.movements import Movement
 from cell.run.station import Station
@@ -44,7 +44,7 @@ def reset(station: Station, findings: Findings) -> Findings:
     state = gripper.state()
     if state.holding:
         raise GripError(gripper.name, "holds something", "a dry run needs empty jaws; empty them")
-    return _with_checks(findings, Check("gripper: opening", state.opening_m, "m"))
+    return _with_checks(findings, AgreementCheck("gripper: opening", state.opening_m, "m"))
 
 
 def check_paths(movements: Sequence[Movement], station: Station, findings: Findings) -> Findings:
@@ -55,11 +55,11 @@ def check_paths(movements: Sequence[Movement], station: Station, findings: Findi
     )
     return _with_checks(
         findings,
-        Check("arm: paths within reach", float(len(paths))),
-        Check("hand: least x", float(x_m.min()), "m"),
-        Check("hand: greatest x", float(x_m.max()), "m"),
-        Check("hand: least y", float(y_m.min()), "m"),
-        Check("hand: greatest y", float(y_m.max()), "m"),
+        AgreementCheck("arm: paths within reach", float(len(paths))),
+        AgreementCheck("hand: least x", float(x_m.min()), "m"),
+        AgreementCheck("hand: greatest x", float(x_m.max()), "m"),
+        AgreementCheck("hand: least y", float(y_m.min()), "m"),
+        AgreementCheck("hand: greatest y", float(y_m.max()), "m"),
     )
 
 
@@ -89,7 +89,7 @@ def follow(movement: Movement, station: Station, findings: Findings) -> Findings
     return replace(findings, followed=(*findings.followed, made))
 
 
-def _with_checks(findings: Findings, *checks: Check) -> Findings:
+def _with_checks(findings: Findings, *checks: AgreementCheck) -> Findings:
     return replace(findings, checks=(*findings.checks, *checks))
 
 

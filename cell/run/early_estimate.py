@@ -37,7 +37,7 @@ FIRST_S = 0.1
 
 
 @dataclass(frozen=True)
-class Look:
+class ScheduledEstimate:
     """A computation while a hold is filmed.
 
     after_s  when the hand has rested so long
@@ -61,7 +61,7 @@ class EarlyEstimator:
     def __init__(self, station: Station, filming: Filming) -> None:
         self._station, self._filming = station, filming
         self._coming = list(_looks(station.task, station.timing, filming))
-        self._running: list[tuple[Look, Future[Found]]] = []
+        self._running: list[tuple[ScheduledEstimate, Future[Found]]] = []
 
     def update(self, sightings: list[Sighting]) -> bool:
         """Start a computation if enough frames have come; each one waits for the one before it.
@@ -110,17 +110,19 @@ class EarlyEstimator:
             return found_by(job, self._station.commands)
 
 
-def _looks(task: Task, timing: Timing, filming: Filming) -> Iterator[Look]:
+def _looks(task: Task, timing: Timing, filming: Filming) -> Iterator[ScheduledEstimate]:
     """What to compute while a hold is filmed, in its order."""
     most_s = filming.end_s - filming.rest_s
     if task.least_hold_s is None:
         first, second = SHARES if task.choice.freely.window_s == 0.0 else SHARES_FREELY
-        yield Look(first * most_s, None)
-        yield Look(second * most_s, filming)
+        yield ScheduledEstimate(first * most_s, None)
+        yield ScheduledEstimate(second * most_s, filming)
         return
     for after_s, end_s in possible_ends_s(task, task.least_hold_s, most_s):
         count = filming.frame_count - int((most_s - end_s) * timing.frame_rate_hz)
-        yield Look(after_s, replace(filming, end_s=filming.rest_s + end_s, frame_count=count))
+        yield ScheduledEstimate(
+            after_s, replace(filming, end_s=filming.rest_s + end_s, frame_count=count)
+        )
 
 
 def possible_ends_s(task: Task, least_s: float, most_s: float) -> Iterator[tuple[float, float]]:

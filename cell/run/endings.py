@@ -7,7 +7,7 @@ from dataclasses import replace
 from cell.records.folder import RecordError
 from cell.records.result import Fault, Outcome, Result
 from cell.run.commands import InterruptedByCommandError
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.run.steps import whereabouts_of_cable
 from drivers.interfaces import (
     CameraError,
@@ -30,7 +30,7 @@ def unreached(error: BaseException) -> bool:
     return isinstance(error, UNREACHED) or isinstance(error.__context__, UNREACHED)
 
 
-def fault_of(step: str, error: BaseException) -> tuple[Fault, Event]:
+def fault_of(step: str, error: BaseException) -> tuple[Fault, MachineEvent]:
     """The fault that an error is in a step, and the event that it is to the cell."""
     match error:
         case InterruptedByCommandError():
@@ -38,14 +38,16 @@ def fault_of(step: str, error: BaseException) -> tuple[Fault, Event]:
             return Fault(step, error.reason or event, code=event), error.event
         case KeyboardInterrupt():
             cause = str(error) or "interrupted by a person"
-            return Fault(step, cause, code=Event.STOP.value), Event.STOP
+            return Fault(step, cause, code=MachineEvent.STOP.value), MachineEvent.STOP
         case DeviceError():
             code = f"{error.device.replace(' ', '_')}.{error.code}"
-            return Fault(step, error.cause, error.device, error.remedy, code=code), Event.ABORT
+            return Fault(
+                step, error.cause, error.device, error.remedy, code=code
+            ), MachineEvent.ABORT
         case RecordError():
             remedy = "make room there, or mend the disk"
-            return Fault(step, str(error), remedy=remedy, code="record"), Event.ABORT
-    return Fault(step, f"{type(error).__name__}: {error}", code="program"), Event.ABORT
+            return Fault(step, str(error), remedy=remedy, code="record"), MachineEvent.ABORT
+    return Fault(step, f"{type(error).__name__}: {error}", code="program"), MachineEvent.ABORT
 
 
 def unrecorded(devices: Devices, step: str, result: Result, error: RecordError) -> Result:

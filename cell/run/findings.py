@@ -14,7 +14,7 @@ from cell.identify.identified import Identified
 from cell.identify.predicted_frames import PredictedFrames
 from cell.plan.choose import Choice, Forecast
 from cell.plan.passage import Passage
-from cell.records.result import Check, Outcome
+from cell.records.result import AgreementCheck, Outcome
 from cell.study.data import Trial
 from cell.vision.sighting import Sighting
 from drivers.interfaces import Frame, Trajectory
@@ -166,7 +166,7 @@ class Findings:
     passage: Passage | None = None
     followed: tuple[RehearsedMotion, ...] = ()
     speed: float | None = None
-    checks: tuple[Check, ...] = ()
+    checks: tuple[AgreementCheck, ...] = ()
     outcome: Outcome | None = None
     reason: str | None = None
     pictures: Mapping[str, Image] = field(default_factory=dict)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from cell.identify.identified import Identified
-from cell.records.ledger.entry import Acknowledgement, Entry, entry_of_folder, estimates_of
+from cell.records.ledger.entry import Acknowledgement, LedgerEntry, entry_of_folder, estimates_of
 from cell.records.result import Result
 
 
@@ -20,7 +20,7 @@ class TakesEntries(Protocol):
 
     notes: list[str]
 
-    def put(self, entry: Entry) -> None:
+    def put(self, entry: LedgerEntry) -> None:
         """Hand over an entry."""
 
     def close(self) -> None:
@@ -47,7 +47,7 @@ class CycleListing:
 
     def __init__(self, setup: LedgerSetup | None) -> None:
         self._setup = setup
-        self._entry: Entry | None = None
+        self._entry: LedgerEntry | None = None
 
     def begin(
         self,
@@ -61,7 +61,7 @@ class CycleListing:
         """The cycle begins."""
         if self._setup is None:
             return
-        self._entry = Entry(
+        self._entry = LedgerEntry(
             line=self._setup.line,
             cycle=cycle,
             folder=folder.absolute(),

@@ -34,7 +34,7 @@ class CellState(StrEnum):
     CLEARING = "clearing"
 
 
-class Event(StrEnum):
+class MachineEvent(StrEnum):
     """An event that changes the cell's state: commands, and `done` when a state has acted."""
 
     START = "start"
@@ -86,7 +86,7 @@ TRANSITIONS: tuple[tuple[str, str, str], ...] = (
 )
 
 
-def target_of(state: CellState, event: Event) -> CellState | None:
+def target_of(state: CellState, event: MachineEvent) -> CellState | None:
     """Where an event leads from a state; None = it is refused there."""
     return next((CellState(t) for s, e, t in TRANSITIONS if (s, e) == (state, event)), None)
 
@@ -138,7 +138,7 @@ class Machine:
         with self._lock:
             return CellState(self._chart.current_state_value)
 
-    def send(self, event: Event) -> CellState:
+    def send(self, event: MachineEvent) -> CellState:
         """Take the transition of `event`; returns the new state.
 
         raises  EventRefusedError: the present state has no such transition; nothing changed
@@ -160,7 +160,7 @@ class Machine:
             self.on_change(after)
         return after
 
-    def can(self, event: Event) -> bool:
+    def can(self, event: MachineEvent) -> bool:
         """Whether the present state knows `event`."""
         return target_of(self.state, event) is not None
 

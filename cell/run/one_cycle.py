@@ -9,7 +9,7 @@ from cell.run.listed import CycleListing
 from cell.run.machine import CellState
 from cell.run.plans import Plan
 from cell.run.product import ProductTask
-from cell.run.progress import Progress
+from cell.run.progress import CycleProgress
 
 
 @dataclass
@@ -24,7 +24,7 @@ class OneCycle:
 
     plan: Plan
     made: ProductTask
-    progress: Progress
+    progress: CycleProgress
     before: Mapping[CellState, float]
     part: str | None = None
     listing: CycleListing | None = None

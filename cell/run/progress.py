@@ -16,11 +16,11 @@ from cell.run.findings import Findings, required
 from cell.run.recorded import CycleRecording
 from cell.run.station import Station
 from cell.run.trials import study_of
-from cell.run.watch import Watch
+from cell.run.watch import SafetyWatch
 
 
 @dataclass
-class Progress:
+class CycleProgress:
     """The cycle under way.
 
     step     the step that is done, or was done last
@@ -42,7 +42,7 @@ class Progress:
     product: str | None = None
 
     def __post_init__(self) -> None:
-        self.watch = Watch(self.station)
+        self.watch = SafetyWatch(self.station)
 
     def write(self) -> None:
         """Record what was found and is not on record yet."""

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Iterable
 
 from cell.run.commands import RESUMING, Commands
-from cell.run.machine import Event, Machine
+from cell.run.machine import Machine, MachineEvent
 from cell.run.plans import AGAIN_FOR_PRODUCT, Repeat, Step
-from cell.run.progress import Progress
+from cell.run.progress import CycleProgress
 from drivers.interfaces import DeviceError
 
 _LOG = logging.getLogger(__name__)
@@ -38,7 +38,7 @@ class StepRunner:
         """All that is done once is done once more."""
         self._done_once.clear()
 
-    def carry_out(self, progress: Progress, sequence: Iterable[Step | Repeat]) -> None:
+    def carry_out(self, progress: CycleProgress, sequence: Iterable[Step | Repeat]) -> None:
         """Do steps one after another; those that are due."""
         for element in sequence:
             match element:
@@ -59,20 +59,20 @@ class StepRunner:
                             progress.station, progress.findings, paused
                         )
 
-    def send(self, progress: Progress, event: Event) -> None:
+    def send(self, progress: CycleProgress, event: MachineEvent) -> None:
         """Let the machine take a transition, and record it."""
         state = self._machine.send(event).value
         progress.record.state(state=state)
         progress.recording.state(state, None)
 
-    def _is_due(self, progress: Progress, step: Step) -> bool:
+    def _is_due(self, progress: CycleProgress, step: Step) -> bool:
         return (
             _once(progress, step) not in self._done_once
             and progress.number % step.every == 0
             and (step.with_rejected or not progress.findings.rejected)
         )
 
-    def _do(self, progress: Progress, step: Step) -> None:
+    def _do(self, progress: CycleProgress, step: Step) -> None:
         """One step, what is made of it, and the record of it."""
         progress.step = step.name
         progress.record.state(step=step.name, state=self._machine.state.value)
@@ -105,20 +105,20 @@ class StepRunner:
         if progress.findings is not findings:
             progress.write()
 
-    def _pause(self, progress: Progress) -> bool:
+    def _pause(self, progress: CycleProgress) -> bool:
         """Hold or suspend if that was asked for, until it is taken back; whether it was."""
         paused = False
         while (pause := self._commands.pause) is not None:  # one may be asked for in another
             self.send(progress, pause)
-            self.send(progress, Event.DONE)
+            self.send(progress, MachineEvent.DONE)
             self._on_step(progress.number, self._machine.state.value)
             self._commands.wait_until_resumed(pause)
             self.send(progress, RESUMING[pause])
-            self.send(progress, Event.DONE)
+            self.send(progress, MachineEvent.DONE)
             paused = True
         return paused
 
 
-def _once(progress: Progress, step: Step) -> tuple[str, str | None]:
+def _once(progress: CycleProgress, step: Step) -> tuple[str, str | None]:
     """As what a step counts that is done once."""
     return step.name, progress.product if step.name in AGAIN_FOR_PRODUCT else None

@@ -23,7 +23,7 @@ OVERSLEPT_S = 0.02
 _REMEDY = "look at the device, then acknowledge; if it comes again, report it with `cell bundle`"
 
 
-class Watch:
+class SafetyWatch:
     """Watches from `begin` on; only devices that run in real time can be watched.
 
     holding  whether a cable has to be between the jaws

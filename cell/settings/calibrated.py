@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from calib.board import Board
 from calib.lens import Lens
 from calib.plane import PlaneView
-from calib.store import StoredCalibration, StoreError, load
+from calib.store import CalibrationFileError, StoredCalibration, load
 from cell.files.input_error import InputError, Problem
-from cell.settings.devices import UrArm
+from cell.settings.devices import UrArmSettings
 from cell.settings.model import Calibration, Settings
 
 FloatArray = NDArray[np.float64]
@@ -69,8 +69,8 @@ def devices_of(settings: Settings) -> Mapping[str, Any]:
         "camera": f"{camera.kind} {camera_name}" if camera_name is not None else camera.kind,
         "width_px": camera.width_px,
         "height_px": camera.height_px,
-        "arm": f"{arm.kind} {arm.host}" if isinstance(arm, UrArm) else arm.kind,
-        "lookahead_s": arm.lookahead_s if isinstance(arm, UrArm) else None,
+        "arm": f"{arm.kind} {arm.host}" if isinstance(arm, UrArmSettings) else arm.kind,
+        "lookahead_s": arm.lookahead_s if isinstance(arm, UrArmSettings) else None,
     }
 
 
@@ -109,7 +109,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
         try:
             found[kind] = load(path, kind)
             complaint = complaint_of(found[kind], wanted, settings, now)
-        except StoreError as error:
+        except CalibrationFileError as error:
             command = calibrate_command(settings, kind, config)
             message = str(error).replace(f"cell calibrate {kind}`", f"{command}`")
             problems.append(Problem(config, 1, None, "calibration", message))
@@ -137,7 +137,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
             (float(time.error["latency_95_s"]), float(time.error["lag_95_s"])),
             f"run `cell calibrate time --config {config}`",
         )
-    except (StoreError, KeyError) as error:
+    except (CalibrationFileError, KeyError) as error:
         raise InputError([Problem(folder / "cell.yaml", 1, None, "", str(error))]) from error
 
 
@@ -149,14 +149,14 @@ def not_yet_calibrated(settings: Settings, config: Path) -> tuple[str, ...]:
     try:
         calibrated(settings, config)
     except InputError as error:
-        if isinstance(error.__cause__, StoreError | KeyError):
+        if isinstance(error.__cause__, CalibrationFileError | KeyError):
             raise
         files = {kind: calibration_file(settings, kind) for kind in (*_NEEDED, *_BESIDES)}
         for kind, path in files.items():
             if path.exists():
                 try:
                     load(path, kind)
-                except StoreError:
+                except CalibrationFileError:
                     raise error from None
         return tuple(map(str, error.problems))
     return ()

@@ -12,7 +12,7 @@ from cell.files.input_error import Problem, did_you_mean
 from cell.files.yaml_document import Document, Key
 from cell.settings.check_film import film_problems
 from cell.settings.check_plant import plant_problems
-from cell.settings.devices import OpenCvCamera, SerialGripper, UrArm
+from cell.settings.devices import OpenCvCameraSettings, SerialGripperSettings, UrArmSettings
 from cell.settings.model import REPEATABILITY_M, Settings
 
 #: Where an emulated camera may stream from.
@@ -22,7 +22,7 @@ STREAM = re.compile(r"tcp://(127(?:\.\d{1,3}){3}):(\d{1,5})")
 def oddities(settings: Settings) -> tuple[str, ...]:
     """What is possible and yet rarely meant, one sentence each."""
     arm = settings.arm
-    if not isinstance(arm, UrArm) or arm.plane_y_axis[2] >= 0.0:
+    if not isinstance(arm, UrArmSettings) or arm.plane_y_axis[2] >= 0.0:
         return ()
     return (
         f"arm.plane_y_axis {list(arm.plane_y_axis)} points down in the arm's base frame, and y is "
@@ -215,7 +215,7 @@ def _emulated(document: Document, settings: Settings) -> list[Problem]:
         if found != kind:
             message = f"{found!r} has no emulator; use {kind!r}, or leave out `emulated`"
             problems.append(document.problem((section, "kind"), message))
-    if isinstance(arm, UrArm) and not arm.host.startswith("127."):
+    if isinstance(arm, UrArmSettings) and not arm.host.startswith("127."):
         problems.append(
             document.problem(
                 ("arm", "host"),
@@ -223,17 +223,17 @@ def _emulated(document: Document, settings: Settings) -> list[Problem]:
                 "use 127.0.0.x, or leave out `emulated`",
             )
         )
-    if isinstance(camera, OpenCvCamera) and STREAM.fullmatch(str(camera.device)) is None:
+    if isinstance(camera, OpenCvCameraSettings) and STREAM.fullmatch(str(camera.device)) is None:
         problems.append(
             document.problem(
                 ("camera", "device"),
                 f"{camera.device!r} is not where an emulator may be; use tcp://127.0.0.x:port",
             )
         )
-    if isinstance(gripper, SerialGripper) and "://" in gripper.port:
+    if isinstance(gripper, SerialGripperSettings) and "://" in gripper.port:
         message = f"{gripper.port} is no line that can be made; name a file outside /dev"
         problems.append(document.problem(("gripper", "port"), message))
-    if isinstance(gripper, SerialGripper) and gripper.port.startswith("/dev/"):
+    if isinstance(gripper, SerialGripperSettings) and gripper.port.startswith("/dev/"):
         problems.append(
             document.problem(
                 ("gripper", "port"),

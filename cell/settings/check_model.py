@@ -10,7 +10,7 @@ from cell.cable.effects.base import after_number
 from cell.files.input_error import Problem, did_you_mean
 from cell.files.yaml_document import Document, Key
 from cell.identify.model_class import effect_from, known_effects
-from cell.settings.model import KnownParameter, Model, ModelEffect, Settings
+from cell.settings.model import KnownParameter, ModelEffect, ModelSettings, Settings
 from cell.settings.translate import cable_of, model_class_of
 
 _KEY: Key = ("model", "effects")
@@ -44,7 +44,11 @@ def model_problems(document: Document, settings: Settings) -> Iterator[Problem]:
 
 
 def _effect_problems(
-    document: Document, model: Model, i: int, entry: ModelEffect, found: dict[str, type[Effect]]
+    document: Document,
+    model: ModelSettings,
+    i: int,
+    entry: ModelEffect,
+    found: dict[str, type[Effect]],
 ) -> Iterator[Problem]:
     """Of one entry; an effect that is right joins `found`."""
     place: Key = (*_KEY, i, "effect")
@@ -73,7 +77,7 @@ def _effect_problems(
 
 
 def _parameter_problems(
-    document: Document, model: Model, place: Key, entry: ModelEffect, effect: type[Effect]
+    document: Document, model: ModelSettings, place: Key, entry: ModelEffect, effect: type[Effect]
 ) -> Iterator[Problem]:
     parameters = {p.name: p for p in effect.parameters}
     in_prior = set(model.prior.names) if model.prior else set()
@@ -96,11 +100,11 @@ def _parameter_problems(
             yield document.problem((*place, key), message)
 
 
-def _parameters(model: Model, found: dict[str, type[Effect]]) -> list[tuple[str, str]]:
+def _parameters(model: ModelSettings, found: dict[str, type[Effect]]) -> list[tuple[str, str]]:
     return [(name, p.name) for name, effect in found.items() for p in effect.parameters]
 
 
-def _is_known(model: Model, effect: str, parameter: str) -> bool:
+def _is_known(model: ModelSettings, effect: str, parameter: str) -> bool:
     return any(
         isinstance(entry.parameters.get(parameter), KnownParameter)
         for entry in model.effects

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cell.files.input_error import Problem
 from cell.files.yaml_document import Document
-from cell.settings.devices import UrArm
+from cell.settings.devices import UrArmSettings
 from cell.settings.model import Settings
 from cell.settings.plant import Handshake
 
@@ -26,7 +26,7 @@ def controller_of(settings: Settings) -> str | None:
     handshake = _handshake(settings)
     if handshake is not None and handshake.host is not None:
         return handshake.host
-    return settings.arm.host if isinstance(settings.arm, UrArm) else None
+    return settings.arm.host if isinstance(settings.arm, UrArmSettings) else None
 
 
 def _handshake(settings: Settings) -> Handshake | None:

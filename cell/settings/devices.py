@@ -98,7 +98,7 @@ def _line(port: str) -> str:
 _ALLOWED = r"^[1-9]\d{0,1}\.\d{1,3}$"
 
 
-class UrArm(Section):
+class UrArmSettings(Section):
     """Universal Robots arm over RTDE."""
 
     kind: Literal["ur"]
@@ -145,7 +145,7 @@ class UrArm(Section):
         return int(major), int(minor)
 
 
-class View(Section):
+class ViewSettings(Section):
     """Where the camera's pixels lie in the cell's plane, the camera being square to it."""
 
     metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
@@ -163,7 +163,7 @@ class _Camera(Section):
     """Rows of a picture."""
     frame_rate_hz: Annotated[float, Field(ge=10.0, le=2000.0)] = 200.0
     """Pictures per second."""
-    view: View | None = None
+    view: ViewSettings | None = None
     """Typed by hand, for a cell that is not calibrated; null = from the section `calibration`."""
 
 
@@ -186,7 +186,7 @@ class _RealCamera(_Camera):
     """Silence that counts as a lost camera, and stops the arm."""
 
 
-class OpenCvCamera(_RealCamera):
+class OpenCvCameraSettings(_RealCamera):
     """Camera of the operating system (UVC), through OpenCV."""
 
     kind: Literal["opencv"]
@@ -200,7 +200,7 @@ class OpenCvCamera(_RealCamera):
     """Whose time stamps are believed: the device's, or the moment at which a picture arrives."""
 
 
-class GenicamCamera(_RealCamera):
+class GenicamCameraSettings(_RealCamera):
     """Industrial camera through its GenTL producer."""
 
     kind: Literal["genicam"]
@@ -212,7 +212,7 @@ class GenicamCamera(_RealCamera):
     """Time over which a picture gathers light; null = as it is."""
 
 
-class FilesCamera(_Camera):
+class FilesCameraSettings(_Camera):
     """Replays pictures from a folder."""
 
     kind: Literal["files"]
@@ -236,7 +236,7 @@ class SimulatedGripper(_Gripper):
     kind: Literal["sim"]
 
 
-class SerialGripper(_Gripper):
+class SerialGripperSettings(_Gripper):
     """Robotiq-type gripper (2F-85), Modbus RTU on a serial line."""
 
     kind: Literal["serial"]

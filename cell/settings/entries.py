@@ -38,7 +38,7 @@ _BOUNDS = (("exclusiveMinimum", ">"), ("minimum", "≥"), ("exclusiveMaximum", "
 _USED, _NOT_USED = "used", "not used"
 
 
-class Form(StrEnum):
+class SettingsForm(StrEnum):
     """How a value is entered: chosen, as plain text, or as YAML in one line."""
 
     CHOSEN = "chosen"
@@ -47,7 +47,7 @@ class Form(StrEnum):
 
 
 @dataclass(frozen=True)
-class Entry:
+class SettingsEntry:
     """An entry of the settings.
 
     key      names from the outermost level on
@@ -62,7 +62,7 @@ class Entry:
     explained: str
     limits: str
     unit: str
-    form: Form
+    form: SettingsForm
     choices: Mapping[str, Any]
     given: bool
     value: Any
@@ -78,14 +78,14 @@ class Entry:
         """A value as a person enters it."""
         if value is UNSET:
             return ""
-        if self.form is Form.CHOSEN:
+        if self.form is SettingsForm.CHOSEN:
             return next((w for w, v in self.choices.items() if v == value), flow(value))
-        if self.form is Form.TEXT and isinstance(value, str):
+        if self.form is SettingsForm.TEXT and isinstance(value, str):
             return value
         return flow(value)
 
 
-def entries(data: Mapping[str, Any]) -> tuple[Entry, ...]:
+def entries(data: Mapping[str, Any]) -> tuple[SettingsEntry, ...]:
     """All entries that settings with this plain data may have, in the models' order."""
     return tuple(_of_section(_schema(), (), data, UNSET))
 
@@ -128,7 +128,7 @@ def _at(data: Any, key: Names) -> Any:
 
 def _of_section(
     section: Schema, key: Names, data: Mapping[str, Any], default: Any
-) -> Iterator[Entry]:
+) -> Iterator[SettingsEntry]:
     """Entries of a section; `default`: of the section as a whole, where the file lacks it."""
     names = sorted(section["properties"], key=lambda n: n != "kind")
     for name in names:
@@ -151,8 +151,8 @@ def _of_section(
             tag = node.get("discriminator", {}).get("propertyName")
             if tag is not None:
                 kinds = node["discriminator"]["mapping"]
-                yield Entry(
-                    (*key, name, tag), node.get("description", ""), "", "", Form.CHOSEN,
+                yield SettingsEntry(
+                    (*key, name, tag), node.get("description", ""), "", "", SettingsForm.CHOSEN,
                     {k: k for k in kinds}, tag in inside, inside.get(tag, UNSET), UNSET,
                 )  # fmt: skip
                 rest = {k: v for k, v in inner["properties"].items() if k != tag}
@@ -177,16 +177,18 @@ def _section_of(node: Schema, value: Any) -> Schema | None:
     return None
 
 
-def _switch(key: Names, node: Schema, given: bool, value: Any, usual: Any) -> Entry:
+def _switch(key: Names, node: Schema, given: bool, value: Any, usual: Any) -> SettingsEntry:
     section = _section_of(node, {}) or {}
     words = (section.get("description", ""), node.get("description", ""))
     explained = " ".join(_sentence(w) for w in words if w)
     used = {} if value is None or value is UNSET else value
     choices = {_USED: used, _NOT_USED: None}
-    return Entry(key, explained, "", "", Form.CHOSEN, choices, given, value, usual, True)
+    return SettingsEntry(
+        key, explained, "", "", SettingsForm.CHOSEN, choices, given, value, usual, True
+    )
 
 
-def _leaf(key: Names, node: Schema, given: bool, value: Any, usual: Any) -> Entry:
+def _leaf(key: Names, node: Schema, given: bool, value: Any, usual: Any) -> SettingsEntry:
     options = node.get("anyOf", [node])
     types = [o.get("type") for o in options]
     choices: dict[str, Any] = {}
@@ -200,11 +202,11 @@ def _leaf(key: Names, node: Schema, given: bool, value: Any, usual: Any) -> Entr
     if chosen and "null" in types:
         choices["null"] = None
     text = set(types) <= {"string", "null"} and not chosen
-    form = Form.CHOSEN if chosen else Form.TEXT if text else Form.YAML
+    form = SettingsForm.CHOSEN if chosen else SettingsForm.TEXT if text else SettingsForm.YAML
     limits = "; ".join(filter(None, (_limits(o) for o in options)))
     unit = next((u for ending, u in _UNITS.items() if key[-1].endswith(ending)), "")
     explained = _sentence(node.get("description", ""))
-    return Entry(key, explained, limits, unit, form, choices, given, value, usual)
+    return SettingsEntry(key, explained, limits, unit, form, choices, given, value, usual)
 
 
 def _limits(node: Schema) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from calib.store import StoreError, load
+from calib.store import CalibrationFileError, load
 from cell.settings.calibrated import calibration_file, devices_of
 from cell.settings.model import Settings
 
@@ -43,7 +43,7 @@ def _calibration(settings: Settings, plain: Mapping[str, Any]) -> dict[str, Any]
     for kind in CALIBRATIONS:
         try:
             made[kind] = load(calibration_file(settings, kind), kind).made.isoformat()
-        except StoreError:  # whoever needs it says what is wrong
+        except CalibrationFileError:  # whoever needs it says what is wrong
             continue
     return {_MADE: made}
 

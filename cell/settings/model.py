@@ -8,18 +8,18 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from cell.settings.devices import (
-    FilesCamera,
-    GenicamCamera,
-    OpenCvCamera,
-    SerialGripper,
+    FilesCameraSettings,
+    GenicamCameraSettings,
+    OpenCvCameraSettings,
+    SerialGripperSettings,
     SimulatedArm,
     SimulatedCamera,
     SimulatedGripper,
-    UrArm,
+    UrArmSettings,
 )
 from cell.settings.plant import Plant
 from cell.settings.product import Products
-from cell.settings.records import Ledger, Recording
+from cell.settings.records import LedgerSettings, RecordingSettings
 from cell.settings.section import (
     Angle,
     Distance,
@@ -36,10 +36,10 @@ from cell.settings.section import (
     increasing,
 )
 from cell.settings.workers import Workers
-from cell.settings.world import Emulated, World
+from cell.settings.world import Emulated, WorldSettings
 
 
-class Cable(Section):
+class CableSettings(Section):
     """Datasheet of the cable: what all its individuals have in common."""
 
     free_length_m: Annotated[float, Field(gt=0.0, le=2.0)]
@@ -52,7 +52,7 @@ class Cable(Section):
     """Thickness, as the camera sees it edge-on."""
 
 
-class Destination(Section):
+class DestinationSettings(Section):
     """Rectangle that the tip must pass, moving left: the hole's mouth."""
 
     x_m: PlaceRange
@@ -100,7 +100,7 @@ class Briskness(Section):
     """Greatest jerk."""
 
 
-class Start(Section):
+class StartSettings(Section):
     """How freely an insertion is chosen beside the offsets that are always looked at."""
 
     window_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
@@ -137,7 +137,7 @@ class Hold(Section):
         return self
 
 
-class Motion(Section):
+class MotionSettings(Section):
     """What the hand does in a cycle."""
 
     home: HandPose = HandPose()
@@ -159,7 +159,7 @@ class Motion(Section):
     decide_s: Wait = 0.2
     """From the last frame of the swing until the execution begins: time for the computer."""
     offsets: Offsets = Offsets()
-    start: Start | Literal["auto"] = "auto"
+    start: StartSettings | Literal["auto"] = "auto"
     """When the execution begins, and how fast it is; `auto` = up to 0.25 s later, with any offset
     and at any of the usual paces, where no offset passes surely at once; `{}` = at once, with one
     of the offsets."""
@@ -182,7 +182,7 @@ class Motion(Section):
         return self.hold_s if self.hold is None else self.hold.most_s
 
     @model_validator(mode="after")
-    def _held_once(self) -> Motion:
+    def _held_once(self) -> MotionSettings:
         said = "hold_s" in self.model_fields_set
         if said and self.hold is not None and self.hold_s != self.hold.most_s:
             raise ValueError(
@@ -192,9 +192,9 @@ class Motion(Section):
         return self
 
     @property
-    def freedom(self) -> Start:
+    def freedom(self) -> StartSettings:
         """What `start` allows."""
-        return Start(window_s=AUTO_WINDOW_S) if isinstance(self.start, str) else self.start
+        return StartSettings(window_s=AUTO_WINDOW_S) if isinstance(self.start, str) else self.start
 
 
 class Limits(Briskness):
@@ -219,7 +219,7 @@ class Identification(Section):
 REPEATABILITY_M = 1e-4
 
 
-class Choice(Section):
+class ChoiceSettings(Section):
     """When an offset is good enough to be executed."""
 
     min_probability: Fraction = 0.9
@@ -266,7 +266,7 @@ class BatchPrior(Section):
     """Of their logarithms, except for the exponent and for effects' parameters that may be 0."""
 
 
-class Model(Section):
+class ModelSettings(Section):
     """What all cables have in common beside the data sheet; empty = the baseline model.
 
     `cell learn` finds it out and `cell promote` writes it here."""
@@ -360,41 +360,42 @@ class Calibration(Section):
 class Settings(Section):
     """Settings of a cell.  Numbers carry their unit in the key; SI throughout."""
 
-    cable: Cable
-    destination: Destination
-    motion: Motion = Motion()
+    cable: CableSettings
+    destination: DestinationSettings
+    motion: MotionSettings = MotionSettings()
     limits: Limits
-    arm: Annotated[SimulatedArm | UrArm, Field(discriminator="kind")]
+    arm: Annotated[SimulatedArm | UrArmSettings, Field(discriminator="kind")]
     """The arm, by its kind."""
     camera: Annotated[
-        SimulatedCamera | OpenCvCamera | GenicamCamera | FilesCamera, Field(discriminator="kind")
+        SimulatedCamera | OpenCvCameraSettings | GenicamCameraSettings | FilesCameraSettings,
+        Field(discriminator="kind"),
     ]
     """The camera, by its kind."""
-    gripper: Annotated[SimulatedGripper | SerialGripper, Field(discriminator="kind")]
+    gripper: Annotated[SimulatedGripper | SerialGripperSettings, Field(discriminator="kind")]
     """The gripper, by its kind."""
     vision: Vision = Vision()
     calibration: Calibration | None = None
     """Null = uncalibrated: `camera.view`, `camera.latency_s` and `arm.lag_s` are typed by hand."""
     identification: Identification = Identification()
-    model: Model = Model()
+    model: ModelSettings = ModelSettings()
     promotion: Promotion = Promotion()
     products: Products = Field(default={})
     """What the cell can make, by name: what each has otherwise than the rest of the file."""
     product: Annotated[str, Field(min_length=1)] | None = None
     """Made unless another one is asked for; in the record of a cycle the one that was made."""
-    choice: Choice = Choice()
+    choice: ChoiceSettings = ChoiceSettings()
     feedback: Literal["auto", "off", "on"] = "auto"
     """`on`: correct insertions in flight; `auto`: if latency and lag are calibrated to 2 ms."""
     retry: Annotated[int, Field(ge=0, le=3)] = 0
     """More tries for a cable that feedback has stopped in front of the mouth."""
-    recording: Recording | None = Recording()
+    recording: RecordingSettings | None = RecordingSettings()
     """Null = only tables, JSON and a few pictures are left of a cycle, no frames."""
-    ledger: Ledger | None = Ledger()
+    ledger: LedgerSettings | None = LedgerSettings()
     """Null = cycles are not listed, and nothing is said of what has changed in them."""
     workers: Workers | None = None
     """Null = independent fits are done on all cores of this computer."""
     plant: Plant | None = None
     """Null = the cell talks to no other machine and to no plant's systems."""
-    world: World = World()
+    world: WorldSettings = WorldSettings()
     emulated: Emulated | None = None
     """Null = the devices are real."""

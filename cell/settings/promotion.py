@@ -20,7 +20,7 @@ from cell.files.yaml_document import Document, document_of, read_yaml, validate,
 from cell.files.yaml_edit import last_line
 from cell.settings.line import differences, line_of
 from cell.settings.loading import for_product, load_product, load_settings, settings_of
-from cell.settings.model import Model, Settings
+from cell.settings.model import ModelSettings, Settings
 from cell.settings.translate import model_hash
 
 FORMAT = "cell-candidate/1"
@@ -40,7 +40,7 @@ class CandidateModel:
     """
 
     path: Path
-    model: Model
+    model: ModelSettings
     beside: str
     failed: dict[str, str]
     lines: tuple[dict[str, Any], ...] = ()
@@ -76,7 +76,7 @@ def read_candidate(path: Path) -> CandidateModel:
         path, data["model"], {k[1:]: v for k, v in document.places.items() if k[:1] == ("model",)}
     )
     failed = {str(g["gate"]): str(g["found"]) for g in data["gates"] if g["passed"] is not True}
-    model = validate(nested, Model)
+    model = validate(nested, ModelSettings)
     product = None if data.get("product") is None else str(data["product"])
     return CandidateModel(path, model, str(data["beside"]), failed, tuple(lines), product)
 

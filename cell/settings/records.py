@@ -67,7 +67,7 @@ Ending = Literal["inserted", "missed", "rejected", "failed", "measured", "rehear
 ENDINGS: tuple[Ending, ...] = get_args(Ending)
 
 
-class Recording(Section):
+class RecordingSettings(Section):
     """What is recorded of every cycle, frame by frame, and how long it is kept.
 
     A file named `keep` in a cycle's folder keeps its recording, whatever the limits."""
@@ -91,7 +91,7 @@ class Recording(Section):
     never removed.  Passwords come from the environment.  Null = they stay in their folders."""
 
 
-class Ledger(Section):
+class LedgerSettings(Section):
     """The database that lists all cycles: what became of them, the cables' parameters, faults."""
 
     url: Annotated[str, AfterValidator(database_url)] | None = None

@@ -68,7 +68,7 @@ def identification_of(settings: Settings) -> IdentifyOptions:
     return IdentifyOptions(method=method, kind=model_class_of(settings.model))
 
 
-def model_class_of(model: given.Model) -> ModelClass:
+def model_class_of(model: given.ModelSettings) -> ModelClass:
     """What all cables have in common.
 
     raises  KeyError, FileNotFoundError, EffectError: an effect that is not there, or is wrong;
@@ -109,7 +109,7 @@ def model_class_of(model: given.Model) -> ModelClass:
     )
 
 
-def model_hash(model: given.Model) -> str:
+def model_hash(model: given.ModelSettings) -> str:
     """Short hash of what a model says, wherever its files lie."""
     plain = model.model_dump(mode="json")
     for entry in plain["effects"]:

@@ -38,7 +38,7 @@ class HiddenCamera(Section):
     """Of a simulated camera: its frames say that they were exposed that much later."""
 
 
-class World(Section):
+class WorldSettings(Section):
     """The simulated cables: what the cell must find out and never reads."""
 
     camera: HiddenCamera | None = None

@@ -112,8 +112,8 @@ class EmulatedCell:
     """
 
     def __init__(self, settings: Settings, seed: int) -> None:
-        assert isinstance(settings.arm, given.UrArm)
-        assert isinstance(settings.gripper, given.SerialGripper)
+        assert isinstance(settings.arm, given.UrArmSettings)
+        assert isinstance(settings.gripper, given.SerialGripperSettings)
         self._settings = settings
         self._seed = seed
         self._end = threading.Event()
@@ -182,21 +182,21 @@ class EmulatedCell:
 
 def runs_already(settings: Settings) -> bool:
     """Whether emulators are there already."""
-    assert isinstance(settings.arm, given.UrArm)
+    assert isinstance(settings.arm, given.UrArmSettings)
     with contextlib.suppress(OSError):
         socket.create_connection((settings.arm.host, FAULT_PORT), _ANSWER_S).close()
         return True
     return False
 
 
-def _mount(arm: given.UrArm) -> PlaneMount:
+def _mount(arm: given.UrArmSettings) -> PlaneMount:
     return PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
 
 
 def _controller(settings: Settings) -> EmulatedController:
     """Raises EmulatorError."""
     arm, emulated = settings.arm, settings.emulated
-    assert isinstance(arm, given.UrArm)
+    assert isinstance(arm, given.UrArmSettings)
     assert emulated is not None
     return EmulatedController(arm.host, emulated.polyscope, arm.model, start_rad=_start(settings))
 
@@ -204,7 +204,7 @@ def _controller(settings: Settings) -> EmulatedController:
 def _start(settings: Settings) -> FloatArray:
     """(6,) joints with the gripping point where cables are grasped.  Raises EmulatorError."""
     arm, home = settings.arm, settings.motion.home
-    assert isinstance(arm, given.UrArm)
+    assert isinstance(arm, given.UrArmSettings)
     X_BT = _mount(arm).to_base(Pose(home.x_m, home.y_m, home.angle_rad))
     try:
         return MODELS[arm.model].inverse(X_BT, np.array(HOME_RAD), matrix_of(np.array(arm.tcp)))
@@ -219,8 +219,8 @@ def _camera(
 ) -> tuple[CellScene, CameraEmulatorOptions, tuple[str, int]]:
     """What an `EmulatedCamera` is made of."""
     arm, camera, emulated = settings.arm, settings.camera, settings.emulated
-    assert isinstance(arm, given.UrArm)
-    assert isinstance(camera, given.OpenCvCamera)
+    assert isinstance(arm, given.UrArmSettings)
+    assert isinstance(camera, given.OpenCvCameraSettings)
     assert emulated is not None
     options = camera_twin(settings, emulated, first.seed)
     scene = ArmScene(arm.host, _mount(arm), arm.model, arm.tcp, camera=options, seed=first.seed)

@@ -13,7 +13,7 @@ from typing import Any
 from cell.simulated.emulated import EmulatedCell
 from drivers.emulators.camera import StreamFaults
 from drivers.emulators.launch import EmulatorError
-from drivers.emulators.robotiq import GripperFaults
+from drivers.emulators.robotiq import RobotiqFaults
 
 #: The word that ends all faults, and is no fault itself.
 REPAIR = "repair"
@@ -26,7 +26,7 @@ Act = Callable[[EmulatedCell], None]
 
 
 @dataclass(frozen=True)
-class Kind:
+class FaultKind:
     """What happens, in words, and how it is caused."""
 
     what: str
@@ -60,30 +60,32 @@ def _camera(**faults: Any) -> Act:
 
 
 def _gripper(**faults: Any) -> Act:
-    return lambda cell: setattr(cell.gripper, "faults", GripperFaults(**faults))
+    return lambda cell: setattr(cell.gripper, "faults", RobotiqFaults(**faults))
 
 
-KINDS: Mapping[str, Kind] = {
-    "arm.protective_stop": Kind("the controller stops the arm", _arm("protective_stop")),
-    "arm.safeguard_stop": Kind("somebody opens the guard", _arm("safeguard_stop")),
-    "arm.emergency_stop": Kind("somebody presses the button", _arm("emergency_stop")),
-    "arm.slowed": Kind("the speed slider is set to 50 %", _arm("speed_fraction", value=0.5)),
-    "arm.local": Kind("the pendant is switched to local control", _arm("local", on=True)),
-    "arm.lost": Kind("its connections break off, once", _arm("drop")),
-    "arm.frozen": Kind("the controller neither reads nor sends", _arm("freeze", seconds=1e6)),
-    "arm.garbage": Kind("it sends random bytes, once", _arm("garbage")),
-    "camera.lost": Kind("its connection breaks off, and none is accepted", _camera(refuses=True)),
-    "camera.silent": Kind("no picture comes, the connection stays", _camera(silent=True)),
-    "camera.frozen": Kind("the same picture comes again and again", _camera(frozen=True)),
-    "camera.missing": Kind("one picture is missing, once", _camera(missing=1)),
-    "camera.slow": Kind("pictures come at half the rate", _camera(slow=2.0)),
-    "camera.garbage": Kind("random bytes come in place of pictures", _camera(garbage=True)),
-    "gripper.lost": Kind("its cable is pulled", lambda cell: cell.gripper.unplug()),
-    "gripper.silent": Kind("it does not answer", _gripper(silent=True)),
-    "gripper.garbage": Kind("it answers random bytes", _gripper(garbage=True)),
-    "gripper.checksums": Kind("its checksums are wrong", _gripper(bad_crc=True)),
-    "gripper.jammed": Kind("the jaws do not move", _gripper(jammed=True)),
-    "gripper.empty": Kind(
+KINDS: Mapping[str, FaultKind] = {
+    "arm.protective_stop": FaultKind("the controller stops the arm", _arm("protective_stop")),
+    "arm.safeguard_stop": FaultKind("somebody opens the guard", _arm("safeguard_stop")),
+    "arm.emergency_stop": FaultKind("somebody presses the button", _arm("emergency_stop")),
+    "arm.slowed": FaultKind("the speed slider is set to 50 %", _arm("speed_fraction", value=0.5)),
+    "arm.local": FaultKind("the pendant is switched to local control", _arm("local", on=True)),
+    "arm.lost": FaultKind("its connections break off, once", _arm("drop")),
+    "arm.frozen": FaultKind("the controller neither reads nor sends", _arm("freeze", seconds=1e6)),
+    "arm.garbage": FaultKind("it sends random bytes, once", _arm("garbage")),
+    "camera.lost": FaultKind(
+        "its connection breaks off, and none is accepted", _camera(refuses=True)
+    ),
+    "camera.silent": FaultKind("no picture comes, the connection stays", _camera(silent=True)),
+    "camera.frozen": FaultKind("the same picture comes again and again", _camera(frozen=True)),
+    "camera.missing": FaultKind("one picture is missing, once", _camera(missing=1)),
+    "camera.slow": FaultKind("pictures come at half the rate", _camera(slow=2.0)),
+    "camera.garbage": FaultKind("random bytes come in place of pictures", _camera(garbage=True)),
+    "gripper.lost": FaultKind("its cable is pulled", lambda cell: cell.gripper.unplug()),
+    "gripper.silent": FaultKind("it does not answer", _gripper(silent=True)),
+    "gripper.garbage": FaultKind("it answers random bytes", _gripper(garbage=True)),
+    "gripper.checksums": FaultKind("its checksums are wrong", _gripper(bad_crc=True)),
+    "gripper.jammed": FaultKind("the jaws do not move", _gripper(jammed=True)),
+    "gripper.empty": FaultKind(
         "the cable falls out of the jaws, or none is there",
         lambda cell: cell.gripper.lay_out(False),
     ),
@@ -106,7 +108,7 @@ def read_fault(given: str) -> GivenFault:
     return GivenFault(name, after_s)
 
 
-class Faults:
+class DeviceFaults:
     """Gives faults to emulated devices, and ends them.
 
     say  told of what happens, from any thread
@@ -149,7 +151,7 @@ class Faults:
         arm.ask("local", on=False)
         arm.ask("speed_fraction", value=1.0)
         arm.ask("clear")
-        camera.faults, gripper.faults = StreamFaults(), GripperFaults()
+        camera.faults, gripper.faults = StreamFaults(), RobotiqFaults()
         gripper.plug()
         gripper.lay_out(True)
 

@@ -25,7 +25,7 @@ LEAST_STROKE_M = 2e-3
 
 
 @dataclass(frozen=True)
-class Film:
+class RenderedFilm:
     """A film of a cable, with times and poses on one clock.
 
     frames  in their order, from index 0
@@ -57,7 +57,7 @@ class Film:
 
 def read_film(
     film: Path, poses: Path, frame_rate_hz: float | None = None, first_frame_s: float = 0.0
-) -> Film:
+) -> RenderedFilm:
     """Read a film and the poses that belong to it.
 
     film           a folder of pictures, see `drivers.files`, or a video
@@ -90,10 +90,10 @@ def read_film(
         raise InputError.at(
             film, f"ends {end_s - rest_s:.2f} s after the hand rests; film a second of the swing"
         )
-    return Film(tuple(frames), rate_hz, hand, rest_s)
+    return RenderedFilm(tuple(frames), rate_hz, hand, rest_s)
 
 
-def filmed_devices(film: Film, settings: Settings, lag_s: float) -> Devices:
+def filmed_devices(film: RenderedFilm, settings: Settings, lag_s: float) -> Devices:
     """Devices that play a film once, on a clock that begins before it.
 
     lag_s  of the arm that would insert the cable: a choice depends on it

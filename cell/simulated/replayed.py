@@ -12,7 +12,7 @@ from cell.records.recording.reading import Recording
 from cell.settings.model import Settings
 from cell.settings.translate import pose_of
 from drivers.interfaces import Devices
-from drivers.replay import Answer, ReplayArm, ReplayCamera, ReplayGripper
+from drivers.replay import RecordedPoses, ReplayArm, ReplayCamera, ReplayGripper
 from drivers.sim.clock import SimClock
 
 #: Before its first film a replayed cycle has this time for what comes before, s.
@@ -36,7 +36,7 @@ def replayed_devices(recording: Recording, settings: Settings) -> ReplayedDevice
     simulated_s: list[float] = []
     clock = SimClock(tries[0][0] - _BEFORE_S)
     answers = [
-        Answer(said["start_s"], said["end_s"], poses)
+        RecordedPoses(said["start_s"], said["end_s"], poses)
         for said, poses in recording.trajectories(form.ANSWER)
     ]
     filmed = [p for said, p in recording.trajectories(form.PATH) if said["start_s"] is not None]

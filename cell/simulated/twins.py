@@ -22,7 +22,7 @@ from drivers.sim.clock import SimClock
 from drivers.sim.gripper import SimGripper
 from drivers.sim.pinhole import Pinhole, Sight
 from drivers.sim.render import LIGHT_ON_DARK, RenderOptions
-from drivers.sim.world import CableShape, World
+from drivers.sim.world import CableShape, SimWorld
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Twins:
     numbers  of the cables to come
     """
 
-    world: World
+    world: SimWorld
     arm: SimArm
     camera: SimCamera | FilesCamera
     gripper: SimGripper
@@ -65,7 +65,7 @@ def build_twins(
     arm = settings.arm
     assert isinstance(arm, given.SimulatedArm)
     clock = SimClock(real_time_factor=settings.world.real_time_factor)
-    world = World(clock, pose_of(settings.motion.home))
+    world = SimWorld(clock, pose_of(settings.motion.home))
     numbers = count(1)
     if cycles is None:
         world.supply(_cables(settings, seed, numbers))
@@ -95,10 +95,10 @@ def _cables(settings: Settings, seed: int, numbers: Iterator[int]) -> Iterator[C
 
 
 def _simulated_camera(
-    settings: Settings, world: World, seed: int, known: Calibrated
+    settings: Settings, world: SimWorld, seed: int, known: Calibrated
 ) -> SimCamera | FilesCamera:
     camera = settings.camera
-    if isinstance(camera, given.FilesCamera):
+    if isinstance(camera, given.FilesCameraSettings):
         return FilesCamera(camera.folder, camera.frame_rate_hz, world.clock)
     assert isinstance(camera, given.SimulatedCamera)
     hidden = settings.world.camera
@@ -112,7 +112,7 @@ def camera_twin(
 ) -> CameraTwinOptions:
     """Pictures as the camera of the settings takes them; `look` tells how good they are."""
     camera = settings.camera
-    assert not isinstance(camera, given.FilesCamera)
+    assert not isinstance(camera, given.FilesCameraSettings)
     vision = settings.vision
     picture = replace(
         RenderOptions() if vision.cable_is == "dark" else LIGHT_ON_DARK,

@@ -27,7 +27,7 @@ _BY_CHANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class SwingSpectrum:
     """Amplitude of the tip's motion after the hand has stopped: (n,) Hz, (n,) m.
 
     resolution_hz  frequencies nearer than this are not told apart
@@ -71,7 +71,7 @@ class TrialFacts:
     tip: int
     tip_m: float
     seen: float
-    spectrum: Spectrum | None
+    spectrum: SwingSpectrum | None
     sensors: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -150,7 +150,7 @@ def noise_m(still_m: FloatArray) -> float:
 
 def swing_spectrum(
     t_s: FloatArray, tip_m: FloatArray, from_s: float, noise_m: float = np.nan
-) -> Spectrum | None:
+) -> SwingSpectrum | None:
     """Spectrum of a point's free swing along its main direction; None if it is too short.
 
     tip_m    (T, 2), nan = not seen
@@ -177,7 +177,7 @@ def swing_spectrum(
     peaks = _peaks(frequency, amplitude, FEWEST_SWINGS * resolution)
     if amplitude.max() <= chance_m:
         peaks = ()
-    return Spectrum(frequency, amplitude, peaks, resolution)
+    return SwingSpectrum(frequency, amplitude, peaks, resolution)
 
 
 def _by_chance(window: FloatArray) -> float:

@@ -50,17 +50,17 @@ def _each(given: object) -> object:
     return [given] if isinstance(given, int | float | str) else given
 
 
-class _Strict(BaseModel):
+class _StrictStudy(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class _Connector(_Strict):
+class _Connector(_StrictStudy):
     mass_kg: _Positive
     length_m: _Positive
     inertia_kg_m2: _Positive | None = None
 
 
-class _Cable(_Strict):
+class _Cable(_StrictStudy):
     free_length_m: _Positive
     line_density_kg_per_m: _Positive
     width_m: _Positive | None = None
@@ -69,12 +69,12 @@ class _Cable(_Strict):
     connector: _Connector | None = None
 
 
-class _Markers(_Strict):
+class _Markers(_StrictStudy):
     arc_length_m: Annotated[list[_Finite], Field(min_length=1, max_length=MAX_MARKERS)]
     arc_length_std_m: Annotated[list[_Finite], BeforeValidator(_each)] | None = None
 
 
-class _Trial(_Strict):
+class _TrialSection(_StrictStudy):
     name: TrialName
     role: Literal["fit", "validate"]
     start: Start
@@ -82,12 +82,12 @@ class _Trial(_Strict):
     hand_drift: HandDriftSection | None = None
 
 
-class _WrittenTable(_Strict):
+class _WrittenTable(_StrictStudy):
     rows: Annotated[int, Field(ge=0)]
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
-class _Study(_Strict):
+class _Study(_StrictStudy):
     format: Literal["cable-study/1"]
     name: Annotated[str, Field(min_length=1)]
     cable: _Cable
@@ -95,7 +95,7 @@ class _Study(_Strict):
     markers: _Markers
     noise_std_m: _Positive | None = None
     wrench: SensorEntry | None = None
-    trials: Annotated[list[_Trial], Field(min_length=1, max_length=MAX_TRIALS)]
+    trials: Annotated[list[_TrialSection], Field(min_length=1, max_length=MAX_TRIALS)]
     tables: dict[str, _WrittenTable] = {}
 
 
@@ -345,7 +345,9 @@ def _log(path: Path) -> Table:
     return grip
 
 
-def _read_trial(folder: Path, trial: _Trial, header: _Study, order: NDArray[np.intp]) -> Trial:
+def _read_trial(
+    folder: Path, trial: _TrialSection, header: _Study, order: NDArray[np.intp]
+) -> Trial:
     for file in ("grip.csv", "markers.csv", WRENCH_FILE):
         _check_as_written(folder / file, header.tables.get(f"{trial.name}/{file}"))
     log = _log(folder / "grip.csv")

@@ -28,11 +28,11 @@ _NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 _Near = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 
-class _Strict(BaseModel):
+class _StrictWrench(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class ToolEntry(_Strict):
+class ToolEntry(_StrictWrench):
     """The key `wrench.tool` of `study.yaml`."""
 
     mass_kg: _Positive
@@ -40,7 +40,7 @@ class ToolEntry(_Strict):
     inertia_kg_m2: _NotNegative = 0.0
 
 
-class SensorEntry(_Strict):
+class SensorEntry(_StrictWrench):
     """The key `wrench` of `study.yaml`."""
 
     axes: Literal["plane", "hand"] = "plane"

@@ -13,16 +13,16 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 from rich.text import Text
 
-from cell.records.result import Check, Outcome, Result
+from cell.records.result import AgreementCheck, Outcome, Result
 from cell.run.computer_check import Condition
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.terminal.progress import Stage, Ticker
 
 #: What the keys do during a run, and what is then said of them.
 MAY_HOLD = "h: hold"
 KEYS = {
-    "h": (Event.HOLD, "holding; u: go on"),
-    "u": (Event.UNHOLD, MAY_HOLD),
+    "h": (MachineEvent.HOLD, "holding; u: go on"),
+    "u": (MachineEvent.UNHOLD, MAY_HOLD),
 }
 
 #: Cables that have a column of their own in the table of times.
@@ -246,12 +246,12 @@ def _mm(value_m: float | None, form: str) -> str:
     return "" if value_m is None else format(value_m * 1e3, form)
 
 
-def _shown(check: Check) -> str:
+def _shown(check: AgreementCheck) -> str:
     unit, factor, form = _SHOWN[check.unit]
     return f"{check.found * factor:{form}} {unit}".rstrip()
 
 
-def _wanted(check: Check) -> str:
+def _wanted(check: AgreementCheck) -> str:
     unit, factor, _ = _SHOWN[check.unit]
     low, high = (None if v is None else f"{v * factor:g}" for v in (check.low, check.high))
     if low is None or high is None:

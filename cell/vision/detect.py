@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calib.plane import PlaneView
 from cell.vision.frame_nodes import Appearance, FrameMemory, FrameResult, frame_memory, frame_values
 from cell.vision.marks import JawMarks, compiled_view, disc_marks
-from cell.vision.ridge import Picture
+from cell.vision.ridge import GreyImage
 from cell.vision.sighting import UNSEEN, Sighting
 from cell.vision.trace import cable_appearance
 
@@ -71,7 +71,7 @@ def detect(
     if previous is not None:
         x_m, y_m = previous.grip_m.tolist()
         near = (x_m, y_m, previous.clamp_angle_rad)
-    picture = Picture.of(image, 1 if options.cable_is == "light" else -1)
+    picture = GreyImage.of(image, 1 if options.cable_is == "light" else -1)
     nodes_m = np.empty((options.nodes, 2))
     values = frame_values(
         picture,

@@ -25,7 +25,7 @@ class Marks(NamedTuple):
     tolerance_m: float
 
 
-class View(NamedTuple):
+class ImageView(NamedTuple):
     """Mapping from pixels to the plane and back; see `PlaneView`.
 
     maps     (2, 3, 3) homography from homogeneous ideal pixels to the plane in metres, and back

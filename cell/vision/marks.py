@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.plane import PlaneView
-from cell.vision.discs import BodyPose, Marks, View, body_values, disc_memory
+from cell.vision.discs import BodyPose, ImageView, Marks, body_values, disc_memory
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -96,12 +96,12 @@ def disc_marks(marks: JawMarks) -> Marks:
     return Marks(centres, float(marks.radius_m), float(marks.tolerance_m))
 
 
-def compiled_view(view: PlaneView) -> View:
+def compiled_view(view: PlaneView) -> ImageView:
     """A view as the compiled functions take it."""
     maps = np.stack([np.asarray(view.homography, dtype=np.float64), view.inverse])
     if view.lens is None:
-        return View(maps, np.zeros(9), False)
-    return View(maps, view.lens.numbers, True)
+        return ImageView(maps, np.zeros(9), False)
+    return ImageView(maps, view.lens.numbers, True)
 
 
 def pixels_per_metre(view: PlaneView, pixel: FloatArray) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.vision.curve import Centreline, choose_penalty, chord_parameters, fit_curve
-from cell.vision.ridge import Picture, Start, find_start, follow, new_scratch
+from cell.vision.ridge import GreyImage, RidgeStart, find_start, follow, new_scratch
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -98,7 +98,7 @@ def _coarse(image: Image, coarsening: int) -> Image:
 
 def _follow_strip(coarse: Image, gap_px: float) -> FloatArray:
     """(N, 2) points along the strip that leaves the left edge of a coarse picture."""
-    picture, scratch = Picture.of(coarse, 1), new_scratch()
+    picture, scratch = GreyImage.of(coarse, 1), new_scratch()
     at_edge = coarse[:, 1:6].mean(axis=1)
     row = float(np.argmax(np.convolve(at_edge, np.ones(3), mode="same")))
     u, v, du, dv, contrast = find_start(picture, (0.0, row), (1.0, 0.0), 3.0, 0.8, scratch)
@@ -108,7 +108,7 @@ def _follow_strip(coarse: Image, gap_px: float) -> FloatArray:
             f" {contrast:.1f} grey levels, needs 5): check edge, strip_is and thickness_m"
         )
     line = np.empty((2 * max(coarse.shape) + 2, 3))  # points are 2 pixels apart
-    start = Start(u + 3.0 * du, v + 3.0 * dv, du, dv, contrast)
+    start = RidgeStart(u + 3.0 * du, v + 3.0 * dv, du, dv, contrast)
     count, _ = follow(picture, start, 0.15, 2.0, float(gap_px), line, scratch)
     if count < 40:
         raise StripNotFoundError(

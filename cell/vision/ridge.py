@@ -28,7 +28,7 @@ class End(IntEnum):
     TOO_LONG = 2
 
 
-class Picture(NamedTuple):
+class GreyImage(NamedTuple):
     """A picture in which a line is looked for.
 
     image  (H, W) grey levels
@@ -39,12 +39,12 @@ class Picture(NamedTuple):
     sign: float
 
     @classmethod
-    def of(cls, image: Image, sign: int) -> Picture:
+    def of(cls, image: Image, sign: int) -> GreyImage:
         """A picture; copied only where it is not contiguous."""
         return cls(np.require(image, requirements=["C", "W"]), float(sign))
 
 
-class Start(NamedTuple):
+class RidgeStart(NamedTuple):
     """A place (column, row) on a line, a unit direction along it, and the contrast, grey levels."""
 
     u: float
@@ -151,7 +151,7 @@ def find_start(picture, at, direction, reach, slope, scratch):  # type: ignore[n
             if total > best:
                 best, best_o, best_s = total, float(shift), s
     norm = np.sqrt(1.0 + best_s * best_s)
-    return Start(
+    return RidgeStart(
         at[0] - best_o * dv,
         at[1] + best_o * du,
         (du - best_s * dv) / norm,

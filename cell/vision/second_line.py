@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cell.vision.compiling import compiled, hypot, inline
-from cell.vision.ridge import Start, crossings, find_start, follow
+from cell.vision.ridge import RidgeStart, crossings, find_start, follow
 from cell.vision.trace import ARC_RAD, STEP_PX
 
 _SHARES = (0.3, 0.5, 0.7, 0.9)  # of the cable's length, radii of the arcs
@@ -48,7 +48,7 @@ def _apart(picture, memory, place, heading, contrast, length):  # type: ignore[n
     if start.contrast < 0.5 * contrast:
         return 0.0
     line = memory.line[: min(int(0.3 * length / STEP_PX) + 2, len(memory.line))]
-    start = Start(start.u, start.v, start.du, start.dv, contrast)
+    start = RidgeStart(start.u, start.v, start.du, start.dv, contrast)
     count, _ = follow(picture, start, 0.4, STEP_PX, 10.0, line, memory.scratch)
     if count < 2:
         return 0.0

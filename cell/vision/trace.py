@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cell.vision.compiling import compiled, hypot, inline
 from cell.vision.ridge import (
     ProfileFit,
-    Start,
+    RidgeStart,
     find_start,
     follow,
     new_scratch,
@@ -143,7 +143,7 @@ def trace_cable(picture, look, memory, grip, outward, length):  # type: ignore[n
     if not start.contrast >= look.min_contrast:
         return Traced(_NO_CABLE, 0.0, 0.0, 0.0, 0.0)
     u, v = start.u + 3.0 * start.du, start.v + 3.0 * start.dv
-    begin = Start(u, v, start.du, start.dv, start.contrast)
+    begin = RidgeStart(u, v, start.du, start.dv, start.contrast)
     capacity = min(int(_LONGEST * length / STEP_PX) + 2, len(memory.line) - 1)
     line = memory.line[: capacity + 1]
     line[0, COLUMN], line[0, ROW] = start.u, start.v

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from calib.store import KINDS, StoredCalibration, StoreError, load
+from calib.store import KINDS, CalibrationFileError, StoredCalibration, load
 from cell.settings.calibrated import bounds_of, calibration_file, complaint_of
 from cell.settings.loading import products_of
 from cell.settings.model import Settings
@@ -26,7 +26,7 @@ _ALSO = ("spread_95_px", "noise_px", "held_out_rms_m")
 
 
 @dataclass(frozen=True)
-class Part:
+class CalibrationPart:
     """One calibration.
 
     name   of its file, without the ending
@@ -46,7 +46,7 @@ class Part:
     errors: tuple[tuple[str, str], ...]
 
 
-def parts(settings: Settings, now: datetime | None = None) -> tuple[Part, ...]:
+def parts(settings: Settings, now: datetime | None = None) -> tuple[CalibrationPart, ...]:
     """All calibrations of a cell, in the order in which they are made; a grip for each product."""
     now = now or datetime.now(UTC)
     each = [(kind, settings) for kind in KINDS if kind != "grip"]
@@ -54,22 +54,22 @@ def parts(settings: Settings, now: datetime | None = None) -> tuple[Part, ...]:
     return tuple(_part(kind, of, now) for kind, of in each)
 
 
-def _part(kind: str, settings: Settings, now: datetime) -> Part:
+def _part(kind: str, settings: Settings, now: datetime) -> CalibrationPart:
     wanted = settings.calibration
     assert wanted is not None
     most_h = wanted.time_max_age_h if kind == "time" else 24.0 * wanted.max_age_days
     path = calibration_file(settings, kind)
     name = path.stem
     if not path.exists():
-        return Part(kind, name, None, math.nan, most_h, False, "", ())
+        return CalibrationPart(kind, name, None, math.nan, most_h, False, "", ())
     try:
         stored = load(path, kind)
         why = complaint_of(stored, wanted, settings, now) or ""
         errors = _errors(stored, settings)
-    except (StoreError, ValueError) as error:
-        return Part(kind, name, None, math.nan, most_h, False, str(error), ())
+    except (CalibrationFileError, ValueError) as error:
+        return CalibrationPart(kind, name, None, math.nan, most_h, False, str(error), ())
     made = stored.made.astimezone()
-    return Part(kind, name, made, stored.age_h(now), most_h, not why, why, errors)
+    return CalibrationPart(kind, name, made, stored.age_h(now), most_h, not why, why, errors)
 
 
 def _errors(stored: StoredCalibration, settings: Settings) -> tuple[tuple[str, str], ...]:

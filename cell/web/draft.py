@@ -11,7 +11,7 @@ from cell.files.input_error import InputError
 from cell.files.yaml_document import Document, document_of, dotted
 from cell.files.yaml_edit import UNSET, Names, edited, flow
 from cell.settings.check import oddities
-from cell.settings.entries import Entry, Form, change_for, entries
+from cell.settings.entries import SettingsEntry, SettingsForm, change_for, entries
 from cell.settings.loading import settings_of
 from cell.web.theme import N_
 from cell.web.wording import Translate
@@ -36,11 +36,11 @@ class Draft:
         found = self._document(self.text).data
         return found if isinstance(found, Mapping) else {}
 
-    def entries(self) -> tuple[Entry, ...]:
+    def entries(self) -> tuple[SettingsEntry, ...]:
         """All entries of the changed file.  Raises InputError, as above."""
         return entries(self.data())
 
-    def enter(self, entry: Entry, typed: str) -> None:
+    def enter(self, entry: SettingsEntry, typed: str) -> None:
         """What a person has typed or chosen; nothing = the default.
 
         raises  InputError: the entry cannot be changed by itself, as the file is written
@@ -114,7 +114,7 @@ def differences(before: str, after: str, name: str) -> str:
     return "\n".join(lines)
 
 
-def value_of(entry: Entry, typed: str) -> Any:
+def value_of(entry: SettingsEntry, typed: str) -> Any:
     """Plain data that a person has typed for an entry; `UNSET` = nothing.
 
     raises  ValueError: it is no value in one line of YAML
@@ -122,9 +122,9 @@ def value_of(entry: Entry, typed: str) -> Any:
     typed = typed.strip()
     if not typed:
         return UNSET
-    if entry.form is Form.CHOSEN:
+    if entry.form is SettingsForm.CHOSEN:
         return entry.choices.get(typed, typed)
-    if entry.form is Form.TEXT and typed != "null":
+    if entry.form is SettingsForm.TEXT and typed != "null":
         return typed
     try:
         found = document_of(f"value: {typed}", Path("entry")).data

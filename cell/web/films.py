@@ -7,7 +7,7 @@ from collections import OrderedDict
 from pathlib import Path
 
 from cell.records.recording import form
-from cell.records.recording.film import Film, frame_jpeg, read_film
+from cell.records.recording.film import RecordedFilm, frame_jpeg, read_film
 
 #: Frames are served at most so wide, px.
 WIDTH_PX = 960
@@ -27,11 +27,11 @@ class Films:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._busy = threading.BoundedSemaphore(_AT_ONCE)
-        self._films: OrderedDict[_Known, Film] = OrderedDict()
+        self._films: OrderedDict[_Known, RecordedFilm] = OrderedDict()
         self._frames: OrderedDict[tuple[_Known, int], bytes] = OrderedDict()
         self.bytes = 0
 
-    def film(self, folder: Path) -> Film:
+    def film(self, folder: Path) -> RecordedFilm:
         """Frames of a cycle's recording.  Raises OSError: it has none; InputError."""
         return self._film(folder)[1]
 
@@ -57,7 +57,7 @@ class Films:
                 self.bytes -= len(self._frames.popitem(last=False)[1])
         return made
 
-    def _film(self, folder: Path) -> tuple[_Known, Film]:
+    def _film(self, folder: Path) -> tuple[_Known, RecordedFilm]:
         path = folder / form.FILE
         found = path.stat()
         known = (path, found.st_mtime_ns, found.st_size)

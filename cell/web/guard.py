@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from cell.computer.peers import user_of_peer
-from cell.web.sessions import Session, Sessions, local_session
+from cell.web.sessions import LoginSession, Sessions, local_session
 from cell.web.users import Users
 
 Scope = MutableMapping[str, Any]
@@ -112,7 +112,7 @@ class Guard:
                 raise
             await _refuse(scope, send, 413)
 
-    def _session(self, headers: dict[str, str]) -> Session | None:
+    def _session(self, headers: dict[str, str]) -> LoginSession | None:
         if self._sessions is None:
             return local_session()
         try:
@@ -121,7 +121,7 @@ class Guard:
             return None
         return self._sessions.of(None if cookie is None else cookie.value)
 
-    def _ended(self, session: Session | None) -> bool:
+    def _ended(self, session: LoginSession | None) -> bool:
         """Whether the session of a socket that is open has ended since: nobody is heard by it."""
         if self._sessions is None:
             return self._has_accounts()
@@ -129,7 +129,7 @@ class Guard:
             return False
         return self._sessions.renewed(session.key, used=False) is None
 
-    def _refusal(self, scope: Scope, headers: dict[str, str], session: Session | None) -> int:
+    def _refusal(self, scope: Scope, headers: dict[str, str], session: LoginSession | None) -> int:
         """Status of what is refused; 0 = it is allowed."""
         host = headers.get("host", "")
         if self._sessions is None and not is_loopback(host):

@@ -40,7 +40,7 @@ _PROGRESS_S = 0.5
 _COUNTED = re.compile(r"\b(\d+) of (\d+)\b")
 
 
-class State(StrEnum):
+class JobState(StrEnum):
     """Where a job stands."""
 
     QUEUED = "queued"
@@ -52,11 +52,11 @@ class State(StrEnum):
 
 
 #: States of jobs that have not ended.
-OPEN = frozenset({State.QUEUED, State.RUNNING, State.CANCELLING})
+OPEN = frozenset({JobState.QUEUED, JobState.RUNNING, JobState.CANCELLING})
 
 
 @dataclass(frozen=True)
-class Task:
+class JobTask:
     """What is to be done.
 
     title     in English, marked for the catalogues
@@ -96,9 +96,9 @@ class Job:
     """
 
     number: int
-    task: Task
+    task: JobTask
     by: str
-    state: State = State.QUEUED
+    state: JobState = JobState.QUEUED
     step: int = 0
     progress: str = ""
     share: float | None = None
@@ -194,10 +194,10 @@ class Jobs:
         with self._changed:
             return tuple(reversed(self._jobs.values()))
 
-    def submit(self, task: Task, by: str) -> str:
+    def submit(self, task: JobTask, by: str) -> str:
         """Put a job in the queue; why it cannot be, or ""."""
         with self._changed:
-            waiting = [j for j in self._jobs.values() if j.state is State.QUEUED]
+            waiting = [j for j in self._jobs.values() if j.state is JobState.QUEUED]
             if self._closed:
                 return "the server is ending"
             if len(waiting) >= MOST_WAITING:
@@ -225,10 +225,10 @@ class Jobs:
             if job is None or job.state not in OPEN:
                 return "this job has ended"
             process = self._process
-            if job.state is State.QUEUED:
-                self._put(replace(job, state=State.CANCELLED, ended_s=time.time()))
-            elif job.state is State.RUNNING:
-                self._put(replace(job, state=State.CANCELLING))
+            if job.state is JobState.QUEUED:
+                self._put(replace(job, state=JobState.CANCELLED, ended_s=time.time()))
+            elif job.state is JobState.RUNNING:
+                self._put(replace(job, state=JobState.CANCELLING))
                 if process is not None:
                     with suppress(ProcessLookupError):
                         process.send_signal(signal.SIGTERM)  # as Ctrl-C, and never ignored
@@ -246,8 +246,8 @@ class Jobs:
         with self._changed:
             self._closed = True
             for job in self._jobs.values():
-                if job.state is State.QUEUED:
-                    self._put(replace(job, state=State.CANCELLED, ended_s=time.time()))
+                if job.state is JobState.QUEUED:
+                    self._put(replace(job, state=JobState.CANCELLED, ended_s=time.time()))
             if self._process is not None:
                 moves = any(j.task.moves and j.state in OPEN for j in self._jobs.values())
                 with suppress(ProcessLookupError):
@@ -282,7 +282,7 @@ class Jobs:
                 job = self._next()
                 if self._closed or job is None:
                     return
-                self._put(replace(job, state=State.RUNNING))
+                self._put(replace(job, state=JobState.RUNNING))
             self._run(job.number)
 
     def _died(self, error: BaseException) -> None:
@@ -293,11 +293,11 @@ class Jobs:
             for job in self._jobs.values():
                 if job.state in OPEN:
                     told = (*job.said, said(error))[-MOST_LINES:]
-                    self._put(replace(job, state=State.FAILED, said=told, ended_s=time.time()))
+                    self._put(replace(job, state=JobState.FAILED, said=told, ended_s=time.time()))
             self._process = self._thread = None
 
     def _next(self) -> Job | None:
-        return next((j for j in self._jobs.values() if j.state is State.QUEUED), None)
+        return next((j for j in self._jobs.values() if j.state is JobState.QUEUED), None)
 
     def _run(self, number: int) -> None:
         task = self._jobs[number].task
@@ -306,7 +306,7 @@ class Jobs:
             code = None
             with self._changed:
                 job = self._jobs[number]
-                if job.state is State.CANCELLING:
+                if job.state is JobState.CANCELLING:
                     break
                 self._put(replace(job, step=step, progress="", share=None, printed=()))
             code = self._command(number, words)
@@ -314,9 +314,9 @@ class Jobs:
                 break
         with self._changed:
             job = self._jobs[number]
-            state = State.DONE if code in task.good else State.FAILED
-            if job.state is State.CANCELLING and code != 0:
-                state = State.CANCELLED
+            state = JobState.DONE if code in task.good else JobState.FAILED
+            if job.state is JobState.CANCELLING and code != 0:
+                state = JobState.CANCELLED
             ended = replace(job, state=state, progress="", share=None, ended_s=time.time())
         if task.log is not None and ended.printed:
             with suppress(OSError):
@@ -333,7 +333,7 @@ class Jobs:
             return -1
         with self._changed:
             self._process = process
-            if self._closed or self._jobs[number].state is State.CANCELLING:
+            if self._closed or self._jobs[number].state is JobState.CANCELLING:
                 end(process)
         assert process.stdout is not None and process.stderr is not None
         printing = GuardedThread(

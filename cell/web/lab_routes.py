@@ -14,7 +14,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 
 from cell.web.lab_tasks import PAGES, PREVIEW, LabTasks, Subject
 from cell.web.users import Role
-from cell.web.visit import Room, Visit
+from cell.web.visit import PagesContext, Visit
 from cell.web.workspace import MOST_FILES, Taken, UploadError, is_name
 
 #: Pages of commands have scripts of their own; they may do nothing with this server's.
@@ -25,7 +25,7 @@ _SANDBOX = {
 }
 
 
-def lab_routes(app: FastAPI, room: Room) -> None:
+def lab_routes(app: FastAPI, room: PagesContext) -> None:
     """Add them to the application."""
 
     @app.post("/lab/upload")
@@ -67,7 +67,7 @@ def _take(visit: Visit, files: Sequence[tuple[str, IO[bytes]]]) -> Response:
     return JSONResponse(answer)
 
 
-def _page(request: Request, room: Room, name: str, page: str) -> Response:
+def _page(request: Request, room: PagesContext, name: str, page: str) -> Response:
     if not Visit(room, request.state.session, "", "en", str).may(Role.engineer):
         return Response(status_code=403)
     workspace = room.lab.workspace

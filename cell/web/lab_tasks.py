@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cell.web.jobs import MOVING, Task
+from cell.web.jobs import MOVING, JobTask
 from cell.web.theme import N_
 from cell.web.workspace import Workspace
 
@@ -64,46 +64,50 @@ class LabTasks:
     workspace: Workspace
     config: Path
 
-    def look(self, subject: Subject) -> Task:
+    def look(self, subject: Subject) -> JobTask:
         """Show a study before any fit."""
         out = self.workspace.results(subject.name)
         words = ("look", str(subject.folder), "-o", str(out / "look.html"))
-        return Task(N_("Look"), subject.name, (words,), _SHOWN, out / "look.txt")
+        return JobTask(N_("Look"), subject.name, (words,), _SHOWN, out / "look.txt")
 
-    def gather(self, cycles: Sequence[Path], name: str) -> Task:
+    def gather(self, cycles: Sequence[Path], name: str) -> JobTask:
         """Make a study of several cycles of one cable."""
         out = self.workspace.studies / name
         words = ("study", *map(str, cycles), "-o", str(out))
-        return Task(N_("Gather"), name, (words, self.look(Subject(name, out)).commands[0]), _SHOWN)
+        return JobTask(
+            N_("Gather"), name, (words, self.look(Subject(name, out)).commands[0]), _SHOWN
+        )
 
     def propose(
         self, upload: str, files: Sequence[str], hands: Sequence[str], entries: CableEntries
-    ) -> Task:
+    ) -> JobTask:
         """Propose a mapping of uploaded tables."""
         folder = self.workspace.uploads / upload
         of_hands = (w for name in hands for w in ("--hand", str(folder / name)))
         out = self.workspace.studies / upload
         paths = (str(folder / name) for name in files)
         words = ("import", *paths, *of_hands, "-o", str(out), *entries.words(), "--force")
-        return Task(N_("Import"), upload, (words,), _SHOWN, out / "import.txt")
+        return JobTask(N_("Import"), upload, (words,), _SHOWN, out / "import.txt")
 
-    def write_study(self, subject: Subject) -> Task:
+    def write_study(self, subject: Subject) -> JobTask:
         """Make the study that a mapping describes."""
         words = ("import", str(subject.folder / MAPPING))
         look = self.look(subject)
-        return Task(N_("Make the study"), subject.name, (words, *look.commands), _SHOWN, look.log)
+        return JobTask(
+            N_("Make the study"), subject.name, (words, *look.commands), _SHOWN, look.log
+        )
 
-    def fit(self, subject: Subject, name: str, effects: Sequence[str], from_line: bool) -> Task:
+    def fit(self, subject: Subject, name: str, effects: Sequence[str], from_line: bool) -> JobTask:
         """Fit a model with these effects in it."""
-        return Task(N_("Fit"), subject.name, (self._fit(subject, name, effects, from_line),))
+        return JobTask(N_("Fit"), subject.name, (self._fit(subject, name, effects, from_line),))
 
-    def compare(self, subject: Subject, models: Sequence[str], effects: Sequence[str]) -> Task:
+    def compare(self, subject: Subject, models: Sequence[str], effects: Sequence[str]) -> JobTask:
         """Compare models, in this order, with every trial."""
         words = self._compare(subject, models, effects, "compare")
         log = self.workspace.results(subject.name) / "compare.txt"
-        return Task(N_("Compare"), subject.name, (words,), log=log)
+        return JobTask(N_("Compare"), subject.name, (words,), log=log)
 
-    def fit_own(self, subject: Subject, effect: str, beside: Sequence[str]) -> Task:
+    def fit_own(self, subject: Subject, effect: str, beside: Sequence[str]) -> JobTask:
         """Fit the model with an effect that was typed, and without, and compare both."""
         file = str(self.workspace.effects / f"{effect}.py")
         before = f"without_{effect}"  # which no effect is called whose model is fitted here
@@ -113,11 +117,11 @@ class LabTasks:
             self._compare(subject, (before, effect), (), "own"),
         )
         log = self.workspace.results(subject.name) / "own.txt"
-        return Task(N_("Fit the effect"), subject.name, commands, log=log)
+        return JobTask(N_("Fit the effect"), subject.name, commands, log=log)
 
     def diagnose(
         self, subject: Subject, tried: Sequence[str], known: Sequence[str], from_line: bool
-    ) -> Task:
+    ) -> JobTask:
         """Find what the model lacks."""
         out = self.workspace.results(subject.name)
         words = (
@@ -126,9 +130,9 @@ class LabTasks:
             *self._line(from_line),
             *("-o", str(out / "diagnosis.json"), "--report", str(out / "diagnosis.html")),
         )
-        return Task(N_("Diagnose"), subject.name, (words,), log=out / "diagnosis.txt")
+        return JobTask(N_("Diagnose"), subject.name, (words,), log=out / "diagnosis.txt")
 
-    def suggest(self, subject: Subject, tried: Sequence[str], known: Sequence[str]) -> Task:
+    def suggest(self, subject: Subject, tried: Sequence[str], known: Sequence[str]) -> JobTask:
         """Suggest the motion that tells most."""
         out = self.workspace.results(subject.name)
         words = (
@@ -136,22 +140,22 @@ class LabTasks:
             *_each("--known", known),
             *(*self._line(True), "-o", str(out / "motion.yaml")),
         )
-        return Task(N_("Suggest a motion"), subject.name, (words,), log=out / "suggest.txt")
+        return JobTask(N_("Suggest a motion"), subject.name, (words,), log=out / "suggest.txt")
 
-    def discover(self, subject: Subject, name: str, beside: Sequence[str]) -> Task:
+    def discover(self, subject: Subject, name: str, beside: Sequence[str]) -> JobTask:
         """Infer a law from what the model leaves, as an effect that can be edited."""
         out = str(self.workspace.effects / f"{name}.py")
         words = ("discover", str(subject.folder), *_each("--effect", beside), "-o", out)
         log = self.workspace.results(subject.name) / "discover.txt"
-        return Task(N_("Infer a law"), subject.name, (words,), log=log)
+        return JobTask(N_("Infer a law"), subject.name, (words,), log=log)
 
-    def learn(self, name: str, cycles: Sequence[Path], ledger: str, own: Sequence[str]) -> Task:
+    def learn(self, name: str, cycles: Sequence[Path], ledger: str, own: Sequence[str]) -> JobTask:
         """Learn what the line's model lacks; of the ledger's cycles if none are given."""
         out = self.workspace.candidates / f"{name}.yaml"
         which = tuple(map(str, cycles)) or ("--ledger", ledger)
         words = ("learn", *which, *self._line(True), *_each("--effect", own), "-o", str(out))
         log = self.workspace.candidates / f"{name}.txt"
-        return Task(N_("Learn"), name, (words,), _SHOWN, log)
+        return JobTask(N_("Learn"), name, (words,), _SHOWN, log)
 
     def promote(self, candidate: str) -> tuple[str, ...]:
         """Words of the command that gives the line a candidate's model."""
@@ -162,11 +166,11 @@ class LabTasks:
         """Words of the command that takes the last promotion back."""
         return ("promote", "--undo", *self._line(True))
 
-    def measure(self, subject: Subject, runs: Path) -> Task:
+    def measure(self, subject: Subject, runs: Path) -> JobTask:
         """Measure a cable with the motion suggested; the hand moves."""
         motion = self.workspace.results(subject.name) / "motion.yaml"
         words = (MOVING, *self._line(True), "--motion", str(motion), "--out", str(runs))
-        return Task(N_("Measure"), subject.name, (words,), moves=True)
+        return JobTask(N_("Measure"), subject.name, (words,), moves=True)
 
     def model(self, subject: Subject, name: str) -> Path:
         """File of a model that was fitted to a study."""

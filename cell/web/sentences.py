@@ -28,20 +28,20 @@ _BETWEEN = re.compile(r"; |\. |\n")
 
 
 @dataclass(frozen=True)
-class Place:
+class Placeholder:
     """A place for a value: `kind` is "", "number" or "sentence"."""
 
     name: str
     kind: str
 
 
-def parts_of(message: str) -> Iterator[str | Place]:
+def parts_of(message: str) -> Iterator[str | Placeholder]:
     """Texts and places of a message, in their order."""
     end = 0
     for found in _PLACE.finditer(message):
         if found.start() > end:
             yield message[end : found.start()]
-        yield Place(found[1], found[2] or "")
+        yield Placeholder(found[1], found[2] or "")
         end = found.end()
     if end < len(message):
         yield message[end:]
@@ -55,19 +55,19 @@ class Template:
     said: str
 
     @cached_property
-    def parts(self) -> tuple[str | Place, ...]:
+    def parts(self) -> tuple[str | Placeholder, ...]:
         """Of the message."""
         return tuple(parts_of(self.message))
 
     @cached_property
-    def said_parts(self) -> tuple[str | Place, ...]:
+    def said_parts(self) -> tuple[str | Placeholder, ...]:
         """Of what it is in the language."""
         return tuple(parts_of(self.said))
 
     @cached_property
     def kinds(self) -> Mapping[str, str]:
         """Kind of each place by its name."""
-        return {p.name: p.kind for p in self.parts if isinstance(p, Place)}
+        return {p.name: p.kind for p in self.parts if isinstance(p, Placeholder)}
 
     @cached_property
     def literal(self) -> int:

@@ -27,7 +27,7 @@ from cell.web.pages.cycle import build as build_cycle
 from cell.web.registry import PAGES, Page
 from cell.web.theme import CSS, N_
 from cell.web.users import Role, Users
-from cell.web.visit import Room, Visit
+from cell.web.visit import PagesContext, Visit
 from cell.web.wording import languages, preferred, translation
 
 _LOG = logging.getLogger(__name__)
@@ -45,7 +45,7 @@ _SANDBOX = {
 
 
 def serve(
-    room: Room, users: Users, address: tuple[str, int], tls: tuple[Path, Path] | None
+    room: PagesContext, users: Users, address: tuple[str, int], tls: tuple[Path, Path] | None
 ) -> None:
     """Serve the pages until Ctrl-C or SIGTERM.
 
@@ -74,7 +74,7 @@ def serve(
     room.client.close()
 
 
-def application(room: Room, users: Users, secure: bool) -> FastAPI:
+def application(room: PagesContext, users: Users, secure: bool) -> FastAPI:
     """The application without its guard."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     _login_routes(app, room, users, secure)
@@ -97,7 +97,7 @@ def application(room: Room, users: Users, secure: bool) -> FastAPI:
     return app
 
 
-def _page_route(room: Room, page: Page) -> None:
+def _page_route(room: PagesContext, page: Page) -> None:
     @ui.page(page.path, title=_TITLE, dark=None)
     def built(request: Request) -> None:
         visit = _visit(room, request)
@@ -109,7 +109,7 @@ def _page_route(room: Room, page: Page) -> None:
                 ui.label(visit.t("You may not see this page."))
 
 
-def _visit(room: Room, request: Request) -> Visit:
+def _visit(room: PagesContext, request: Request) -> Visit:
     language = _language(request)
     page = ui.context.client.id
     return Visit(room, request.state.session, page, language, translation(language))
@@ -147,7 +147,7 @@ def _framed(visit: Visit, request: Request) -> None:
     heartbeat.begin(visit.heartbeats, t)
 
 
-def _login_routes(app: FastAPI, room: Room, users: Users, secure: bool) -> None:
+def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) -> None:
     templates = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"), autoescape=True
     )
@@ -202,7 +202,7 @@ def _login_routes(app: FastAPI, room: Room, users: Users, secure: bool) -> None:
         return answer
 
 
-def _cycle_routes(app: FastAPI, room: Room) -> None:
+def _cycle_routes(app: FastAPI, room: PagesContext) -> None:
     @app.get("/cycles/{name}/newest.png")
     def picture(name: str) -> Response:
         folder = cycles.cycle_folder(room.runs, name)
@@ -248,7 +248,7 @@ def _cycle_routes(app: FastAPI, room: Room) -> None:
         return Response("cannot be read", 422, media_type="text/plain")
 
 
-def _calibration_routes(app: FastAPI, room: Room) -> None:
+def _calibration_routes(app: FastAPI, room: PagesContext) -> None:
     """Reports and the picture of the coverage, for engineers."""
 
     @app.get("/calibration/{name}")

@@ -21,7 +21,7 @@ _MOST = 1000
 
 
 @dataclass
-class Session:
+class LoginSession:
     """One person's time at the pages.
 
     key  what it is known by here; no cookie can be made of it
@@ -47,7 +47,7 @@ class Sessions:
         self._named = named
         self._now_s = now_s
         self._lock = threading.Lock()
-        self._open: dict[str, Session] = {}
+        self._open: dict[str, LoginSession] = {}
         self._wrong: dict[str, list[float]] = {}
 
     def begin(self, user: User) -> str:
@@ -57,14 +57,14 @@ class Sessions:
         with self._lock:
             while len(self._open) >= _MOST:
                 self._open.pop(next(iter(self._open)))
-            self._open[key] = Session(user, key, now, now)
+            self._open[key] = LoginSession(user, key, now, now)
         return token
 
-    def of(self, token: str | None) -> Session | None:
+    def of(self, token: str | None) -> LoginSession | None:
         """Session of a cookie, which is used now; None = unknown, expired or ended."""
         return None if not token else self.renewed(_key(token))
 
-    def renewed(self, key: str, *, used: bool = True) -> Session | None:
+    def renewed(self, key: str, *, used: bool = True) -> LoginSession | None:
         """Session of a key, with the role that its user has now.
 
         used  whether a person has done something, not only a page that is open
@@ -116,9 +116,9 @@ class Sessions:
                     self._wrong.pop(who, None)
 
 
-def local_session() -> Session:
+def local_session() -> LoginSession:
     """Session of whoever sits at this computer: on loopback there are no accounts."""
-    return Session(User("local", Role.engineer), "", 0.0, 0.0)
+    return LoginSession(User("local", Role.engineer), "", 0.0, 0.0)
 
 
 def _key(token: str) -> str:

@@ -11,7 +11,7 @@ GREEN, BLUE, AMBER, RED, _GREY = "#146c2e", "#0b57a4", "#f5b301", "#b3261e", "#4
 
 
 @dataclass(frozen=True)
-class Look:
+class StateStyle:
     """How a state is shown: its word in English, colours of ground and letters."""
 
     word: str
@@ -25,29 +25,29 @@ def N_(message: str) -> str:  # noqa: N802 - the name that gettext's tools look 
 
 
 _S = CellState
-LOOKS: dict[CellState, Look] = {
-    _S.IDLE: Look(N_("Idle"), BLUE, "#ffffff"),
-    _S.STARTING: Look(N_("Starting"), GREEN, "#ffffff"),
-    _S.EXECUTE: Look(N_("Execute"), GREEN, "#ffffff"),
-    _S.COMPLETING: Look(N_("Completing"), GREEN, "#ffffff"),
-    _S.COMPLETE: Look(N_("Complete"), GREEN, "#ffffff"),
-    _S.RESETTING: Look(N_("Resetting"), BLUE, "#ffffff"),
-    _S.HOLDING: Look(N_("Holding"), AMBER, "#000000"),
-    _S.HELD: Look(N_("Held"), AMBER, "#000000"),
-    _S.UNHOLDING: Look(N_("Unholding"), AMBER, "#000000"),
-    _S.SUSPENDING: Look(N_("Suspending"), AMBER, "#000000"),
-    _S.SUSPENDED: Look(N_("Suspended"), AMBER, "#000000"),
-    _S.UNSUSPENDING: Look(N_("Unsuspending"), AMBER, "#000000"),
-    _S.STOPPING: Look(N_("Stopping"), RED, "#ffffff"),
-    _S.STOPPED: Look(N_("Stopped"), RED, "#ffffff"),
-    _S.ABORTING: Look(N_("Aborting"), RED, "#ffffff"),
-    _S.ABORTED: Look(N_("Aborted"), RED, "#ffffff"),
-    _S.CLEARING: Look(N_("Clearing"), RED, "#ffffff"),
+LOOKS: dict[CellState, StateStyle] = {
+    _S.IDLE: StateStyle(N_("Idle"), BLUE, "#ffffff"),
+    _S.STARTING: StateStyle(N_("Starting"), GREEN, "#ffffff"),
+    _S.EXECUTE: StateStyle(N_("Execute"), GREEN, "#ffffff"),
+    _S.COMPLETING: StateStyle(N_("Completing"), GREEN, "#ffffff"),
+    _S.COMPLETE: StateStyle(N_("Complete"), GREEN, "#ffffff"),
+    _S.RESETTING: StateStyle(N_("Resetting"), BLUE, "#ffffff"),
+    _S.HOLDING: StateStyle(N_("Holding"), AMBER, "#000000"),
+    _S.HELD: StateStyle(N_("Held"), AMBER, "#000000"),
+    _S.UNHOLDING: StateStyle(N_("Unholding"), AMBER, "#000000"),
+    _S.SUSPENDING: StateStyle(N_("Suspending"), AMBER, "#000000"),
+    _S.SUSPENDED: StateStyle(N_("Suspended"), AMBER, "#000000"),
+    _S.UNSUSPENDING: StateStyle(N_("Unsuspending"), AMBER, "#000000"),
+    _S.STOPPING: StateStyle(N_("Stopping"), RED, "#ffffff"),
+    _S.STOPPED: StateStyle(N_("Stopped"), RED, "#ffffff"),
+    _S.ABORTING: StateStyle(N_("Aborting"), RED, "#ffffff"),
+    _S.ABORTED: StateStyle(N_("Aborted"), RED, "#ffffff"),
+    _S.CLEARING: StateStyle(N_("Clearing"), RED, "#ffffff"),
 }
 #: No cell is there.
-AWAY = Look(N_("No cell runs"), _GREY, "#ffffff")
+AWAY = StateStyle(N_("No cell runs"), _GREY, "#ffffff")
 #: A cell may be there, and says nothing.
-UNKNOWN = Look(N_("No connection"), _GREY, "#ffffff")
+UNKNOWN = StateStyle(N_("No connection"), _GREY, "#ffffff")
 
 CSS = """
 .q-btn { text-transform: none; }

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from cell.records.ledger.ledger import ListedCycle
-from cell.run.machine import Event
-from cell.web.theme import AWAY, LOOKS, N_, UNKNOWN, Look
+from cell.run.machine import MachineEvent
+from cell.web.theme import AWAY, LOOKS, N_, UNKNOWN, StateStyle
 from cell.web.watching import Seen
 from cell.web.wording import Translate
 
@@ -77,14 +77,14 @@ class LiveView:
     unknown_s since when nothing is known of the cell, Unix time; None = it says what it does
     """
 
-    look: Look
+    look: StateStyle
     step: str
     step_s: float | None
     cycle: int
     part: str
     product: str
     waiting: tuple[str, ...]
-    buttons: frozenset[Event]
+    buttons: frozenset[MachineEvent]
     fault: FaultView | None
     adapters: Mapping[str, str]
     outcome: str

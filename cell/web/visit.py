@@ -12,7 +12,7 @@ from cell.plant.client import Client
 from cell.plant.messages import Request
 from cell.plant.wire import LinkError
 from cell.run.commands import too_old
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.settings.model import Settings
 from cell.web.audit import Audit
 from cell.web.camera import LiveCamera
@@ -21,20 +21,20 @@ from cell.web.films import Films
 from cell.web.guided import Guided
 from cell.web.heartbeat import Heartbeats
 from cell.web.lab import Lab
-from cell.web.sessions import Session, Sessions
+from cell.web.sessions import LoginSession, Sessions
 from cell.web.users import Role
-from cell.web.watching import Watch
+from cell.web.watching import CellWatch
 from cell.web.wording import Translate
 from cell.web.workspace import Workspace
 
 #: Commands that need no control of the cell: whoever may operate may stop it.
-_ALWAYS = frozenset({Event.STOP})
+_ALWAYS = frozenset({MachineEvent.STOP})
 #: A longer part id is refused, characters: the ledger has no room for it.
 _LONGEST_PART = 200
 
 
 @dataclass(frozen=True)
-class Room:
+class PagesContext:
     """What all pages share.
 
     sessions  None = loopback without accounts
@@ -45,7 +45,7 @@ class Room:
     settings: Settings
     runs: Path
     client: Client
-    watch: Watch
+    watch: CellWatch
     control: Control
     audit: Audit
     films: Films
@@ -80,8 +80,8 @@ class Visit:
     heartbeats  that it was sent
     """
 
-    room: Room
-    session: Session
+    room: PagesContext
+    session: LoginSession
     page: str
     language: str
     t: Translate
@@ -94,7 +94,7 @@ class Visit:
 
     def may(self, role: Role, *, used: bool = True) -> bool:
         """Whether the session has this role still; `used`: a person has just done something."""
-        session: Session | None = self.session
+        session: LoginSession | None = self.session
         if self.room.sessions is not None:
             session = self.room.sessions.renewed(self.session.key, used=used)
         return session is not None and session.user.role >= role
@@ -133,7 +133,7 @@ class Visit:
         """
         return self._ask(Request(None, self._who(by), note, asked_s=asked_s))
 
-    def command(self, event: Event, asked_s: float, part: str = "") -> str:
+    def command(self, event: MachineEvent, asked_s: float, part: str = "") -> str:
         """Give a command to the cell; why it was not obeyed, or "".  Waits for the answer.
 
         asked_s  since when the page may have been asked, on the monotonic clock

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from cell.plant.client import Client
 from cell.plant.folded import status_after
-from cell.plant.messages import Kind, Notice, Status
+from cell.plant.messages import MessageKind, Notice, Status
 from cell.plant.wire import NoCellError, ProtocolError
 from cell.records.ledger.actions import take_over
 from cell.records.ledger.effectiveness import Shift, shifts
 from cell.records.ledger.error import LedgerError
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.settings.model import Settings
-from cell.settings.records import Ledger as LedgerSettings
+from cell.settings.records import LedgerSettings as LedgerSettings
 from cell.settings.referred import line_of
 from cell.web.audit import audit_file
 from drivers.threads import GuardedThread, said
@@ -69,7 +69,7 @@ class Seen:
         return self.there or self.unknown_s is not None
 
 
-class Watch:
+class CellWatch:
     """Follows the cell within a `with`; `seen` is what is known, from any thread."""
 
     def __init__(self, client: Client, settings: Settings, runs: Path) -> None:
@@ -82,7 +82,7 @@ class Watch:
         self._over = False
         self._listed_bytes = 0
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> CellWatch:
         GuardedThread("follow", self._follow, self._blind).start()
         GuardedThread("count", self._count, self._uncounted).start()
         return self
@@ -117,7 +117,7 @@ class Watch:
             for message in self._client.follow():
                 with self._lock:
                     self._seen = seen_after(self._seen, message)
-                if isinstance(message, Status) or message.kind is Kind.RESULT:
+                if isinstance(message, Status) or message.kind is MessageKind.RESULT:
                     self._ask.set()
         except ProtocolError as error:
             _LOG.warning("%s", error)
@@ -163,7 +163,7 @@ def seen_after(seen: Seen, message: Notice | Status) -> Seen:
         return seen
     status = status_after(seen.status, message)
     begun = seen.step_since_s
-    if message.kind is Kind.STEP:
+    if message.kind is MessageKind.STEP:
         begun = message.time_s
     elif status.step is None:
         begun = None

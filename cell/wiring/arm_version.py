@@ -18,7 +18,7 @@ from cell.files.input_error import InputError
 from cell.records.result import Outcome, Result
 from cell.settings import Settings
 from cell.settings import devices as given
-from drivers.ur_identity import Identity, identify
+from drivers.ur_identity import ControllerIdentity, identify
 from drivers.ur_versions import is_proved, refusal, version_text
 
 #: In the folder of the records.
@@ -45,7 +45,7 @@ class PassedDryRun:
     time: str
     folder: str
 
-    def is_of(self, controller: Identity, host: str) -> bool:
+    def is_of(self, controller: ControllerIdentity, host: str) -> bool:
         """Whether it was made with this controller and this very version."""
         same = self.version == controller.version_text
         if controller.serial_number is not None:
@@ -65,7 +65,7 @@ def check_arm_version(settings: Settings, config: Path, runs: Path, speed: float
     arm = settings.arm
     if speed is not None and speed <= MOST_SPEED:
         return
-    if not isinstance(arm, given.UrArm) or arm.allowed_version is None:
+    if not isinstance(arm, given.UrArmSettings) or arm.allowed_version is None:
         return
     if is_proved(arm.allowed_version):
         return
@@ -103,7 +103,7 @@ def remember_dry_run(settings: Settings, runs: Path, results: Sequence[Result]) 
         with suppress(OSError):
             found = _unproved(settings)
         if found is not None:
-            assert isinstance(settings.arm, given.UrArm) and result.speed is not None
+            assert isinstance(settings.arm, given.UrArmSettings) and result.speed is not None
             passed = PassedDryRun(
                 found.version_text,
                 settings.arm.host,
@@ -124,13 +124,13 @@ def passed_dry_runs(runs: Path) -> tuple[PassedDryRun, ...]:
     return ()
 
 
-def _unproved(settings: Settings) -> Identity | None:
+def _unproved(settings: Settings) -> ControllerIdentity | None:
     """The controller, if it runs a version that is allowed by the settings alone.
 
     raises  OSError: it does not answer
     """
     arm = settings.arm
-    if not isinstance(arm, given.UrArm) or arm.allow_version is None:
+    if not isinstance(arm, given.UrArmSettings) or arm.allow_version is None:
         return None
     found = identify(arm.host)
     refused = refusal(found.release, arm.allowed_version) is not None

@@ -220,8 +220,8 @@ def real_devices(settings: Settings, known: Calibrated | None = None) -> Devices
     """
     known = typed(settings) if known is None else known
     arm, gripper, clock = settings.arm, settings.gripper, RealClock()
-    assert isinstance(arm, given.UrArm)
-    assert isinstance(gripper, given.SerialGripper)
+    assert isinstance(arm, given.UrArmSettings)
+    assert isinstance(gripper, given.SerialGripperSettings)
     mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
     reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
     reached |= {"lag_s": known.lag_s, "allow_version": arm.allowed_version}
@@ -237,13 +237,13 @@ def real_devices(settings: Settings, known: Calibrated | None = None) -> Devices
 def _real_camera(settings: Settings, clock: RealClock, latency_s: float) -> Camera:
     values = settings.camera.model_dump(exclude={"kind", "view", "latency_s", "lost_after_s"})
     match settings.camera:
-        case given.OpenCvCamera() as camera:
+        case given.OpenCvCameraSettings() as camera:
             capture = CaptureOptions(latency_s, lost_after_s=camera.lost_after_s)
             return OpenCvCamera(OpenCvOptions(**values, capture=capture), clock)
-        case given.GenicamCamera() as camera:
+        case given.GenicamCameraSettings() as camera:
             capture = CaptureOptions(latency_s, lost_after_s=camera.lost_after_s)
             return GenicamCamera(GenicamOptions(**values, capture=capture), clock)
-        case given.FilesCamera() as camera:
+        case given.FilesCameraSettings() as camera:
             return FilesCamera(camera.folder, camera.frame_rate_hz, clock)
     raise AssertionError("the settings refuse a simulated camera beside a real arm")
 

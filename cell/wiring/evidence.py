@@ -9,7 +9,7 @@ from pathlib import Path
 from cell.records.ledger.outbox import LaterLedger, LedgerWriter, outbox_of
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
-from cell.records.recording.retention import Retention, Room
+from cell.records.recording.retention import DiskRoom, Retention
 from cell.records.recording.store import Store
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Outcome
@@ -50,7 +50,7 @@ def with_recorder(
     patience_s = 0.0 if in_real_time(settings) else PATIENCE_S
     recorder = Recorder(devices.arm, devices.clock, wanted.memory_mb * 10**6, patience_s)
     days, size_gb = wanted.max_age_days, wanted.max_size_gb
-    room = Room(
+    room = DiskRoom(
         None if days is None else days * 86_400.0,
         None if size_gb is None else size_gb * 1e9,
         wanted.min_free_gb * 1e9,

@@ -20,8 +20,8 @@ from cell.run.plans import FILM, filmed
 from cell.run.recorded import RecordingSetup
 from cell.settings import Settings
 from cell.settings.calibrated import calibrated
-from cell.settings.records import Recording
-from cell.simulated.filmed import Film, filmed_devices
+from cell.settings.records import RecordingSettings
+from cell.simulated.filmed import RenderedFilm, filmed_devices
 from cell.wiring.build import cell_task, cell_with
 from cell.wiring.evidence import PATIENCE_S
 from drivers.interfaces import Pose
@@ -31,7 +31,7 @@ NEAR_M, NEAR_RAD = 1e-3, 5e-3
 
 
 def record_film(
-    film: Film,
+    film: RenderedFilm,
     settings: Settings,
     config: Path,
     target: Path,
@@ -48,7 +48,7 @@ def record_film(
     known = calibrated(settings, config)
     devices = filmed_devices(film, settings, known.lag_s)
     clock = devices.clock
-    memory = (settings.recording or Recording()).memory_mb * 10**6
+    memory = (settings.recording or RecordingSettings()).memory_mb * 10**6
     recorder = Recorder(devices.arm, clock, memory, PATIENCE_S)
     filming = Filming(film.begin_s, film.rest_s, film.end_s, len(film.frames))
     decides = _near(film.ends_at, cell_task(settings, known).lowered)

@@ -81,7 +81,7 @@ def owned(settings: Settings, config: Path) -> Iterator[None]:
 
     raises  InputError: another program commands one of them, with its process and the remedy
     """
-    host = settings.arm.host if isinstance(settings.arm, given.UrArm) else None
+    host = settings.arm.host if isinstance(settings.arm, given.UrArmSettings) else None
     with _own(devices_of(settings), host, config):
         yield
 
@@ -100,17 +100,17 @@ def devices_of(settings: Settings) -> list[Device]:
     """The devices of a cell that are really there, arm first."""
     arm, camera, gripper = settings.arm, settings.camera, settings.gripper
     devices = []
-    if isinstance(arm, given.UrArm):
+    if isinstance(arm, given.UrArmSettings):
         devices.append(Device("arm.host", f"arm {_address(arm.host)}"))
     match camera:
-        case given.OpenCvCamera():
+        case given.OpenCvCameraSettings():
             path = camera.device
             path = f"/dev/video{path}" if isinstance(path, int) else path
             devices.append(Device("camera.device", f"camera {_place(path)}"))
-        case given.GenicamCamera():
+        case given.GenicamCameraSettings():
             which = camera.serial_number or f"of {camera.producer.resolve()}"
             devices.append(Device("camera.serial_number", f"camera {which}"))
-    if isinstance(gripper, given.SerialGripper):
+    if isinstance(gripper, given.SerialGripperSettings):
         devices.append(Device("gripper.port", f"gripper on {_place(gripper.port)}"))
     return devices
 

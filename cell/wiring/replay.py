@@ -40,7 +40,7 @@ _NOT_OF_DECISION = frozenset({"wait_s", "simulated_s"})
 
 
 @dataclass(frozen=True)
-class Difference:
+class ReplayDifference:
     """A number or a word that came out otherwise."""
 
     name: str
@@ -68,7 +68,7 @@ class Replayed:
     result: Result
     complete: bool
     decided: bool
-    differences: tuple[Difference, ...]
+    differences: tuple[ReplayDifference, ...]
     software: Mapping[str, tuple[str, str]]
     losses: tuple[str, ...] = ()
 
@@ -164,7 +164,7 @@ def _at_once(settings: Settings) -> Settings:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _ReplayedValues:
     decision: Mapping[str, Any] | None
     models: Sequence[Mapping[str, Any]]
     result: Mapping[str, Any] | None
@@ -197,22 +197,22 @@ class _Heard:
     def close(self) -> None:
         """Nothing is open."""
 
-    def found(self) -> _Found:
+    def found(self) -> _ReplayedValues:
         decisions, results = self._events.get(form.DECISION), self._events.get(form.RESULT)
-        return _Found(
+        return _ReplayedValues(
             decisions[-1] if decisions else None,
             self._events.get(form.MODEL, []),
             results[-1] if results else None,
         )
 
 
-def _found(recording: Recording) -> _Found:
-    return _Found(
+def _found(recording: Recording) -> _ReplayedValues:
+    return _ReplayedValues(
         recording.last(form.DECISION), list(recording.json(form.MODEL)), recording.last(form.RESULT)
     )
 
 
-def _differences(then: _Found, now: _Found) -> list[Difference]:
+def _differences(then: _ReplayedValues, now: _ReplayedValues) -> list[ReplayDifference]:
     found = []
     pairs: list[tuple[str, Any, Any]] = [
         ("decision", _part(then.decision), _part(now.decision)),
@@ -228,7 +228,7 @@ def _differences(then: _Found, now: _Found) -> list[Difference]:
     for name, a, b in pairs:
         found += _compared(name, a, b)
     if len(now.models) < len(then.models):  # more of them: the recording ends before the cycle does
-        found.append(Difference("models", len(then.models), len(now.models)))
+        found.append(ReplayDifference("models", len(then.models), len(now.models)))
     return found
 
 
@@ -238,7 +238,7 @@ def _part(decision: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
     return {k: v for k, v in decision.items() if k not in _NOT_OF_DECISION}
 
 
-def _compared(name: str, then: Any, now: Any) -> list[Difference]:
+def _compared(name: str, then: Any, now: Any) -> list[ReplayDifference]:
     """Every leaf that differs; numbers must be the same to the last bit."""
     if isinstance(then, Mapping) and isinstance(now, Mapping):
         keys = dict.fromkeys([*then, *(k for k in now if k not in _SAID_LATER)])
@@ -246,7 +246,7 @@ def _compared(name: str, then: Any, now: Any) -> list[Difference]:
     if isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
         pairs = enumerate(zip(then, now, strict=True))
         return [d for i, (a, b) in pairs for d in _compared(f"{name}[{i}]", a, b)]
-    return [] if then == now else [Difference(name, then, now)]
+    return [] if then == now else [ReplayDifference(name, then, now)]
 
 
 def _software(recording: Recording, now: Mapping[str, str]) -> dict[str, tuple[str, str]]:

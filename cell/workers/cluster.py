@@ -18,7 +18,7 @@ from uuid import uuid4
 from cell.cable.solver import one_core
 from cell.computer.memory import release_free_memory, use_one_arena
 from cell.workers.executor import Given, JobResult, Returned, WorkersError
-from cell.workers.identity import Identity, identity
+from cell.workers.identity import WorkerIdentity, identity
 from cell.workers.job import done, result_of
 from cell.workers.shipping import know_own_effects, pack
 
@@ -179,7 +179,7 @@ def _check(address: str, client: Client, tell: Callable[[str], None]) -> None:
 
 def _refused(worker: str, said: object) -> list[str]:
     """Why a worker may not be used."""
-    if not isinstance(said, Identity):
+    if not isinstance(said, WorkerIdentity):
         return [
             f"worker {worker} cannot run this program ({said}); install the same version of "
             "cable-cell there"

@@ -15,7 +15,7 @@ _PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 
 
 @dataclass(frozen=True)
-class Identity:
+class WorkerIdentity:
     """Versions of a process.
 
     version    of this program
@@ -33,7 +33,7 @@ class Identity:
     blas: str
     processor: str
 
-    def differences(self, other: Identity) -> list[str]:
+    def differences(self, other: WorkerIdentity) -> list[str]:
         """What another process has otherwise and must not, as `name theirs, here ours`."""
         found = [
             f"{f.name} {getattr(other, f.name)}, here {getattr(self, f.name)}"
@@ -48,11 +48,11 @@ class Identity:
 
 
 @cache
-def identity() -> Identity:
+def identity() -> WorkerIdentity:
     """That of this process, as its code was when this was first asked."""
     from llvmlite.binding import get_host_cpu_name
 
-    return Identity(
+    return WorkerIdentity(
         importlib.metadata.version("cable-cell"),
         code_hash(),
         ".".join(platform.python_version_tuple()[:2]),

@@ -13,7 +13,7 @@ from drivers.interfaces import FloatArray, Image, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.sim.camera import CameraTwinOptions, Staging, photograph
 from drivers.sim.render import LightArray
-from drivers.sim.world import View
+from drivers.sim.world import SimView
 from drivers.ur_kinematics import MODELS
 from drivers.ur_pose import matrix_of
 
@@ -127,7 +127,7 @@ class LiveScene:
         moments_s = t_s + span_s * np.array([-0.5, 0.0, 0.5])
         cables = None if self._shape.empty else self._shape.at(moments_s)
         return photograph(
-            View(moments_s, self._grip.at(moments_s), cables),
+            SimView(moments_s, self._grip.at(moments_s), cables),
             self._camera,
             self._rng,
             jaw=self._staging.jaw,

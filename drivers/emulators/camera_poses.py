@@ -17,7 +17,7 @@ import numpy as np
 from drivers.interfaces import FloatArray, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import run_in_real_time
-from drivers.rtde_wire import Kind, Packet, Splitter
+from drivers.rtde_wire import PackageType, Packet, Splitter
 from drivers.threads import GuardedThread, end_process
 from drivers.ur_addresses import RTDE_PORT
 from drivers.ur_kinematics import UrModel
@@ -81,9 +81,9 @@ class RtdePoses:
     def _receive(self, controller: socket.socket) -> None:
         request = struct.pack(">d", _HZ) + _NAMES.encode()
         controller.sendall(
-            Packet(Kind.PROTOCOL_VERSION, b"\x00\x02").encoded()
-            + Packet(Kind.OUTPUT_SETUP, request).encoded()
-            + Packet(Kind.START).encoded()
+            Packet(PackageType.PROTOCOL_VERSION, b"\x00\x02").encoded()
+            + Packet(PackageType.OUTPUT_SETUP, request).encoded()
+            + Packet(PackageType.START).encoded()
         )
         splitter = Splitter()
         offsets_s: deque[float] = deque(maxlen=_WINDOW)
@@ -92,7 +92,7 @@ class RtdePoses:
             arrived_s = time.monotonic()
             if arrived_s > heard_s + _SENSELESS_S:
                 raise OSError("only nonsense comes")
-            payloads = [p.payload for p in splitter.feed(data) if p.kind == Kind.DATA]
+            payloads = [p.payload for p in splitter.feed(data) if p.kind == PackageType.DATA]
             if payloads:
                 if any(len(payload) != _PAYLOAD.itemsize for payload in payloads):
                     raise ValueError("not what was asked for")

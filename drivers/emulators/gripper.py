@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from drivers.emulators.launch import EmulatorProcess, answer_all, leave_interrupts_to_parent
-from drivers.emulators.robotiq import EmulatedGripper, GripperFaults
+from drivers.emulators.robotiq import EmulatedGripper, RobotiqFaults
 from drivers.priority import run_in_real_time
 from drivers.threads import GuardedThread, end_process
 
@@ -37,7 +37,7 @@ class GripperProcess(EmulatorProcess):
 
     def __init__(self, link: Path | None = None, address: int = 9) -> None:
         super().__init__("gripper", serve, (link, address))
-        self._faults = GripperFaults()
+        self._faults = RobotiqFaults()
         self.port = "" if link is None else str(link)
 
     def started(self, said: str) -> None:
@@ -45,12 +45,12 @@ class GripperProcess(EmulatorProcess):
         self.port = said
 
     @property
-    def faults(self) -> GripperFaults:
+    def faults(self) -> RobotiqFaults:
         """What goes wrong; set it anew to change it."""
         return self._faults
 
     @faults.setter
-    def faults(self, faults: GripperFaults) -> None:
+    def faults(self, faults: RobotiqFaults) -> None:
         self._faults = faults
         self.ask("faults", faults)
 
@@ -103,7 +103,7 @@ class _Emulation:
         """What the parent asks for."""
         jaws = self._gripper.jaws
         match what, content:
-            case "faults", GripperFaults() as faults:
+            case "faults", RobotiqFaults() as faults:
                 jaws.faults = faults
             case "lay_out", bool(cable):
                 jaws.object_count = EmulatedGripper.CABLE_COUNT if cable else None

@@ -23,7 +23,7 @@ _CLOSED_COUNT = 230.0  # where empty jaws meet
 
 
 @dataclass
-class GripperFaults:
+class RobotiqFaults:
     """What goes wrong; set at any time."""
 
     silent: bool = False
@@ -41,7 +41,7 @@ class Jaws:
     """
 
     object_count: float | None = None
-    faults: GripperFaults = field(default_factory=GripperFaults)
+    faults: RobotiqFaults = field(default_factory=RobotiqFaults)
     command: list[int] = field(default_factory=lambda: [0] * _REGISTERS)
     count: float = 3.0
     activation: int = 0

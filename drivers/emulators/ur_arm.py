@@ -60,7 +60,7 @@ class Joints:
         self.qd_rad_per_s = np.zeros(6)
 
 
-class Motion(Protocol):
+class JointMotion(Protocol):
     """Something that moves joints until it is done."""
 
     def step(self, joints: Joints, step_s: float, speed_fraction: float) -> bool:

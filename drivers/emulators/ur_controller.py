@@ -84,7 +84,7 @@ class _Watchdog:
 
 
 @dataclass(frozen=True)
-class Event:
+class ControllerEvent:
     """Something that happened, at `t_s` of this computer's monotonic clock."""
 
     t_s: float
@@ -108,7 +108,7 @@ class Controller:
         self.digital_inputs = 0  # bits: 0 to 7 standard, 8 to 15 configurable, 16 and 17 tool
         self.digital_outputs = 0  # the same; they keep their values when a client goes
         self.held_outputs = 0  # those that the installation has given to something else
-        self.events: deque[Event] = deque(maxlen=1000)
+        self.events: deque[ControllerEvent] = deque(maxlen=1000)
         self.last_moved_s = 0.0  # monotonic time at which the arm was last seen moving
         self.servo_writes = 0
         self.dashboard_lines = 0
@@ -126,7 +126,7 @@ class Controller:
 
     def note(self, what: str) -> None:
         """Remember an event."""
-        self.events.append(Event(time.monotonic(), what))
+        self.events.append(ControllerEvent(time.monotonic(), what))
 
     # --- time ---------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from drivers.emulators.ur_controller import CYCLE_S, Controller
 from drivers.rtde_wire import (
     INPUTS,
     OUTPUTS,
-    Kind,
+    PackageType,
     Packet,
     Recipe,
     Splitter,
@@ -28,12 +28,12 @@ _RTDE_HZ = 1.0 / CYCLE_S
 _MAX_BACKLOG = 65536  # a slow reader loses packets rather than time
 
 
-class Server(Protocol):
+class PortServer(Protocol):
     """What a connection asks of the server that it belongs to."""
 
     controller: Controller
 
-    def claimed_by_others(self, me: Connection) -> set[str]:
+    def claimed_by_others(self, me: PortConnection) -> set[str]:
         """Input variables claimed by other clients."""
         ...
 
@@ -62,10 +62,10 @@ class Server(Protocol):
         ...
 
 
-class Connection:
+class PortConnection:
     """One client of one port."""
 
-    def __init__(self, sock: socket.socket, server: Server) -> None:
+    def __init__(self, sock: socket.socket, server: PortServer) -> None:
         self.sock = sock
         self.server = server
         self.unsent = b""
@@ -84,10 +84,10 @@ class Connection:
             self.unsent = self.unsent[sent:]
 
 
-class _Lines(Connection):
+class _Lines(PortConnection):
     """A client that talks in lines."""
 
-    def __init__(self, sock: socket.socket, server: Server) -> None:
+    def __init__(self, sock: socket.socket, server: PortServer) -> None:
         super().__init__(sock, server)
         self._rest = b""
 
@@ -102,7 +102,7 @@ class _Lines(Connection):
 
 
 class _Dashboard(_Lines):
-    def __init__(self, sock: socket.socket, server: Server) -> None:
+    def __init__(self, sock: socket.socket, server: PortServer) -> None:
         super().__init__(sock, server)
         self.send(b"Connected: Universal Robots Dashboard Server\n")
 
@@ -113,7 +113,7 @@ class _Dashboard(_Lines):
 class _Script(_Lines):
     """Collects a program from its `def` to the `end` in the first column."""
 
-    def __init__(self, sock: socket.socket, server: Server) -> None:
+    def __init__(self, sock: socket.socket, server: PortServer) -> None:
         super().__init__(sock, server)
         self._program: list[str] = []
 
@@ -127,10 +127,10 @@ class _Script(_Lines):
             self.server.controller.upload(text)
 
 
-class Rtde(Connection):
+class Rtde(PortConnection):
     """An RTDE client: negotiates recipes, then gets one packet per cycle and sends inputs."""
 
-    def __init__(self, sock: socket.socket, server: Server) -> None:
+    def __init__(self, sock: socket.socket, server: PortServer) -> None:
         super().__init__(sock, server)
         self._splitter = Splitter()
         self._output: Recipe | None = None
@@ -152,33 +152,33 @@ class Rtde(Connection):
         if not self._started or self._output is None or number % self._every:
             return
         if len(self.unsent) < _MAX_BACKLOG:
-            self._reply(Kind.DATA, self._output.encoded(self._read()))
+            self._reply(PackageType.DATA, self._output.encoded(self._read()))
 
     def inputs(self) -> set[str]:
         """Input variables that this client has claimed."""
         return {name for recipe in self._inputs.values() for name in recipe.names}
 
-    def _reply(self, kind: Kind, payload: bytes) -> None:
+    def _reply(self, kind: PackageType, payload: bytes) -> None:
         self.send(Packet(kind, payload).encoded())
 
     def _answer(self, packet: Packet) -> None:
         match packet.kind:
-            case Kind.DATA:
+            case PackageType.DATA:
                 recipe = self._inputs.get(packet.payload[0]) if packet.payload else None
                 if recipe is not None:
                     self.server.controller.write(recipe.decoded(packet.payload))
-            case Kind.PROTOCOL_VERSION:
-                self._reply(Kind.PROTOCOL_VERSION, bytes([packet.payload == b"\x00\x02"]))
-            case Kind.CONTROLLER_VERSION:
+            case PackageType.PROTOCOL_VERSION:
+                self._reply(PackageType.PROTOCOL_VERSION, bytes([packet.payload == b"\x00\x02"]))
+            case PackageType.CONTROLLER_VERSION:
                 version = struct.pack(">4I", *self.server.controller.options.version)
-                self._reply(Kind.CONTROLLER_VERSION, version)
-            case Kind.OUTPUT_SETUP:
+                self._reply(PackageType.CONTROLLER_VERSION, version)
+            case PackageType.OUTPUT_SETUP:
                 self._set_up_outputs(packet.payload)
-            case Kind.INPUT_SETUP:
+            case PackageType.INPUT_SETUP:
                 self._set_up_inputs(packet.payload)
-            case Kind.START | Kind.PAUSE:
-                self._started = packet.kind == Kind.START
-                self._reply(Kind(packet.kind), b"\x01")
+            case PackageType.START | PackageType.PAUSE:
+                self._started = packet.kind == PackageType.START
+                self._reply(PackageType(packet.kind), b"\x01")
             case _:
                 self.server.controller.note(f"RTDE packet of unknown kind {packet.kind}")
 
@@ -190,7 +190,7 @@ class Rtde(Connection):
             self._output = Recipe(1, names, types)
             self._read = self.server.controller.reader(names)
             self._every = max(1, round(_RTDE_HZ / min(_RTDE_HZ, max(1.0, frequency_hz))))
-        self._reply(Kind.OUTPUT_SETUP, b"\x01" + ",".join(types).encode())
+        self._reply(PackageType.OUTPUT_SETUP, b"\x01" + ",".join(types).encode())
 
     def _set_up_inputs(self, payload: bytes) -> None:
         names = names_in(payload)
@@ -200,10 +200,10 @@ class Rtde(Connection):
         if not {"NOT_FOUND", "IN_USE"} & set(types):
             number = len(self._inputs) + 1
             self._inputs[number] = Recipe(number, names, types)
-        self._reply(Kind.INPUT_SETUP, bytes([number]) + ",".join(types).encode())
+        self._reply(PackageType.INPUT_SETUP, bytes([number]) + ",".join(types).encode())
 
 
-class Faults(_Lines):
+class PortFaults(_Lines):
     """Door for faults and digital signals: one JSON object per line in, one per line out."""
 
     def line(self, text: str) -> None:
@@ -264,9 +264,9 @@ def _state_of(controller: Controller) -> dict[str, Any]:
     }
 
 
-PORTS: Mapping[int, type[Connection]] = {
+PORTS: Mapping[int, type[PortConnection]] = {
     RTDE_PORT: Rtde,
     SCRIPT_PORT: _Script,
     DASHBOARD_PORT: _Dashboard,
-    FAULT_PORT: Faults,
+    FAULT_PORT: PortFaults,
 }

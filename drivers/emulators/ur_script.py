@@ -16,8 +16,8 @@ import numpy as np
 
 from drivers.emulators.ur_arm import (
     Decelerate,
+    JointMotion,
     Joints,
-    Motion,
     MoveJoints,
     MoveLine,
     Servo,
@@ -70,8 +70,8 @@ class ControlScript:
         self._effects = effects
         self._offset = offset
         self._executing = False
-        self._blocking: Motion | None = None  # of a command that is not done before it ends
-        self._background: Motion | None = None  # asynchronous move, servo or speed
+        self._blocking: JointMotion | None = None  # of a command that is not done before it ends
+        self._background: JointMotion | None = None  # asynchronous move, servo or speed
         self._asynchronous = False  # the background motion reports its progress
         self._writes = self._operations = 0
         self._report_progress(running=False)
@@ -180,7 +180,7 @@ class ControlScript:
 
     # --- commands -----------------------------------------------------------------------------
 
-    def _start_move(self, move: Motion) -> None:
+    def _start_move(self, move: JointMotion) -> None:
         self._end_background()
         if self._int(1) == 1:
             self._background, self._asynchronous = move, True

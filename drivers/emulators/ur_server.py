@@ -22,7 +22,7 @@ from dataclasses import replace
 
 from drivers.emulators.ur_arm import HOME_RAD
 from drivers.emulators.ur_controller import CYCLE_S, Controller, ControllerOptions
-from drivers.emulators.ur_ports import PORTS, Connection, Faults, Rtde
+from drivers.emulators.ur_ports import PORTS, PortConnection, PortFaults, Rtde
 from drivers.priority import run_in_real_time
 from drivers.rtde_wire import WireError
 from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
@@ -40,7 +40,7 @@ class UrServer:
         self._host = host
         # epoll would round the wait for the next cycle up to a whole millisecond
         self._selector = selectors.SelectSelector()
-        self._connections: list[Connection] = []
+        self._connections: list[PortConnection] = []
         self._listeners: dict[int, socket.socket] = {}
         self._frozen_until_s = 0.0
         self._listen_again_s: float | None = None
@@ -65,7 +65,7 @@ class UrServer:
             self.drop()
             self._stop_listening()
 
-    def claimed_by_others(self, me: Connection) -> set[str]:
+    def claimed_by_others(self, me: PortConnection) -> set[str]:
         """Input variables claimed by other clients."""
         others = [c for c in self._connections if isinstance(c, Rtde) and c is not me]
         return set().union(*(c.inputs() for c in others)) if others else set()
@@ -153,7 +153,7 @@ class UrServer:
         self._connections.append(connection)
         self._selector.register(sock, selectors.EVENT_READ, connection)
 
-    def _read(self, connection: Connection) -> None:
+    def _read(self, connection: PortConnection) -> None:
         if self._frozen(connection):
             time.sleep(1e-4)  # its bytes stay where they are, so select would return at once
             return
@@ -169,8 +169,8 @@ class UrServer:
             self.controller.note(f"connection closed: {error}")
             self._close(connection)
 
-    def _frozen(self, connection: Connection) -> bool:
-        return not isinstance(connection, Faults) and time.monotonic() < self._frozen_until_s
+    def _frozen(self, connection: PortConnection) -> bool:
+        return not isinstance(connection, PortFaults) and time.monotonic() < self._frozen_until_s
 
     def _cycle(self, number: int) -> None:
         if self._listen_again_s is not None and time.monotonic() >= self._listen_again_s:
@@ -187,7 +187,7 @@ class UrServer:
                 except OSError:
                     self._close(connection)
 
-    def _close(self, connection: Connection) -> None:
+    def _close(self, connection: PortConnection) -> None:
         if connection in self._connections:
             self._connections.remove(connection)
             self._selector.unregister(connection.sock)

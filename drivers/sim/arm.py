@@ -21,7 +21,7 @@ from drivers.interfaces import (
     too_late,
 )
 from drivers.servo import servo_response
-from drivers.sim.world import World
+from drivers.sim.world import SimWorld
 
 _NOISE_BLOCK = 1024
 
@@ -82,7 +82,7 @@ class SimArm:
 
     def __init__(
         self,
-        world: World,
+        world: SimWorld,
         options: ArmTwinOptions | None = None,
         seed: int = 0,
         name: str = "arm",

@@ -16,7 +16,7 @@ from drivers.interfaces import (
 )
 from drivers.sim.pinhole import Sight
 from drivers.sim.render import LightArray, Patches, Rates, RenderOptions, backdrop, render
-from drivers.sim.world import View, World
+from drivers.sim.world import SimView, SimWorld
 
 _LOST_REMEDY = "check the camera's cable and power, then connect again"
 
@@ -74,7 +74,7 @@ class SimCamera:
     """A camera in a simulated world; a frame costs nothing until it is read."""
 
     def __init__(
-        self, world: World, options: CameraTwinOptions, seed: int = 0, name: str = "camera"
+        self, world: SimWorld, options: CameraTwinOptions, seed: int = 0, name: str = "camera"
     ) -> None:
         self.name = name
         self.faults = CameraFaults()
@@ -188,7 +188,7 @@ class SimCamera:
 
 
 def photograph(
-    view: View,
+    view: SimView,
     options: CameraTwinOptions,
     rng: np.random.Generator,
     *,

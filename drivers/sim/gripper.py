@@ -14,7 +14,7 @@ from drivers.interfaces import (
     GripperState,
     LimitError,
 )
-from drivers.sim.world import World
+from drivers.sim.world import SimWorld
 
 _LOST_REMEDY = "check the gripper's cable and power, then connect again"
 
@@ -49,7 +49,7 @@ class SimGripper:
     """A gripper in a simulated world."""
 
     def __init__(
-        self, world: World, options: GripperTwinOptions | None = None, name: str = "gripper"
+        self, world: SimWorld, options: GripperTwinOptions | None = None, name: str = "gripper"
     ) -> None:
         self.name = name
         self._world = world

@@ -33,7 +33,7 @@ class CableShape(Protocol):
 
 
 @dataclass(frozen=True)
-class View:
+class SimView:
     """Visible poses and cables at some moments.
 
     t_s     (S,) moments, s
@@ -58,7 +58,7 @@ class _Held:
     lost_s: float = np.inf
 
 
-class World:
+class SimWorld:
     """Simulated cell: one hand, the cables waiting for it, and the one that it holds.
 
     The cable is simulated ahead, once per motion, and kept on a grid of times; whatever changes
@@ -175,7 +175,7 @@ class World:
 
     # --- the camera ---------------------------------------------------------------------------
 
-    def look(self, t_s: FloatArray) -> View:
+    def look(self, t_s: FloatArray) -> SimView:
         """What is to be seen at moments (S,) that have come already, increasing.
 
         Raises ValueError: a moment lies in the future; the cable's callable gave wrong shapes.
@@ -187,7 +187,7 @@ class World:
                 )
             grip = self._hand.at(t_s)
             held = self._held_at(float(t_s[0]), float(t_s[-1]))
-            return View(t_s, grip, None if held is None else self._shapes(held, t_s, grip))
+            return SimView(t_s, grip, None if held is None else self._shapes(held, t_s, grip))
 
     def _held_at(self, first_s: float, last_s: float) -> _Held | None:
         present = None if self._held is None else (self._held, self._held.lost_s)

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from calib.store import StoredCalibration, StoreError, load, save
+from calib.store import CalibrationFileError, StoredCalibration, load, save
 
 MADE = datetime(2026, 3, 14, 9, 26, 53, tzinfo=UTC)
 
@@ -44,7 +44,7 @@ def test_a_number_changed_by_hand_is_noticed(tmp_path):
     save(path, stored())
     text = path.read_text()
     path.write_text(text.replace("-0.2", "-0.21"))
-    with pytest.raises(StoreError, match="hash: was changed since it was made"):
+    with pytest.raises(CalibrationFileError, match="hash: was changed since it was made"):
         load(path, "cell")
 
 
@@ -62,20 +62,20 @@ def test_files_that_cannot_be_used_are_named(tmp_path, change, message):
     path = tmp_path / "cell.yaml"
     save(path, stored())
     path.write_text(change(path.read_text()))
-    with pytest.raises(StoreError, match=message) as error:
+    with pytest.raises(CalibrationFileError, match=message) as error:
         load(path, "cell")
     assert str(path) in str(error.value)
 
 
 def test_a_missing_file_says_what_makes_it(tmp_path):
-    with pytest.raises(StoreError, match=r"No such file.*`cell calibrate time`"):
+    with pytest.raises(CalibrationFileError, match=r"No such file.*`cell calibrate time`"):
         load(tmp_path / "time.yaml", "time")
 
 
 def test_results_of_another_shape_are_refused():
-    with pytest.raises(StoreError, match="is no number"):
+    with pytest.raises(CalibrationFileError, match="is no number"):
         stored().number("homography")
-    with pytest.raises(StoreError, match=r"must be \(2, 2\)"):
+    with pytest.raises(CalibrationFileError, match=r"must be \(2, 2\)"):
         stored().array("homography", (2, 2))
-    with pytest.raises(StoreError, match="must be"):
+    with pytest.raises(CalibrationFileError, match="must be"):
         stored().array("absent", (3,))

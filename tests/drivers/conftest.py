@@ -18,7 +18,7 @@ from drivers.sim.camera import CameraTwinOptions, SimCamera
 from drivers.sim.clock import SimClock
 from drivers.sim.gripper import SimGripper
 from drivers.sim.render import RenderOptions
-from drivers.sim.world import World
+from drivers.sim.world import SimWorld
 from drivers.ur import UrOptions
 from drivers.ur_kinematics import UR5E
 from drivers.ur_pose import pose_of
@@ -51,7 +51,7 @@ class StraightCable:
 @dataclass
 class SimCell:
     clock: SimClock
-    world: World
+    world: SimWorld
     arm: SimArm
     camera: SimCamera
     gripper: SimGripper
@@ -66,7 +66,7 @@ class SimCell:
 @pytest.fixture
 def cell() -> SimCell:
     clock = SimClock()
-    world = World(clock, HOME)
+    world = SimWorld(clock, HOME)
     cable = StraightCable()
     world.present(cable)
     homography = np.array(

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import Pose, Trajectory
-from drivers.replay import Answer, ReplayArm
+from drivers.replay import RecordedPoses, ReplayArm
 from drivers.sim.clock import SimClock
 
 
-def answer(start_s: float, end_s: float) -> Answer:
+def answer(start_s: float, end_s: float) -> RecordedPoses:
     """Poses of a time, their x as long as it lasts."""
     t_s = np.array([start_s, end_s])
-    return Answer(start_s, end_s, Trajectory(t_s, t_s - start_s, np.zeros(2), np.zeros(2)))
+    return RecordedPoses(start_s, end_s, Trajectory(t_s, t_s - start_s, np.zeros(2), np.zeros(2)))
 
 
 @pytest.mark.parametrize(

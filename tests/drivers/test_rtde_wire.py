@@ -10,7 +10,7 @@ from drivers.rtde_wire import (
     INPUTS,
     OUTPUTS,
     TYPES,
-    Kind,
+    PackageType,
     Packet,
     Recipe,
     Splitter,
@@ -83,14 +83,14 @@ def test_garbage_is_packets_or_a_wire_error_never_another(data) -> None:
 
 
 def test_bytes_of_the_guide() -> None:
-    assert Packet(Kind.PROTOCOL_VERSION, b"\x00\x02").encoded() == bytes([0, 5, 86, 0, 2])
+    assert Packet(PackageType.PROTOCOL_VERSION, b"\x00\x02").encoded() == bytes([0, 5, 86, 0, 2])
     payload = Recipe(1, ("timestamp",), ("DOUBLE",)).encoded([1.5])
     assert payload == b"\x01" + struct.pack(">d", 1.5)
 
 
 def test_a_packet_longer_than_its_size_field_is_refused() -> None:
     with pytest.raises(WireError, match="65536 bytes; at most 65535"):
-        Packet(Kind.DATA, bytes(65533)).encoded()
+        Packet(PackageType.DATA, bytes(65533)).encoded()
 
 
 def test_names_may_end_with_a_comma() -> None:

@@ -11,7 +11,7 @@ import pytest
 from drivers.emulators.launch import EmulatedController
 from drivers.rtde_client import RtdeClient, RtdeError
 from drivers.ur_identity import identify
-from drivers.ur_versions import RANGES, Known, is_proved, refusal
+from drivers.ur_versions import RANGES, SupportLevel, is_proved, refusal
 
 #: Emulated version; which is allowed in the settings; what is said, None = it runs.
 TABLE = [
@@ -76,7 +76,7 @@ def test_the_ranges_are_in_order_and_leave_no_gap() -> None:
     for before, after in pairwise(RANGES):
         assert before.first <= before.last < after.first
         assert after.first in {(before.last[0], before.last[1] + 1), (before.last[0] + 1, 0)}
-    assert [r for r in RANGES if r.known is Known.PROVED] == [RANGES[1]]
+    assert [r for r in RANGES if r.known is SupportLevel.PROVED] == [RANGES[1]]
     assert is_proved((5, 21)) and not is_proved((5, 22))
 
 

@@ -15,7 +15,7 @@ import pytest
 from cell.records.folder import read_record
 from cell.records.result import Outcome
 from cell.run.findings import Findings
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING, Step
 from cell.run.station import Station
 from cell.settings import Settings
@@ -81,10 +81,13 @@ def test_time_is_spent_in_the_states_that_the_cycle_goes_through(live: Live) -> 
 
 @pytest.mark.parametrize(
     ("pause", "resume", "state"),
-    [(Event.HOLD, Event.UNHOLD, "held"), (Event.SUSPEND, Event.UNSUSPEND, "suspended")],
+    [
+        (MachineEvent.HOLD, MachineEvent.UNHOLD, "held"),
+        (MachineEvent.SUSPEND, MachineEvent.UNSUSPEND, "suspended"),
+    ],
 )
 def test_a_pause_takes_effect_between_steps_and_the_moment_is_planned_anew(
-    live: Live, pause: Event, resume: Event, state: str
+    live: Live, pause: MachineEvent, resume: MachineEvent, state: str
 ) -> None:
     def later(it: SimpleNamespace) -> None:
         assert it.cell.machine.state.value == state

@@ -17,7 +17,7 @@ from cell.cli import app
 from cell.lab.next.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING, measuring
 from cell.run.waiting import POLL_S
 from cell.settings import Settings
@@ -175,7 +175,7 @@ def test_what_is_not_right_makes_the_cell_unfit_and_names_the_remedy(
 
 @pytest.mark.parametrize("step", ["check_paths", "go_down", "go_in", "go_aside"])
 def test_a_stop_in_any_step_stops_and_a_lost_arm_aborts(live: Live, step: str) -> None:
-    it = live({step: lambda it: it.cell.command(Event.STOP, "guard opened")})
+    it = live({step: lambda it: it.cell.command(MachineEvent.STOP, "guard opened")})
     result = it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 1.0))
     assert result.fault is not None and result.fault.step == step
     assert it.cell.machine.state is CellState.STOPPED
@@ -189,9 +189,9 @@ def test_a_stop_in_any_step_stops_and_a_lost_arm_aborts(live: Live, step: str) -
 
 def test_it_can_be_held_between_motions(live: Live) -> None:
     def later(it: SimpleNamespace) -> None:
-        threading.Timer(0.05, it.cell.command, (Event.UNHOLD,)).start()
+        threading.Timer(0.05, it.cell.command, (MachineEvent.UNHOLD,)).start()
 
-    it = live({"go_down": lambda it: it.cell.command(Event.HOLD), "held": later})
+    it = live({"go_down": lambda it: it.cell.command(MachineEvent.HOLD), "held": later})
     assert it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 1.0)).outcome is Outcome.REHEARSED
     assert it.steps[it.steps.index("held") - 1] == "go_down"
 

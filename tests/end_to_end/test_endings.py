@@ -27,7 +27,7 @@ from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.machine import CellState
 from cell.settings import Settings, load_settings
-from cell.settings.model import Model
+from cell.settings.model import ModelSettings
 from cell.settings.translate import cable_of, identification_of
 from drivers.sim.camera import CameraFaults
 
@@ -197,7 +197,7 @@ def test_a_model_that_cannot_be_simulated_is_named_with_what_to_correct(
     live: Live, quick: Settings
 ) -> None:
     heavy = {"effect": "tip_mass", "parameters": {"mass_kg": {"fixed": 0.02}}}
-    model = Model.model_validate({"effects": [heavy]})
+    model = ModelSettings.model_validate({"effects": [heavy]})
     result = live(settings=quick.model_copy(update={"model": model})).cell.run_cycle(1)
     fault = result.fault
     assert fault is not None and (fault.step, fault.device) == ("warm_up", "model")

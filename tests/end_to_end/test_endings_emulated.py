@@ -18,7 +18,7 @@ from cell.lab.next.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.cycle import Cell
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING, Plan, measuring
 from cell.settings import Settings, load_settings
 from cell.wiring.build import cell_with, real_devices
@@ -61,7 +61,7 @@ class Line:
 
     def cycle(self, plan: Plan = INSERTING, at: dict[str, Act] | None = None) -> Result:
         self.number += 1
-        if not self.cell.machine.can(Event.RESET):  # a busy computer upset the test before
+        if not self.cell.machine.can(MachineEvent.RESET):  # a busy computer upset the test before
             self.cell.acknowledge()
         self.at = dict(at or {})
         return self.cell.run_cycle(self.number, plan)
@@ -188,10 +188,10 @@ def check_put_aside(line: Line, result: Result) -> None:
 
 def test_after_all_these_a_cable_is_held_resumed_and_inserted(line: Line) -> None:
     def hold(it: Line) -> None:
-        it.cell.command(Event.HOLD, "somebody asks")
+        it.cell.command(MachineEvent.HOLD, "somebody asks")
 
     def resume(it: Line) -> None:
-        threading.Timer(0.3, it.cell.command, (Event.UNHOLD,)).start()
+        threading.Timer(0.3, it.cell.command, (MachineEvent.UNHOLD,)).start()
 
     result = line.cycle(at={"lower": the_first, "simulate": hold, "held": resume})
     assert (result.outcome, result.fault) == (Outcome.INSERTED, None), result.reason

@@ -16,7 +16,7 @@ import pytest
 from cell.files.atomic import write_whole
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
-from cell.run.machine import CellState, Event, EventRefusedError
+from cell.run.machine import CellState, EventRefusedError, MachineEvent
 from cell.run.plans import INSERTING
 from drivers.interfaces import ArmMode
 from drivers.sim.arm import ArmFaults
@@ -51,7 +51,7 @@ def interrupt(it: SimpleNamespace) -> None:
 
 
 def stop_from_another_thread(it: SimpleNamespace) -> None:
-    thread = threading.Thread(target=it.cell.command, args=(Event.STOP, "guard opened"))
+    thread = threading.Thread(target=it.cell.command, args=(MachineEvent.STOP, "guard opened"))
     thread.start()
     thread.join(30)
     assert not thread.is_alive()
@@ -93,7 +93,9 @@ def test_a_lost_arm_ends_aborted(live: Live, step: str) -> None:
 def test_a_stop_in_the_middle_of_a_motion_does_not_wait_for_its_end(live: Live) -> None:
     def soon(it: SimpleNamespace) -> None:
         clock = it.twins.world.clock
-        clock.call_at(clock.now_s() + 0.5, lambda: it.cell.command(Event.ABORT, "e-stop pressed"))
+        clock.call_at(
+            clock.now_s() + 0.5, lambda: it.cell.command(MachineEvent.ABORT, "e-stop pressed")
+        )
 
     it = live({"execute": soon})
     result = it.cell.run_cycle(1)
@@ -173,7 +175,7 @@ def test_nothing_moves_after_a_fault_until_a_person_acknowledges_it(live: Live) 
 
 def test_a_stop_given_between_cycles_is_not_lost(live: Live) -> None:
     it = live()
-    it.cell.command(Event.STOP, "not now")
+    it.cell.command(MachineEvent.STOP, "not now")
     result = it.cell.run_cycle(1)
     assert result.outcome is Outcome.FAILED
     assert result.fault is not None and result.fault.cause == "not now"
@@ -293,16 +295,16 @@ def test_a_second_process_that_cannot_begin_is_named_with_the_remedy(
 def test_a_hold_while_suspended_lasts_when_the_suspension_ends(live: Live) -> None:
     """It was forgotten until the next motion had been made."""
     states: list[CellState] = []
-    it = live({"grasp": lambda it: it.cell.command(Event.SUSPEND)})
+    it = live({"grasp": lambda it: it.cell.command(MachineEvent.SUSPEND)})
 
     def on_change(state: CellState) -> None:
         states.append(state)
         if state is CellState.SUSPENDED:
-            it.cell.command(Event.HOLD)
-            it.cell.command(Event.UNSUSPEND)
+            it.cell.command(MachineEvent.HOLD)
+            it.cell.command(MachineEvent.UNSUSPEND)
         if state is CellState.HELD:
             assert it.steps[-1] == "suspended"
-            it.cell.command(Event.UNHOLD)
+            it.cell.command(MachineEvent.UNHOLD)
 
     it.cell.machine.on_change = on_change
     assert it.cell.run_cycle(1).outcome is Outcome.INSERTED

@@ -20,7 +20,7 @@ from cell.flight.correct import Tail
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run import correcting
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.settings import Settings, load_settings
 from cell.wiring.build import build_cell
 from drivers.interfaces import Trajectory, revised_too_late
@@ -161,7 +161,7 @@ def test_a_stop_wins_over_a_change(
     find = one_change(0.002)
 
     def stopped(*asked: Any) -> Tail | None:
-        it.cell.command(Event.STOP, "a person")
+        it.cell.command(MachineEvent.STOP, "a person")
         return find(*asked)
 
     monkeypatch.setattr(decide, "best_tail", stopped)
@@ -256,7 +256,7 @@ def test_a_stop_on_the_way_back_ends_the_cycle(
 ) -> None:
     hopeless(1)
     it = live(
-        {"bring_back": lambda it: it.cell.command(Event.STOP, "a person")},
+        {"bring_back": lambda it: it.cell.command(MachineEvent.STOP, "a person")},
         settings=seeing(quick, retry=1),
     )
     result = it.cell.run_cycle(1)

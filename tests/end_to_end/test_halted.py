@@ -19,8 +19,8 @@ from typing import Any
 import pytest
 
 from cell.plant.client import Client
-from cell.plant.messages import Answer, Request
-from cell.run.machine import CellState, Event
+from cell.plant.messages import CommandReply, Request
+from cell.run.machine import CellState, MachineEvent
 
 from .test_web import CONFIG, LivePage, answers, browser, free_port, until  # noqa: F401
 
@@ -183,9 +183,9 @@ def test_a_halted_cell_is_seen_and_obeys_nothing_that_it_gets_late(
     cell.halt()
     press_at_once(browser, "start")
     shell = Client(runs, timeout_s=60.0)  # as `cell send` has it
-    answered: list[Answer] = []
+    answered: list[CommandReply] = []
     sending = threading.Thread(
-        target=lambda: answered.append(shell.send(Request(Event.START, "shell")))
+        target=lambda: answered.append(shell.send(Request(MachineEvent.START, "shell")))
     )
     sending.start()
     seen = screen.is_unknown_within(OLDEST_S + DRAWN_S)
@@ -195,7 +195,7 @@ def test_a_halted_cell_is_seen_and_obeys_nothing_that_it_gets_late(
     time.sleep(1.5)  # until what was sent is too old
     cell.go_on()
     until(lambda: screen.seen()["state"] == "Idle")
-    assert Client(runs).send(Request(Event.STOP, "test")).accepted
+    assert Client(runs).send(Request(MachineEvent.STOP, "test")).accepted
     screen.reaches("Stopped")
     assert cell.end() == ["stop"]
     screen.reaches("No cell runs")

@@ -12,14 +12,14 @@ import pyarrow.parquet
 import pytest
 
 import cell
-from cell.records.ledger.entry import Entry
+from cell.records.ledger.entry import LedgerEntry
 from cell.records.ledger.error import LedgerError
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.ledger.outbox import outbox_of
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Fault, Outcome, Result
 from cell.run.commands import InterruptedByCommandError
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.settings import Settings
 from cell.wiring.build import build_cell
 
@@ -151,13 +151,13 @@ def test_a_killed_run_is_never_listed_as_finished(
 def test_a_fault_is_listed_with_its_code(quick: Settings, tmp_path: Path) -> None:
     def on_step(number: int, step: str) -> None:
         if step == "lower":
-            cell.command(Event.STOP, "by a test")
+            cell.command(MachineEvent.STOP, "by a test")
 
     cell = build_cell(quick, tmp_path / "runs", seed=1, cycles=1, on_step=on_step)
     result = cell.run_cycle(1, part="P")
     cell.acknowledge("Ada", "was only tried")
     assert cell.prepare(2) is None
-    cell.command(Event.STOP, "lunch")
+    cell.command(MachineEvent.STOP, "lunch")
     with pytest.raises(InterruptedByCommandError) as stopped:
         cell.check()
     cell.leave_idle(stopped.value)
@@ -228,7 +228,9 @@ def test_a_person_acknowledges_a_fault_afterwards(tmp_path: Path) -> None:
     for number in (1, 2, 3):
         folder = tmp_path / "runs" / f"cycle-{number}"
         result = Result(number, Outcome.FAILED, str(folder), fault=fault)
-        ledger.write([Entry("line3", number, folder, at, "inserted", ended=at, result=result)])
+        ledger.write(
+            [LedgerEntry("line3", number, folder, at, "inserted", ended=at, result=result)]
+        )
     ledger.close()
     (tmp_path / "runs" / "cycle-3").mkdir(parents=True)  # the other records are elsewhere
     place = ("--ledger", tmp_path / "runs")

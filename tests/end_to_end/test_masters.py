@@ -16,7 +16,7 @@ import pytest
 
 from cell.plant.client import Client
 from cell.plant.messages import Notice, Request, Status
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.settings import load_settings
 from cell.simulated.emulated import EmulatedCell
 
@@ -125,13 +125,13 @@ def test_a_second_master_is_refused_in_every_state_of_the_first(
         try_second()
     until(client, or_lost(waits_for("start")))
     try_second()
-    client.send(Request(Event.START, "Ada"))
+    client.send(Request(MachineEvent.START, "Ada"))
     until(client, or_lost(in_step("lower")))
-    client.send(Request(Event.HOLD, "Ada"))
+    client.send(Request(MachineEvent.HOLD, "Ada"))
     try_second()
     until(client, or_lost(waits_for("unhold")))
     try_second()
-    client.send(Request(Event.STOP, "Ada"))
+    client.send(Request(MachineEvent.STOP, "Ada"))
     until(client, waits_for("acknowledgement"))
     try_second()
     assert "program ended: replaced by another program" not in programs(emulated)
@@ -145,7 +145,7 @@ def test_a_killed_masters_devices_are_taken_over_when_its_arm_is_stopped(
         first = begin("run", "--cycles", "forever", out=name)
         client = Client(tmp_path / name).connect(wait_s=60.0)
         until(client, or_lost(waits_for("start")))
-        client.send(Request(Event.START, "Ada"))
+        client.send(Request(MachineEvent.START, "Ada"))
         until(client, or_lost(in_step("lower")))
         first.kill()
         second = begin("run", "--cycles", "forever", out=f"next{number}")

@@ -17,7 +17,7 @@ from cell.lab.next.motion_file import load_motion
 from cell.plan.measuring import Measuring
 from cell.records.folder import read_record
 from cell.records.result import Outcome
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import measuring
 from cell.settings import Settings, load_settings
 from cell.simulated.hidden import hidden_cable
@@ -111,7 +111,9 @@ def test_after_a_stop_with_the_clamp_tilted_the_hand_finds_home(
 ) -> None:
     def soon(it: SimpleNamespace) -> None:
         clock = it.twins.world.clock
-        clock.call_at(clock.now_s() + 0.4, lambda: it.cell.command(Event.STOP, "guard opened"))
+        clock.call_at(
+            clock.now_s() + 0.4, lambda: it.cell.command(MachineEvent.STOP, "guard opened")
+        )
 
     it = live({step: soon}, cycles=2)
     result = it.cell.run_cycle(1, measuring(tilted))

@@ -14,12 +14,12 @@ import yaml
 
 from cell.cli.making import made_cell, products_in
 from cell.plant.folded import status_after
-from cell.plant.messages import Answer, Kind, Notice, Request, Status
+from cell.plant.messages import CommandReply, MessageKind, Notice, Request, Status
 from cell.plant.reporter import Reporter
 from cell.plant.service import Service
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.result import Outcome, Result
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.settings.loading import load_product
 from cell.settings.translate import model_hash
 
@@ -96,7 +96,7 @@ def serving(config: Path, tmp_path: Path) -> Iterator[SimpleNamespace]:
         if step in it.at:
             it.at.pop(step)()
 
-    def publish(kind: Kind, data: Any) -> None:
+    def publish(kind: MessageKind, data: Any) -> None:
         with it.changed:
             it.status = status_after(it.status, Notice("", it.status.sequence + 1, 0.0, kind, data))
             it.changed.notify_all()
@@ -140,9 +140,9 @@ def steps_of(it: SimpleNamespace, number: int) -> list[str]:
 def test_starts_choose_products_and_a_change_empties_the_jaws_first(
     serving: SimpleNamespace,
 ) -> None:
-    def start(**of: str) -> Answer:
+    def start(**of: str) -> CommandReply:
         serving.until(idle)
-        return serving.service.answer(Request(Event.START, "plc", **of))
+        return serving.service.answer(Request(MachineEvent.START, "plc", **of))
 
     def ended(count: int) -> Result:
         serving.until(lambda s: sum(s.counts.values()) == count)
@@ -197,13 +197,13 @@ def test_a_change_that_is_stopped_is_made_again_before_the_next_cycle(
     serving: SimpleNamespace,
 ) -> None:
     serving.until(idle)
-    stop = Request(Event.STOP, "plc", note="guard opened")
+    stop = Request(MachineEvent.STOP, "plc", note="guard opened")
     serving.at["empty_jaws"] = lambda: serving.service.answer(stop)
-    assert serving.service.answer(Request(Event.START, "plc", product="stiff")).accepted
+    assert serving.service.answer(Request(MachineEvent.START, "plc", product="stiff")).accepted
     serving.until(lambda s: s.fault is not None)
     assert serving.results[-1].product == "stiff"
     serving.until(lambda s: s.state is CellState.STOPPED)
     assert "grasp" not in steps_of(serving, 1)
-    assert serving.service.answer(Request(Event.RESET, "Ada", note="closed")).accepted
+    assert serving.service.answer(Request(MachineEvent.RESET, "Ada", note="closed")).accepted
     serving.until(idle)
     assert steps_of(serving, 2)[:3] == ["empty_jaws", "check_paths", "reset"]

@@ -16,7 +16,7 @@ from cell.records.recording.reading import read_recording
 from cell.records.recording.recover import recover_in_place
 from cell.records.result import Outcome
 from cell.settings import Settings, load_settings
-from cell.settings.records import Recording
+from cell.settings.records import RecordingSettings
 from cell.terminal.fitting import show
 from cell.terminal.replayed import replayed_parts
 from cell.wiring.build import build_cell
@@ -28,7 +28,7 @@ from .conftest import changed, run
 
 def recorded_cycles(settings: Settings, runs: Path, count: int = 1, **changes):
     """Results of simulated cycles that were recorded."""
-    wanted = Recording(**changes)
+    wanted = RecordingSettings(**changes)
     settings = settings.model_copy(update={"recording": wanted})
     cell = build_cell(settings, runs, seed=1, cycles=count)
     try:
@@ -241,7 +241,7 @@ def test_calibration_and_own_effects_are_in_it(quick, tmp_path):
 
 
 def test_the_shipped_settings_record(recorded_config):
-    assert load_settings(recorded_config).recording == Recording()
+    assert load_settings(recorded_config).recording == RecordingSettings()
 
 
 def with_store(recorded_config: Path, tmp_path: Path) -> Path:

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from cell.plant.client import Client
-from cell.plant.messages import Kind, Notice, Request, Status
+from cell.plant.messages import MessageKind, Notice, Request, Status
 from cell.records.folder import Record, read_record
 from cell.records.ledger.ledger import Ledger, Wanted
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 
 from .conftest import run
 from .forked import Forked, Forking
@@ -63,7 +63,7 @@ def waits_for(what: str) -> Callable[[Notice | Status], bool]:
     def reached(message: Notice | Status) -> bool:
         if isinstance(message, Status):
             return message.waiting_for == (what,)
-        return message.kind is Kind.WAITING and message.data["waiting_for"] == [what]
+        return message.kind is MessageKind.WAITING and message.data["waiting_for"] == [what]
 
     return reached
 
@@ -72,7 +72,7 @@ def in_step(step: str) -> Callable[[Notice | Status], bool]:
     def reached(message: Notice | Status) -> bool:
         if isinstance(message, Status):
             return message.step == step
-        return message.kind is Kind.STEP and message.data["step"] == step
+        return message.kind is MessageKind.STEP and message.data["step"] == step
 
     return reached
 
@@ -111,12 +111,12 @@ def test_two_starts_then_an_end_within_the_third_cycle(
         assert refused.returncode == 2
         assert "--config is of line 'line 9', the cell of" in refused.stderr
     assert run("send", "stop", "-c", tmp_path / "none.yaml").returncode == 2
-    made = client.send(Request(Event.START, "plc", product="x"))
+    made = client.send(Request(MachineEvent.START, "plc", product="x"))
     assert "no products; leave it out" in made.reason
     shown = json.loads(run("status", "--runs", runs, "--json").stdout)
     assert shown["counts"] == {"inserted": 2}
     assert shown["last"]["part"] == "A-2"
-    assert client.send(Request(Event.START, "plc")).state is CellState.STARTING
+    assert client.send(Request(MachineEvent.START, "plc")).state is CellState.STARTING
     until(client, in_step("lower"))
     process.send_signal(signal.SIGTERM)
     out, _ = process.communicate(timeout=60)
@@ -135,7 +135,7 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     killed = start()
     client = Client(runs).connect(wait_s=60.0)
     until(client, waits_for("start"))
-    client.send(Request(Event.START, "plc", part="A-1"))
+    client.send(Request(MachineEvent.START, "plc", part="A-1"))
     until(client, in_step("hold_and_capture"))
     killed.kill()
     killed.wait(30)
@@ -150,7 +150,7 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     assert shown.returncode == 1
     assert "cycle 1 was not finished" in shown.stdout
     assert status.fault.cause.endswith("not acknowledged either: cycles 1")
-    refused = client.send(Request(Event.START, "plc"))
+    refused = client.send(Request(MachineEvent.START, "plc"))
     assert "'start' is refused while stopped; possible now: reset, abort" in refused.reason
     assert client.status().state is CellState.STOPPED
     assert run("send", "reset", "--by", "Ada", "--note", "looked", "--runs", runs).returncode == 0
@@ -158,14 +158,14 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     assert client.status().fault is None
     said = [read_record(folder).state["acknowledged"] for folder in runs.iterdir()]
     assert said == [{"by": "Ada", "note": "looked"}] * 2
-    client.send(Request(Event.STOP, "plc"))
+    client.send(Request(MachineEvent.STOP, "plc"))
     until(client, waits_for("acknowledgement"))
     assert len([f for f in runs.iterdir() if f.is_dir()]) == 2
-    assert client.send(Request(Event.RESET, "Ada")).accepted
+    assert client.send(Request(MachineEvent.RESET, "Ada")).accepted
     until(client, waits_for("start"))
-    client.send(Request(Event.START, "plc"))
+    client.send(Request(MachineEvent.START, "plc"))
     until(client, in_step("lower"))
-    client.send(Request(Event.STOP, "plc", "guard opened"))
+    client.send(Request(MachineEvent.STOP, "plc", "guard opened"))
     until(client, waits_for("acknowledgement"))
     again.send_signal(signal.SIGTERM)
     again.communicate(timeout=60)
@@ -196,7 +196,7 @@ def test_after_a_kill_while_it_is_made_ready_nothing_moves(start: Start, tmp_pat
     status = client.connect(wait_s=60.0).status()
     assert (status.state, status.waiting_for) == (CellState.STOPPED, ("acknowledgement",))
     assert status.fault is not None and "while the cell was made ready" in status.fault.cause
-    assert client.send(Request(Event.RESET, "Ada", "jaws are empty")).accepted
+    assert client.send(Request(MachineEvent.RESET, "Ada", "jaws are empty")).accepted
     until(client, waits_for("start"))
     assert client.status().fault is None
 
@@ -206,7 +206,7 @@ def test_a_stop_in_idle_outlives_the_service(start: Start, tmp_path: Path) -> No
     stopped = start()
     client = Client(tmp_path / "runs").connect(wait_s=60.0)
     until(client, waits_for("start"))
-    client.send(Request(Event.STOP, "plc", "guard opened"))
+    client.send(Request(MachineEvent.STOP, "plc", "guard opened"))
     until(client, waits_for("acknowledgement"))
     stopped.kill()
     stopped.wait(30)
@@ -214,7 +214,7 @@ def test_a_stop_in_idle_outlives_the_service(start: Start, tmp_path: Path) -> No
     status = client.connect(wait_s=60.0).status()
     assert (status.state, status.waiting_for) == (CellState.STOPPED, ("acknowledgement",))
     assert status.fault is not None and "guard opened" in status.fault.cause
-    assert client.send(Request(Event.RESET, "Ada", "guard closed")).accepted
+    assert client.send(Request(MachineEvent.RESET, "Ada", "guard closed")).accepted
     until(client, waits_for("start"))
 
 
@@ -223,13 +223,13 @@ def test_a_run_of_so_many_cycles_can_be_looked_at_and_takes_no_start(
 ) -> None:
     process = start("1")
     client = Client(tmp_path / "runs").connect(wait_s=60.0)
-    answer = client.send(Request(Event.START, "plc"))
+    answer = client.send(Request(MachineEvent.START, "plc"))
     assert not answer.accepted
     assert "--cycles forever" in answer.reason
     until(client, in_step("lower"))
-    assert client.send(Request(Event.HOLD, "plc")).accepted
+    assert client.send(Request(MachineEvent.HOLD, "plc")).accepted
     until(client, waits_for("unhold"))
-    assert client.send(Request(Event.UNHOLD, "plc")).accepted
+    assert client.send(Request(MachineEvent.UNHOLD, "plc")).accepted
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     assert json.loads(out)["outcome"] == "inserted"

@@ -15,7 +15,7 @@ import pytest
 
 from cell.plant.client import Client
 from cell.plant.messages import Request, Status
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from tests.cell.plant.opcua.conftest import free_port, wait_until
 
 from .conftest import run
@@ -82,9 +82,9 @@ def test_sigterm_while_held_stops_the_cycle_where_it_is(start: Start, client: Cl
     process = start()
     client.connect(wait_s=60.0)
     until(client, waits_for("start"))
-    client.send(Request(Event.START, "plc", part="A-1"))
+    client.send(Request(MachineEvent.START, "plc", part="A-1"))
     until(client, in_step("lower"))
-    client.send(Request(Event.HOLD, "plc"))
+    client.send(Request(MachineEvent.HOLD, "plc"))
     until(client, waits_for("unhold"))
     process.send_signal(signal.SIGTERM)
     assert ended(process) == [("failed", "the service ends")]
@@ -102,7 +102,7 @@ def test_ctrl_c_stops_a_cycle_and_the_next_service_waits(start: Start, client: C
     process = start()
     client.connect(wait_s=60.0)
     until(client, waits_for("start"))
-    client.send(Request(Event.START, "plc"))
+    client.send(Request(MachineEvent.START, "plc"))
     until(client, in_step("lower"))
     process.send_signal(signal.SIGINT)
     assert ended(process) == [("failed", "interrupted by a person")]
@@ -111,7 +111,7 @@ def test_ctrl_c_stops_a_cycle_and_the_next_service_waits(start: Start, client: C
     fault = waits_for_a_person(client).fault
     assert fault is not None
     assert (fault.cycle, fault.step, fault.code) == (1, "lower", "stop")
-    assert client.send(Request(Event.RESET, "Ada", "cable taken out")).accepted
+    assert client.send(Request(MachineEvent.RESET, "Ada", "cable taken out")).accepted
     until(client, in_step("warm_up"))
     process.send_signal(signal.SIGINT)  # the hand may be moving: somebody has to look again
     assert ended(process) == [("failed", "interrupted by a person")]
@@ -168,7 +168,7 @@ def test_a_device_that_fails_in_idle_aborts_and_is_recorded(
         assert status.fault is not None
         assert (status.fault.cycle, status.fault.step) == (1, "idle")
         assert status.fault.device == "arm"
-        refused = client.send(Request(Event.START, "plc"))
+        refused = client.send(Request(MachineEvent.START, "plc"))
         assert "possible now: clear" in refused.reason
         process.kill()
         ended(process)
@@ -177,7 +177,7 @@ def test_a_device_that_fails_in_idle_aborts_and_is_recorded(
         assert again is not None
         assert (again.step, again.cause) == (status.fault.step, status.fault.cause)
         print("repair", file=at.stdin, flush=True)
-        assert client.send(Request(Event.RESET, "Ada", "released")).accepted
+        assert client.send(Request(MachineEvent.RESET, "Ada", "released")).accepted
         until(client, waits_for("start"))
         process.send_signal(signal.SIGTERM)
         assert ended(process) == []

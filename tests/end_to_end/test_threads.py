@@ -30,7 +30,6 @@ from cell.plant.handshake.modbus import ModbusCarrier
 from cell.plant.link import Link
 from cell.plant.mqtt.taking import Taker
 from cell.plant.opcua import server as opcua_server
-from cell.plant.server import Server
 from cell.plant.service import Service
 from cell.plant.wire import LinkError
 from cell.records.ledger.outbox import LedgerWriter
@@ -41,15 +40,15 @@ from cell.records.recording.uploads import Uploads
 from cell.records.recording.writer import RecordingWriter
 from cell.run.commands import Commands
 from cell.run.jobs import found_by
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.settings.plant import OpcUa
 from cell.settings.plant.handshake import Handshake
 from cell.terminal.keyboard import Keyboard
 from cell.web import guided as guided_module
 from cell.web.camera import LiveCamera
 from cell.web.guided import Guided
-from cell.web.jobs import Jobs, State
-from cell.web.watching import Seen, Watch
+from cell.web.jobs import Jobs, JobState
+from cell.web.watching import CellWatch, Seen
 from drivers import ur_dashboard
 from drivers.capture import StreamingCamera
 from drivers.interfaces import ConnectError
@@ -274,7 +273,9 @@ def test_a_service_without_signs_of_life_ends(
     monkeypatch.setattr(Service, "_tend", boom)
     monkeypatch.setattr(Service, "_waits_for_person", lambda self: not time.sleep(0.005))
     service.run(lambda result: None)
-    assert commands == [(Event.STOP, "nobody tells that the service lives: ValueError: boom")]
+    assert commands == [
+        (MachineEvent.STOP, "nobody tells that the service lives: ValueError: boom")
+    ]
 
 
 def test_an_adapter_that_is_kept_no_more_is_told() -> None:
@@ -311,7 +312,7 @@ def test_an_opcua_server_that_shows_nothing_new_ends(
 
 def test_a_page_whose_cell_is_followed_no_more_says_so(tmp_path: Path) -> None:
     client = SimpleNamespace(follow=boom, away=None, heard_s=0.0)
-    watch = Watch(client, None, tmp_path)  # type: ignore[arg-type]
+    watch = CellWatch(client, None, tmp_path)  # type: ignore[arg-type]
     watch._seen = Seen(there=True, figures=SimpleNamespace())  # type: ignore[arg-type]
     with watch:
         until(lambda: not watch.seen.there and watch.seen.figures is None)
@@ -329,7 +330,7 @@ def test_a_picture_that_is_read_no_more_is_shown_no_more(tmp_path: Path) -> None
 def test_jobs_whose_thread_dies_have_failed() -> None:
     with Jobs(boom) as jobs:
         assert jobs.submit(task("pass"), "Ada") == ""
-        until(lambda: newest(jobs).state is State.FAILED)
+        until(lambda: newest(jobs).state is JobState.FAILED)
         assert newest(jobs).said == ("ValueError: boom",)
 
 
@@ -337,7 +338,7 @@ def test_a_job_whose_output_is_read_no_more_ends(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Jobs, "_read_printed", boom)
     with Jobs(started) as jobs:
         assert jobs.submit(task("import time; time.sleep(60)"), "Ada") == ""
-        until(lambda: newest(jobs).state is State.FAILED)
+        until(lambda: newest(jobs).state is JobState.FAILED)
 
 
 @pytest.mark.parametrize("what", ["_follow", "_hear"])

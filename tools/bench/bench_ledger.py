@@ -21,7 +21,7 @@ import numpy as np
 from cell.records.changed_model import worsenings
 from cell.records.chart import signals
 from cell.records.ledger.effectiveness import shifts
-from cell.records.ledger.entry import Entry, Estimate
+from cell.records.ledger.entry import LedgerEntry, LedgerEstimate
 from cell.records.ledger.export import rows_of
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.result import Fault, Outcome, Result
@@ -32,15 +32,20 @@ OUTCOMES = (Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED, Outcome.FAILED)
 _TOGETHER = 1000
 
 
-def entries(count: int) -> Iterator[Entry]:
+def entries(count: int) -> Iterator[LedgerEntry]:
     """Cycles one after another on three lines, as a plant makes them."""
     rng = np.random.default_rng(1)
     for n in range(count):
         outcome = OUTCOMES[int(rng.choice(4, p=(0.95, 0.02, 0.02, 0.01)))]
         fault = Fault("lower", f"cause {n % 7}", "arm", code=f"arm.{'limit' if n % 2 else 'lost'}")
         miss_m, ei = rng.normal(0.0, 1e-4, 2), 2e-5 * np.exp(rng.normal(0.0, 0.2, 6))
-        estimates = [Estimate(f"rigidity_{k}", float(v), 1e-5, 4e-5) for k, v in enumerate(ei)]
-        estimates += [Estimate("exponent", 1.0, 0.9, 1.1), Estimate("viscosity", 1e-7, 9e-8, 2e-7)]
+        estimates = [
+            LedgerEstimate(f"rigidity_{k}", float(v), 1e-5, 4e-5) for k, v in enumerate(ei)
+        ]
+        estimates += [
+            LedgerEstimate("exponent", 1.0, 0.9, 1.1),
+            LedgerEstimate("viscosity", 1e-7, 9e-8, 2e-7),
+        ]
         result = Result(
             n,
             outcome,
@@ -57,7 +62,7 @@ def entries(count: int) -> Iterator[Entry]:
             fault=fault if outcome is Outcome.FAILED else None,
         )
         started = BEGUN + timedelta(seconds=CYCLE_S * n)
-        yield Entry(
+        yield LedgerEntry(
             line=LINE if n % 3 == 0 else f"line{n % 3}",
             cycle=n,
             folder=Path(result.folder),
@@ -73,7 +78,7 @@ def entries(count: int) -> Iterator[Entry]:
 def filled(place: str | Path, count: int) -> Ledger:
     """A ledger with so many cycles."""
     ledger = Ledger(place, create=True)
-    batch: list[Entry] = []
+    batch: list[LedgerEntry] = []
     for entry in entries(count):
         batch.append(entry)
         if len(batch) == _TOGETHER:
@@ -94,8 +99,8 @@ def questions(ledger: Ledger, count: int) -> dict[str, Callable[[], object]]:
         entry = next(new)
         folder = Path(f"/new/{time.time_ns()}")
         values = vars(entry) | {"folder": folder, "started": last}
-        ledger.write([Entry(**(values | {"result": None, "estimates": ()}))])
-        ledger.write([Entry(**values)])
+        ledger.write([LedgerEntry(**(values | {"result": None, "estimates": ()}))])
+        ledger.write([LedgerEntry(**values)])
 
     def end_of_run() -> None:
         results = ledger.results(LINE)

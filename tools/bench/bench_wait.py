@@ -42,7 +42,7 @@ from cell.run.archive import Archive
 from cell.run.cycle import Cell
 from cell.run.plans import EXECUTE, HOLD, IDENTIFY
 from cell.settings import Settings, load_settings
-from cell.settings.model import Start
+from cell.settings.model import StartSettings
 from cell.simulated.twins import build_twins
 from cell.wiring.build import cell_with, twin_devices
 from cell.wiring.evidence import with_recorder
@@ -365,7 +365,7 @@ def main() -> None:
     base = waits(*asked, settings.model_copy(update={"recording": None}))
     print(summary(base))
     silent = settings.model_copy(update={"recording": None})
-    start = Start(window_s=options.freely or 0.0)
+    start = StartSettings(window_s=options.freely or 0.0)
     freely = silent.model_copy(update={"motion": silent.motion.model_copy(update={"start": start})})
     freely = with_opening(freely, options.half_mm)
     for name, changed in (

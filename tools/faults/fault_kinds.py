@@ -12,7 +12,7 @@ from typing import Any
 
 from cell.simulated.emulated import EmulatedCell
 from drivers.emulators.camera import StreamFaults
-from drivers.emulators.robotiq import GripperFaults
+from drivers.emulators.robotiq import RobotiqFaults
 
 OFF_S = 0.5  # a power cycle
 
@@ -45,7 +45,7 @@ def _camera(**faults: Any) -> Act:
 
 
 def _gripper(**faults: Any) -> Act:
-    return lambda victim: setattr(victim.emulated.gripper, "faults", GripperFaults(**faults))
+    return lambda victim: setattr(victim.emulated.gripper, "faults", RobotiqFaults(**faults))
 
 
 def _arm(op: str, **arguments: Any) -> Act:

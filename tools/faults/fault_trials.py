@@ -37,7 +37,7 @@ from cell.flight.estimate import Deviation
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.cycle import Cell
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.run.plans import INSERTING
 from cell.settings import Settings, load_settings
 from cell.simulated.emulated import EmulatedCell
@@ -177,7 +177,7 @@ class FaultRig:
     def cycle(self) -> Result:
         self.number += 1
         self.began_s = {}
-        if not self.cell.machine.can(Event.RESET):
+        if not self.cell.machine.can(MachineEvent.RESET):
             self.cell.acknowledge()
             self.plant.reporter.acknowledged("", "")
         self.plant.reporter.cycle(self.number, None, None)

@@ -25,8 +25,8 @@ from typing import Any
 import yaml
 
 from cell.plant.client import Client
-from cell.plant.messages import Kind, Notice, Request, Status
-from cell.run.machine import CellState, Event
+from cell.plant.messages import MessageKind, Notice, Request, Status
+from cell.run.machine import CellState, MachineEvent
 from drivers.emulators.launch import EmulatedController
 from tools.faults.scripted_plc import (
     HABITS,
@@ -69,9 +69,9 @@ def compared(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> Find
     happened  in the cell, since before the first of them
     """
     cycles = [entry for entry in said if "told" in entry]
-    states = [n for n in happened if n.kind is Kind.STATE]
+    states = [n for n in happened if n.kind is MessageKind.STATE]
     starts = [n for n in states if n.data["state"] == CellState.STARTING]
-    results = [n.data["outcome"] for n in happened if n.kind is Kind.RESULT]
+    results = [n.data["outcome"] for n in happened if n.kind is MessageKind.RESULT]
     wrong = [*_wrong_starts(said, happened)]
     if len(starts) != len(cycles):
         wrong.append(f"{len(cycles)} cycles were wanted, and {len(starts)} made")
@@ -89,11 +89,14 @@ def _wrong_starts(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) ->
     faulted = False
     for notice in happened:
         match notice.kind:
-            case Kind.FAULT:
+            case MessageKind.FAULT:
                 faulted = True
-            case Kind.ACKNOWLEDGED:
+            case MessageKind.ACKNOWLEDGED:
                 faulted = False
-            case Kind.STATE if notice.data["state"] in (CellState.STARTING, CellState.RESETTING):
+            case MessageKind.STATE if notice.data["state"] in (
+                CellState.STARTING,
+                CellState.RESETTING,
+            ):
                 state = notice.data["state"]
                 if faulted:
                     yield f"{state} after a fault without an acknowledgement"
@@ -130,11 +133,11 @@ class Follower:
             else:
                 self.happened.append(message)
                 state = message.data.get("state")
-                if message.kind is Kind.CYCLE:
+                if message.kind is MessageKind.CYCLE:
                     cycle += 1
-                lowers = message.kind is Kind.STEP and message.data["step"] == "lower"
+                lowers = message.kind is MessageKind.STEP and message.data["step"] == "lower"
                 if lowers and cycle % ABORTED_EVERY == 0:
-                    self._client.send(Request(Event.ABORT, "trial", "a person aborts it"))
+                    self._client.send(Request(MachineEvent.ABORT, "trial", "a person aborts it"))
             if state == CellState.IDLE:
                 self.is_idle.set()
 

@@ -25,8 +25,8 @@ from typing import Any
 import yaml
 
 from cell.plant.client import Client
-from cell.plant.messages import Kind, Notice, Request, Status
-from cell.run.machine import Event
+from cell.plant.messages import MessageKind, Notice, Request, Status
+from cell.run.machine import MachineEvent
 from cell.run.plans import INSERTING
 from tools.plant.around import ADAPTERS, Plant
 from tools.plant.viewer import Viewer
@@ -89,16 +89,16 @@ def made(
         waits = message.data if isinstance(message, Notice) else vars(message)
         if "start" in waits.get("waiting_for", ()):
             break
-    answer = client.send(Request(Event.START, "tool"))
+    answer = client.send(Request(MachineEvent.START, "tool"))
     assert answer.accepted, answer
     steps: list[str] = []
     for message in messages:
         if isinstance(message, Status):
             raise RuntimeError("the cell was lost")
-        if message.kind is Kind.STEP:
+        if message.kind is MessageKind.STEP:
             steps.append(message.data["step"])
             on_step(steps[-1])
-        if message.kind is Kind.RESULT:
+        if message.kind is MessageKind.RESULT:
             return Made(dict(message.data), tuple(steps))
     raise RuntimeError("the client was closed")
 

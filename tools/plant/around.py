@@ -19,7 +19,7 @@ import yaml
 from cell.computer.watched import cpu_s
 from cell.plant.children import command_of
 from cell.plant.link import Link
-from cell.plant.messages import Answer, Kind, Request, Status
+from cell.plant.messages import CommandReply, MessageKind, Request, Status
 from cell.run.machine import CellState
 
 #: All that there is; `serve` are the pages.
@@ -185,9 +185,9 @@ def listens(port: int) -> bool:
 @contextmanager
 def published(runs: Path) -> Iterator[None]:
     """The link of a cell that is not there: its notices come as those of cycles would."""
-    refused = Answer(False, CellState.EXECUTE, "this cell only publishes")
+    refused = CommandReply(False, CellState.EXECUTE, "this cell only publishes")
 
-    def refuse(request: Request) -> Answer:
+    def refuse(request: Request) -> CommandReply:
         return refused
 
     over = threading.Event()
@@ -198,10 +198,12 @@ def published(runs: Path) -> Iterator[None]:
             number = 0
             while not over.wait(_STEP_S):
                 number += 1
-                link.publish(Kind.STEP, {"step": f"step {number % 20}", "cycle": number // 20})
+                link.publish(
+                    MessageKind.STEP, {"step": f"step {number % 20}", "cycle": number // 20}
+                )
                 if number % 20 == 0:
                     result = {"cycle": number // 20, "outcome": "inserted", "margin_m": 1e-3}
-                    link.publish(Kind.RESULT, result)
+                    link.publish(MessageKind.RESULT, result)
 
         thread = threading.Thread(target=publish, name="published", daemon=True)
         thread.start()

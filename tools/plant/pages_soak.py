@@ -32,11 +32,11 @@ import yaml
 
 from cell.plant.client import Client
 from cell.plant.link import Link
-from cell.plant.messages import Answer, Kind, Notice, Request, Status
+from cell.plant.messages import CommandReply, MessageKind, Notice, Request, Status
 from cell.records.ledger.entry import entry_of_folder
 from cell.records.ledger.ledger import Ledger
 from cell.records.recording import form
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.settings import load_settings
 from cell.settings.referred import line_of
 from tools.plant.adapter_kills import quick, service
@@ -73,11 +73,11 @@ def recorded(folder: Path, config: Path) -> Recorded:
             if "start" in waits.get("waiting_for", ()):
                 if asked:
                     break
-                asked = client.send(Request(Event.START, "tool", part="A-1")).accepted
+                asked = client.send(Request(MachineEvent.START, "tool", part="A-1")).accepted
             elif isinstance(message, Notice) and asked:
                 notices.append(message)
         client.close()
-    result = next(n for n in notices if n.kind is Kind.RESULT)
+    result = next(n for n in notices if n.kind is MessageKind.RESULT)
     return Recorded(tuple(notices), Path(result.data["folder"]))
 
 
@@ -92,7 +92,7 @@ class Line:
 
     def until(self, over: threading.Event) -> None:
         """Make cycles."""
-        refused = Answer(False, CellState.EXECUTE, "this cell only publishes")
+        refused = CommandReply(False, CellState.EXECUTE, "this cell only publishes")
         begun = Status("", 0, CellState.IDLE, time.time(), waiting_for=("start",))
         self._runs.mkdir(parents=True, exist_ok=True)
         ledger = Ledger(self._runs, create=True)
@@ -117,7 +117,7 @@ class Line:
         ledger.write([replace(entry, cycle=self.cycles, ended=None, result=None)])
         pause_s = 0.6 * self._cycle_s / len(self._told.notices)
         for notice in self._told.notices:
-            if notice.kind is Kind.RESULT:
+            if notice.kind is MessageKind.RESULT:
                 (folder / form.PART).rename(film)
                 part = f"A-{self.cycles}"
                 result = replace(entry.result, part=part) if entry.result is not None else None

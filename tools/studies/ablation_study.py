@@ -33,7 +33,7 @@ from cell.api.lab import set_up
 from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
-from cell.lab.data.check import COMPARE, Answer, Check, worst_verdict
+from cell.lab.data.check import COMPARE, Check, CheckOutcome, worst_verdict
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.fitting import fit_trials
@@ -180,7 +180,7 @@ def _verdict_without(row: Row, checks: Sequence[Check], limits: dict[str, float]
         value = row.statistics.get(check.name, np.nan)
         limit = limits.get(check.name, getattr(DEFAULT_RULES, check.limit))
         passed = None if np.isnan(value) else bool(COMPARE[check.passes](value, limit))
-        found.append(Answer(check, None, passed))
+        found.append(CheckOutcome(check, None, passed))
     return worst_verdict(found, is_base=not row.named)
 
 

@@ -43,7 +43,7 @@ from calib.timing import arm_lag, camera_latency
 from cell.calibration.conclude import camera_from
 from cell.calibration.grip import grip_poses, views_of
 from cell.calibration.measure import timing_path
-from cell.calibration.raw import Picture, ShownCell, ShownPose
+from cell.calibration.raw import NamedImage, ShownCell, ShownPose
 from cell.settings import load_settings
 from cell.settings.calibrated import CIRCLE_95
 from cell.settings.translate import pose_of
@@ -96,11 +96,11 @@ class Setup:
                          *self.eye.distortion)  # fmt: skip
         self.view = PlaneView.from_pose(self.lens, self.eye.X_CP)
 
-    def board_pictures(self) -> list[Picture]:
+    def board_pictures(self) -> list[NamedImage]:
         middle = np.array([(639.5 - 1000.0) * 2e-4, (150.0 - 511.5) * 2e-4, 0.0])
         poses = board_poses(BOARD, VIEWS, self.rng, middle, 0.08)
         return [
-            Picture(
+            NamedImage(
                 f"{k:02d}.png",
                 photograph_board(
                     self.eye, [board_patches(BOARD, X, self.warp_m)], self.look, self.rng
@@ -228,7 +228,7 @@ def gripped(seed: int) -> dict[str, float]:
         at = (goal.x_m, goal.y_m, goal.angle_rad)
         images = [render(shape(path, hold_s)[0], at, setup.eye, look, rng) for _ in range(4)]
         mean = np.rint(np.mean(images, axis=0)).astype(np.uint8)
-        poses.append(ShownPose("fit", goal, Picture(f"{len(poses)}", mean)))
+        poses.append(ShownPose("fit", goal, NamedImage(f"{len(poses)}", mean)))
     views, _ = views_of(ShownCell(tuple(poses)), view, settings)
     fit = fit_grip(views, MAP_M * np.sqrt(2.0) * 2.0 / 3.0)  # the corners' error, over the picture
     off = np.abs(fit.mean - [*beside_m, askew, 0.1 + longer_m])

@@ -88,7 +88,7 @@ def parameters(active: ActiveEffect) -> Any:
     return SimpleNamespace(**active.named)
 
 
-class Model(Protocol):
+class CompiledModel(Protocol):
     """The part of a cable's model that its effects' hooks see."""
 
     @property
@@ -102,7 +102,7 @@ class Model(Protocol):
         ...
 
 
-def cable_data(model: Model) -> CableData:
+def cable_data(model: CompiledModel) -> CableData:
     """The `cable` of a hook."""
     cable = model.cable
     return CableData(
@@ -124,7 +124,7 @@ class Hooks:
     memory_count: int
     passes: int
 
-    def arguments(self, models: Sequence[Model], segments: int, start_s: float) -> Any:
+    def arguments(self, models: Sequence[CompiledModel], segments: int, start_s: float) -> Any:
         """`effects` of the compiled functions for up to LANES models with these in their steps."""
         columns = [
             (*cable_data(m), *(v for a in in_steps(m.effects) for v in a.values)) for m in models

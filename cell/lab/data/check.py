@@ -72,15 +72,15 @@ class Check(Generic[Asked]):
     reason: str
     warn: Callable[[Asked, Reading], tuple[Doubt, ...]] = _none
 
-    def ask(self, evidence: Asked) -> Answer[Asked]:
+    def ask(self, evidence: Asked) -> CheckOutcome[Asked]:
         """Of a model."""
         reading, limit = self.statistic(evidence), float(getattr(evidence.rules, self.limit))
         passed = None if reading is None else bool(COMPARE[self.passes](reading.value, limit))
-        return Answer(self, reading, passed, limit)
+        return CheckOutcome(self, reading, passed, limit)
 
 
 @dataclass(frozen=True)
-class Answer(Generic[Asked]):
+class CheckOutcome(Generic[Asked]):
     """A check's answer; `passed` is None where the question does not apply."""
 
     check: Check[Asked]
@@ -121,7 +121,7 @@ class Answer(Generic[Asked]):
         )
 
 
-def worst_verdict(found: Sequence[Answer[Any]], is_base: bool) -> Verdict:
+def worst_verdict(found: Sequence[CheckOutcome[Any]], is_base: bool) -> Verdict:
     """The worst of what failed; else that the model is complete, or an effect is missing.
 
     is_base  nothing was added to the model

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cell.cable.wrench import AS_POINTS, Gauge
 from cell.identify.noise import Noise
 from cell.identify.whitener import Sensors
-from cell.lab.data.noise_likelihood import Rest
+from cell.lab.data.noise_likelihood import RestFrames
 from cell.lab.data.noise_model import (
     NoiseModel,
     NoiseUnknownError,
@@ -191,6 +191,6 @@ def _share_of_means(each: Sequence[JoinedTrial], point: int) -> float:
         return 1.0
     rows = int(np.median(np.concatenate(counts)))
     blocks = [b for j in each for b in still_blocks(j.unaveraged, slice(point, point + 1))]
-    ar1 = Rest.of(blocks, 0.0).likeliest()[0].ar1 if blocks else 0.0
+    ar1 = RestFrames.of(blocks, 0.0).likeliest()[0].ar1 if blocks else 0.0
     lags = np.arange(1, rows)
     return float(1.0 + 2.0 * np.sum((1.0 - lags / rows) * ar1**lags)) / rows

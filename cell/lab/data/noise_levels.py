@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
-from cell.lab.data.noise_likelihood import DEGREE, Block, Rest
+from cell.lab.data.noise_likelihood import DEGREE, NoiseBlock, RestFrames
 from cell.lab.data.noise_model import Level, NoiseModel, noise_model_of_blocks, still_blocks
 from cell.study.data import Study, Trial
 
@@ -117,7 +117,7 @@ def seen_in(noise_model: NoiseModel, told: NoiseModel, trials: Sequence[Trial]) 
     return replace(told, noise=noise, levels=levels)
 
 
-def cells_of(blocks: Sequence[Sequence[Block]], rest: Rest, ar1: float) -> Cells | None:
+def cells_of(blocks: Sequence[Sequence[NoiseBlock]], rest: RestFrames, ar1: float) -> Cells | None:
     """Of still blocks by trial; None if there are none."""
     roots: dict[tuple[int, int], list[FloatArray]] = {}
     for trial, own in enumerate(blocks):

@@ -38,21 +38,21 @@ ROUNDED = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
+class RestFrames:
     """Level and AR(1) correlation of the noise as estimated from still frames.
 
     degree        of the polynomials that are taken out of every series
     resolution_m  step to which values are rounded; 0 = not seen to be
     """
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[NoiseBlock, ...]
     degree: int
     resolution_m: float
 
     @staticmethod
-    def of(blocks: Sequence[Block], resolution_m: float, most: int = DEGREE) -> Rest:
+    def of(blocks: Sequence[NoiseBlock], resolution_m: float, most: int = DEGREE) -> RestFrames:
         """With polynomials of the degree, up to `most`, that the blocks need, by BIC."""
-        rests = [Rest(tuple(blocks), degree, resolution_m) for degree in range(most + 1)]
+        rests = [RestFrames(tuple(blocks), degree, resolution_m) for degree in range(most + 1)]
         return min(rests, key=lambda r: r.bic)
 
     @cached_property
@@ -125,13 +125,13 @@ class Rest:
             log_det += of_frames + 2.0 * series * float(np.log(np.abs(np.diag(r))).sum())
         return square, dof, log_det
 
-    def whitened(self, block: Block, ar1: float) -> FloatArray:
+    def whitened(self, block: NoiseBlock, ar1: float) -> FloatArray:
         """(frames, series) innovations of a block, beside its polynomials."""
         z, q, _, _ = self._parted(block, ar1, 0.0, 0.0)
         return np.asarray(z - q @ (q.T @ z))
 
     def _parted(
-        self, block: Block, ar1: float, white: float, of_white: float
+        self, block: NoiseBlock, ar1: float, white: float, of_white: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         """A block made white; Q and R of its polynomials; ln of the determinant."""
         u = np.linspace(-1.0, 1.0, len(block.z_m))
@@ -263,7 +263,7 @@ def _whole(
 
 
 @dataclass(frozen=True)
-class Block:
+class NoiseBlock:
     """Still coordinates of one trial: (frames, series), all seen.
 
     series  which of the trial's coordinates they are: 2 · marker + axis

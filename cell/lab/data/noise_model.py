@@ -18,8 +18,8 @@ from cell.lab.data.noise_likelihood import (
     DEGREE,
     DRIFT_DEGREE,
     MAX_AR1,
-    Block,
-    Rest,
+    NoiseBlock,
+    RestFrames,
     alike,
     dof_of,
     resolution_m,
@@ -71,7 +71,7 @@ class NoiseModel:
     dof: float
     coloured: bool = True
     correlated_channels: float = 1.0
-    rest: Rest | None = field(default=None, compare=False, repr=False)
+    rest: RestFrames | None = field(default=None, compare=False, repr=False)
     range_m: tuple[float, float] | None = None
     slow: float | None = None
     hidden: bool = False
@@ -197,7 +197,7 @@ def noise_model_of(study: Study) -> NoiseModel:
 
 
 def noise_model_of_blocks(
-    blocks: Sequence[Block],
+    blocks: Sequence[NoiseBlock],
     series: Sequence[FloatArray],
     stated: float | None,
     most: int = DEGREE,
@@ -209,14 +209,14 @@ def noise_model_of_blocks(
     """
     if not blocks:
         return None if stated is None else NoiseModel(Noise(stated), np.inf, coloured=False)
-    rest = Rest.of(blocks, resolution_m(series), most)
+    rest = RestFrames.of(blocks, resolution_m(series), most)
     found, dof = rest.likeliest()
     if stated is None:
         return NoiseModel(found, dof, rest=rest)
     return NoiseModel(Noise(stated, found.ar1), np.inf)
 
 
-def still_blocks(trial: Trial, markers: slice) -> list[Block]:
+def still_blocks(trial: Trial, markers: slice) -> list[NoiseBlock]:
     """Of every coordinate the longest run of frames in which it is seen, equal runs together.
 
     So that a lost frame costs what came before or after it, and not the marker.
@@ -232,7 +232,7 @@ def still_blocks(trial: Trial, markers: slice) -> list[Block]:
         if len(rows) >= MIN_STILL_FRAMES:
             runs.setdefault(rows.tobytes(), (rows, []))[1].append(series)
     return [
-        Block(series_m[np.ix_(rows, np.array(alike))], tuple(alike))
+        NoiseBlock(series_m[np.ix_(rows, np.array(alike))], tuple(alike))
         for rows, alike in runs.values()
     ]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cell.lab.data.noise_likelihood import DRIFT_DEGREE, Rest, resolution_m
+from cell.lab.data.noise_likelihood import DRIFT_DEGREE, RestFrames, resolution_m
 from cell.lab.data.noise_model import still_blocks
 from cell.lab.data.unknown_start import MODES
 from cell.study.data import Study, Trial
@@ -78,10 +78,10 @@ def _drift(study: Study, trial: Trial) -> RestDrift | None:
         return None
     xy_m = trial.markers.xy_m[:, markers]
     resolution = resolution_m(list(xy_m.reshape(len(xy_m), -1).T))
-    if Rest.of(blocks, resolution, FIRST_DEGREE).degree == 0:
+    if RestFrames.of(blocks, resolution, FIRST_DEGREE).degree == 0:
         return None
-    rest = Rest.of(blocks, resolution, DRIFT_DEGREE)
-    standstill = Rest(rest.blocks, 0, resolution)
+    rest = RestFrames.of(blocks, resolution, DRIFT_DEGREE)
+    standstill = RestFrames(rest.blocks, 0, resolution)
     if standstill.bic - rest.bic < DECISIVE:
         return None
     noise_m = rest.likeliest()[0].std_m

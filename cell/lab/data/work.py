@@ -66,11 +66,11 @@ DIAGNOSIS = Budget(simulated_s=60_000.0, cpu_s=54.0)
 DISCOVERY = Budget(simulated_s=240_000.0, cpu_s=240.0)
 
 
-class StoppedError(KeyboardInterrupt):
+class WorkStoppedError(KeyboardInterrupt):
     """A computation was stopped before its next simulation, to return the results so far."""
 
 
-class SpentError(StoppedError):
+class SpentError(WorkStoppedError):
     """The same because its budget is spent.  Scenario: a cable that can hardly be simulated."""
 
 
@@ -181,7 +181,7 @@ class Work:
     def check(self) -> None:
         """Raises StoppedError: no more simulations are wanted."""
         if self.stopped:
-            raise StoppedError(self.known)
+            raise WorkStoppedError(self.known)
         if not self.concluding:
             last = self._origin.plus(self.budget) if self._last is None else self._last
             if self.done.exceeds(last.plus(self.budget.share(SLACK))):

@@ -126,8 +126,8 @@ def fit_model(
 
 
 def _minimised_in_two(
-    coarse: gauss_newton.Problem,
-    problem: gauss_newton.Problem,
+    coarse: gauss_newton.LeastSquaresProblem,
+    problem: gauss_newton.LeastSquaresProblem,
     begin: FloatArray,
     options: gauss_newton.Options,
 ) -> Solution | None:
@@ -150,7 +150,7 @@ def problem_of(
     space: ParameterSpace,
     trials: Sequence[Trial],
     residual_scale: float = 1.0,
-) -> gauss_newton.Problem:
+) -> gauss_newton.LeastSquaresProblem:
     """What a fit minimises: over the cable's coordinates, then the trials' initial states.
 
     residual_scale  residuals are divided by it
@@ -168,7 +168,7 @@ def problem_of(
         def slopes(q: FloatArray) -> FloatArray:
             return residuals(near, space, trials, q) / residual_scale
 
-    return gauss_newton.Problem(
+    return gauss_newton.LeastSquaresProblem(
         residuals=lambda q: residuals(prepared, space, trials, q) / residual_scale,
         slopes=slopes,
         mean=np.concatenate([space.mean, np.zeros(len(std))]),
@@ -328,7 +328,7 @@ def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial)
     Where no work is left, as the first frames show it.
     """
     state = prepared.initial_state(trial)
-    problem = gauss_newton.Problem(
+    problem = gauss_newton.LeastSquaresProblem(
         residuals=lambda q: prepared.white(trial, prepared.predict(trial, [model] * len(q), q)),
         mean=np.zeros(state.count),
         precision=np.diag(state.std**-2),

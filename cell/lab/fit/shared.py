@@ -281,7 +281,7 @@ def _joint_problem(
     common: NDArray[np.int64],
     start: FloatArray,
     rows: Sequence[slice],
-) -> gauss_newton.Problem:
+) -> gauss_newton.LeastSquaresProblem:
     """What a fit to all cables minimises: over each cable's own coordinates, then the common ones.
 
     start  coordinates of what is not fitted
@@ -311,7 +311,7 @@ def _joint_problem(
     def joined(each: FloatArray) -> FloatArray:
         return np.concatenate([np.tile(each[:own], n), each[common]])
 
-    return gauss_newton.Problem(
+    return gauss_newton.LeastSquaresProblem(
         residuals,
         joined(space.mean),
         precision,

@@ -19,7 +19,7 @@ from cell.lab.line.learn import LearningResult
 from cell.lab.line.learning_checks import learning_answers, learning_verdict
 from cell.settings import Settings, load_settings
 from cell.settings.line import distinct, line_of
-from cell.settings.model import Model
+from cell.settings.model import ModelSettings
 from cell.settings.promotion import FORMAT
 from cell.settings.translate import model_hash
 
@@ -39,7 +39,7 @@ def write_candidate(
     path: Path,
     result: LearningResult,
     judgement: Judgement,
-    present: Model,
+    present: ModelSettings,
     lines: Sequence[Mapping[str, Any]],
     product: str | None = None,
 ) -> None:
@@ -71,7 +71,7 @@ def write_candidate(
     write_whole(path, yaml_text(content))
 
 
-def section(result: LearningResult, present: Model) -> Model:
+def section(result: LearningResult, present: ModelSettings) -> ModelSettings:
     """The present model with the effects that were learned.
 
     One parameter is written as `fixed` with its standard deviation, several as a prior, because
@@ -108,7 +108,7 @@ def section(result: LearningResult, present: Model) -> Model:
             "mean": [*old["mean"], *(_digits(v) for v in natural)],
             "covariance": [[_digits(v) for v in row] for row in joint],
         }
-    return Model.model_validate(plain)
+    return ModelSettings.model_validate(plain)
 
 
 def _digits(value: float) -> float:

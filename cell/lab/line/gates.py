@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from cell.lab.data.check import Answer
+from cell.lab.data.check import CheckOutcome
 from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.learn import LearningResult
 from cell.lab.line.learning_checks import gate_answers
@@ -19,7 +19,7 @@ from cell.settings.translate import cable_of, identification_of
 class Judgement:
     """Conditions that a candidate was held against, and the forecasts they rest on."""
 
-    gates: tuple[Answer[LineEvidence], ...] = ()
+    gates: tuple[CheckOutcome[LineEvidence], ...] = ()
     paired: tuple[ForecastPair, ...] = ()
 
     @property
@@ -51,7 +51,7 @@ def judge(
 
 def gates(
     result: LearningResult, paired: Sequence[ForecastPair], destination: Destination
-) -> list[Answer[LineEvidence]]:
+) -> list[CheckOutcome[LineEvidence]]:
     """All conditions that apply, each with what was found."""
     return gate_answers(LineEvidence(result, paired, destination))
 

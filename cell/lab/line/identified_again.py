@@ -13,7 +13,7 @@ from typing import Any, Literal
 from cell.files.input_error import InputError
 from cell.identify.identified import Identified
 from cell.lab.line.identify_again import (
-    Recorded,
+    RecordedCable,
     Rejected,
     identify_again,
     study_to_identify,
@@ -68,7 +68,7 @@ def identified_again(recording: Packed) -> IdentifiedAgain:
             file.write_bytes(content)
         try:
             study = study_to_identify(folder)
-            found = identify_again(Recorded(folder, study, recording.options))
+            found = identify_again(RecordedCable(folder, study, recording.options))
         except (InputError, ValueError) as error:
             why = str(error).replace(str(folder), recording.name)
             return IdentifiedAgain(recording.name, recording.key, "failed", without, why=why)

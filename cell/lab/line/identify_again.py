@@ -24,7 +24,7 @@ from cell.study.pull import with_pull
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecordedCable:
     """A recorded cable: its study, and with which model it is to be identified."""
 
     folder: Path
@@ -39,7 +39,7 @@ class Rejected:
     reason: str
 
 
-def read_recorded(folder: Path, config: Path | None, effects: Sequence[str]) -> Recorded:
+def read_recorded(folder: Path, config: Path | None, effects: Sequence[str]) -> RecordedCable:
     """The cable of a cycle's folder, or of any study.
 
     config   settings whose `model` is used; None = as recorded with the cycle, or the baseline
@@ -50,7 +50,7 @@ def read_recorded(folder: Path, config: Path | None, effects: Sequence[str]) -> 
     study = study_to_identify(folder)
     recorded = (folder / "state.json").exists()
     settings = config or (folder / "settings.yaml" if recorded else None)
-    return Recorded(folder, study, options_with(settings, effects))
+    return RecordedCable(folder, study, options_with(settings, effects))
 
 
 def study_to_identify(folder: Path) -> Study:
@@ -82,7 +82,7 @@ def options_with(settings: Path | None, effects: Sequence[str]) -> IdentifyOptio
     return with_effects(options, in_model)
 
 
-def identify_again(recorded: Recorded) -> Identified | Rejected:
+def identify_again(recorded: RecordedCable) -> Identified | Rejected:
     """The cable as its first trial with the role `fit` shows it."""
     study = recorded.study
     try:

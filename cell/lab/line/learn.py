@@ -119,7 +119,7 @@ def learn(
     executor = this_computer(min(threads(), len(cycles))) if executor is None else executor
     usable = identified_cables(cycles, cable, options, progress, budget, executor)
     chosen = learned_from(usable, budget)
-    line = _Line(
+    line = _LineCables(
         tuple(c for c, _ in chosen),
         options.kind.space(cable, chosen[0][0].study.gravity_m_per_s2),
         np.array([found.mean for _, found in chosen]),
@@ -134,7 +134,7 @@ def learn(
 
 
 @dataclass(frozen=True, eq=False)
-class _Line:
+class _LineCables:
     """Cables that are learned from, and what is tried on them.
 
     base       parameters of one cable by the present model

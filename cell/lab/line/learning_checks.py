@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cell.lab.data.check import Answer, Check, worst_verdict
+from cell.lab.data.check import Check, CheckOutcome, worst_verdict
 from cell.lab.data.results import Verdict
 from cell.lab.line import learning_questions as questions
 from cell.lab.line.learn import LearningResult
@@ -64,12 +64,14 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
 )
 
 
-def learning_answers(result: LearningResult) -> list[Answer[LineEvidence]]:
+def learning_answers(result: LearningResult) -> list[CheckOutcome[LineEvidence]]:
     """Of every question that is asked of what was learned."""
     return [check.ask(LineEvidence(result)) for check in LEARNING]
 
 
-def learning_verdict(result: LearningResult, found: Sequence[Answer[LineEvidence]]) -> Verdict:
+def learning_verdict(
+    result: LearningResult, found: Sequence[CheckOutcome[LineEvidence]]
+) -> Verdict:
     """Of what was learned; nothing is complete while effects were left out of the search."""
     verdict = worst_verdict(found, result.best is None)
     return "cannot_tell" if verdict == "complete" and result.left_out else verdict
@@ -167,7 +169,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
 )
 
 
-def gate_answers(evidence: LineEvidence) -> list[Answer[LineEvidence]]:
+def gate_answers(evidence: LineEvidence) -> list[CheckOutcome[LineEvidence]]:
     """Of every condition that applies to a candidate."""
     found = [gate.ask(evidence) for gate in GATES]
     return [answer for answer in found if answer.passed is not None]

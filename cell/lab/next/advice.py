@@ -40,7 +40,7 @@ def meaning(diagnosis: Diagnosis) -> str:
 
 
 @dataclass(frozen=True)
-class Step:
+class NextStep:
     """A suggested next step: why, and the command, if there is one."""
 
     why: str
@@ -48,13 +48,13 @@ class Step:
 
 
 #: Where no parameter of the model means anything, nothing is to be fitted or looked for.
-MEND = Step(
+MEND = NextStep(
     "Correct the study first: signs and axes of its frame, gravity, the order of the markers, the "
     "datasheet, one clock for both files. The cable must be held at one end only."
 )
 
 
-REST = Step(
+REST = NextStep(
     "Record more frames at rest before each motion, or state the measurement's error as "
     "noise_std_m in study.yaml."
 )
@@ -96,13 +96,13 @@ def _shown(path: Path) -> Path:
 
 def comparison_steps(
     paths: Paths, effects: Iterable[str], known: Iterable[str] = ()
-) -> tuple[Step, ...]:
+) -> tuple[NextStep, ...]:
     """Commands that fit a model without and with effects, and compare the two."""
     both = "--model before.json --model after.json --report comparison.html"
     return (
-        Step("Fit the model before", paths.command("fit", known, "-o before.json")),
-        Step("Fit the model after", paths.command("fit", [*known, *effects], "-o after.json")),
-        Step("Compare the errors of both", paths.command("compare", (), both)),
+        NextStep("Fit the model before", paths.command("fit", known, "-o before.json")),
+        NextStep("Fit the model after", paths.command("fit", [*known, *effects], "-o after.json")),
+        NextStep("Compare the errors of both", paths.command("compare", (), both)),
     )
 
 
@@ -112,7 +112,7 @@ def advice(
     *,
     known: tuple[str, ...] = (),
     accepted: tuple[str, ...] = (),
-) -> tuple[Step, ...]:
+) -> tuple[NextStep, ...]:
     """What to do after a diagnosis; nothing with an effect that the diagnosis itself rules out.
 
     known     effects that were part of the model
@@ -125,12 +125,12 @@ def advice(
     found = [f.effect for f in diagnosis.missing]
     ruled_out = {r.effect for r in diagnosis.ranking if r.status == "absent"}
     accepted = tuple(e for e in accepted if e not in ruled_out)
-    motion = Step(
+    motion = NextStep(
         "Find the motion that distinguishes them", paths.command("suggest", known, "-o motion.yaml")
     )
     match diagnosis.verdict:
         case "complete":
-            return (Step("Nothing needs to be added."),)
+            return (NextStep("Nothing needs to be added."),)
         case "missing":
             tied = any(f.tied_with for f in diagnosis.missing)
             return (*comparison_steps(paths, found, known), *([motion] if tied else []))
@@ -140,21 +140,21 @@ def advice(
             beside = f" beside {' and '.join(there)}" if there else ""
             look = paths.command("discover", there, f"-o {_new_law(there)}.py")
             fall = comparison_steps(paths, accepted, known) if accepted else ()
-            return (*fall, Step(f"Search for an unknown law{beside}", look))
+            return (*fall, NextStep(f"Search for an unknown law{beside}", look))
         case _:
-            return (Step("Measure more. " + motion.why, motion.command),)
+            return (NextStep("Measure more. " + motion.why, motion.command),)
 
 
 def after_discovery(
     effect: str, complete: bool, paths: Paths, known: tuple[str, ...] = ()
-) -> tuple[Step, ...]:
+) -> tuple[NextStep, ...]:
     """What to do with a discovered law."""
     steps = comparison_steps(paths, [effect], known)
     if complete:
         return steps
     there = [*known, effect]
     more = paths.command("discover", there, f"-o {_new_law(there)}.py")
-    return (*steps, Step("Search for what is missing beside it", more))
+    return (*steps, NextStep("Search for what is missing beside it", more))
 
 
 def _new_law(taken: Iterable[str]) -> str:

@@ -50,7 +50,7 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Forecast:
+class PowerForecast:
     """Of an effect hidden in a study: what a diagnosis is likely to say.
 
     size      of the amplitude asked; None = none within its bounds has the power
@@ -69,7 +69,7 @@ class Forecast:
 
 def forecast(
     fits: FitCache, asked: AskedEffect, linear: LinearStudy, rules: Rules = DEFAULT_RULES
-) -> Forecast:
+) -> PowerForecast:
     """What a diagnosis of a study with this effect would say, and from which size on it names it.
 
     linear  the study near the baseline of `fits`
@@ -80,10 +80,10 @@ def forecast(
     size = smallest if asked.size is None else asked.size
     found = at.tests(begin if size is None else size)
     if found is None:
-        return Forecast(size, None, smallest, (), None)
+        return PowerForecast(size, None, smallest, (), None)
     tests, hidden, rivals = found
     unlike = linear.unlike_all(hidden[None])[0]
-    return Forecast(
+    return PowerForecast(
         size,
         None if size is None else tests.chances(1.0, rules),
         smallest,

@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class HiddenEffectWorld:
     """A cable as fitted to a study, with an effect: what copies of the study are measured of.
 
     clean_m   per trial (times, markers, 2), m, by a finer mesh than the fit's
@@ -49,7 +49,7 @@ class World:
         fit: Fit,
         hidden: ActiveEffect | None,
         trials: Sequence[Trial] | None = None,
-    ) -> World:
+    ) -> HiddenEffectWorld:
         """The model of a fit and an effect, on the study's own motions or on other trials'.
 
         raises  UnsimulatedError: it cannot be simulated
@@ -64,7 +64,7 @@ class World:
             name = "" if hidden is None else f" with {hidden.effect.name} {hidden.values}"
             raise UnsimulatedError(f"the cable{name} cannot be simulated; give a smaller size")
         clean = {t.name: points[0] for t, points in zip(trials, places, strict=True)}
-        return World(replace(prepared.study, trials=trials), prepared, clean, channels)
+        return HiddenEffectWorld(replace(prepared.study, trials=trials), prepared, clean, channels)
 
     def copy(self, number: int) -> Study:
         """What would be measured once more; the same for the same number."""

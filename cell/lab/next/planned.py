@@ -10,7 +10,7 @@ import numpy as np
 from cell.cable.geometry import Motion
 from cell.lab.data.planned_trials import planned_trials, usual_step_s
 from cell.lab.data.prepared import PreparedStudy, as_measured
-from cell.lab.next.hidden import World
+from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study
 
@@ -37,7 +37,7 @@ def with_motions(fits: FitCache, hands: Sequence[tuple[str, Motion]]) -> FitCach
     planned = tuple(
         replace(t, grip=_logged(measured, t.grip, number)) for number, t in enumerate(planned)
     )
-    world = World.of(known, fits.baseline().fit, None, planned)
+    world = HiddenEffectWorld.of(known, fits.baseline().fit, None, planned)
     study = replace(measured, trials=(*measured.trials, *world.copy(_NOISE).trials))
     given = PreparedStudy.of(study, solver=fits.given.solver, work=fits.work)
     return FitCache(given, fits.space, fits.library, fits.progress, sought=fits.sought)

@@ -18,8 +18,8 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.results import Diagnosis
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.data.work import DIAGNOSIS, SpentError, StoppedError, Work
-from cell.lab.next.hidden import World
+from cell.lab.data.work import DIAGNOSIS, SpentError, Work, WorkStoppedError
+from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.diagnose import diagnose
 from cell.workers.executor import Executor
@@ -31,7 +31,7 @@ Said = Literal["found", "confused", "missed", "undecided", "unexplained", "faile
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CopyOutcome:
     """What a diagnosis says of a copy of a study.
 
     said   found: the effect is claimed, alone or in a tie, and nothing else; confused: another is
@@ -52,7 +52,7 @@ class Recovery:
     """
 
     asked: int
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[CopyOutcome, ...]
 
     def count(self, *said: Said) -> int:
         """Copies of which any of these is said."""
@@ -80,7 +80,7 @@ class Recovery:
 class _CopyDiagnosed:
     """What the diagnosis of a copy of a study says, by the copy's number."""
 
-    world: World
+    world: HiddenEffectWorld
     space: ParameterSpace
     library: Mapping[str, type[Effect]]
     sought: tuple[type[Effect], ...]
@@ -88,7 +88,7 @@ class _CopyDiagnosed:
     name: str
     rules: Rules
 
-    def __call__(self, number: int) -> Outcome:
+    def __call__(self, number: int) -> CopyOutcome:
         """Each copy has the budget of a diagnosis."""
         work = Work(DIAGNOSIS)
         try:
@@ -97,7 +97,7 @@ class _CopyDiagnosed:
             said = judged(diagnose(copy, self.rules).diagnosis, self.name)
         except (*UNSIMULATED, SpentError, NoiseUnknownError) as error:
             _LOG.info("copy %d: %s", number, error)
-            said = Outcome("failed")
+            said = CopyOutcome("failed")
         return said
 
 
@@ -121,7 +121,7 @@ def recover(
     """
     name = hidden.effect.name
     of_copy = _CopyDiagnosed(
-        World.of(fits.prepared, fits.baseline().fit, hidden),
+        HiddenEffectWorld.of(fits.prepared, fits.baseline().fit, hidden),
         fits.space,
         fits.library,
         fits.sought,
@@ -129,7 +129,7 @@ def recover(
         name,
         rules,
     )
-    outcomes: list[Outcome] = []
+    outcomes: list[CopyOutcome] = []
     progress(f"diagnosing copies with {name}", 0, copies)
     executor = this_computer(min(threads(), copies)) if executor is None else executor
     numbers = range(first, first + copies)
@@ -140,17 +140,17 @@ def recover(
                 outcomes.append(outcome)
                 _LOG.info("copy %d: %s %s", number, outcome.said, ", ".join(outcome.named))
                 progress(f"diagnosing copies with {name}", len(outcomes), copies)
-    except StoppedError:
+    except WorkStoppedError:
         fits.work.stopped = False
     return Recovery(copies, tuple(outcomes))
 
 
-def judged(diagnosis: Diagnosis, name: str) -> Outcome:
+def judged(diagnosis: Diagnosis, name: str) -> CopyOutcome:
     """A diagnosis beside the name of what is hidden."""
     named = [(m.effect, *m.tied_with) for m in diagnosis.missing]
     words = tuple(" or ".join(names) for names in named)
     if diagnosis.verdict == "missing":
         alone = len(named) == 1 and name in named[0]
-        return Outcome("found" if alone else "confused", words)
+        return CopyOutcome("found" if alone else "confused", words)
     said: dict[str, Said] = {"complete": "missed", "cannot_tell": "undecided"}
-    return Outcome(said.get(diagnosis.verdict, "unexplained"), words)
+    return CopyOutcome(said.get(diagnosis.verdict, "unexplained"), words)

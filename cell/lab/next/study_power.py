@@ -13,7 +13,7 @@ from cell.lab.data.results import Doubt
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.next.asked import AskedEffect
 from cell.lab.next.decisions import Chances
-from cell.lab.next.forecast import POWER, Forecast, forecast
+from cell.lab.next.forecast import POWER, PowerForecast, forecast
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.recovery import Recovery, recover
 from cell.lab.search.fit_cache import FitCache
@@ -32,7 +32,7 @@ class EffectPower:
     """
 
     asked: AskedEffect
-    forecast: Forecast
+    forecast: PowerForecast
     recovery: Recovery | None = None
 
     def to_json(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cell.files.table import TableData
 from cell.files.words import counted
-from cell.lab.data.check import Answer
+from cell.lab.data.check import CheckOutcome
 from cell.lab.data.results import Verdict
 from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.learn import LearningResult
@@ -86,7 +86,7 @@ def _nothing(result: LearningResult) -> str:
 
 
 def learning_parts(
-    result: LearningResult, judged: Sequence[Answer[LineEvidence]]
+    result: LearningResult, judged: Sequence[CheckOutcome[LineEvidence]]
 ) -> list[str | TableData]:
     """What the result rests on: the verdict, its checks, the evidence of each cycle, the gates."""
     found = learning_answers(result)
@@ -114,7 +114,7 @@ def cycle_table(result: LearningResult) -> TableData:
     return TableData(title, ["cycle", "speaks", "fall of χ²", name, "±"], rows, (2, 3, 4))
 
 
-def gates_table(judged: Sequence[Answer[LineEvidence]]) -> TableData:
+def gates_table(judged: Sequence[CheckOutcome[LineEvidence]]) -> TableData:
     """What a candidate must pass."""
     limits = [row[2] for row in check_rows([g.result for g in judged])]
     rows = [

@@ -32,7 +32,7 @@ FACT_NOTE = (
 
 
 @dataclass(frozen=True)
-class Look:
+class StudyOverview:
     """What is shown of measurements.
 
     title  of the page
@@ -85,7 +85,7 @@ class _TrialPlots:
         )
 
 
-def look_page(look: Look) -> str:
+def look_page(look: StudyOverview) -> str:
     """One page with the pictures of all trials, one shown at a time."""
     count, trials = len(look.wrong) + len(look.odd), len(look.trials)
     if look.wrong:
@@ -107,14 +107,14 @@ def look_page(look: Look) -> str:
     )
 
 
-def _plots(look: Look) -> list[_TrialPlots]:
+def _plots(look: StudyOverview) -> list[_TrialPlots]:
     """Of every trial; of none if their facts are not known."""
     if not look.facts:
         return []
     return [_TrialPlots.of(t, f) for t, f in zip(look.trials, look.facts, strict=True)]
 
 
-def facts_table(look: Look) -> TableData:
+def facts_table(look: StudyOverview) -> TableData:
     """Facts of every trial, one row each; its title is for a terminal."""
     rows = [
         [

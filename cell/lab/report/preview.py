@@ -9,7 +9,7 @@ import numpy as np
 
 from cell.files.input_error import InputError
 from cell.files.yaml_document import Document
-from cell.lab.report.look_page import Look
+from cell.lab.report.look_page import StudyOverview
 from cell.study.facts import facts_of
 from cell.study.imports.convert import study_of, trials_of
 from cell.study.imports.finding import Finding, Sure
@@ -27,7 +27,9 @@ _HEADS = {
 }
 
 
-def preview_of(files: Sequence[Files], understood: Understanding, mapping_file: Path) -> Look:
+def preview_of(
+    files: Sequence[Files], understood: Understanding, mapping_file: Path
+) -> StudyOverview:
     """Trials as they would be, what is odd, and what the study would be refused for.
 
     mapping_file  where the mapping will be, for complaints about it
@@ -50,7 +52,7 @@ def preview_of(files: Sequence[Files], understood: Understanding, mapping_file: 
     odd = [*notes, *oddities(facts, read.mapping.noise_std_m)]
     wrong = [str(p) for p in problems]
     title = f"Preview of {read.mapping.name}: nothing is written yet"
-    return Look(
+    return StudyOverview(
         read.mapping.name, title, trials, facts, _in_groups(understood.findings), wrong, odd
     )
 

@@ -14,7 +14,7 @@ from cell.files.page import Plot, page
 from cell.files.table import TableData
 from cell.identify.identified import Identified
 from cell.lab.data.results import Diagnosis
-from cell.lab.next.advice import Step, meaning
+from cell.lab.next.advice import NextStep, meaning
 from cell.lab.report.cable_overlay import overlay
 from cell.lab.report.curves import profile_curves
 from cell.lab.report.figures import by_trial, history, profiles, ranking, residual_maps, waterfall
@@ -69,7 +69,7 @@ class _Where:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _TrialPlots:
     """Overlay and residual maps of a trial."""
 
     name: str
@@ -84,7 +84,7 @@ def diagnosis_page(
     diagnosis: Diagnosis,
     comparisons: Sequence[Comparison],
     model: Identified,
-    steps: Sequence[Step],
+    steps: Sequence[NextStep],
 ) -> str:
     """Report of a diagnosis.
 
@@ -248,7 +248,7 @@ def _goes_with(where: TrialResidual) -> str:
     return ", ".join(found[:2]) or "–"
 
 
-def _trials(series: Sequence[Series]) -> list[_Trial]:
+def _trials(series: Sequence[Series]) -> list[_TrialPlots]:
     """Overlay and residual maps of every trial; one is shown at a time, at first the worst."""
     comparison = series[0].comparison
     worst = int(np.argmax([w.rms_m if np.isfinite(w.rms_m) else 0.0 for w in comparison.where]))
@@ -259,7 +259,7 @@ def _trials(series: Sequence[Series]) -> list[_Trial]:
         figures = Plot.of(overlay(series, i)), Plot.of(residual_maps(series, i))
         wrench = wrench_overlay(series, trial.name)
         shown = None if wrench is None else Plot.of(wrench)
-        found.append(_Trial(trial.name, note, i == worst, *figures, shown))
+        found.append(_TrialPlots(trial.name, note, i == worst, *figures, shown))
     return found
 
 

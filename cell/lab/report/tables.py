@@ -9,7 +9,7 @@ import numpy as np
 from cell.files.table import TableData
 from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.next.advice import STATUSES, Step, meaning
+from cell.lab.next.advice import STATUSES, NextStep, meaning
 from cell.lab.report.wording import (
     AGREEMENT_NOTE,
     CHECK_HEADS,
@@ -180,7 +180,7 @@ def agreement_table(found: Sequence[Agreement]) -> TableData:
 
 
 def diagnosis_parts(
-    diagnosis: Diagnosis, comparisons: Sequence[Comparison], steps: Sequence[Step]
+    diagnosis: Diagnosis, comparisons: Sequence[Comparison], steps: Sequence[NextStep]
 ) -> list[str | TableData]:
     """All that is printed of a diagnosis, in its order.
 
@@ -222,7 +222,7 @@ def warning_lines(warnings: Sequence[Doubt]) -> list[str]:
     return [f"Warning: {w.message}." for w in warnings]
 
 
-def steps_text(steps: Sequence[Step]) -> str:
+def steps_text(steps: Sequence[NextStep]) -> str:
     """Next steps as text: why, and below it the command."""
     return "\n".join(
         f"{step.why}:\n    {step.command}" if step.command else step.why for step in steps

@@ -42,7 +42,7 @@ BY_CHANCE = 0.1
 
 
 @dataclass(eq=False)
-class _Memory:
+class _FittedModels:
     """What has been fitted so far."""
 
     baseline: BaselineFit | None = None
@@ -77,7 +77,7 @@ class FitCache:
     sought: tuple[type[Effect], ...] = ()
     found: FittedModel | None = None
     earlier: Mapping[frozenset[str], FittedModel] = field(default_factory=dict)
-    _memory: _Memory = field(default_factory=_Memory)
+    _memory: _FittedModels = field(default_factory=_FittedModels)
 
     @property
     def work(self) -> Work:
@@ -285,7 +285,7 @@ def settled_beside(fits: FitCache, found: FittedModel) -> FitCache | None:
         return None
     begin, earlier = fits.baseline().fit.q, {m.names: m for m in fits.known()}
     return replace(
-        fits, given=settled, begin=begin, found=found, earlier=earlier, _memory=_Memory()
+        fits, given=settled, begin=begin, found=found, earlier=earlier, _memory=_FittedModels()
     )
 
 
@@ -299,14 +299,14 @@ def rebased(fits: FitCache, start: FloatArray, least: float) -> FitCache:
         fit = fit_model(fits.prepared, base.fit.space, start, options=POLISH)
         if fit.objective < base.fit.objective - least:
             known = {base.names: weighed(fits.prepared, base.effects, fit)}
-            others = _Memory(memory.baseline, memory.second, memory.prior, models=known)
+            others = _FittedModels(memory.baseline, memory.second, memory.prior, models=known)
             return replace(fits, _memory=others)
     return fits
 
 
 def another_search(fits: FitCache, library: Mapping[str, type[Effect]]) -> FitCache:
     """A cache of the same study with other effects to try, nothing fitted yet."""
-    return replace(fits, library=library, _memory=_Memory())
+    return replace(fits, library=library, _memory=_FittedModels())
 
 
 def with_joined(
@@ -326,7 +326,7 @@ def with_joined(
     q = np.clip(space.coordinates(natural), space.low, space.high)
     fit = fit_model(fits.prepared, space, q, model.fit.initial_states, options=POLISH)
     joined, base = weighed(fits.prepared, effects, fit), fits.baseline()
-    memory = _Memory(fits._memory.baseline, models={base.names: base, joined.names: joined})
+    memory = _FittedModels(fits._memory.baseline, models={base.names: base, joined.names: joined})
     return replace(fits, library={effect.name: effect}, _memory=memory), joined
 
 

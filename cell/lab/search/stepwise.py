@@ -20,7 +20,7 @@ State = TypeVar("State")
 Option = TypeVar("Option")
 
 
-class Space(Protocol[State]):
+class ModelSpace(Protocol[State]):
     """Sets of effects, fitted."""
 
     def extended(self, model: State) -> Sequence[State]:
@@ -59,7 +59,7 @@ def levels(
 
 
 def exchanged(
-    space: Space[FittedModel],
+    space: ModelSpace[FittedModel],
     model: FittedModel,
     better: Callable[[FittedModel, Sequence[FittedModel], FittedModel], FittedModel | None],
     allowed: Callable[[], bool],
@@ -86,7 +86,7 @@ def exchanged(
     return model
 
 
-def pruned(space: Space[State], model: State, needed: Callable[[State, State], bool]) -> State:
+def pruned(space: ModelSpace[State], model: State, needed: Callable[[State, State], bool]) -> State:
     """The model without effects that the others have made unnecessary.
 
     needed  whether an effect is, by the model without it and the model
@@ -97,7 +97,9 @@ def pruned(space: Space[State], model: State, needed: Callable[[State, State], b
     return model
 
 
-def in_order(space: Space[State], model: State, score: Callable[[State], float]) -> list[State]:
+def in_order(
+    space: ModelSpace[State], model: State, score: Callable[[State], float]
+) -> list[State]:
     """From the start to the model, each time without the effect that the rest needs least."""
     steps = [model]
     while smaller := list(space.reduced(steps[0])):

@@ -23,7 +23,7 @@ MAX_FREQUENCIES = 200
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class PowerSpectrum:
     """Residual and noise power per coordinate, m²/Hz, at `frequency_hz`."""
 
     frequency_hz: FloatArray
@@ -31,7 +31,7 @@ class Spectrum:
     noise: FloatArray
 
 
-def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
+def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> PowerSpectrum:
     """Mean power over all coordinates against that of the noise (Lomb and Scargle: any stamps)."""
     span_s = float(t_s[-1] - t_s[0])
     highest = 0.5 / float(np.median(np.diff(t_s)))
@@ -52,7 +52,7 @@ def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> Spectrum:
     shape = noise.white + (1.0 - noise.white) * (1.0 - ar1**2) / (
         1.0 - 2.0 * ar1 * np.cos(2.0 * np.pi * frequency * frame_s) + ar1**2
     )
-    return Spectrum(frequency, power, 2.0 * noise.std_m**2 * frame_s * shape)
+    return PowerSpectrum(frequency, power, 2.0 * noise.std_m**2 * frame_s * shape)
 
 
 def lomb_scargle(t_s: FloatArray, values: FloatArray, frequency_hz: FloatArray) -> FloatArray:

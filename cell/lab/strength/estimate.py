@@ -29,7 +29,7 @@ MIN_FREEDOM = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class ParameterEstimate:
     """A model's parameters from every trial of a study.
 
     fit           to all trials, those held out included: they have done their work as judges
@@ -91,7 +91,9 @@ class Estimate:
         }
 
 
-def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()) -> Estimate:
+def estimate(
+    prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()
+) -> ParameterEstimate:
     """The parameters of a fitted model, from all trials; the fit's own if one cannot be simulated.
 
     effects  that it may lack
@@ -99,11 +101,11 @@ def estimate(prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] 
     try:
         whole = of_all_trials(prepared, fit)
     except UNSIMULATED:
-        return Estimate(fit, 1.0)
+        return ParameterEstimate(fit, 1.0)
     solution, p = whole.fit.solution, len(fit.q)
     beside = whole.systematic_error.covariance((solution.covariance @ solution.jacobian.T)[:p])
     beside = beside + omitted_effect_bias(whole, effects).covariance + solution.unfinished[:p, :p]
-    return Estimate(whole.fit, disagreement(prepared, whole.fit), beside)
+    return ParameterEstimate(whole.fit, disagreement(prepared, whole.fit), beside)
 
 
 def disagreement(prepared: PreparedStudy, whole: Fit) -> float:

@@ -13,7 +13,7 @@ from scipy.special import ndtri as normal_quantile
 from cell.files.plain import plain
 from cell.identify.gauss_newton import Options, minimise
 from cell.identify.identified import Identified
-from cell.identify.profile import Profile, profile
+from cell.identify.profile import LikelihoodProfile, profile
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.fit.fitting import Fit, fit_trials, problem_of
@@ -98,7 +98,7 @@ def each_profile(
 
 
 def _natural(
-    fit: Fit, of: Profile, i: int, best: float, wald: tuple[float, float]
+    fit: Fit, of: LikelihoodProfile, i: int, best: float, wald: tuple[float, float]
 ) -> ParameterProfile:
     """A profile of coordinate i in natural values; those of initial states have no name."""
     space = fit.space

@@ -12,7 +12,7 @@ from cell.cable.still import moves_from_s
 from cell.identify.noise import Noise, rms, still_frames
 from cell.lab.statistics.series import (
     LAGS,
-    Spectrum,
+    PowerSpectrum,
     correlation,
     ljung_box,
     smoothed,
@@ -29,7 +29,7 @@ PHASES = ("still", "moving", "early swing", "late swing")
 
 
 @dataclass(frozen=True)
-class Profile:
+class ResidualProfile:
     """rms residual over groups: `centre`, `rms_m` (groups,); nan where nothing was seen."""
 
     centre: FloatArray
@@ -57,10 +57,10 @@ class TrialResidual:
 
     trial: str
     rms_m: float
-    by_time: Profile
-    by_arc_length: Profile
+    by_time: ResidualProfile
+    by_arc_length: ResidualProfile
     by_phase: dict[str, float]
-    spectrum: Spectrum
+    spectrum: PowerSpectrum
     whiteness_p_value: float
     correlations: tuple[Correlation, ...]
 
@@ -86,8 +86,8 @@ def trial_residual(
     return TrialResidual(
         trial=trial.name,
         rms_m=rms(residual),
-        by_time=Profile(0.5 * (edges[1:] + edges[:-1]), np.array(by_time)),
-        by_arc_length=Profile(
+        by_time=ResidualProfile(0.5 * (edges[1:] + edges[:-1]), np.array(by_time)),
+        by_arc_length=ResidualProfile(
             arc_length_m, np.array([rms(residual[:, m]) for m in range(residual.shape[1])])
         ),
         by_phase={p: rms(residual[names == p]) for p in PHASES},
@@ -106,8 +106,8 @@ def unsimulated_trial(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> T
     return TrialResidual(
         trial=trial.name,
         rms_m=float("inf"),
-        by_time=Profile(0.5 * (edges[1:] + edges[:-1]), np.full(bins, np.nan)),
-        by_arc_length=Profile(arc_length_m, np.full(markers, np.nan)),
+        by_time=ResidualProfile(0.5 * (edges[1:] + edges[:-1]), np.full(bins, np.nan)),
+        by_arc_length=ResidualProfile(arc_length_m, np.full(markers, np.nan)),
         by_phase=dict.fromkeys(PHASES, float("nan")),
         spectrum=blank,
         whiteness_p_value=float("nan"),

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from cell.lab.data.check import Answer, Check, Reading
+from cell.lab.data.check import Check, CheckOutcome, Reading
 from cell.lab.verdict import doubts, questions
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.prior_check import prior_driven_effects
@@ -223,7 +223,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
 CHECKS = (*LEAVES_NOISE, *MAY_BE_CLAIMED)
 
 
-def answers(evidence: Evidence) -> Iterator[Answer[Evidence]]:
+def answers(evidence: Evidence) -> Iterator[CheckOutcome[Evidence]]:
     """Of every check that is needed for the verdict, in order.
 
     Where a model is far above the noise, nothing is asked after the first check that fails; what

@@ -11,7 +11,7 @@ from cell.lab.data.check import worst_verdict
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt, Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.data.work import SpentError, StoppedError
+from cell.lab.data.work import SpentError, WorkStoppedError
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect
@@ -76,7 +76,7 @@ def diagnose(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
     searches = [fits]
     try:
         return _examined(searches, rules)
-    except StoppedError as error:
+    except WorkStoppedError as error:
         known = _last_known(searches)
         if known is None:
             raise
@@ -192,7 +192,7 @@ def _diagnosis(
     )
 
 
-def _so_far(fits: FitCache, rules: Rules, error: StoppedError) -> Examination:
+def _so_far(fits: FitCache, rules: Rules, error: WorkStoppedError) -> Examination:
     """What is known of a study when its diagnosis is stopped, nothing of it confirmed."""
     base = fits.baseline()
     tried = sum(len(c.names) == len(base.names) + 1 for c in fits.known())

@@ -12,7 +12,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import Rules
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.strength.estimate import Estimate, estimate
+from cell.lab.strength.estimate import ParameterEstimate, estimate
 from cell.lab.verdict.own_checks import p_values
 from cell.lab.verdict.smooth_part import SmoothPart, smooth_part
 
@@ -62,7 +62,7 @@ class Evidence:
         return above_noise(self.fits, self.final)
 
     @cached_property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> ParameterEstimate:
         """The parameters from all trials; the covariance allows for effects that it may lack."""
         return estimate(self.prepared, self.final.fit, self.fits.library.values())
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.results import Limit
-from cell.lab.data.work import SpentError, StoppedError
+from cell.lab.data.work import SpentError, WorkStoppedError
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
@@ -33,7 +33,7 @@ def with_limits(examination: Examination) -> Examination:
             if work.spent:
                 return _without(examination, _LIMITS, spent=True)
             found = _limits(examination)
-    except StoppedError as error:
+    except WorkStoppedError as error:
         work.conclude()
         return _without(examination, _LIMITS, spent=isinstance(error, SpentError))
     return replace(examination, diagnosis=replace(diagnosis, limits=found))
@@ -78,7 +78,7 @@ def with_agreement(examination: Examination) -> Examination:
             if work.spent:
                 return _without(examination, _AGREEMENT, spent=True)
             found = agreement(fits.prepared, examination.final.fit, fits.progress)
-    except StoppedError as error:
+    except WorkStoppedError as error:
         work.conclude()
         return _without(examination, _AGREEMENT, spent=isinstance(error, SpentError))
     return replace(examination, diagnosis=replace(diagnosis, agreement=found))

@@ -14,7 +14,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect
 from cell.lab.statistics.score import holm
-from cell.lab.strength.estimate import Estimate, estimate
+from cell.lab.strength.estimate import ParameterEstimate, estimate
 from cell.lab.verdict.evidence import above_noise
 from cell.lab.verdict.fit_doubts import is_meaningless
 from cell.lab.verdict.residual_summary import removed_share, residual_summary
@@ -54,7 +54,7 @@ def _found(
     large: FittedModel,
     tied: Mapping[str, Sequence[str]],
     library: int,
-    final: Estimate,
+    final: ParameterEstimate,
     rules: Rules,
 ) -> MissingEffect:
     effect = added_effect(small, large)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from cell.plant.handshake.signals import Inputs, Outputs
 from cell.plant.messages import Status
 from cell.records.result import Outcome
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 
 #: A cycle, or what ends it, is under way.
 _BUSY = frozenset(
@@ -67,7 +67,7 @@ class Memory:
     results: int = 0
     outcome: Outcome | None = None
     start: bool = True
-    pause: Event | None = None
+    pause: MachineEvent | None = None
     cleared: bool = False
 
 
@@ -75,13 +75,13 @@ class Memory:
 class Ask:
     """A command that the rules ask the cell for, its note, and the product of a start."""
 
-    command: Event
+    command: MachineEvent
     note: str = ""
     product: str | None = None
 
 
 @dataclass(frozen=True)
-class Look:
+class PlcInputs:
     """All that a rule may look at, at one moment."""
 
     inputs: Inputs
@@ -106,7 +106,7 @@ class Look:
     @property
     def is_suspended_here(self) -> bool:
         """Whether the cell is suspended, or is to be, because of the machines beside it."""
-        if self.memory.pause is Event.SUSPEND:
+        if self.memory.pause is MachineEvent.SUSPEND:
             return self.is_in(CellState.EXECUTE) or self.status.state in _SUSPENDING
         told = {"upstream", "downstream"} & set(self.status.waiting_for)
         return self.is_in(CellState.SUSPENDED) and bool(told) and self.memory.pause is None
@@ -141,7 +141,7 @@ class Look:
         """Whether a start would be obeyed."""
         return (
             self.is_in(CellState.IDLE)
-            and Event.START in self.status.possible
+            and MachineEvent.START in self.status.possible
             and not self.is_faulted
             and self.inputs.product <= len(self.status.products)
             and self.inputs.part_present
@@ -154,25 +154,27 @@ class Look:
 class Rule:
     """When which command is asked for."""
 
-    command: Event
-    applies: Callable[[Look], bool]
+    command: MachineEvent
+    applies: Callable[[PlcInputs], bool]
 
 
 #: The first that applies is asked for; the others have lost their edge.
 RULES = (
-    Rule(Event.STOP, lambda now: now.rose("stop") and Event.STOP in now.status.possible),
-    Rule(Event.CLEAR, lambda now: now.rose("acknowledge") and now.is_in(CellState.ABORTED)),
-    Rule(Event.RESET, lambda now: now.is_in(CellState.STOPPED) and now.is_acknowledged),
     Rule(
-        Event.SUSPEND,
+        MachineEvent.STOP, lambda now: now.rose("stop") and MachineEvent.STOP in now.status.possible
+    ),
+    Rule(MachineEvent.CLEAR, lambda now: now.rose("acknowledge") and now.is_in(CellState.ABORTED)),
+    Rule(MachineEvent.RESET, lambda now: now.is_in(CellState.STOPPED) and now.is_acknowledged),
+    Rule(
+        MachineEvent.SUSPEND,
         lambda now: (
             bool(now.obstacle)
             and now.is_in(CellState.EXECUTE)
-            and now.memory.pause is not Event.SUSPEND
+            and now.memory.pause is not MachineEvent.SUSPEND
         ),
     ),
-    Rule(Event.UNSUSPEND, lambda now: not now.obstacle and now.is_suspended_here),
-    Rule(Event.START, lambda now: now.rose("start") and now.memory.ready and now.may_start),
+    Rule(MachineEvent.UNSUSPEND, lambda now: not now.obstacle and now.is_suspended_here),
+    Rule(MachineEvent.START, lambda now: now.rose("start") and now.memory.ready and now.may_start),
 )
 
 
@@ -191,7 +193,7 @@ def look(
         after = replace(memory, before=missed, ready=False, outcome=outcome, cleared=False)
         return (), outputs, replace(after, start=inputs.start)
     memory = _with_result(inputs, status, memory)
-    now = Look(inputs, status, memory)
+    now = PlcInputs(inputs, status, memory)
     ask = next((_ask(rule, now) for rule in RULES if rule.applies(now)), None)
     busy = status.state in _BUSY
     outputs = Outputs(
@@ -202,11 +204,11 @@ def look(
         fault=now.is_faulted,
     )
     pause = memory.pause if busy else None
-    if ask is not None and ask.command in (Event.SUSPEND, Event.UNSUSPEND):
+    if ask is not None and ask.command in (MachineEvent.SUSPEND, MachineEvent.UNSUSPEND):
         pause = ask.command
     cleared = memory.cleared and now.goes_on_clearing
     if ask is not None:
-        cleared = ask.command is Event.CLEAR
+        cleared = ask.command is MachineEvent.CLEAR
     memory = replace(memory, before=inputs, ready=outputs.ready, pause=pause, cleared=cleared)
     return () if ask is None else (ask,), outputs, memory
 
@@ -218,7 +220,9 @@ def away(memory: Memory) -> Memory:
 
 def obeyed(ask: Ask, outputs: Outputs) -> Outputs:
     """What the PLC is told at once: every start has its `busy`, however soon the cycle ends."""
-    return replace(outputs, ready=False, busy=True) if ask.command is Event.START else outputs
+    return (
+        replace(outputs, ready=False, busy=True) if ask.command is MachineEvent.START else outputs
+    )
 
 
 def not_obeyed(ask: Ask, before: Memory, after: Memory) -> Memory:
@@ -228,22 +232,22 @@ def not_obeyed(ask: Ask, before: Memory, after: Memory) -> Memory:
 
     before, after  memory before and after the look that asked
     """
-    if ask.command is Event.STOP:
+    if ask.command is MachineEvent.STOP:
         return replace(after, before=replace(after.before, stop=False))
-    if ask.command in (Event.SUSPEND, Event.UNSUSPEND):
+    if ask.command in (MachineEvent.SUSPEND, MachineEvent.UNSUSPEND):
         return replace(after, pause=before.pause)
     return replace(after, cleared=False)
 
 
-def _ask(rule: Rule, now: Look) -> Ask:
+def _ask(rule: Rule, now: PlcInputs) -> Ask:
     match rule.command:
-        case Event.SUSPEND:
+        case MachineEvent.SUSPEND:
             return Ask(rule.command, now.obstacle)
-        case Event.CLEAR | Event.RESET:
+        case MachineEvent.CLEAR | MachineEvent.RESET:
             return Ask(rule.command, "acknowledged by the digital input")
-        case Event.STOP:
+        case MachineEvent.STOP:
             return Ask(rule.command, "stopped by the digital input")
-        case Event.START:
+        case MachineEvent.START:
             return Ask(rule.command, product=now.product)
     return Ask(rule.command)
 

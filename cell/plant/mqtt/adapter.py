@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cell.plant.messages import Status
-from cell.plant.mqtt.form import EndOfSessionError, Form, Known, Message
+from cell.plant.mqtt.form import EndOfSessionError, Message, PayloadForm, PublishedState
 from cell.plant.mqtt.outbox import MqttOutbox
 from cell.plant.mqtt.taking import Taker
 from cell.settings.plant.mqtt import Mqtt
@@ -63,7 +63,7 @@ class MqttAdapter:
         access: Access,
         runs: Path,
         outbox: MqttOutbox,
-        form_anew: Callable[[], Form],
+        form_anew: Callable[[], PayloadForm],
     ) -> None:
         self._settings = settings
         self._access = access
@@ -135,7 +135,7 @@ class MqttAdapter:
             await self._deliver(client, form, taker)
             hearing.cancel()
 
-    async def _hear(self, client: aiomqtt.Client, form: Form) -> None:
+    async def _hear(self, client: aiomqtt.Client, form: PayloadForm) -> None:
         """Take in what was asked for; raises MqttError as soon as the broker is lost."""
         async for message in client.messages:
             payload = message.payload if isinstance(message.payload, bytes) else b""
@@ -143,7 +143,7 @@ class MqttAdapter:
                 self._is_born_anew |= form.hear(message.topic.value, payload)
             self._news.set()
 
-    async def _deliver(self, client: aiomqtt.Client, form: Form, taker: Taker) -> None:
+    async def _deliver(self, client: aiomqtt.Client, form: PayloadForm, taker: Taker) -> None:
         self._news.clear()
         while not form.may_begin() and not self._over.is_set():
             await self._wait()
@@ -168,7 +168,9 @@ class MqttAdapter:
                 await self._wait(None if is_told else _STATUS_S)
         await self._send(client, form, form.farewell(await self._known(taker)))
 
-    async def _send(self, client: aiomqtt.Client, form: Form, messages: Sequence[Message]) -> None:
+    async def _send(
+        self, client: aiomqtt.Client, form: PayloadForm, messages: Sequence[Message]
+    ) -> None:
         """Publish messages; returns when the broker has all of them."""
         for message in messages:
             await client.publish(message.topic, message.payload, message.qos, message.retain)
@@ -176,10 +178,10 @@ class MqttAdapter:
             # the broker answers in order: it has what was sent before
             await client.subscribe(form.asked[0], qos=1)
 
-    async def _known(self, taker: Taker) -> Known:
+    async def _known(self, taker: Taker) -> PublishedState:
         if (status := await asyncio.to_thread(taker.status)) is not None:
             self._status = status
-        return Known(self._status, taker.is_cell, self._outbox.dropped(), time.time())
+        return PublishedState(self._status, taker.is_cell, self._outbox.dropped(), time.time())
 
     async def _wait(self, most_s: float | None = None) -> None:
         """Until there is news, or for so long."""

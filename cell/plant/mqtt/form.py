@@ -24,7 +24,7 @@ class Message:
 
 
 @dataclass(frozen=True)
-class Known:
+class PublishedState:
     """What the adapter knows of the cell when it publishes.
 
     status   newest; None = no cell was reached since the adapter began
@@ -39,7 +39,7 @@ class Known:
     time_s: float
 
 
-class Form(Protocol):
+class PayloadForm(Protocol):
     """A form of messages: plain JSON, or Sparkplug B.
 
     asked        topics that it subscribes to
@@ -53,16 +53,16 @@ class Form(Protocol):
     def may_begin(self) -> bool:
         """Whether somebody is there to be told."""
 
-    def birth(self, known: Known) -> list[Message]:
+    def birth(self, known: PublishedState) -> list[Message]:
         """What is said first in a connection, and when the cell is reached or lost."""
 
     def of_notice(self, notice: Notice) -> list[Message]:
         """What is said of something that has happened, in its turn."""
 
-    def of_status(self, known: Known) -> list[Message]:
+    def of_status(self, known: PublishedState) -> list[Message]:
         """What is said when nothing waits any more."""
 
-    def farewell(self, known: Known) -> list[Message]:
+    def farewell(self, known: PublishedState) -> list[Message]:
         """What is said before the adapter ends."""
 
     def hear(self, topic: str, payload: bytes) -> bool:

@@ -15,14 +15,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from cell.plant.messages import Kind, Notice
+from cell.plant.messages import MessageKind, Notice
 
 _LOG = logging.getLogger(__name__)
 
 #: Dropped in this order when too many wait; results are not among them.
 _DROPPED = (
-    (Kind.STATE, Kind.STEP, Kind.WAITING, Kind.CYCLE, Kind.PRODUCT, Kind.ADAPTER),
-    (Kind.ACKNOWLEDGED, Kind.FAULT),
+    (
+        MessageKind.STATE,
+        MessageKind.STEP,
+        MessageKind.WAITING,
+        MessageKind.CYCLE,
+        MessageKind.PRODUCT,
+        MessageKind.ADAPTER,
+    ),
+    (MessageKind.ACKNOWLEDGED, MessageKind.FAULT),
 )
 #: So large a part of the most that may wait is dropped at once.
 _DROPPED_SHARE = 0.01
@@ -118,7 +125,7 @@ class MqttOutbox:
         if row is None:
             return None
         number, run, sequence, time_s, kind, data = row
-        return Waiting(number, Notice(run, sequence, time_s, Kind(kind), json.loads(data)))
+        return Waiting(number, Notice(run, sequence, time_s, MessageKind(kind), json.loads(data)))
 
     def remove(self, waiting: Waiting) -> None:
         """It was delivered."""

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from cell.files.plain import plain
-from cell.plant.messages import Kind, Notice, to_json
-from cell.plant.mqtt.form import Known, Message
+from cell.plant.messages import MessageKind, Notice, to_json
+from cell.plant.mqtt.form import Message, PublishedState
 
 #: Of the messages; a receiver refuses one that it does not know.
 VERSION = 1
 CONNECTION, STATUS = "connection", "status"
 #: Beside status and connection the broker keeps what holds until the next message.
-_KEPT = frozenset({Kind.STATE, Kind.PRODUCT, Kind.WAITING})
+_KEPT = frozenset({MessageKind.STATE, MessageKind.PRODUCT, MessageKind.WAITING})
 
 
 class PlainJson:
@@ -36,7 +36,7 @@ class PlainJson:
         """The broker is enough."""
         return True
 
-    def birth(self, known: Known) -> list[Message]:
+    def birth(self, known: PublishedState) -> list[Message]:
         """Who is there, and the status."""
         said = {
             "adapter": True,
@@ -57,14 +57,14 @@ class PlainJson:
         }
         return [self._message(notice.kind.value, said, retain=notice.kind in _KEPT)]
 
-    def of_status(self, known: Known) -> list[Message]:
+    def of_status(self, known: PublishedState) -> list[Message]:
         """All that is known of the cell now."""
         if known.status is None:
             return []
         said = {"time_s": known.time_s, "data": to_json(known.status)}
         return [self._message(STATUS, said, retain=True)]
 
-    def farewell(self, known: Known) -> list[Message]:
+    def farewell(self, known: PublishedState) -> list[Message]:
         """As the will, with the time."""
         said = {
             "adapter": False,

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import TypeAdapter
 
-from cell.plant.messages import FaultNotice, Kind, Status
+from cell.plant.messages import FaultNotice, MessageKind, Status
 from cell.plant.mqtt.plain_json import CONNECTION, STATUS, VERSION
 from cell.records.result import Result
 from cell.run.machine import CellState
@@ -75,16 +75,16 @@ class AdapterData:
     trouble: str
 
 
-DATA: dict[Kind, Any] = {
-    Kind.STATE: StateData,
-    Kind.STEP: StepData,
-    Kind.CYCLE: CycleData,
-    Kind.RESULT: Result,
-    Kind.FAULT: FaultNotice,
-    Kind.ACKNOWLEDGED: AcknowledgedData,
-    Kind.PRODUCT: ProductData,
-    Kind.WAITING: WaitingData,
-    Kind.ADAPTER: AdapterData,
+DATA: dict[MessageKind, Any] = {
+    MessageKind.STATE: StateData,
+    MessageKind.STEP: StepData,
+    MessageKind.CYCLE: CycleData,
+    MessageKind.RESULT: Result,
+    MessageKind.FAULT: FaultNotice,
+    MessageKind.ACKNOWLEDGED: AcknowledgedData,
+    MessageKind.PRODUCT: ProductData,
+    MessageKind.WAITING: WaitingData,
+    MessageKind.ADAPTER: AdapterData,
 }
 _TIME = {"type": "number", "description": "Unix time, s."}
 
@@ -114,7 +114,7 @@ def schema() -> dict[str, Any]:
     }
 
 
-def _notice(kind: Kind) -> dict[str, Any]:
+def _notice(kind: MessageKind) -> dict[str, Any]:
     identity = {"type": "string", "description": "Run and sequence: the same if sent again."}
     run = {"type": "string", "description": "Of the cell's process."}
     sequence = {

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cell.files.plain import plain
-from cell.plant.messages import Kind, Notice, Status
-from cell.plant.mqtt.form import EndOfSessionError, Known, Message
+from cell.plant.messages import MessageKind, Notice, Status
+from cell.plant.mqtt.form import EndOfSessionError, Message, PublishedState
 from cell.plant.mqtt.payload import DataType, Metric, Value, encode, flags
 from cell.records.result import Outcome
 from cell.run.machine import CellState
@@ -93,7 +93,7 @@ class EdgeNode:
         """Whether the primary host, if there is one, is online."""
         return self._host is None or self._host_online
 
-    def birth(self, known: Known) -> list[Message]:
+    def birth(self, known: PublishedState) -> list[Message]:
         """All metrics with names, aliases and values."""
         self._seq = 0
         self._sent = dict.fromkeys(METRICS) | self._values(known)
@@ -119,7 +119,7 @@ class EdgeNode:
             self._sent |= values
         return [self._data(values, round(1000 * notice.time_s), late)]
 
-    def of_status(self, known: Known) -> list[Message]:
+    def of_status(self, known: PublishedState) -> list[Message]:
         """Metrics that have changed."""
         values = self._values(known)
         changed = {name: value for name, value in values.items() if self._sent[name] != value}
@@ -128,7 +128,7 @@ class EdgeNode:
         self._sent |= changed
         return [self._data(changed, _now_ms(), False)]
 
-    def farewell(self, known: Known) -> list[Message]:
+    def farewell(self, known: PublishedState) -> list[Message]:
         """The death certificate, said by oneself."""
         return [self.will()]
 
@@ -158,7 +158,7 @@ class EdgeNode:
         if was_online and not online:
             raise EndOfSessionError("the primary host is offline")
 
-    def _values(self, known: Known) -> dict[str, Value]:
+    def _values(self, known: PublishedState) -> dict[str, Value]:
         """What a status says; nothing is known of a cell that was never reached."""
         values: dict[str, Value] = {
             "Cell/Connected": known.is_cell,
@@ -232,28 +232,28 @@ def _values_of(notice: Notice) -> dict[str, Value]:
     said: dict[str, Value]
     data = notice.data
     match notice.kind:
-        case Kind.STATE:
+        case MessageKind.STATE:
             return {
                 "Cell/State": data["state"],
                 "Cell/Since": round(1000 * data["since"]),
                 "Cell/Step": None,
             }
-        case Kind.STEP:
+        case MessageKind.STEP:
             return {"Cell/Step": data["step"], "Cell/Cycle": data["cycle"]}
-        case Kind.CYCLE:
+        case MessageKind.CYCLE:
             names = ("cycle", "part", "product")
             said = {f"Cell/{name.capitalize()}": data[name] for name in names}
             return said | _values_of_product(data)
-        case Kind.RESULT:
+        case MessageKind.RESULT:
             return _values_of_result(data)
-        case Kind.FAULT:
+        case MessageKind.FAULT:
             return _values_of_fault(data)
-        case Kind.ACKNOWLEDGED:
+        case MessageKind.ACKNOWLEDGED:
             said = {f"Acknowledged/{name}": data[name] for name in ("by", "note")}
             return said | _values_of_fault(None)
-        case Kind.PRODUCT:
+        case MessageKind.PRODUCT:
             return {"Cell/Product": data["product"], **_values_of_product(data)}
-        case Kind.WAITING:
+        case MessageKind.WAITING:
             return {"Cell/Waiting for": ", ".join(data["waiting_for"])}
-        case Kind.ADAPTER:
+        case MessageKind.ADAPTER:
             return {}

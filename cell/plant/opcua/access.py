@@ -38,7 +38,7 @@ _CLIENTS = 100
 
 
 @dataclass
-class Person(User):  # type: ignore[misc]
+class OpcUaUser(User):  # type: ignore[misc]
     """User of a session.
 
     operates  whether it may give commands, now
@@ -47,7 +47,7 @@ class Person(User):  # type: ignore[misc]
     operates: Callable[[], bool] = lambda: False
 
 
-class Users:
+class OpcUaUsers:
     """Tells asyncua who a client is, by the file of users."""
 
     def __init__(self, accounts: Accounts, anonymous: bool) -> None:
@@ -64,7 +64,7 @@ class Users:
         if username is None:
             if not self._anonymous:
                 return None
-            return Person(UserRole.User, ANONYMOUS, self._has_no_accounts)
+            return OpcUaUser(UserRole.User, ANONYMOUS, self._has_no_accounts)
         try:
             known = self._accounts.known(username, password or "")
         except (ValueError, OSError) as error:
@@ -74,7 +74,7 @@ class Users:
             _LOG.warning("refused: user %r, or the password", username)
             return None
         operates = known.role >= Role.operate
-        return Person(UserRole.User, username, lambda: operates)
+        return OpcUaUser(UserRole.User, username, lambda: operates)
 
     def _has_no_accounts(self) -> bool:
         """Whether nobody has a name, so that who has none may command; no, if nobody can tell."""
@@ -103,7 +103,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
         """Call methods, if this user may."""
-        if not isinstance(self.user, Person) or not self.user.operates():
+        if not isinstance(self.user, OpcUaUser) or not self.user.operates():
             denied = ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
             return [ua.CallMethodResult(StatusCode=denied) for _ in params]
         token = caller.set(self.user.name or ANONYMOUS)
@@ -144,7 +144,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]
     """
 
     def __init__(self, accounts: Accounts, folder: Path, open_: bool) -> None:
-        super().__init__(user_manager=Users(accounts, anonymous=open_))
+        super().__init__(user_manager=OpcUaUsers(accounts, anonymous=open_))
         self._trusted = None if open_ else TrustedClients(folder)
         tokens = [ua.UserNameIdentityToken, *([ua.AnonymousIdentityToken] if open_ else [])]
         self.supported_tokens = tuple(tokens)

@@ -8,7 +8,7 @@ from typing import Any
 from cell.plant.messages import FaultNotice
 from cell.plant.opcua.machines import number_of
 from cell.plant.opcua.tag import NO_DATA, Tag, Value, of, of_view, utc
-from cell.plant.opcua.view import View
+from cell.plant.opcua.view import PackmlView
 from cell.records.result import Outcome
 from cell.run.machine import CellState
 
@@ -16,11 +16,11 @@ from cell.run.machine import CellState
 NOT_CONNECTED = "not connected"
 
 
-def _state(view: View) -> str:
+def _state(view: PackmlView) -> str:
     return view.status.state.value if view.connected and view.status else NOT_CONNECTED
 
 
-def _number(view: View) -> int:
+def _number(view: PackmlView) -> int:
     """After ISA-TR88.00.02; 0 = not known."""
     return number_of(view.status.state) if view.connected and view.status else 0
 
@@ -32,7 +32,7 @@ def _fault(read: Callable[[FaultNotice], Any], none: Any = "") -> Value:
 def _last(key: str, none: Any = None) -> Value:
     """An entry of the newest result."""
 
-    def read(view: View, now_s: float) -> Any:
+    def read(view: PackmlView, now_s: float) -> Any:
         last = None if view.status is None else view.status.last
         found = None if last is None else last.get(key)
         return found if found is not None else NO_DATA if none is None else none
@@ -41,7 +41,7 @@ def _last(key: str, none: Any = None) -> Value:
 
 
 def _spent(state: CellState) -> Value:
-    def read(view: View, now_s: float) -> Any:
+    def read(view: PackmlView, now_s: float) -> Any:
         seconds = view.seconds_at(now_s).get(state.value, 0.0)
         return NO_DATA if view.status is None else round(seconds, 3)
 

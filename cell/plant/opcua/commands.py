@@ -10,23 +10,23 @@ from typing import Any
 
 from asyncua import ua
 
-from cell.plant.messages import Answer, Request
+from cell.plant.messages import CommandReply, Request
 from cell.plant.opcua import packml
 from cell.plant.opcua.access import ANONYMOUS, caller
 from cell.plant.opcua.arrival import came_s
 from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES
 from cell.plant.opcua.packml import Method
-from cell.plant.opcua.space import Space
+from cell.plant.opcua.space import AddressSpace
 from cell.plant.opcua.unit import Unit
-from cell.plant.opcua.view import View
+from cell.plant.opcua.view import PackmlView
 from cell.plant.wire import LONGEST_TEXT, LinkError, NoCellError
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 
 _LOG = logging.getLogger(__name__)
 
 Code = ua.StatusCodes
 #: Asks the cell.  Raises LinkError.
-Ask = Callable[[Request], Answer]
+Ask = Callable[[Request], CommandReply]
 
 
 @dataclass(frozen=True)
@@ -42,31 +42,31 @@ class Command:
     path: str
     name: str
     meaning: str
-    event: Event | None = None
+    event: MachineEvent | None = None
     arguments: tuple[tuple[str, str], ...] = ()
     type_id: int | None = None
 
 
 _TEXT = "String"
 _MEANINGS = {
-    Event.START: "begins a cycle",
-    Event.RESET: "makes the cell ready",
-    Event.HOLD: "waits after the motion under way",
-    Event.UNHOLD: "goes on",
-    Event.SUSPEND: "waits for other machines",
-    Event.UNSUSPEND: "goes on",
-    Event.STOP: "stops at once",
-    Event.ABORT: "stops at once, as by a fault",
-    Event.CLEAR: "acknowledges; refused while there is a fault",
+    MachineEvent.START: "begins a cycle",
+    MachineEvent.RESET: "makes the cell ready",
+    MachineEvent.HOLD: "waits after the motion under way",
+    MachineEvent.UNHOLD: "goes on",
+    MachineEvent.SUSPEND: "waits for other machines",
+    MachineEvent.UNSUSPEND: "goes on",
+    MachineEvent.STOP: "stops at once",
+    MachineEvent.ABORT: "stops at once, as by a fault",
+    MachineEvent.CLEAR: "acknowledges; refused while there is a fault",
 }
 
 
 def _standard() -> list[Command]:
-    made, events = [], {event.value for event in Event}
+    made, events = [], {event.value for event in MachineEvent}
     for path, machine in zip(MACHINE_PATHS, MACHINES, strict=True):
         for method in machine.methods:
             if method.name.lower() in events:
-                event = Event(method.name.lower())
+                event = MachineEvent(method.name.lower())
                 meaning = _MEANINGS[event]
                 made.append(Command(path, method.name, meaning, event, method.arguments, method.id))
     return made
@@ -86,21 +86,21 @@ COMMANDS: tuple[Command, ...] = (
         "Cell",
         "Start",
         "begins a cycle with this part and product",
-        Event.START,
+        MachineEvent.START,
         (("Part", _TEXT), ("Product", _TEXT)),
     ),
     Command(
         "Cell",
         "Reset",
         "a person acknowledges, and makes the cell ready",
-        Event.RESET,
+        MachineEvent.RESET,
         (("Name", _TEXT), ("Note", _TEXT)),
     ),
     Command(
         "Cell",
         "Clear",
         "a person acknowledges a fault",
-        Event.CLEAR,
+        MachineEvent.CLEAR,
         (("Name", _TEXT), ("Note", _TEXT)),
     ),
     Command("Cell", "SelectProduct", "what the next cycles make", None, (("Product", _TEXT),)),
@@ -125,10 +125,10 @@ class Methods:
 
     def __init__(
         self,
-        space: Space,
+        space: AddressSpace,
         unit: Unit,
         ask: Ask,
-        view: Callable[[], View],
+        view: Callable[[], PackmlView],
         refused: Callable[[str], Awaitable[None]],
     ) -> None:
         self._ask, self._view, self._refused = ask, view, refused
@@ -146,7 +146,9 @@ class Methods:
         for node, by_object in of_types.items():
             self._answer(space, node, by_object)
 
-    def _answer(self, space: Space, node: ua.NodeId, by_object: dict[ua.NodeId, Command]) -> None:
+    def _answer(
+        self, space: AddressSpace, node: ua.NodeId, by_object: dict[ua.NodeId, Command]
+    ) -> None:
         async def called(of: ua.NodeId, *arguments: ua.Variant) -> ua.CallMethodResult:
             command = by_object.get(of)
             if command is None:
@@ -180,7 +182,7 @@ class Methods:
         match command.path, command.name:
             case "Cell", "Start":
                 part, product = arguments
-                return Request(Event.START, by, part=part or None, product=product or None)
+                return Request(MachineEvent.START, by, part=part or None, product=product or None)
             case "Cell", "Reset" | "Clear":
                 name, note = arguments
                 if not name or not note:
@@ -195,7 +197,7 @@ class Methods:
             case "", _:
                 raise _RefusedError(Code.BadNotImplemented, "the cell does not do this")
         status = self._view().status
-        if command.event in (Event.RESET, Event.CLEAR) and status and status.fault:
+        if command.event in (MachineEvent.RESET, MachineEvent.CLEAR) and status and status.fault:
             reason = "a person must acknowledge the fault: call Cell.Clear or Cell.Reset"
             raise _RefusedError(Code.BadInvalidState, reason)
         return Request(command.event, by)
@@ -219,7 +221,7 @@ class Methods:
         return products[numbers[0] - 1]
 
 
-def _answered(command: Command, answer: Answer) -> ua.CallMethodResult:
+def _answered(command: Command, answer: CommandReply) -> ua.CallMethodResult:
     """The status of an answer: an argument is wrong, it came too late, or the state forbids it."""
     if answer.accepted:
         return _result(Code.Good)

@@ -9,9 +9,9 @@ from asyncua.common.event_objects import TransitionEvent
 from asyncua.server.event_generator import EventGenerator
 
 from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES, active_states, transition_between
-from cell.plant.opcua.space import Ids, Space
+from cell.plant.opcua.space import AddressSpace, Ids
 from cell.plant.opcua.unit import Unit
-from cell.plant.opcua.view import View
+from cell.plant.opcua.view import PackmlView
 
 #: Severity of a transition, and of one that a fault or a stop has brought about.
 _USUAL, _GRAVE = 100, 700
@@ -20,11 +20,11 @@ _USUAL, _GRAVE = 100, 700
 class Transitions:
     """Tells clients of transitions."""
 
-    def __init__(self, space: Space, unit: Unit, generators: list[EventGenerator]) -> None:
+    def __init__(self, space: AddressSpace, unit: Unit, generators: list[EventGenerator]) -> None:
         self._space, self._unit, self._generators = space, unit, generators
 
     @classmethod
-    async def at(cls, space: Space, unit: Unit) -> Transitions:
+    async def at(cls, space: AddressSpace, unit: Unit) -> Transitions:
         """Events of the server, whose sources are the state machines of a unit."""
         generators = []
         for path in MACHINE_PATHS:
@@ -34,7 +34,7 @@ class Transitions:
             )
         return cls(space, unit, generators)
 
-    async def tell(self, before: View, after: View, at_s: float) -> None:
+    async def tell(self, before: PackmlView, after: PackmlView, at_s: float) -> None:
         """Tell of the transition between two views, at a Unix time."""
         if before.status is None or after.status is None:
             return

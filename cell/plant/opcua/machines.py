@@ -12,7 +12,7 @@ from cell.run.machine import CellState
 
 
 @dataclass(frozen=True)
-class State:
+class MachineState:
     """A state: its id, its number after ISA-TR88.00.02, and the id of the property with that."""
 
     name: str
@@ -51,7 +51,7 @@ class StateMachine:
     type_id: int
     states_id: int
     transitions_id: int
-    states: tuple[State, ...]
+    states: tuple[MachineState, ...]
     transitions: tuple[Transition, ...]
     methods: tuple[Method, ...]
     part: tuple[str, int] | None = None
@@ -63,7 +63,11 @@ BASE = StateMachine(
     3,
     167,
     158,
-    (State("Aborting", 61, 8, 168), State("Aborted", 62, 9, 169), State("Cleared", 71, 19, 178)),
+    (
+        MachineState("Aborting", 61, 8, 168),
+        MachineState("Aborted", 62, 9, 169),
+        MachineState("Cleared", 71, 19, 178),
+    ),
     (
         Transition("Aborted", "Cleared", 65, 174, "Clear"),
         Transition("Aborting", "Aborted", 66, 175),
@@ -80,10 +84,10 @@ MACHINE = StateMachine(
     153,
     154,
     (
-        State("Stopped", 53, 2, 155),
-        State("Stopping", 54, 7, 156),
-        State("Clearing", 55, 1, 157),
-        State("Running", 75, 18, 171),
+        MachineState("Stopped", 53, 2, 155),
+        MachineState("Stopping", 54, 7, 156),
+        MachineState("Clearing", 55, 1, 157),
+        MachineState("Running", 75, 18, 171),
     ),
     (
         Transition("Stopping", "Stopped", 57, 163),
@@ -102,18 +106,18 @@ EXECUTE = StateMachine(
     125,
     126,
     (
-        State("Resetting", 27, 15, 127),
-        State("Idle", 28, 4, 128),
-        State("Starting", 29, 3, 129),
-        State("Suspending", 30, 13, 130),
-        State("Suspended", 31, 5, 131),
-        State("Unsuspending", 32, 14, 132),
-        State("Holding", 33, 10, 133),
-        State("Held", 34, 11, 134),
-        State("Unholding", 35, 12, 135),
-        State("Execute", 36, 6, 136),
-        State("Completing", 37, 16, 137),
-        State("Complete", 38, 17, 138),
+        MachineState("Resetting", 27, 15, 127),
+        MachineState("Idle", 28, 4, 128),
+        MachineState("Starting", 29, 3, 129),
+        MachineState("Suspending", 30, 13, 130),
+        MachineState("Suspended", 31, 5, 131),
+        MachineState("Unsuspending", 32, 14, 132),
+        MachineState("Holding", 33, 10, 133),
+        MachineState("Held", 34, 11, 134),
+        MachineState("Unholding", 35, 12, 135),
+        MachineState("Execute", 36, 6, 136),
+        MachineState("Completing", 37, 16, 137),
+        MachineState("Complete", 38, 17, 138),
     ),
     (
         Transition("Resetting", "Idle", 39, 139),

@@ -11,7 +11,7 @@ from cell.plant.messages import Status
 from cell.plant.opcua import packml
 from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES, active_states, number_of
 from cell.plant.opcua.tag import NO_CELL, NO_DATA, NOT_ACTIVE, Tag, Value, of, of_view
-from cell.plant.opcua.view import PastFault, View
+from cell.plant.opcua.view import PackmlView, PastFault
 from cell.records.result import Outcome
 from cell.run.machine import CellState
 
@@ -54,7 +54,7 @@ def machine_tags(level: int) -> tuple[Tag, ...]:
 
 
 def _state(level: int, read: Callable[[str], Any]) -> Value:
-    def value(view: View, now_s: float) -> Any:
+    def value(view: PackmlView, now_s: float) -> Any:
         if not view.connected or view.status is None:
             return NO_CELL
         active = active_states(view.status.state)
@@ -64,7 +64,7 @@ def _state(level: int, read: Callable[[str], Any]) -> Value:
 
 
 def _last(level: int, item: int) -> Value:
-    def value(view: View, now_s: float) -> Any:
+    def value(view: PackmlView, now_s: float) -> Any:
         if not view.connected:
             return NO_CELL
         found = view.transitions.get(level, (None, None))[item]
@@ -73,7 +73,7 @@ def _last(level: int, item: int) -> Value:
     return value
 
 
-def _speed(view: View) -> float | None:
+def _speed(view: PackmlView) -> float | None:
     """Cables per minute, as the last cycle took; 0 while nothing moves."""
     if view.status is None:
         return None
@@ -107,16 +107,16 @@ def _alarm(past: PastFault) -> tuple[Any, ...]:
     return (number, fault.cycle, text, category, at, seen, open_)
 
 
-def _alarms(view: View) -> tuple[tuple[Any, ...], ...]:
+def _alarms(view: PackmlView) -> tuple[tuple[Any, ...], ...]:
     """Faults that nobody has acknowledged."""
     known = view.status is not None and view.status.fault is not None
     return tuple(_alarm(p) for p in view.faults[:1] if p.acknowledged_s is None and known)
 
 
-def _by_mode(seconds: Callable[[View, float], int]) -> Value:
+def _by_mode(seconds: Callable[[PackmlView, float], int]) -> Value:
     """A time for each mode, s."""
 
-    def value(view: View, now_s: float) -> Any:
+    def value(view: PackmlView, now_s: float) -> Any:
         if view.status is None:
             return NO_DATA
         mode = packml.MODE_NUMBERS[view.status.mode]
@@ -125,10 +125,10 @@ def _by_mode(seconds: Callable[[View, float], int]) -> Value:
     return value
 
 
-def _by_state(seconds: Callable[[View, float], dict[CellState, float]]) -> Value:
+def _by_state(seconds: Callable[[PackmlView, float], dict[CellState, float]]) -> Value:
     """A time for each mode and state, s: rows are modes, columns numbers of states."""
 
-    def value(view: View, now_s: float) -> Any:
+    def value(view: PackmlView, now_s: float) -> Any:
         if view.status is None:
             return NO_DATA
         columns = 1 + max(map(number_of, CellState))
@@ -140,15 +140,15 @@ def _by_state(seconds: Callable[[View, float], dict[CellState, float]]) -> Value
     return value
 
 
-def _total(view: View, now_s: float) -> int:
+def _total(view: PackmlView, now_s: float) -> int:
     return int(sum(view.seconds_at(now_s).values()))
 
 
-def _all_states(view: View, now_s: float) -> dict[CellState, float]:
+def _all_states(view: PackmlView, now_s: float) -> dict[CellState, float]:
     return {CellState(s): spent_s for s, spent_s in view.seconds_at(now_s).items()}
 
 
-def _this_state(view: View, now_s: float) -> dict[CellState, float]:
+def _this_state(view: PackmlView, now_s: float) -> dict[CellState, float]:
     if view.status is None:
         return {}
     return {view.status.state: max(0.0, view.known_s(now_s) - view.entered_s)}
@@ -213,10 +213,10 @@ def admin_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
     every = tuple(Outcome)
     speed = of_view(lambda v: design_per_minute)
 
-    def history(view: View) -> tuple[Any, ...]:
+    def history(view: PackmlView) -> tuple[Any, ...]:
         return tuple(map(_alarm, view.faults))
 
-    def reason(view: View) -> Any:
+    def reason(view: PackmlView) -> Any:
         return _alarms(view)[0] if _alarms(view) else NO_DATA
 
     return (
@@ -276,5 +276,5 @@ def admin_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
     )
 
 
-def _of_total(view: View, now_s: float) -> Any:
+def _of_total(view: PackmlView, now_s: float) -> Any:
     return NO_DATA if view.status is None else _total(view, now_s)

@@ -19,17 +19,17 @@ from pathlib import Path
 from asyncua import ua
 
 from cell.plant.client import Client
-from cell.plant.messages import Kind, Notice, Status
+from cell.plant.messages import MessageKind, Notice, Status
 from cell.plant.opcua import packml
 from cell.plant.opcua.access import GuardedServer
 from cell.plant.opcua.arrival import TimedServer
 from cell.plant.opcua.certificates import own_certificate
 from cell.plant.opcua.commands import Methods
 from cell.plant.opcua.events import Transitions
-from cell.plant.opcua.space import Space
+from cell.plant.opcua.space import AddressSpace
 from cell.plant.opcua.types import add_types
 from cell.plant.opcua.unit import Unit, tags_of
-from cell.plant.opcua.view import View
+from cell.plant.opcua.view import PackmlView
 from cell.plant.users import FILE as USERS
 from cell.plant.users import all_users
 from cell.plant.wire import ProtocolError
@@ -48,14 +48,14 @@ _TICK_S = 1.0
 _AGAIN_S = 5.0
 
 
-class _Found(Enum):
+class _CellReturned(Enum):
     """A cell that was lost is there again, as it was."""
 
     AGAIN = "again"
 
 
 #: What the thread that follows hands over; None = the cell was lost.
-_Heard = Notice | Status | _Found | None
+_Heard = Notice | Status | _CellReturned | None
 
 _PLAIN = ua.SecurityPolicyType.NoSecurity
 _ENCRYPTED = [
@@ -106,7 +106,7 @@ async def running(settings: Settings, runs: Path, users: Path = USERS) -> AsyncI
             "plant.opcua.folder, or make it writable"
         ) from error
     own, standard = [await server.register_namespace(u) for u in (OWN_URI, packml.URI)]
-    space = Space(server, standard, own)
+    space = AddressSpace(server, standard, own)
     add_types(space)
     unit = Unit(space, opcua.name, tags)
     shown = _Shown(unit, await Transitions.at(space, unit))
@@ -174,7 +174,7 @@ class _Shown:
     """What is shown to clients: the view of the cell, and how it goes on."""
 
     def __init__(self, unit: Unit, transitions: Transitions) -> None:
-        self.view = View()
+        self.view = PackmlView()
         self.closed = False
         self._unit, self._transitions = unit, transitions
         self._loop = asyncio.get_running_loop()
@@ -200,7 +200,7 @@ class _Shown:
     def found(self) -> None:
         """It is there again as it was; from the thread that follows."""
         _LOG.warning("the cell is there again")
-        self._hear(_Found.AGAIN)
+        self._hear(_CellReturned.AGAIN)
 
     def _hear(self, message: _Heard) -> None:
         with suppress(RuntimeError):  # the loop is closed: nobody looks any more
@@ -238,7 +238,7 @@ class _Shown:
         match message:
             case None:
                 self.view = before.lost(now_s)
-            case _Found():
+            case _CellReturned():
                 self.view = before.found()
             case Status():
                 self.view = before.after_status(message, now_s, at_s)
@@ -246,7 +246,7 @@ class _Shown:
                 at_s, now_s = message.time_s, message.ran_s
                 self.view = before.after_notice(message)
         await self._unit.show(self.view, at_s, now_s)
-        if isinstance(message, Notice) and message.kind is Kind.STATE:
+        if isinstance(message, Notice) and message.kind is MessageKind.STATE:
             await self._transitions.tell(before, self.view, at_s)
 
 

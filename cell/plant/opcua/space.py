@@ -14,7 +14,7 @@ Ids = ua.ObjectIds
 
 
 @dataclass(frozen=True)
-class Kind:
+class NodeKind:
     """A data type: its node, the type of a variant of it, and its dimensions (0 = one value)."""
 
     node: ua.NodeId
@@ -22,7 +22,7 @@ class Kind:
     dimensions: int = 0
 
 
-class Space:
+class AddressSpace:
     """Address space of one server.
 
     packml, own  indexes of the namespaces of PackML and of this program
@@ -45,21 +45,23 @@ class Space:
         """A browse name; of PackML if nothing else is said."""
         return ua.QualifiedName(name, self.packml if namespace is None else namespace)
 
-    def kind(self, name: str) -> Kind:
+    def kind(self, name: str) -> NodeKind:
         """A data type by its name in the tables.  Raises KeyError: there is none."""
         plain = name.replace("[]", "")
         dimensions = (len(name) - len(plain)) // 2
         if plain == "Mode":
-            return Kind(self.node_id(packml.MODE_ENUM), ua.VariantType.Int32, dimensions)
+            return NodeKind(self.node_id(packml.MODE_ENUM), ua.VariantType.Int32, dimensions)
         for structure in packml.STRUCTURES:
             if structure.name == plain:
-                return Kind(self.node_id(structure.id), ua.VariantType.ExtensionObject, dimensions)
+                return NodeKind(
+                    self.node_id(structure.id), ua.VariantType.ExtensionObject, dimensions
+                )
         if plain == "UtcTime":
-            return Kind(ua.NodeId(Ids.UtcTime), ua.VariantType.DateTime, dimensions)
+            return NodeKind(ua.NodeId(Ids.UtcTime), ua.VariantType.DateTime, dimensions)
         if plain in ("EUInformation", "Range", "Argument", "EnumValueType"):
             node = ua.NodeId(getattr(Ids, plain))
-            return Kind(node, ua.VariantType.ExtensionObject, dimensions)
-        return Kind(ua.NodeId(getattr(Ids, plain)), ua.VariantType[plain], dimensions)
+            return NodeKind(node, ua.VariantType.ExtensionObject, dimensions)
+        return NodeKind(ua.NodeId(getattr(Ids, plain)), ua.VariantType[plain], dimensions)
 
     def object(
         self,
@@ -79,7 +81,7 @@ class Space:
         parent: ua.NodeId,
         node: ua.NodeId,
         name: ua.QualifiedName,
-        kind: Kind,
+        kind: NodeKind,
         value: Any = None,
         *,
         type_: int = Ids.BaseDataVariableType,

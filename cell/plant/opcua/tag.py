@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from cell.plant.messages import Status
-from cell.plant.opcua.view import View
+from cell.plant.opcua.view import PackmlView
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ NO_DATA, NOT_ACTIVE = Missing("BadNoData"), Missing("BadStateNotActive")
 NO_CELL = Missing("BadNoCommunication")
 
 #: Value of a variable: plain data, a tuple for a structure, or `Missing`.
-Value = Callable[[View, float], Any]
+Value = Callable[[PackmlView, float], Any]
 
 
 @dataclass(frozen=True)
@@ -49,17 +49,17 @@ class Tag:
 def of(value: Callable[[Status], Any]) -> Value:
     """A value that follows from the status alone; None = there is none now."""
 
-    def read(view: View, now_s: float) -> Any:
+    def read(view: PackmlView, now_s: float) -> Any:
         found = None if view.status is None else value(view.status)
         return NO_DATA if found is None else found
 
     return read
 
 
-def of_view(value: Callable[[View], Any]) -> Value:
+def of_view(value: Callable[[PackmlView], Any]) -> Value:
     """A value that follows from the view alone; None = there is none now."""
 
-    def read(view: View, now_s: float) -> Any:
+    def read(view: PackmlView, now_s: float) -> Any:
         found = value(view)
         return NO_DATA if found is None else found
 

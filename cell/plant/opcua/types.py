@@ -12,10 +12,10 @@ from asyncua.server.address_space import AttributeValue
 from cell.plant.opcua import packml
 from cell.plant.opcua.machines import MACHINES, StateMachine
 from cell.plant.opcua.packml import Declared, Method
-from cell.plant.opcua.space import Ids, Space
+from cell.plant.opcua.space import AddressSpace, Ids
 
 
-def add_types(space: Space) -> None:
+def add_types(space: AddressSpace) -> None:
     """Add all types of PackML, and the folder of its units."""
     _references(space)
     _modes(space)
@@ -46,13 +46,13 @@ def structure_class(name: str) -> Any:
     return getattr(ua, name)
 
 
-def _references(space: Space) -> None:
+def _references(space: AddressSpace) -> None:
     for name, number in packml.REFERENCES.items():
         node, parent = space.node_id(number), ua.NodeId(Ids.HasComponent)
         space.type(parent, node, space.name(name), ua.NodeClass.ReferenceType)
 
 
-def _modes(space: Space) -> None:
+def _modes(space: AddressSpace) -> None:
     node = space.node_id(packml.MODE_ENUM)
     name = space.name("ProductionMaintenanceModeEnum")
     space.type(ua.NodeId(Ids.Enumeration), node, name, ua.NodeClass.DataType)
@@ -76,7 +76,7 @@ def _modes(space: Space) -> None:
     _define(space, node, ua.EnumDefinition(fields))
 
 
-def _structure(space: Space, structure: packml.Structure) -> None:
+def _structure(space: AddressSpace, structure: packml.Structure) -> None:
     node, encoding = space.node_id(structure.id), space.node_id(structure.encoding)
     name = space.name(structure.name)
     space.type(ua.NodeId(Ids.Structure), node, name, ua.NodeClass.DataType)
@@ -117,26 +117,26 @@ def _member(name: str, type_: str) -> tuple[str, Any, Any]:
     return name, kind, field(default_factory=kind)
 
 
-def _define(space: Space, node: ua.NodeId, definition: Any) -> None:
+def _define(space: AddressSpace, node: ua.NodeId, definition: Any) -> None:
     variant = ua.Variant(definition, ua.VariantType.ExtensionObject)
     data = space.server.iserver.aspace[node]
     data.attributes[ua.AttributeIds.DataTypeDefinition] = AttributeValue(ua.DataValue(variant))
 
 
 def _object_type(
-    space: Space, number: int, name: str, parent: int = Ids.BaseObjectType
+    space: AddressSpace, number: int, name: str, parent: int = Ids.BaseObjectType
 ) -> ua.NodeId:
     node = space.node_id(number)
     return space.type(ua.NodeId(parent), node, space.name(name), ua.NodeClass.ObjectType)
 
 
-def reference_of(space: Space, name: str) -> int | ua.NodeId:
+def reference_of(space: AddressSpace, name: str) -> int | ua.NodeId:
     """A type of references, by its name."""
     number = packml.REFERENCES.get(name)
     return getattr(Ids, name) if number is None else space.node_id(number)
 
 
-def _declare(space: Space, parent: ua.NodeId, declared: Declared) -> None:
+def _declare(space: AddressSpace, parent: ua.NodeId, declared: Declared) -> None:
     node, analog = space.node_id(declared.id), declared.range_id is not None
     space.variable(
         parent,
@@ -154,7 +154,7 @@ def _declare(space: Space, parent: ua.NodeId, declared: Declared) -> None:
         space.rule(range_, True)
 
 
-def _method(space: Space, parent: ua.NodeId, method: Method) -> ua.NodeId:
+def _method(space: AddressSpace, parent: ua.NodeId, method: Method) -> ua.NodeId:
     node = space.method(parent, space.node_id(method.id), space.name(method.name))
     space.rule(node, method.mandatory)
     if method.arguments_id is not None:
@@ -163,7 +163,7 @@ def _method(space: Space, parent: ua.NodeId, method: Method) -> ua.NodeId:
     return node
 
 
-def _machine(space: Space, machine: StateMachine) -> None:
+def _machine(space: AddressSpace, machine: StateMachine) -> None:
     type_ = _object_type(space, machine.type_id, machine.name, Ids.FiniteStateMachineType)
     for name, number in (
         ("AvailableStates", machine.states_id),
@@ -195,7 +195,7 @@ def _machine(space: Space, machine: StateMachine) -> None:
         space.refer(states[machine.parent], Ids.HasSubStateMachine, node)
 
 
-def _number(space: Space, node: ua.NodeId, name: str, id_: int, number: int) -> None:
+def _number(space: AddressSpace, node: ua.NodeId, name: str, id_: int, number: int) -> None:
     kind = space.kind("UInt32")
     listed = space.name(name, 0)
     added = space.variable(
@@ -204,7 +204,7 @@ def _number(space: Space, node: ua.NodeId, name: str, id_: int, number: int) -> 
     space.rule(added, True)
 
 
-def _unit(space: Space) -> None:
+def _unit(space: AddressSpace) -> None:
     type_ = _object_type(space, packml.BASE_TYPE, "PackMLBaseObjectType")
     for declared in packml.UNIT:
         _declare(space, type_, declared)
@@ -216,7 +216,7 @@ def _unit(space: Space) -> None:
         _method(space, type_, method)
 
 
-def _namespace(space: Space) -> None:
+def _namespace(space: AddressSpace) -> None:
     """What the server says of the namespace of PackML."""
     node = space.node_id(117)
     name = space.name(packml.URI)

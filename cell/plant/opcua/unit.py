@@ -12,10 +12,10 @@ from cell.plant.opcua import packml
 from cell.plant.opcua.cell_tags import CELL_TAGS
 from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES
 from cell.plant.opcua.packml_tags import admin_tags, machine_tags, status_tags
-from cell.plant.opcua.space import Ids, Kind, Space
+from cell.plant.opcua.space import AddressSpace, Ids, NodeKind
 from cell.plant.opcua.tag import NO_CELL, Missing, Tag, of_view
 from cell.plant.opcua.types import reference_of, structure_class
-from cell.plant.opcua.view import View
+from cell.plant.opcua.view import PackmlView
 
 #: Objects of a unit below it: path, and number of the type in PackML; None = a plain object.
 PARTS: tuple[tuple[str, int | None], ...] = (
@@ -53,7 +53,7 @@ class Unit:
     name  browse name, and beginning of the ids of all nodes below it
     """
 
-    def __init__(self, space: Space, name: str, tags: Sequence[Tag]) -> None:
+    def __init__(self, space: AddressSpace, name: str, tags: Sequence[Tag]) -> None:
         self._space, self._name, self._tags = space, name, tags
         self._shown: dict[str, Any] = {}
         self.node = self.id_of("")
@@ -100,7 +100,7 @@ class Unit:
             id_ = self.id_of(f"{tag.path}.EURange")
             space.variable(node, id_, name, kind, range_, reference=Ids.HasProperty)
 
-    async def show(self, view: View, at_s: float, now_s: float) -> None:
+    async def show(self, view: PackmlView, at_s: float, now_s: float) -> None:
         """Write what has changed since it was shown last.
 
         at_s   time of the source, Unix time
@@ -119,7 +119,7 @@ class Unit:
             kind = self._space.kind(tag.type)
             await self._space.write(self.id_of(tag.path), self._data(value, stale, kind, at))
 
-    def _data(self, value: Any, stale: bool, kind: Kind, at: datetime) -> ua.DataValue:
+    def _data(self, value: Any, stale: bool, kind: NodeKind, at: datetime) -> ua.DataValue:
         if isinstance(value, Missing):
             quality = ua.StatusCode(getattr(ua.StatusCodes, value.quality))
             return ua.DataValue(StatusCode=quality, SourceTimestamp=at)
@@ -130,13 +130,13 @@ class Unit:
             array = ua.Variant(self._plain(value, kind), kind.variant)
         return ua.DataValue(array, StatusCode=ua.StatusCode(code), SourceTimestamp=at)
 
-    def _array(self, value: Sequence[Any], kind: Kind) -> ua.Variant:
+    def _array(self, value: Sequence[Any], kind: NodeKind) -> ua.Variant:
         if kind.dimensions == 1:
             plain = [self._plain(item, kind) for item in value]
             return ua.Variant(plain, kind.variant, is_array=True)
         return ua.Variant([list(row) for row in value], kind.variant)
 
-    def _plain(self, value: Any, kind: Kind) -> Any:
+    def _plain(self, value: Any, kind: NodeKind) -> Any:
         """A value as OPC UA has it: nodes of PackML by their number, structures as tuples."""
         if kind.variant is ua.VariantType.NodeId:
             return self._space.node_id(value)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from cell.plant.folded import status_after
-from cell.plant.messages import FaultNotice, Kind, Notice, Status
+from cell.plant.messages import FaultNotice, MessageKind, Notice, Status
 from cell.plant.opcua.machines import transition_between
 
 #: So many faults are remembered.
@@ -22,7 +22,7 @@ class PastFault:
 
 
 @dataclass(frozen=True)
-class View:
+class PackmlView:
     """What is known of the cell at one moment.
 
     Moments are those of the computer's own clock, which nobody sets, unless Unix time is said.
@@ -56,7 +56,7 @@ class View:
         """Whether the cell is there."""
         return self.lost_s is None
 
-    def after_status(self, status: Status, now_s: float, unix_s: float) -> View:
+    def after_status(self, status: Status, now_s: float, unix_s: float) -> PackmlView:
         """The view after a status that replaces all that was known of the cell.
 
         unix_s  now, Unix time
@@ -74,31 +74,31 @@ class View:
         known = any(past.fault == status.fault for past in self.faults)
         return view if status.fault is None or known else view._with_fault(status.fault)
 
-    def after_notice(self, notice: Notice) -> View:
+    def after_notice(self, notice: Notice) -> PackmlView:
         """The view after a notice.  Raises ValueError: there is no status that it follows on."""
         if self.status is None:
             raise ValueError("a notice came before any status")
         view = replace(self, status=status_after(self.status, notice), lost_s=None)
         match notice.kind:
-            case Kind.STATE:
+            case MessageKind.STATE:
                 return view._after_transition(self, notice.ran_s)
-            case Kind.CYCLE:
+            case MessageKind.CYCLE:
                 return replace(view, begun_s=notice.ran_s)
-            case Kind.RESULT if self.begun_s is not None:
+            case MessageKind.RESULT if self.begun_s is not None:
                 return replace(view, begun_s=None, cycle_s=notice.ran_s - self.begun_s)
-            case Kind.FAULT if view.status is not None and view.status.fault is not None:
+            case MessageKind.FAULT if view.status is not None and view.status.fault is not None:
                 return view._with_fault(view.status.fault)
-            case Kind.ACKNOWLEDGED:
+            case MessageKind.ACKNOWLEDGED:
                 said = f"{notice.data['by']}: {notice.data['note']}"
                 first = [replace(past, acknowledged_s=notice.time_s) for past in self.faults[:1]]
                 return replace(view, acknowledged=said, faults=(*first, *self.faults[1:]))
         return view
 
-    def lost(self, now_s: float) -> View:
+    def lost(self, now_s: float) -> PackmlView:
         """The view when the cell is there no more: nothing is counted on."""
         return replace(self, lost_s=now_s)
 
-    def found(self) -> View:
+    def found(self) -> PackmlView:
         """The view when the same cell is there again, and nothing has happened meanwhile."""
         return replace(self, lost_s=None)
 
@@ -116,7 +116,7 @@ class View:
             )
         return seconds
 
-    def _after_transition(self, before: View, now_s: float) -> View:
+    def _after_transition(self, before: PackmlView, now_s: float) -> PackmlView:
         """This view, with what the transition of a state from the one before has changed."""
         assert before.status is not None
         assert self.status is not None
@@ -130,5 +130,5 @@ class View:
             transitions={**self.transitions, level: newest},
         )
 
-    def _with_fault(self, fault: FaultNotice) -> View:
+    def _with_fault(self, fault: FaultNotice) -> PackmlView:
         return replace(self, faults=(PastFault(fault), *self.faults)[:FAULTS])

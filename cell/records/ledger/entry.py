@@ -15,7 +15,7 @@ from cell.records.result import Outcome, Result
 
 
 @dataclass(frozen=True)
-class Estimate:
+class LedgerEstimate:
     """A parameter of a cable, with its 95 % interval; None = not known.  SI units."""
 
     name: str
@@ -43,7 +43,7 @@ class Acknowledgement:
 
 
 @dataclass(frozen=True)
-class Entry:
+class LedgerEntry:
     """A cycle that has begun, or has ended.
 
     line         that the cell belongs to
@@ -65,7 +65,7 @@ class Entry:
     product: str | None = None
     ended: datetime | None = None
     result: Result | None = None
-    estimates: tuple[Estimate, ...] = ()
+    estimates: tuple[LedgerEstimate, ...] = ()
     calibration: str | None = None
     software: str | None = None
     acknowledged: Acknowledgement | None = None
@@ -89,7 +89,7 @@ class Entry:
         return plain(data)  # type: ignore[no-any-return]
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Entry:
+    def from_json(cls, data: Mapping[str, Any]) -> LedgerEntry:
         """Back from `to_json`.  Raises KeyError, TypeError, ValueError: not an entry."""
         known = dict(data)
         acknowledged = data.get("acknowledged")  # older versions did not say so
@@ -98,19 +98,19 @@ class Entry:
             "started": datetime.fromisoformat(data["started"]),
             "ended": None if data["ended"] is None else datetime.fromisoformat(data["ended"]),
             "result": None if data["result"] is None else Result.from_json(data["result"]),
-            "estimates": tuple(Estimate(**e) for e in data["estimates"]),
+            "estimates": tuple(LedgerEstimate(**e) for e in data["estimates"]),
             "acknowledged": acknowledged and Acknowledgement.from_json(acknowledged),
         }
         return cls(**known)
 
 
-def estimates_of(model: Mapping[str, Any] | None) -> tuple[Estimate, ...]:
+def estimates_of(model: Mapping[str, Any] | None) -> tuple[LedgerEstimate, ...]:
     """Parameters of a `model.json`; none of None."""
     listed: Sequence[Mapping[str, Any]] = () if model is None else model["parameters"]
-    return tuple(Estimate(p["name"], p["value"], p.get("low"), p.get("high")) for p in listed)
+    return tuple(LedgerEstimate(p["name"], p["value"], p.get("low"), p.get("high")) for p in listed)
 
 
-def entry_of_folder(folder: Path, line: str) -> Entry | None:
+def entry_of_folder(folder: Path, line: str) -> LedgerEntry | None:
     """The entry of a cycle that left a folder; None = it is no cycle's, or cannot be read."""
     cycle, state = cycle_of(folder), _state(folder)
     if cycle is None:
@@ -125,7 +125,7 @@ def entry_of_folder(folder: Path, line: str) -> Entry | None:
     aim = Outcome.INSERTED
     if known is not None and known.outcome in (Outcome.MEASURED, Outcome.REHEARSED, Outcome.UNFIT):
         aim = known.outcome
-    return Entry(
+    return LedgerEntry(
         line,
         cycle,
         folder.absolute(),

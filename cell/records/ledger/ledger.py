@@ -22,7 +22,7 @@ from sqlalchemy import (
 )
 
 from cell.records.ledger.database import open_engine, told, url_of, writing
-from cell.records.ledger.entry import Acknowledgement, Entry, Estimate
+from cell.records.ledger.entry import Acknowledgement, LedgerEntry, LedgerEstimate
 from cell.records.ledger.tables import (
     NUMBERS,
     acknowledgements,
@@ -84,7 +84,7 @@ class ListedCycle:
     running_s: float | None
     numbers: Mapping[str, float | None]
     fault: Fault | None
-    estimates: tuple[Estimate, ...] = ()
+    estimates: tuple[LedgerEstimate, ...] = ()
     acknowledged: Acknowledgement | None = None
 
     @property
@@ -132,7 +132,7 @@ class Ledger:
 
     # --- writing ----------------------------------------------------------------------------------
 
-    def write(self, entries: Iterable[Entry], *, of_now: bool = True) -> None:
+    def write(self, entries: Iterable[LedgerEntry], *, of_now: bool = True) -> None:
         """Write entries, all or none.  One that is there already becomes what it says now; a cycle
         that has ended stays so.
 
@@ -280,7 +280,7 @@ class Ledger:
             found = connection.scalar(at_work.order_by(cycles.c.running_s).offset(at).limit(1))
         return None if found is None else float(found)
 
-    def _cycle(self, row: Any, estimates: Sequence[Estimate]) -> ListedCycle:
+    def _cycle(self, row: Any, estimates: Sequence[LedgerEstimate]) -> ListedCycle:
         columns = ("step", "cause", "device", "remedy", "cable", "code")
         fault = None if row.code is None else Fault(*(getattr(row, k) for k in columns))
         return ListedCycle(
@@ -372,7 +372,7 @@ def _conditions(wanted: Wanted) -> list[ColumnElement[bool]]:
     return found
 
 
-def _write(connection: Connection, entry: Entry, of_now: bool) -> None:
+def _write(connection: Connection, entry: LedgerEntry, of_now: bool) -> None:
     known = connection.execute(
         select(cycles.c.id, cycles.c.outcome, cycles.c.ordered).where(cycles.c.uid == entry.uid)
     ).first()
@@ -423,7 +423,7 @@ def _acknowledge(connection: Connection, at: int, said: Acknowledgement) -> None
     connection.execute(insert(acknowledgements), [row])
 
 
-def _row(entry: Entry) -> dict[str, Any]:
+def _row(entry: LedgerEntry) -> dict[str, Any]:
     row: dict[str, Any] = {
         "uid": entry.uid,
         "line": entry.line,
@@ -462,7 +462,7 @@ def _part(connection: Connection, code: str | None) -> int | None:
     return int(found)
 
 
-def _ordered(connection: Connection, entry: Entry) -> datetime:
+def _ordered(connection: Connection, entry: LedgerEntry) -> datetime:
     """When the cycle began, but not before the line's newest: a clock may have been set back."""
     started = _utc(entry.started)
     newest = connection.scalar(
@@ -471,14 +471,14 @@ def _ordered(connection: Connection, entry: Entry) -> datetime:
     return started if newest is None else max(started, newest)
 
 
-def _estimates(connection: Connection, of: Select[Any]) -> dict[int, list[Estimate]]:
+def _estimates(connection: Connection, of: Select[Any]) -> dict[int, list[LedgerEstimate]]:
     """Parameters by the number of their cycle, of the cycles that are asked for."""
     chosen = of.with_only_columns(cycles.c.id, maintain_column_froms=True).subquery()
     columns = (parameters.c[k] for k in ("cycle_id", "name", "value", "low", "high"))
     asked = select(*columns).join(chosen, chosen.c.id == parameters.c.cycle_id)
-    found: dict[int, list[Estimate]] = {}
+    found: dict[int, list[LedgerEstimate]] = {}
     for at, *values in connection.execute(asked).all():
-        found.setdefault(at, []).append(Estimate(*values))
+        found.setdefault(at, []).append(LedgerEstimate(*values))
     return found
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from cell.files.atomic import write_new
 from cell.files.words import counted
-from cell.records.ledger.entry import Entry
+from cell.records.ledger.entry import LedgerEntry
 from cell.records.ledger.error import LedgerError
 from drivers.threads import GuardedThread, said
 
@@ -45,7 +45,7 @@ class Outbox:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def put(self, entry: Entry) -> None:
+    def put(self, entry: LedgerEntry) -> None:
         """Add one.  Raises OSError: it cannot be written."""
         content = json.dumps(entry.to_json(), ensure_ascii=False)
         while True:
@@ -57,7 +57,7 @@ class Outbox:
                 write_new(self._folder / f"{number:08d}-{os.getpid()}.json", content)
                 return
 
-    def waiting(self, most: int) -> list[tuple[Path, Entry]]:
+    def waiting(self, most: int) -> list[tuple[Path, LedgerEntry]]:
         """The oldest entries, at most so many, and their files.
 
         One that cannot be read is put aside, as `.bad`.
@@ -65,7 +65,7 @@ class Outbox:
         found = []
         for file in self._files()[:most]:
             try:
-                found.append((file, Entry.from_json(json.loads(file.read_text("utf-8")))))
+                found.append((file, LedgerEntry.from_json(json.loads(file.read_text("utf-8")))))
             except FileNotFoundError:  # another cell has just written it
                 continue
             except (ValueError, KeyError, TypeError) as error:
@@ -96,7 +96,7 @@ def _number(file: Path) -> int:
 class WritesEntries(Protocol):
     """A ledger, as far as it is written to."""
 
-    def write(self, entries: Sequence[Entry]) -> None:
+    def write(self, entries: Sequence[LedgerEntry]) -> None:
         """Write entries, all or none.  Raises LedgerError."""
 
     def close(self) -> None:
@@ -110,7 +110,7 @@ class LaterLedger:
         self._place = place
         self._ledger: Ledger | None = None
 
-    def write(self, entries: Sequence[Entry]) -> None:
+    def write(self, entries: Sequence[LedgerEntry]) -> None:
         """Write entries, all or none.  Raises LedgerError."""
         from cell.records.ledger.ledger import Ledger  # a third of a second, in the writer's thread
 
@@ -147,7 +147,7 @@ class LedgerWriter:
         self._thread.start()
         self._wake.set()
 
-    def put(self, entry: Entry) -> None:
+    def put(self, entry: LedgerEntry) -> None:
         """Hand over an entry."""
         try:
             self._outbox.put(entry)

@@ -32,7 +32,7 @@ _SEEN = (255, 160, 0)
 
 
 @dataclass(frozen=True)
-class Film:
+class RecordedFilm:
     """Frames of a recording, in the order of their times.
 
     stamps_ns  when each was taken, nanoseconds since 1970
@@ -51,7 +51,7 @@ class Film:
         return tuple((s - self.stamps_ns[0]) * 1e-9 for s in self.stamps_ns)
 
 
-def read_film(path: Path) -> Film:
+def read_film(path: Path) -> RecordedFilm:
     """Which frames a recording has.
 
     raises  InputError: it cannot be read
@@ -73,10 +73,10 @@ def read_film(path: Path) -> Film:
                 stamps += found if channel == channels[0] else ()
                 for stamp in found:
                     places[stamp] = (*places.get(stamp, ()), chunk.chunk_start_offset)
-    return Film(path, tuple(sorted(stamps)), places, channels)
+    return RecordedFilm(path, tuple(sorted(stamps)), places, channels)
 
 
-def frame_jpeg(film: Film, number: int, width_px: int) -> bytes:
+def frame_jpeg(film: RecordedFilm, number: int, width_px: int) -> bytes:
     """A frame with the cable as it was seen, as JPEG of at most this width.
 
     raises  IndexError: there is no such frame; InputError: the recording cannot be read

@@ -23,7 +23,7 @@ _DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
-class Room:
+class DiskRoom:
     """What recordings may take up; None = no limit.
 
     max_age_s       older recordings are removed
@@ -49,7 +49,7 @@ class Retention:
     The folder is listed once; what is recorded afterwards is known.
     """
 
-    def __init__(self, runs: Path, room: Room, *, only_stored: bool = False) -> None:
+    def __init__(self, runs: Path, room: DiskRoom, *, only_stored: bool = False) -> None:
         """`only_stored`: recordings that are in no store yet are not removed either."""
         self._runs = runs
         self._room = room

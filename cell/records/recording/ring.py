@@ -94,7 +94,7 @@ def open_somewhere(file: Path) -> bool:
     return False
 
 
-class _Memory:
+class _SharedBuffer:
     """The shared numbers, and the ring behind them."""
 
     def __init__(self, descriptor: int) -> None:
@@ -109,7 +109,7 @@ class RingWriter:
     """The end that writes; from one thread at a time."""
 
     def __init__(self, descriptor: int) -> None:
-        self._memory = _Memory(descriptor)
+        self._memory = _SharedBuffer(descriptor)
 
     @property
     def waiting_bytes(self) -> int:
@@ -154,7 +154,7 @@ class RingReader:
     """The end that reads."""
 
     def __init__(self, descriptor: int) -> None:
-        self._memory = _Memory(descriptor)
+        self._memory = _SharedBuffer(descriptor)
 
     @property
     def pause_until_s(self) -> float:

@@ -28,7 +28,7 @@ _OBJECT_STORES = frozenset(
 Turn = Callable[[], AbstractContextManager[object]]
 
 
-class StoreError(Exception):
+class RecordingStoreError(Exception):
     """A store is not there, or has not kept what it was given.  Scenario: the network is down."""
 
 
@@ -60,9 +60,11 @@ class Store:
             self._files, self._root = fsspec.core.url_to_fs(self.url)
         except ImportError as error:
             package = "pip install 'cable-cell[s3]'" if url.startswith("s3") else str(error)
-            raise StoreError(f"{url} needs a package that is not installed: {package}") from error
+            raise RecordingStoreError(
+                f"{url} needs a package that is not installed: {package}"
+            ) from error
         except Exception as error:  # each store has errors of its own
-            raise StoreError(f"{url}: {error}") from error
+            raise RecordingStoreError(f"{url}: {error}") from error
 
     def put(self, source: Path, name: str, turn: Turn = nullcontext) -> Stored:
         """Copy a file to the store, read it back there, and mark it as whole.
@@ -78,7 +80,7 @@ class Store:
             size, sent = self._send(source, target, turn)
             received = self._read(target, _nowhere, turn)
             if received != (size, sent):
-                raise StoreError(
+                raise RecordingStoreError(
                     f"{self.url}/{name} is not what was sent: {received[0]} of {size} bytes, or "
                     "other ones; the recording is kept here"
                 )
@@ -86,10 +88,10 @@ class Store:
             stored = Stored(f"{self.url}/{name}", size, sent, now)
             with turn():
                 self._files.pipe_file(f"{target}.json", _json(stored).encode())
-        except (StoreError, KeyboardInterrupt):
+        except (RecordingStoreError, KeyboardInterrupt):
             raise
         except Exception as error:  # each store has errors of its own
-            raise StoreError(f"{self.url}/{name}: {_cause(error)}") from error
+            raise RecordingStoreError(f"{self.url}/{name}: {_cause(error)}") from error
         return stored
 
     def _need_root(self) -> None:
@@ -99,7 +101,9 @@ class Store:
         place = self._root.lstrip("/").split("/")[0] if bucket else self._root
         if not self._files.exists(place):
             what = "bucket" if bucket else "folder"
-            raise StoreError(f"{self.url}: there is no {what} {place}; make it, or mount it")
+            raise RecordingStoreError(
+                f"{self.url}: there is no {what} {place}; make it, or mount it"
+            )
 
     def _send(self, source: Path, target: str, turn: Turn) -> tuple[int, str]:
         with source.open("rb") as file:
@@ -141,11 +145,11 @@ def fetch(stored: Stored, target: Path, progress: Callable[[float], None]) -> No
             except OSError as error:
                 if error.errno in NO_ROOM:
                     raise
-                raise StoreError(f"{stored.url}: {_cause(error)}") from error
+                raise RecordingStoreError(f"{stored.url}: {_cause(error)}") from error
             except Exception as error:  # each store has errors of its own
-                raise StoreError(f"{stored.url}: {_cause(error)}") from error
+                raise RecordingStoreError(f"{stored.url}: {_cause(error)}") from error
         if received != (stored.bytes, stored.sha256):
-            raise StoreError(f"{stored.url} is not what was stored on {stored.stored}")
+            raise RecordingStoreError(f"{stored.url} is not what was stored on {stored.stored}")
         part.replace(target)
     finally:
         part.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cell.records.recording import form
 from cell.records.recording.retention import KEPT
-from cell.records.recording.store import Store, Stored, StoreError, Turn, mark, name_of
+from cell.records.recording.store import RecordingStoreError, Store, Stored, Turn, mark, name_of
 from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
@@ -27,7 +27,7 @@ CLOSE_S = 60.0
 _LOOK_S = 0.1
 
 
-class _NotNowError(StoreError):
+class _NotNowError(RecordingStoreError):
     """A run ends while a cable is in the jaws."""
 
 
@@ -145,7 +145,7 @@ class Uploads:
                 bring(self._opened(), left[0], self._line, self._turn)
             except _NotNowError:
                 return
-            except (StoreError, OSError) as error:
+            except (RecordingStoreError, OSError) as error:
                 if not self._failed:
                     _LOG.warning("uploads: %s: recordings stay here until it is there", error)
                 pause_s = min(_LAST_S, 2.0 * pause_s) if self._failed else _FIRST_S

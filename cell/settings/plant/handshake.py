@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from cell.settings.section import Host, Section
 
 
-class Signal(Section):
+class HandshakeSignal(Section):
     """Place of one bit."""
 
     number: Annotated[int, Field(ge=0, le=1023)]
@@ -22,40 +22,40 @@ class Signal(Section):
 class InputSignals(Section):
     """Bits from the PLC.  Null = not wired: always fine, and never asked for."""
 
-    start: Signal | None = Signal(number=0)
+    start: HandshakeSignal | None = HandshakeSignal(number=0)
     """Its rising edge asks for a cycle; obeyed while `ready` is on."""
-    part_present: Signal | None = Signal(number=1)
+    part_present: HandshakeSignal | None = HandshakeSignal(number=1)
     """A cable is where the cell grips it; without one no cycle begins."""
-    upstream_ready: Signal | None = Signal(number=2)
+    upstream_ready: HandshakeSignal | None = HandshakeSignal(number=2)
     """The machine before the cell allows it to work; off suspends a cycle."""
-    downstream_ready: Signal | None = Signal(number=3)
+    downstream_ready: HandshakeSignal | None = HandshakeSignal(number=3)
     """The machine after the cell allows it to work; off suspends a cycle."""
-    acknowledge: Signal | None = Signal(number=4)
+    acknowledge: HandshakeSignal | None = HandshakeSignal(number=4)
     """Its rising edge clears Aborted and resets Stopped: a person has looked."""
-    stop: Signal | None = Signal(number=5)
+    stop: HandshakeSignal | None = HandshakeSignal(number=5)
     """Its rising edge stops the cycle.  It is not safety-rated."""
-    product_0: Signal | None = None
+    product_0: HandshakeSignal | None = None
     """Lowest bit of the product's number, from 1 in the order of `products`; 0 = not said."""
-    product_1: Signal | None = None
+    product_1: HandshakeSignal | None = None
     """Next bit of the product's number."""
-    product_2: Signal | None = None
+    product_2: HandshakeSignal | None = None
     """Next bit of the product's number."""
-    product_3: Signal | None = None
+    product_3: HandshakeSignal | None = None
     """Highest bit of the product's number."""
 
 
 class OutputSignals(Section):
     """Bits to the PLC.  Null = not told."""
 
-    ready: Signal | None = Signal(number=0)
+    ready: HandshakeSignal | None = HandshakeSignal(number=0)
     """A rising edge of `start` is obeyed."""
-    busy: Signal | None = Signal(number=1)
+    busy: HandshakeSignal | None = HandshakeSignal(number=1)
     """A cycle is under way."""
-    done: Signal | None = Signal(number=2)
+    done: HandshakeSignal | None = HandshakeSignal(number=2)
     """The last cycle has ended as wanted; until `start` changes."""
-    rejected: Signal | None = Signal(number=3)
+    rejected: HandshakeSignal | None = HandshakeSignal(number=3)
     """The last cycle has ended without an insertion; until `start` changes."""
-    fault: Signal | None = Signal(number=4)
+    fault: HandshakeSignal | None = HandshakeSignal(number=4)
     """The cell waits for a person, or is not reached."""
 
 
@@ -124,7 +124,7 @@ class Handshake(Section):
         return self
 
 
-def signals_of(group: InputSignals | OutputSignals) -> Iterator[tuple[str, Signal]]:
+def signals_of(group: InputSignals | OutputSignals) -> Iterator[tuple[str, HandshakeSignal]]:
     """Name and place of every signal that is wired."""
     for name, signal in group:
         if signal is not None:

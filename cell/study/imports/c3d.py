@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import Capture, Column
+from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.units import unit_of
 
 
@@ -45,7 +45,7 @@ def read_c3d(path: Path) -> Capture:
     units = parameters.get("UNITS", {"value": []})["value"]
     unit = unit_of(str(units[0])) if len(units) else ""
     frames = np.arange(xyz.shape[2])
-    columns = [Column("Time", "s")]
-    columns += [Column(f"{label} {axis}", unit) for label in labels for axis in "XYZ"]
+    columns = [CapturedColumn("Time", "s")]
+    columns += [CapturedColumn(f"{label} {axis}", unit) for label in labels for axis in "XYZ"]
     values = np.column_stack([frames / rate_hz, xyz.transpose(2, 1, 0).reshape(len(frames), -1)])
     return Capture(path, tuple(columns), values, frames + 1, rate_hz, unit, counted="frame")

@@ -18,7 +18,7 @@ ROW_NUMBER = "row number"
 
 
 @dataclass(frozen=True)
-class Column:
+class CapturedColumn:
     """Name of a column, and the unit that the file states for it; empty = none."""
 
     name: str
@@ -46,7 +46,7 @@ class Capture:
     """
 
     path: Path
-    columns: tuple[Column, ...]
+    columns: tuple[CapturedColumn, ...]
     values: FloatArray
     lines: NDArray[np.intp]
     rate_hz: float | None = None

@@ -6,11 +6,11 @@ import re
 from dataclasses import dataclass
 from enum import Enum
 
-from cell.study.imports.capture import Column
+from cell.study.imports.capture import CapturedColumn
 from cell.study.imports.units import RADIANS, SECONDS, split_unit
 
 
-class Kind(Enum):
+class ColumnKind(Enum):
     """What a column holds."""
 
     TIME = "time"
@@ -32,7 +32,7 @@ class Meaning:
     unit   that is stated; empty = none
     """
 
-    kind: Kind
+    kind: ColumnKind
     group: str
     axis: str
     unit: str
@@ -72,7 +72,7 @@ _ACCELERATION = frozenset(
 _ACCELERATION_ALONG = re.compile(r"(?:a|acc|accel)([xyz])")
 _OF_ACCELERATION = ("m/s^2", "mm/s^2", "g")
 _ENCODER = frozenset(("encoder", "enc", "counts", "ticks", "pulses", "geber", "inkremente"))
-_OF_KIND = {Kind.TIME: _TIME, Kind.FRAME: _FRAME, Kind.ENCODER: _ENCODER}
+_OF_KIND = {ColumnKind.TIME: _TIME, ColumnKind.FRAME: _FRAME, ColumnKind.ENCODER: _ENCODER}
 _ORDER_OF_ROTATION = {"roll": "x", "pitch": "y", "yaw": "z"}
 
 
@@ -85,7 +85,7 @@ def is_of_wrench(name: str) -> bool:
     return named and bool(of_unit or {"force", "torque", "moment"} & set(words))
 
 
-def meaning(column: Column) -> Meaning:
+def meaning(column: CapturedColumn) -> Meaning:
     """What a column's name, and the unit stated beside it, say."""
     bare, within = split_unit(column.name)
     unit = column.unit or within
@@ -105,28 +105,28 @@ def meaning(column: Column) -> Meaning:
         else:
             rest.append(word)
     kind = _kind(rest, axis, unit, rotation)
-    if kind is Kind.ANGLE and not axis:
+    if kind is ColumnKind.ANGLE and not axis:
         axis = next((_ORDER_OF_ROTATION[w] for w in rest if w in _ORDER_OF_ROTATION), "")
     dropped = _FILLER | _ANGLE | {"quat", "quaternion"} | _OF_KIND.get(kind, frozenset())
-    dropped = frozenset() if kind is Kind.OTHER else dropped
+    dropped = frozenset() if kind is ColumnKind.OTHER else dropped
     return Meaning(kind, " ".join(w for w in rest if w not in dropped), axis, unit)
 
 
-def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> Kind:
+def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
     words = set(rest)
     if words & _OTHER or any(_VELOCITY.fullmatch(w) for w in rest):
-        return Kind.OTHER
+        return ColumnKind.OTHER
     if words & _ENCODER and not words & _FRAME:
-        return Kind.ENCODER
+        return ColumnKind.ENCODER
     if words & {"quat", "quaternion"}:
-        return Kind.QUATERNION
+        return ColumnKind.QUATERNION
     if rotation or words & _ANGLE or unit in RADIANS:
-        return Kind.ANGLE
+        return ColumnKind.ANGLE
     if axis in ("x", "y", "z"):
-        return Kind.COORDINATE
+        return ColumnKind.COORDINATE
     if words & _TIME or unit in SECONDS or rest in (["s"], ["ms"], ["sec"], ["seconds"]):
-        return Kind.TIME
-    return Kind.FRAME if words & _FRAME else Kind.OTHER
+        return ColumnKind.TIME
+    return ColumnKind.FRAME if words & _FRAME else ColumnKind.OTHER
 
 
 def _acceleration(words: list[str], unit: str) -> Meaning | None:
@@ -141,7 +141,7 @@ def _acceleration(words: list[str], unit: str) -> Meaning | None:
     rest = [
         w for w, found in zip(words, along, strict=True) if not found and w not in _ACCELERATION
     ]
-    return Meaning(Kind.ACCELERATION, " ".join(w for w in rest if w != axis), axis, unit)
+    return Meaning(ColumnKind.ACCELERATION, " ".join(w for w in rest if w != axis), axis, unit)
 
 
 def _words(name: str) -> list[str]:

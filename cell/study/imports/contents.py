@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.study.imports.capture import Capture
-from cell.study.imports.column_names import Kind, Meaning, meaning
+from cell.study.imports.column_names import ColumnKind, Meaning, meaning
 from cell.study.imports.units import RADIANS
 
 FloatArray = NDArray[np.float64]
@@ -72,15 +72,17 @@ class Contents:
 def contents(capture: Capture) -> Contents:
     """Sort the columns of a file by what their names and units say."""
     said = [(c.name, meaning(c)) for c in capture.columns]
-    times = [(n, m) for n, m in said if m.kind is Kind.TIME]
-    frames = [(n, m) for n, m in said if m.kind is Kind.FRAME]
+    times = [(n, m) for n, m in said if m.kind is ColumnKind.TIME]
+    frames = [(n, m) for n, m in said if m.kind is ColumnKind.FRAME]
     rising = [(n, m) for n, m in times if _rises(capture, n)]
     chosen = (rising or times or frames)[:1]
     points, others = _points(capture, said)
     quaternions = _quaternions(said)
     of_quaternions = {n for _, four in quaternions for n in four}
-    angles = tuple((n, m) for n, m in said if m.kind is Kind.ANGLE and n not in of_quaternions)
-    encoders = tuple((n, m) for n, m in said if m.kind is Kind.ENCODER)
+    angles = tuple(
+        (n, m) for n, m in said if m.kind is ColumnKind.ANGLE and n not in of_quaternions
+    )
+    encoders = tuple((n, m) for n, m in said if m.kind is ColumnKind.ENCODER)
     accelerations = _accelerations(said, {p.name for p in points if not p.of_hand})
     if any(p.of_hand for p in points):  # then an encoder can only tell how it is turned
         angles += tuple((n, m) for n, m in encoders if m.unit in RADIANS)
@@ -90,7 +92,7 @@ def contents(capture: Capture) -> Contents:
     return Contents(
         chosen[0][0] if chosen else None,
         chosen[0][1].unit if chosen else "",
-        bool(chosen) and chosen[0][1].kind is Kind.FRAME,
+        bool(chosen) and chosen[0][1].kind is ColumnKind.FRAME,
         points,
         angles,
         quaternions,
@@ -104,7 +106,9 @@ def _accelerations(
     said: list[tuple[str, Meaning]], markers: set[str]
 ) -> tuple[tuple[str, Meaning], ...]:
     """Of the sensor that is named after a hand, else of the first; of markers they are no use."""
-    found = [(n, m) for n, m in said if m.kind is Kind.ACCELERATION and m.group not in markers]
+    found = [
+        (n, m) for n, m in said if m.kind is ColumnKind.ACCELERATION and m.group not in markers
+    ]
     groups = list(dict.fromkeys(m.group for _, m in found))
     chosen = next((g for g in groups if HAND.intersection(g.split())), groups[0] if groups else "")
     return tuple(sorted(((n, m) for n, m in found if m.group == chosen), key=lambda f: f[1].axis))
@@ -121,7 +125,7 @@ def _points(
     """Points with all their coordinates, and columns that have no other coordinate beside them."""
     groups: dict[str, dict[str, tuple[str, str]]] = {}
     for name, m in said:
-        if m.kind is Kind.COORDINATE:
+        if m.kind is ColumnKind.COORDINATE:
             groups.setdefault(m.group, {}).setdefault(m.axis, (name, m.unit))
     points, alone = [], []
     for group, axes in groups.items():
@@ -141,7 +145,7 @@ def _quaternions(
     """Bodies whose orientation has four numbers; some programs call these a rotation."""
     groups: dict[str, dict[str, str]] = {}
     for name, m in said:
-        if m.kind in (Kind.QUATERNION, Kind.ANGLE) and m.axis:
+        if m.kind in (ColumnKind.QUATERNION, ColumnKind.ANGLE) and m.axis:
             groups.setdefault(m.group, {}).setdefault(m.axis, name)
     return tuple(
         (group, (axes["x"], axes["y"], axes["z"], axes["w"]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from cell.files.input_error import InputError
 from cell.files.text_file import read_text
-from cell.study.imports.capture import Capture, Column, TextForm
+from cell.study.imports.capture import Capture, CapturedColumn, TextForm
 from cell.study.imports.cells import NOT_SEEN, Decimal, is_number, number
 from cell.study.imports.header import Header, read_header
 from cell.study.imports.long_form import pivoted
@@ -226,7 +226,9 @@ def _values(
     return values
 
 
-def _no_number(path: Path, row: Row, column: Column, cell: str, decimal: Decimal) -> InputError:
+def _no_number(
+    path: Path, row: Row, column: CapturedColumn, cell: str, decimal: Decimal
+) -> InputError:
     hint = "give one, or nothing where nothing was seen"
     if re.fullmatch(r"\s*[-+]?\d{1,3}([.,]\d{3})+[.,]?\d*\s*", cell):
         hint = "write numbers without separators of thousands"

@@ -48,7 +48,7 @@ class Root:
 
 
 @dataclass(frozen=True)
-class _Reading:
+class _PoseReader:
     """What a column of angles may mean.
 
     seen      the cable shows the sign, by turning with the column
@@ -169,7 +169,7 @@ def _of_column(
     return section, findings
 
 
-def _readings(values: FloatArray, unit: str, root: Root) -> list[_Reading]:
+def _readings(values: FloatArray, unit: str, root: Root) -> list[_PoseReader]:
     """All that a column of angles may mean, the usual ones first."""
     found = []
     for word in [unit] if unit in RADIANS else ["rad", "deg"]:
@@ -181,7 +181,7 @@ def _readings(values: FloatArray, unit: str, root: Root) -> list[_Reading]:
         for sign in (1.0, -1.0) if seen == 0.0 else (seen,):
             for quarters in (0, -1, 1, 2):
                 off_rad = abs(_wrapped(sign * rest_rad + quarters * np.pi / 2.0 - root.rest_rad))
-                found.append(_Reading(word, sign, seen != 0.0, quarters, rest_rad, off_rad))
+                found.append(_PoseReader(word, sign, seen != 0.0, quarters, rest_rad, off_rad))
     return found
 
 

@@ -23,20 +23,20 @@ Columns = Annotated[list[Name | None], Field(min_length=2, max_length=3)]
 WAYS = ("columns", "fixed_m", "turns", "acceleration")
 
 
-class Part(BaseModel):
+class SectionPart(BaseModel):
     """A section of the file; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class TextSection(Part):
+class TextSection(SectionPart):
     """How tables are written as text."""
 
     separator: Annotated[str, Field(min_length=1, max_length=1)]
     decimal: Decimal
 
 
-class TimeSection(Part):
+class TimeSection(SectionPart):
     """Times of rows; `starts_at_zero`: the first row of a trial is its origin."""
 
     column: Name
@@ -44,14 +44,14 @@ class TimeSection(Part):
     starts_at_zero: bool = False
 
 
-class AxesSection(Part):
+class AxesSection(SectionPart):
     """Directions of the study's x (right) and y (up), along the columns of a point."""
 
     right: Vector
     up: Vector
 
 
-class TurnsSection(Part):
+class TurnsSection(SectionPart):
     """A hand on an arm that turns about an axle, by its encoder.
 
     At turn 0 the arm points from the axle to the left, as a cable does at clamp angle 0; positive
@@ -70,7 +70,7 @@ class TurnsSection(Part):
     offset_rad: Finite = 0.0
 
 
-class AccelerationSection(Part):
+class AccelerationSection(SectionPart):
     """A hand whose place is integrated twice from an accelerometer's specific force (a − g).
 
     columns            along `axes` of the hand at clamp angle 0; null = it does not move so
@@ -88,7 +88,7 @@ class AccelerationSection(Part):
     gain_std: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
 
 
-class AngleSection(Part):
+class AngleSection(SectionPart):
     """The clamp angle: a constant, a column, a direction of a body, or a line between two points.
 
     constant_rad      it never turns
@@ -109,7 +109,7 @@ class AngleSection(Part):
     offset_rad: Finite = 0.0
 
 
-class HandSection(Part):
+class HandSection(SectionPart):
     """The gripping point.  What is not given here is as for the markers.
 
     columns    of the gripping point, null = it stays at its origin along this one; or

@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import Column
+from cell.study.imports.capture import CapturedColumn
 from cell.study.imports.cells import number
 from cell.study.imports.units import METRES, unit_of
 
@@ -28,7 +28,7 @@ _MARKER_NAMES = re.compile(r"marker_?names")
 class Header:
     """Columns, and what is said of all of them."""
 
-    columns: tuple[Column, ...]
+    columns: tuple[CapturedColumn, ...]
     rate_hz: float | None
     unit: str
 
@@ -57,7 +57,9 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
             path, f"{twice!r} names columns {' and '.join(both)}; give each marker and each column "
             "a name of its own", line=line,
         )  # fmt: skip
-    return Header(tuple(Column(n, u) for n, u in zip(names, units, strict=True)), rate_hz, unit)
+    return Header(
+        tuple(CapturedColumn(n, u) for n, u in zip(names, units, strict=True)), rate_hz, unit
+    )
 
 
 def _without_remark(cells: tuple[str, ...]) -> tuple[str, ...]:

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cell.study.imports.capture import Capture, Column
-from cell.study.imports.column_names import Kind, meaning
+from cell.study.imports.capture import Capture, CapturedColumn
+from cell.study.imports.column_names import ColumnKind, meaning
 
 #: Names of a column of whole numbers that tell markers apart.
 _NUMBERED = frozenset(("marker", "id", "point", "node", "label", "landmark", "index"))
@@ -47,7 +47,7 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
 def _time_column(capture: Capture) -> int | None:
     """The column that tells rows of one time: times, else numbers of frames."""
     kinds = [meaning(c).kind for c in capture.columns]
-    for kind in (Kind.TIME, Kind.FRAME):
+    for kind in (ColumnKind.TIME, ColumnKind.FRAME):
         if kind in kinds:
             return kinds.index(kind)
     return None
@@ -79,7 +79,10 @@ def _wide(capture: Capture, time: int, words: Sequence[str], keys: frozenset[int
     first = np.full(len(times), np.iinfo(np.intp).max, dtype=np.intp)
     np.minimum.at(first, places, capture.lines)
     made = [
-        (Column(_name(word, capture.columns[c].name), capture.columns[c].unit), wide[:, i, k])
+        (
+            CapturedColumn(_name(word, capture.columns[c].name), capture.columns[c].unit),
+            wide[:, i, k],
+        )
         for i, word in enumerate(names)
         for k, c in enumerate(rest)
     ]

@@ -22,8 +22,8 @@ from cell.study.imports.hand_section import (
     Finite,
     HandSection,
     Name,
-    Part,
     Positive,
+    SectionPart,
     TextSection,
     TimeSection,
     hand_problems,
@@ -38,7 +38,7 @@ FILE = "import.yaml"
 NOT_SQUARE = 2e-3
 
 
-class ConnectorSection(Part):
+class ConnectorSection(SectionPart):
     """A rigid body at the cable's end; without an inertia it is a rod's."""
 
     mass_kg: Positive
@@ -46,7 +46,7 @@ class ConnectorSection(Part):
     inertia_kg_m2: Positive | None = None
 
 
-class CableSection(Part):
+class CableSection(SectionPart):
     """The cable; null = to be filled in."""
 
     free_length_m: Positive | None = None
@@ -57,7 +57,7 @@ class CableSection(Part):
     connector: ConnectorSection | None = None
 
 
-class MarkerEntry(Part):
+class MarkerEntry(SectionPart):
     """A marker: its columns, two or three (null = not measured), and where on the cable it is.
 
     arc_length_std_m  standard deviation of its arc length; None = it is exact
@@ -69,7 +69,7 @@ class MarkerEntry(Part):
     arc_length_std_m: Finite | None = None
 
 
-class TrialEntry(Part):
+class TrialEntry(SectionPart):
     """A trial; file names are relative to the mapping's folder.
 
     clock_offset_s  added to the times of the hand's file
@@ -96,7 +96,7 @@ class TrialEntry(Part):
     release_s: Finite | None = None
 
 
-class Mapping(Part):
+class Mapping(SectionPart):
     """All of the file.
 
     frames  column that is not 0 in the rows of frames; None = these are rows that show a marker

@@ -14,7 +14,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import Capture, Column
+from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.table import MAX_ROWS
 
 #: Entries of a list of a message that are read, and columns in all: a picture is no measurement.
@@ -76,7 +76,7 @@ def read_mcap(path: Path) -> Capture:
     names = list(table.columns)
     times = sorted(table.rows)
     values = [[t, *(table.rows[t].get(n, np.nan) for n in names)] for t in times]
-    columns = (Column("time", "s"), *(Column(n) for n in names))
+    columns = (CapturedColumn("time", "s"), *(CapturedColumn(n) for n in names))
     notes = [f"{path}: {t} cannot be decoded; it is not read" for t in sorted(undecoded)]
     return Capture(
         path, columns, np.array(values), np.arange(1, len(times) + 1), notes=tuple(notes),

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.study.entries import MAX_LENGTH_M
-from cell.study.imports.capture import ROW_NUMBER, Capture, Column
-from cell.study.imports.column_names import Kind, meaning
+from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import Contents
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_section import TimeSection
@@ -57,7 +57,10 @@ def time_section(
 def other_rate(capture: Capture, section: TimeSection) -> str:
     """That rows are counted at another rate than their file states; empty if they are not."""
     unit, rate_hz = section.seconds_per_unit, capture.rate_hz
-    counts = section.column == ROW_NUMBER or meaning(Column(section.column)).kind is Kind.FRAME
+    counts = (
+        section.column == ROW_NUMBER
+        or meaning(CapturedColumn(section.column)).kind is ColumnKind.FRAME
+    )
     if not counts or unit is None or rate_hz is None:
         return ""
     if abs(unit * rate_hz - 1.0) <= _SAME_RATE:

@@ -8,7 +8,7 @@ import numpy as np
 
 from cell.files.input_error import InputError
 from cell.files.text_file import read_text
-from cell.study.imports.capture import Capture, Column
+from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.cells import number
 from cell.study.imports.units import METRES, unit_of
 from cell.study.table import MAX_BYTES
@@ -48,7 +48,7 @@ def read_trc(path: Path) -> Capture:
     names = ["Frame", "Time", *(f"{m} {axis}" for m in markers for axis in "XYZ")]
     values, numbers = _rows(path, lines, names)
     units = ["", "s", *[unit] * (3 * len(markers))]
-    columns = tuple(Column(n, u) for n, u in zip(names, units, strict=True))
+    columns = tuple(CapturedColumn(n, u) for n, u in zip(names, units, strict=True))
     return Capture(path, columns, values, numbers, rate_hz, unit)
 
 

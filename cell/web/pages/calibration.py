@@ -9,7 +9,7 @@ from nicegui import run, ui
 from cell.files.input_error import InputError
 from cell.settings import load_settings
 from cell.settings.model import Settings
-from cell.web.calibration_view import WORDS, Part, parts
+from cell.web.calibration_view import WORDS, CalibrationPart, parts
 from cell.web.guided import OpenQuestion, calibrate_command
 from cell.web.heartbeat import on_press
 from cell.web.pages.tables import table
@@ -43,10 +43,10 @@ def build(visit: Visit) -> None:
         words = t("The settings have no section `calibration`: camera.view is typed by hand.")
         ui.label(words).props("data-test=uncalibrated")
         return
-    _Page(visit, settings).build()
+    _CalibrationPage(visit, settings).build()
 
 
-class _Page:
+class _CalibrationPage:
     """The elements of one open page."""
 
     def __init__(self, visit: Visit, settings: Settings) -> None:
@@ -96,7 +96,7 @@ class _Page:
                 if p.made is not None:
                     ui.link(f"{t('Report')}: {p.name}", f"/calibration/{p.name}", new_tab=True)
 
-    def _state(self, part: Part) -> str:
+    def _state(self, part: CalibrationPart) -> str:
         t = self._t
         if part.valid:
             return t("valid")

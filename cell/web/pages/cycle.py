@@ -64,11 +64,11 @@ def build(visit: Visit, name: str) -> None:
         with ui.row().classes("items-center gap-6"):
             ui.link(visit.t("Back to the history"), "/history")
             ui.link(visit.t("Report for printing"), f"/cycles/{name}/report", new_tab=True)
-        page = _Page(visit, name)
+        page = _CyclePage(visit, name)
         ui.timer(0.01, page.fill, once=True)
 
 
-class _Page:
+class _CyclePage:
     """The elements of one open page."""
 
     def __init__(self, visit: Visit, name: str) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from nicegui import ui
 
-from cell.settings.entries import Entry, Form
+from cell.settings.entries import SettingsEntry, SettingsForm
 from cell.web.draft import Draft, value_said
 from cell.web.wording import Translate
 
@@ -16,10 +16,10 @@ _IN_FILE, _ALL = "", "*"
 
 
 @dataclass
-class _Row:
+class _EntryRow:
     """An entry on the page: where what is wrong with it is said."""
 
-    entry: Entry
+    entry: SettingsEntry
     box: ui.element
     said: ui.label
     field: ui.input | ui.select
@@ -35,11 +35,11 @@ class EntryRows:
     def __init__(
         self,
         t: Translate,
-        entered: Callable[[Entry, str], Awaitable[None]],
+        entered: Callable[[SettingsEntry, str], Awaitable[None]],
         chosen: Callable[[], None],
     ) -> None:
         self._t, self._entered, self._chosen = t, entered, chosen
-        self._rows: dict[str, _Row] = {}
+        self._rows: dict[str, _EntryRow] = {}
         self._headings: dict[str, ui.label] = {}
         self._asked_for: set[str] = set()
         self._wrong: Sequence[tuple[str, str]] = ()
@@ -97,7 +97,7 @@ class EntryRows:
         away += [self._none] if headed else []
         return f"<style>{', '.join(f'#{e.html_id}' for e in away)} {{display: none}}</style>"
 
-    def _wanted(self, entry: Entry) -> bool:
+    def _wanted(self, entry: SettingsEntry) -> bool:
         """Whether an entry is of the section, or, if something is searched, has all its words."""
         words = (self._search.value or "").lower().split()
         if words:
@@ -107,12 +107,12 @@ class EntryRows:
         section = self._section.value
         return section in (_ALL, entry.key[0]) or (section == _IN_FILE and there)
 
-    def _row(self, entry: Entry) -> _Row:
+    def _row(self, entry: SettingsEntry) -> _EntryRow:
         t = self._t
         given = entry.given or entry.key in self._draft.changes
         box = ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-x-6 entry")
         with box:
-            if entry.form is Form.CHOSEN:
+            if entry.form is SettingsForm.CHOSEN:
                 choices = {w: value_said(w, t) for w in entry.choices}
                 shown = entry.shown(entry.value)
                 value = shown if shown in choices else None
@@ -130,9 +130,9 @@ class EntryRows:
                 said = ui.label().classes("break-words wrong").props("aria-live=polite")
                 said.props(f'data-test="{entry.name}:said"')
         field.on_value_change(lambda e: self._entered(entry, str(e.value or "")))
-        return _Row(entry, box, said, field)
+        return _EntryRow(entry, box, said, field)
 
-    def _limits(self, entry: Entry) -> str:
+    def _limits(self, entry: SettingsEntry) -> str:
         t = self._t
         usual = value_said(entry.shown(entry.default), t)
         default = f"{t('default')} {usual}" if usual else t("must be given")

@@ -8,7 +8,7 @@ from datetime import datetime
 
 from nicegui import run, ui
 
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.web.cycles import cycle_folder, newest_picture
 from cell.web.heartbeat import on_press
 from cell.web.theme import AMBER, AWAY, BLUE, GREEN, N_, RED
@@ -27,10 +27,10 @@ from cell.web.visit import Visit
 _EVERY_S = 0.4
 
 _BUTTONS = (
-    (Event.START, N_("Start"), "play_arrow", GREEN),
-    (Event.HOLD, N_("Hold"), "pause", AMBER),
-    (Event.UNHOLD, N_("Continue"), "play_arrow", GREEN),
-    (Event.STOP, N_("Stop"), "stop", RED),
+    (MachineEvent.START, N_("Start"), "play_arrow", GREEN),
+    (MachineEvent.HOLD, N_("Hold"), "pause", AMBER),
+    (MachineEvent.UNHOLD, N_("Continue"), "play_arrow", GREEN),
+    (MachineEvent.STOP, N_("Stop"), "stop", RED),
 )
 
 
@@ -120,12 +120,12 @@ class _Live:
                 .props("maxlength=200 data-test=part")
                 .classes("w-full")
             )
-            buttons: dict[Event, ui.button] = {}
+            buttons: dict[MachineEvent, ui.button] = {}
             with ui.row().classes("gap-3 w-full"):
                 for event, word, icon, colour in _BUTTONS:
                     button = ui.button(t(word), icon=icon, color=colour)
                     button.classes("big-button").props(f"data-test={event.value}")
-                    button.props(f"text-color={'black' if event is Event.HOLD else 'white'}")
+                    button.props(f"text-color={'black' if event is MachineEvent.HOLD else 'white'}")
                     on_press(visit.heartbeats, button, t(word), self._given(event, part))
                     buttons[event] = button
             ui.label(t("Stop is not an emergency stop: that is the red button at the robot."))
@@ -144,7 +144,7 @@ class _Live:
             release.set_visibility(mine)
             part.set_enabled(mine)
             for event, button in buttons.items():
-                stop = event is Event.STOP
+                stop = event is MachineEvent.STOP
                 button.set_enabled(event in view.buttons and (mine or stop))
 
         self._updates.append(update)
@@ -159,11 +159,11 @@ class _Live:
         self._told(visit.do("take control", Role.operate, act))
         self._update()
 
-    def _given(self, event: Event, part: ui.input) -> Callable[[float], Awaitable[None]]:
+    def _given(self, event: MachineEvent, part: ui.input) -> Callable[[float], Awaitable[None]]:
         async def give(asked_s: float) -> None:
-            code = (part.value or "").strip() if event is Event.START else ""
+            code = (part.value or "").strip() if event is MachineEvent.START else ""
             self._told(await run.io_bound(self._visit.command, event, asked_s, code))
-            if event is Event.START:
+            if event is MachineEvent.START:
                 part.value = ""
             self._update()
 
@@ -199,7 +199,7 @@ class _Live:
                     self._update()
 
                 async def reset(asked_s: float) -> None:
-                    self._told(await run.io_bound(self._visit.command, Event.RESET, asked_s))
+                    self._told(await run.io_bound(self._visit.command, MachineEvent.RESET, asked_s))
                     self._update()
 
                 word = N_("Acknowledge: nothing moves")
@@ -212,8 +212,8 @@ class _Live:
                 moving.classes("big-button").props("text-color=black data-test=reset")
 
         def update(view: LiveView) -> None:
-            asked = Event.CLEAR in view.buttons or "acknowledgement" in view.waiting
-            may_reset = Event.RESET in view.buttons and view.look.word == "Stopped"
+            asked = MachineEvent.CLEAR in view.buttons or "acknowledgement" in view.waiting
+            may_reset = MachineEvent.RESET in view.buttons and view.look.word == "Stopped"
             card.set_visibility(view.fault is not None or asked or may_reset)
             if operates:
                 for element in (by, note, saying):

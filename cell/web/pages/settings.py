@@ -9,7 +9,7 @@ from pathlib import Path
 from nicegui import run, ui
 
 from cell.files.input_error import InputError
-from cell.settings.entries import Entry
+from cell.settings.entries import SettingsEntry
 from cell.settings.promotion import read_exactly
 from cell.settings.versions import ChangedMeanwhileError, replace_settings, versions
 from cell.web.draft import Draft, differences
@@ -35,10 +35,10 @@ def build(visit: Visit) -> None:
         ui.label(str(error)).classes("whitespace-pre-wrap break-words wrong")
         ui.label(t("Edit the file by hand, then load this page again."))
         return
-    _Page(visit, Draft(config, text)).build()
+    _SettingsPage(visit, Draft(config, text)).build()
 
 
-class _Page:
+class _SettingsPage:
     """The elements of one open page, and the changes that it holds."""
 
     def __init__(self, visit: Visit, draft: Draft) -> None:
@@ -66,7 +66,7 @@ class _Page:
         self._rows.fill(self._draft)
         ui.timer(0.01, self._check, once=True)
 
-    async def _entered(self, entry: Entry, text: str) -> None:
+    async def _entered(self, entry: SettingsEntry, text: str) -> None:
         if not self._allowed():
             return
         present = next((e for e in self._draft.entries() if e.key == entry.key), entry)

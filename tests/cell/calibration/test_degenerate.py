@@ -25,7 +25,7 @@ from calib.plane import PlaneView
 from calib.store import StoredCalibration
 from cell.calibration.conclude import camera_from, cell_from, doubts_about
 from cell.calibration.grip import views_of as grip_views
-from cell.calibration.raw import Picture, ShownCell, ShownPose
+from cell.calibration.raw import NamedImage, ShownCell, ShownPose
 from cell.settings import load_settings
 from cell.simulated.shown import board_patches, board_poses, photograph_board
 from drivers.interfaces import Image, Pose
@@ -54,7 +54,7 @@ def from_board(board: Board = BOARD, change: Callable[[Image], Image] = np.asarr
     """A lens from pictures of a board, each changed."""
     X = board_poses(board, 1, np.random.default_rng(3), middle_m(), 0.02)[0]
     image = change(photograph_board(EYE, [board_patches(board, X)], LOOK, RNG))
-    return camera_from([Picture(f"{k}.png", image) for k in range(8)], BOARD)
+    return camera_from([NamedImage(f"{k}.png", image) for k in range(8)], BOARD)
 
 
 def from_hand(
@@ -73,7 +73,7 @@ def from_hand(
     for k in range(14):
         hand = Pose(RNG.uniform(-0.06, 0.02), RNG.uniform(*y_m), RNG.uniform(-0.3, 0.3))
         image = change(photograph_board(EYE, plate(hand, marks, size, bend_m), LOOK, RNG))
-        shown.append(ShownPose("fit", hand, Picture(f"{k:02d}.png", image)))
+        shown.append(ShownPose("fit", hand, NamedImage(f"{k:02d}.png", image)))
     numbers = lens_of(EYE).numbers
     covariance = np.diag([1.0] * 4 + [1e-4, 1e-4, 1e-8, 1e-8, 1e-4])
     lens = StoredCalibration("camera", datetime.now(UTC), {}, {}, {}, {"lens": numbers}, covariance)
@@ -115,7 +115,7 @@ def from_cable(*, cable: bool = True, second: bool = False, y_m: float = 0.0) ->
             line if cable else None, (0.0, y_m, float(turn)), EYE, LOOK, RNG,
             second_cable_m=line + np.array([0.004, 0.004]) if second else None,
         )  # fmt: skip
-        shown.append(ShownPose("fit", Pose(0.0, y_m, float(turn)), Picture(f"{k}.png", image)))
+        shown.append(ShownPose("fit", Pose(0.0, y_m, float(turn)), NamedImage(f"{k}.png", image)))
     return grip_views(ShownCell(tuple(shown)), view, load_settings(Path("config/fake.yaml")))
 
 

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from cell.calibration import grip
-from cell.calibration.session import Rest
-from cell.calibration.showing import Person
+from cell.calibration.session import RestingView
+from cell.calibration.showing import Operator
 from drivers.interfaces import Pose
 
 
@@ -21,9 +21,9 @@ def test_nobodys_hands_are_at_the_jaws_when_a_held_cable_is_moved(monkeypatch) -
         happened.append("grips")
         yield
 
-    def at_rest(*_: object) -> Rest:
+    def at_rest(*_: object) -> RestingView:
         happened.append("moves")
-        return Rest(Pose(0.0, 0.0), np.zeros((2, 2), np.uint8))
+        return RestingView(Pose(0.0, 0.0), np.zeros((2, 2), np.uint8))
 
     def ask(words: str) -> str:
         happened.append("warns" if "people out: the robot will move" in words else "asks")
@@ -34,5 +34,5 @@ def test_nobodys_hands_are_at_the_jaws_when_a_held_cable_is_moved(monkeypatch) -
     session = SimpleNamespace(
         settings=None, home=None, go_to=lambda goal: None, holding_cable=holding_cable
     )
-    grip.show_cable(session, Person(ask), None, lambda *_: None)
+    grip.show_cable(session, Operator(ask), None, lambda *_: None)
     assert happened == ["asks", "grips", "warns", "moves"]

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cell.calibration.session import Session, opened
+from cell.calibration.session import CalibrationSession, opened
 
 
 def test_an_arm_that_is_broken_off_stops_before_the_jaws_open() -> None:
@@ -19,7 +19,7 @@ def test_an_arm_that_is_broken_off_stops_before_the_jaws_open() -> None:
         ),
     )
     settings = SimpleNamespace(gripper=SimpleNamespace(force_n=20.0))
-    session = Session(settings, devices)
+    session = CalibrationSession(settings, devices)
     with pytest.raises(KeyboardInterrupt), session.holding_cable():
         raise KeyboardInterrupt
     assert happened == ["grip", "stop", "release"]

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from calib.errors import CalibrationError
-from cell.calibration.showing import Person
+from cell.calibration.showing import Operator
 
 
 def test_nobody_at_the_terminal_is_an_error_with_its_remedy() -> None:
     def nobody(words: str) -> str:
         raise EOFError
 
-    person = Person(nobody)
+    person = Operator(nobody)
     for question in (
         lambda: person.board(3, ""),
         lambda: person.thread(1),
@@ -30,12 +30,12 @@ def test_a_plumb_line_is_asked_for_at_another_place_until_there_is_none() -> Non
         asked.append(words)
         return " No" if len(asked) == 2 else ""
 
-    person = Person(answer)
+    person = Operator(answer)
     assert [person.thread(1), person.thread(2)] == [True, False]
     assert "another place" in asked[1]
     assert "another place" not in asked[0]
 
 
 def test_nobody_has_to_have_a_cable() -> None:
-    assert Person(lambda words: "").cable() is True
-    assert Person(lambda words: "n").cable() is False
+    assert Operator(lambda words: "").cable() is True
+    assert Operator(lambda words: "n").cable() is False

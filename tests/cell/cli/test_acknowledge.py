@@ -8,7 +8,7 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 from cell.cli import app
-from cell.records.ledger.entry import Entry
+from cell.records.ledger.entry import LedgerEntry
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.result import Fault, Outcome, Result
 
@@ -22,7 +22,7 @@ def test_a_cycle_of_the_same_name_on_another_line_stays_open(tmp_path: Path) -> 
     for line in ("line3", "line4"):
         folder = tmp_path / line / NAME
         result = Result(1, Outcome.FAILED, str(folder), fault=fault)
-        ledger.write([Entry(line, 1, folder, at, "inserted", ended=at, result=result)])
+        ledger.write([LedgerEntry(line, 1, folder, at, "inserted", ended=at, result=result)])
 
     def acknowledge(folder: Path) -> str:
         words = ["acknowledge", str(folder), "--ledger", str(tmp_path / "plant"), "--by", "Ada"]

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from cell.cli import app
 from cell.records.folder import Record
-from cell.records.ledger.entry import Entry
+from cell.records.ledger.entry import LedgerEntry
 from cell.records.ledger.ledger import Ledger
 from cell.records.recording import form
 from cell.records.result import Outcome
@@ -33,7 +33,7 @@ def runs(tmp_path: Path) -> Path:
     result = CycleResult(1, Outcome.INSERTED, str(record.folder))
     record.close(result)
     ledger = Ledger(runs, create=True)
-    ledger.write([Entry("l", 1, record.folder, NOON, "inserted", ended=NOON, result=result)])
+    ledger.write([LedgerEntry("l", 1, record.folder, NOON, "inserted", ended=NOON, result=result)])
     ledger.close()
     return runs
 

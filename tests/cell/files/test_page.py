@@ -9,7 +9,7 @@ import pytest
 from jinja2 import UndefinedError
 
 from cell.files.figure_style import laid_out
-from cell.files.page import Picture, Plot, code, page
+from cell.files.page import PagePicture, Plot, code, page
 from cell.files.table import TableData
 
 TEMPLATE = """{% extends "page.html" %}{% from "parts.html" import table, plot, pictures %}
@@ -23,7 +23,7 @@ def made(tmp_path: Path, **given: object) -> str:
     content = {
         "rows": TableData("", ["a", EVIL], [["1", EVIL]], (0,)),
         "figure": Plot.of(figure),
-        "shown": [Picture.of(np.zeros((10, 20, 3), np.uint8), 10, "one_two")],
+        "shown": [PagePicture.of(np.zeros((10, 20, 3), np.uint8), 10, "one_two")],
     }
     return page(tmp_path, "t.html", EVIL, **(content | given))
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.identify.gauss_newton import Options, Problem, minimise
+from cell.identify.gauss_newton import LeastSquaresProblem, Options, minimise
 
 #: NIST StRD Misra1a: y = b1 (1 − exp(−b2 x)); certified values and standard deviations.
 MISRA1A = np.array(
@@ -30,7 +30,7 @@ CERTIFIED_STD = np.array([2.7070075241, 7.2668688436e-06])
 RESIDUAL_STD = 1.0187876330e-01
 
 
-def misra(low: float = -np.inf, high: float = np.inf) -> Problem:
+def misra(low: float = -np.inf, high: float = np.inf) -> LeastSquaresProblem:
     """In logarithms of the parameters, with hardly any prior."""
 
     def residuals(lanes: np.ndarray) -> np.ndarray:
@@ -38,7 +38,7 @@ def misra(low: float = -np.inf, high: float = np.inf) -> Problem:
         y, x = MISRA1A.T
         return (y - b1 * (1.0 - np.exp(-b2 * x))) / RESIDUAL_STD
 
-    return Problem(
+    return LeastSquaresProblem(
         residuals,
         np.log([500.0, 1e-4]),
         1e-9 * np.eye(2),
@@ -99,7 +99,7 @@ def test_a_bound_is_kept_and_the_rest_is_fitted_beside_it() -> None:
 
 
 def test_the_prior_decides_what_the_data_do_not() -> None:
-    problem = Problem(
+    problem = LeastSquaresProblem(
         lambda lanes: lanes[:, :1] - 3.0,
         np.array([0.0, 7.0]),
         np.diag([1.0, 4.0]),
@@ -116,7 +116,7 @@ def test_lanes_that_cannot_be_computed_are_stepped_back_from() -> None:
     def residuals(lanes: np.ndarray) -> np.ndarray:
         return np.where(lanes > 1.2, np.inf, 1.0 / np.maximum(lanes, 1e-3) - 1.0)
 
-    problem = Problem(
+    problem = LeastSquaresProblem(
         residuals, np.zeros(1), np.zeros((1, 1)), np.full(1, 1e-6), np.zeros(1), np.full(1, 10.0)
     )
     solution = minimise(problem, np.array([0.1]), Options(tolerance=1e-8))
@@ -140,7 +140,9 @@ def test_far_along_a_narrow_valley_is_not_called_converged(updates: int) -> None
         return np.stack([100.0 * (y - x**2), 10.0 * (1.0 - x)], axis=1)
 
     wide = np.full(2, 10.0)
-    problem = Problem(residuals, np.zeros(2), np.zeros((2, 2)), np.full(2, 1e-6), -wide, wide)
+    problem = LeastSquaresProblem(
+        residuals, np.zeros(2), np.zeros((2, 2)), np.full(2, 1e-6), -wide, wide
+    )
     solution = minimise(problem, np.array([-1.2, 1.44]), Options(most_passes=100, updates=updates))
     assert solution.converged
     assert solution.q == pytest.approx([1.0, 1.0], abs=1e-4)
@@ -194,7 +196,9 @@ def test_a_rough_objective_is_left_once_passes_gain_nothing() -> None:
         return np.hstack([300.0 * (lanes - 1.0), ripples, np.ones((len(lanes), 100))])
 
     bounds, none = np.full(2, np.inf), np.zeros(2)
-    rough = Problem(residuals, none, 1e-9 * np.eye(2), np.full(2, 1e-4), -bounds, bounds)
+    rough = LeastSquaresProblem(
+        residuals, none, 1e-9 * np.eye(2), np.full(2, 1e-4), -bounds, bounds
+    )
     solution = minimise(rough, np.array([3.0, -2.0]), Options(most_passes=40, updates=3))
     assert solution.settled
     assert solution.passes <= 12
@@ -224,7 +228,7 @@ def test_differences_reach_no_further_than_the_data_leave_open() -> None:
         return (wave - np.sin(2.0 * np.pi * 40.0 * (t_s - 1e-3))) / 1e-3
 
     step, wide = np.array([1e-3, 0.011]), np.full(2, 10.0)
-    problem = Problem(residuals, np.zeros(2), np.zeros((2, 2)), step, -wide, wide)
+    problem = LeastSquaresProblem(residuals, np.zeros(2), np.zeros((2, 2)), step, -wide, wide)
     solution = minimise(problem, np.array([0.9, 0.0]), Options(tolerance=0.01, updates=3))
     assert solution.converged
     np.testing.assert_allclose(solution.q, [1.0, 1e-3], atol=1e-6)
@@ -246,7 +250,7 @@ def test_where_slopes_grow_as_fast_as_steps_shrink_differences_are_not_taken_on_
 
     wide = np.full(size, 10.0)
     start, step = np.zeros(size), np.full(size, 1e-2)
-    rough = Problem(residuals, start, 1e-4 * np.eye(size), step, -wide, wide)
+    rough = LeastSquaresProblem(residuals, start, 1e-4 * np.eye(size), step, -wide, wide)
     minimise(rough, start, Options(most_passes=1))
     assert batches[0] <= 5
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.identify.gauss_newton import Options, Problem, minimise
+from cell.identify.gauss_newton import LeastSquaresProblem, Options, minimise
 from cell.identify.profile import profile
 
 CLOSE = Options(tolerance=1e-3, most_passes=60)
@@ -11,7 +11,7 @@ TARGET = 1.959964
 
 
 def problem(residual, p, *, precision=None, low=None, high=None):
-    return Problem(
+    return LeastSquaresProblem(
         residuals=lambda lanes: np.stack([residual(q) for q in lanes]),
         mean=np.zeros(p),
         precision=np.zeros((p, p)) if precision is None else precision,

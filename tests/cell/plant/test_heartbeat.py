@@ -19,7 +19,7 @@ from cell.plant.mqtt.outbox import MqttOutbox
 from cell.plant.mqtt.taking import Taker
 from cell.plant.wire import LinkError, line_of, socket_of
 from cell.settings.plant import OpcUa
-from cell.web.watching import Watch
+from cell.web.watching import CellWatch
 from tests.cell.plant.opcua.conftest import (
     NAME,
     FakeCell,
@@ -193,7 +193,7 @@ def test_a_halted_cell_is_shown_as_lost_by_all_who_show_it(
     runs, port = tmp_path / "runs", free_port()
     settings = settings_with(OpcUa(port=port, folder=tmp_path / "opcua", name=NAME))
     client = Client(runs, on_lost=lambda: watch.lost(), on_there=lambda: watch.found())
-    watch = Watch(client, settings.model_copy(update={"ledger": None}), runs)
+    watch = CellWatch(client, settings.model_copy(update={"ledger": None}), runs)
     outbox = MqttOutbox(tmp_path / "outbox", 1000)
 
     async def shown(seen: Seen) -> None:

@@ -17,16 +17,16 @@ import pytest
 from cell.plant import connection
 from cell.plant.client import Client
 from cell.plant.link import Link
-from cell.plant.messages import PROTOCOL, Answer, Kind, Notice, Request, Status
-from cell.plant.server import Server
+from cell.plant.messages import PROTOCOL, CommandReply, MessageKind, Notice, Request, Status
+from cell.plant.server import CommandServer
 from cell.plant.wire import LinkError, NoCellError, ProtocolError, line_of, socket_of
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 
 BEGUN = Status(run="", sequence=0, state=CellState.STOPPED, since_s=0.0, line="line 1")
 
 
-def obeys(request: Request) -> Answer:
-    return Answer(True, CellState.EXECUTE, repr(request))
+def obeys(request: Request) -> CommandReply:
+    return CommandReply(True, CellState.EXECUTE, repr(request))
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def client(runs: Path) -> Iterator[Client]:
 
 
 def goes_to(link: Link, state: CellState) -> Notice:
-    return link.publish(Kind.STATE, {"state": state.value, "step": None, "since": 5.0})
+    return link.publish(MessageKind.STATE, {"state": state.value, "step": None, "since": 5.0})
 
 
 def wait_until(reached: Callable[[], bool]) -> None:
@@ -63,17 +63,17 @@ def test_notices_that_follow_each_other_are_sent_together_and_in_order(
 ) -> None:
     """Woken at every notice, the link's threads cost the robot's wait 13 %."""
     woken = list[float]()
-    wake = Server.wake
+    wake = CommandServer.wake
 
-    def counted(server: Server) -> None:
+    def counted(server: CommandServer) -> None:
         woken.append(time.monotonic())
         wake(server)
 
     followed = client.follow((link.run, 0))
-    monkeypatch.setattr(Server, "wake", counted)
+    monkeypatch.setattr(CommandServer, "wake", counted)
     count, begun_s = 50, time.monotonic()
     for number in range(count):
-        link.publish(Kind.STEP, {"step": "simulate", "cycle": number})
+        link.publish(MessageKind.STEP, {"step": "simulate", "cycle": number})
         time.sleep(0.002)  # other threads get their turn
     seen = [n.data["cycle"] for n in islice(followed, count)]
     assert seen == list(range(count))
@@ -82,14 +82,14 @@ def test_notices_that_follow_each_other_are_sent_together_and_in_order(
 
 def test_a_status_contains_what_was_published(link: Link, client: Client) -> None:
     goes_to(link, CellState.IDLE)
-    link.publish(Kind.WAITING, {"waiting_for": ["start"]})
-    link.publish(Kind.CYCLE, {"cycle": 3, "part": "A-3", "product": "long"})
-    link.publish(Kind.RESULT, {"cycle": 3, "outcome": "inserted", "margin_m": 0.001})
-    link.publish(Kind.FAULT, {"cycle": 3, "step": "grasp", "cause": "none", "time_s": 1.0})
+    link.publish(MessageKind.WAITING, {"waiting_for": ["start"]})
+    link.publish(MessageKind.CYCLE, {"cycle": 3, "part": "A-3", "product": "long"})
+    link.publish(MessageKind.RESULT, {"cycle": 3, "outcome": "inserted", "margin_m": 0.001})
+    link.publish(MessageKind.FAULT, {"cycle": 3, "step": "grasp", "cause": "none", "time_s": 1.0})
     status = client.connect().status()
     assert status.run == link.run
     assert (status.sequence, status.state, status.since_s) == (5, CellState.IDLE, 5.0)
-    assert status.possible == (Event.START, Event.STOP, Event.ABORT)
+    assert status.possible == (MachineEvent.START, MachineEvent.STOP, MachineEvent.ABORT)
     assert status.waiting_for == ("start",)
     assert (status.cycle, status.part, status.product) == (3, "A-3", "long")
     assert status.counts == {"inserted": 1}
@@ -98,7 +98,7 @@ def test_a_status_contains_what_was_published(link: Link, client: Client) -> Non
     assert status.fault.cause == "none"
     assert status.line == "line 1"
     assert set(status.state_seconds) == {"stopped", "idle"}
-    link.publish(Kind.ACKNOWLEDGED, {"by": "Ada", "note": ""})
+    link.publish(MessageKind.ACKNOWLEDGED, {"by": "Ada", "note": ""})
     assert client.status().fault is None
 
 
@@ -182,17 +182,17 @@ def test_who_asks_often_keeps_a_connection_as_long_as_the_cell_runs(runs: Path) 
 
 
 def test_a_request_is_answered(link: Link, client: Client) -> None:
-    request = Request(Event.START, "plc", part="A-17", product="long", note="Grüße\n")
-    assert client.send(request) == Answer(True, CellState.EXECUTE, repr(request))
+    request = Request(MachineEvent.START, "plc", part="A-17", product="long", note="Grüße\n")
+    assert client.send(request) == CommandReply(True, CellState.EXECUTE, repr(request))
     assert client.send(Request(None, "plc", product="long")).accepted
 
 
 @pytest.mark.parametrize(
     ("request_", "reason"),
     [
-        (Request(Event.DONE, "plc"), "no command"),
-        (Request(Event.START, ""), "who asks"),
-        (Request(Event.START, "plc", part="x" * 2000), "part is no text"),
+        (Request(MachineEvent.DONE, "plc"), "no command"),
+        (Request(MachineEvent.START, ""), "who asks"),
+        (Request(MachineEvent.START, "plc", part="x" * 2000), "part is no text"),
     ],
 )
 def test_what_is_no_request_is_refused(
@@ -218,11 +218,11 @@ def test_a_command_that_comes_too_late_is_refused_and_a_stop_is_not(
 ) -> None:
     """A start that waited in the socket of a halted cell moved the arm when it went on."""
     asked_s = time.monotonic() - age_s
-    for command in (Event.START, Event.RESET, Event.UNHOLD, None):
+    for command in (MachineEvent.START, MachineEvent.RESET, MachineEvent.UNHOLD, None):
         answer = client.send(Request(command, "plc", product="soft", asked_s=asked_s))
         assert (answer.accepted, answer.wrong) == (False, "asked_s")
         assert "s ago, and is refused after 1 s" in answer.reason
-    for command in (Event.STOP, Event.ABORT):
+    for command in (MachineEvent.STOP, MachineEvent.ABORT):
         assert client.send(Request(command, "plc", asked_s=asked_s)).accepted
 
 
@@ -234,13 +234,13 @@ def test_a_command_without_a_time_is_refused(link: Link, runs: Path) -> None:
 
 
 def test_a_handler_that_fails_refuses(runs: Path, client: Client) -> None:
-    def fails(request: Request) -> Answer:
+    def fails(request: Request) -> CommandReply:
         raise RuntimeError("broken")
 
     with Link(runs, BEGUN, fails):
         for _ in range(2):
-            answer = client.send(Request(Event.START, "plc"))
-            assert answer == Answer(False, CellState.STOPPED, "RuntimeError: broken")
+            answer = client.send(Request(MachineEvent.START, "plc"))
+            assert answer == CommandReply(False, CellState.STOPPED, "RuntimeError: broken")
 
 
 def test_without_a_cell_a_client_says_so(runs: Path, client: Client) -> None:
@@ -365,7 +365,7 @@ def test_programs_that_do_not_read_are_disconnected_and_the_others_lose_nothing(
     thread.start()
     wait_until(lambda: bool(heard))
     for number in range(3000):
-        link.publish(Kind.STEP, {"step": "x" * 1000, "cycle": number})
+        link.publish(MessageKind.STEP, {"step": "x" * 1000, "cycle": number})
         time.sleep(0.0002)
     wait_until(lambda: len(heard) == 3001)
     client.close()
@@ -383,7 +383,7 @@ def test_a_program_is_not_taken_for_lagging_while_a_notice_is_put_into_the_journ
     """Two threads meet there: one adds a notice while the other sends what there is."""
     here, there = socket.socketpair()
     with here, there:
-        program, journal = connection.Connection(here), connection.Journal()
+        program, journal = connection.CellConnection(here), connection.Journal()
         program.told = 0
 
         class Lines(dict[int, bytes]):

@@ -17,13 +17,13 @@ from cell.plant.orders import latch
 from cell.plant.reporter import Reporter
 from cell.plant.systemd import Notifier, unit_of
 from cell.run.commands import Commands
-from cell.run.machine import CellState, Event, Machine
+from cell.run.machine import CellState, Machine, MachineEvent
 
 
 def test_what_is_possible_is_what_the_machine_knows() -> None:
-    assert possible_in(CellState.ABORTED) == (Event.CLEAR,)
-    assert possible_in(CellState.STARTING) == (Event.STOP, Event.ABORT)
-    assert possible_in(CellState.STARTING, {Event.ABORT}) == (Event.ABORT,)
+    assert possible_in(CellState.ABORTED) == (MachineEvent.CLEAR,)
+    assert possible_in(CellState.STARTING) == (MachineEvent.STOP, MachineEvent.ABORT)
+    assert possible_in(CellState.STARTING, {MachineEvent.ABORT}) == (MachineEvent.ABORT,)
 
 
 def test_what_a_cell_waits_for_is_told_once() -> None:
@@ -38,15 +38,26 @@ def test_what_a_cell_waits_for_is_told_once() -> None:
 def test_each_pause_that_has_not_begun_can_be_taken_back() -> None:
     """The line suspends the cell, a person asks for a hold too, and thinks better of it."""
     machine, commands = Machine(lambda: 0.0), Commands()
-    for event in (Event.RESET, Event.DONE, Event.START, Event.DONE, Event.SUSPEND, Event.DONE):
+    for event in (
+        MachineEvent.RESET,
+        MachineEvent.DONE,
+        MachineEvent.START,
+        MachineEvent.DONE,
+        MachineEvent.SUSPEND,
+        MachineEvent.DONE,
+    ):
         machine.send(event)
-    commands.give(Event.SUSPEND)
+    commands.give(MachineEvent.SUSPEND)
     cell = SimpleNamespace(machine=machine, commands=commands, command=commands.give)
     assert machine.state is CellState.SUSPENDED
-    for event, accepted in ((Event.UNHOLD, False), (Event.HOLD, True), (Event.UNHOLD, True)):
+    for event, accepted in (
+        (MachineEvent.UNHOLD, False),
+        (MachineEvent.HOLD, True),
+        (MachineEvent.UNHOLD, True),
+    ):
         assert latch(cast(Any, cell), Request(event, "Ada")).accepted is accepted
-    assert commands.pause is Event.SUSPEND
-    assert latch(cast(Any, cell), Request(Event.UNSUSPEND, "plc")).accepted
+    assert commands.pause is MachineEvent.SUSPEND
+    assert latch(cast(Any, cell), Request(MachineEvent.UNSUSPEND, "plc")).accepted
     assert commands.pause is None
 
 

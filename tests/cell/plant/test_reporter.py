@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from cell.plant.messages import Kind
+from cell.plant.messages import MessageKind
 from cell.plant.reporter import Reporter
 from cell.run.machine import CellState
 from cell.run.plans import INSERTING
@@ -15,8 +15,8 @@ def test_every_step_is_told_and_a_pause_is_none() -> None:
     """`execute` is a state, too, and was not told."""
     told: list[str] = []
 
-    def publish(kind: Kind, data: Mapping[str, Any]) -> None:
-        assert kind is Kind.STEP
+    def publish(kind: MessageKind, data: Mapping[str, Any]) -> None:
+        assert kind is MessageKind.STEP
         told.append(data["step"])
 
     reporter = Reporter(publish)

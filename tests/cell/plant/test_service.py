@@ -11,15 +11,15 @@ from typing import Any, cast
 
 import pytest
 
-from cell.plant.messages import Answer, Kind, Request
+from cell.plant.messages import CommandReply, MessageKind, Request
 from cell.plant.reporter import Reporter
 from cell.plant.service import Service
 from cell.records.folder import Record
 from cell.run.cycle import Cell
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from drivers.clock import RealClock
 
-Told = list[tuple[Kind, Mapping[str, Any]]]
+Told = list[tuple[MessageKind, Mapping[str, Any]]]
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def service_of(runs: Path, told: Told) -> Service:
     return Service(cell, Reporter(lambda kind, data: told.append((kind, data))), runs)
 
 
-def ask(service: Service, command: Event) -> Answer:
+def ask(service: Service, command: MachineEvent) -> CommandReply:
     return service.answer(Request(command, "Ada", note="guard opened"))
 
 
@@ -45,57 +45,61 @@ def test_an_abort_in_stopped_is_not_taken_back_by_a_reset(tmp_path: Path, told: 
     runs = tmp_path / "runs"
     Record(runs, 1, datetime.now(UTC))  # a cycle that was killed
     service = service_of(runs, told)
-    aborted = ask(service, Event.ABORT)
+    aborted = ask(service, MachineEvent.ABORT)
     assert (aborted.accepted, aborted.state) == (True, CellState.ABORTED)
-    refused = ask(service, Event.RESET)
+    refused = ask(service, MachineEvent.RESET)
     assert not refused.accepted and refused.reason.endswith("possible now: clear")
-    assert ask(service, Event.CLEAR).state is CellState.STOPPED
-    assert ask(service, Event.RESET).state is CellState.RESETTING
+    assert ask(service, MachineEvent.CLEAR).state is CellState.STOPPED
+    assert ask(service, MachineEvent.RESET).state is CellState.RESETTING
 
 
 def test_an_abort_in_stopped_outlives_the_service(tmp_path: Path, told: Told) -> None:
     runs = tmp_path / "runs"
     Record(runs, 1, datetime.now(UTC))
     service = service_of(runs, told)
-    for command in (Event.ABORT, Event.CLEAR, Event.ABORT):  # the last when all is acknowledged
+    for command in (
+        MachineEvent.ABORT,
+        MachineEvent.CLEAR,
+        MachineEvent.ABORT,
+    ):  # the last when all is acknowledged
         assert ask(service, command).accepted
-    faults = [(data["code"], data["cause"]) for kind, data in told if kind is Kind.FAULT]
+    faults = [(data["code"], data["cause"]) for kind, data in told if kind is MessageKind.FAULT]
     assert [code for code, _ in faults] == ["unfinished", "abort"]
     assert faults[-1][1] == "guard opened by Ada"
     told.clear()
     service_of(runs, told)
-    assert [data["state"] for kind, data in told if kind is Kind.STATE] == ["stopped"]
-    causes = [data["cause"] for kind, data in told if kind is Kind.FAULT]
+    assert [data["state"] for kind, data in told if kind is MessageKind.STATE] == ["stopped"]
+    causes = [data["cause"] for kind, data in told if kind is MessageKind.FAULT]
     assert causes == ["abort: guard opened by Ada"]
 
 
-@pytest.mark.parametrize("command", [Event.START, Event.RESET])
+@pytest.mark.parametrize("command", [MachineEvent.START, MachineEvent.RESET])
 def test_nothing_moves_if_the_process_was_halted_after_it_had_accepted(
-    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch, command: Event
+    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch, command: MachineEvent
 ) -> None:
     """A start was accepted, the process halted, and the arm moved as soon as it went on."""
     service = service_of(tmp_path / "runs", told)
     cell = service._cell
-    given: list[Event] = []
+    given: list[MachineEvent] = []
 
     def moves(*_: object) -> None:
-        assert given == [Event.STOP]
+        assert given == [MachineEvent.STOP]
         service.end()
 
     monkeypatch.setattr(cell, "prepare", lambda *_: None)
     service._prepared()
-    if command is Event.START:
-        cell.machine.send(Event.DONE)
+    if command is MachineEvent.START:
+        cell.machine.send(MachineEvent.DONE)
     else:
-        cell.machine.send(Event.STOP)
-        cell.machine.send(Event.DONE)
+        cell.machine.send(MachineEvent.STOP)
+        cell.machine.send(MachineEvent.DONE)
     monkeypatch.setattr(cell, "prepare", moves)
     monkeypatch.setattr(cell, "run_prepared", moves)
     monkeypatch.setattr(cell, "command", lambda event, reason: given.append(event))
     accepted = service.answer(Request(command, "Ada", asked_s=monotonic() - 1.5))
     assert accepted.accepted
-    service._idle() if command is Event.START else service._prepared()
-    assert given == [Event.STOP]
+    service._idle() if command is MachineEvent.START else service._prepared()
+    assert given == [MachineEvent.STOP]
 
 
 def test_acknowledging_moves_nothing_and_the_reset_that_follows_does(
@@ -108,12 +112,16 @@ def test_acknowledging_moves_nothing_and_the_reset_that_follows_does(
     word = Request(None, "Ada", "cable taken out")
     answer = service.answer(word)
     assert (answer.accepted, answer.state) == (True, CellState.STOPPED)
-    said = [(kind, data) for kind, data in told if kind in (Kind.ACKNOWLEDGED, Kind.WAITING)]
+    said = [
+        (kind, data)
+        for kind, data in told
+        if kind in (MessageKind.ACKNOWLEDGED, MessageKind.WAITING)
+    ]
     assert said[-2:] == [
-        (Kind.ACKNOWLEDGED, {"by": "Ada", "note": "cable taken out"}),
-        (Kind.WAITING, {"waiting_for": ["reset"]}),
+        (MessageKind.ACKNOWLEDGED, {"by": "Ada", "note": "cable taken out"}),
+        (MessageKind.WAITING, {"waiting_for": ["reset"]}),
     ]
     assert not service._fresh  # else it would make itself ready now
     assert "there is nothing to acknowledge" in service.answer(word).reason
-    assert ask(service, Event.ABORT).accepted
+    assert ask(service, MachineEvent.ABORT).accepted
     assert service.answer(word).state is CellState.STOPPED

@@ -20,13 +20,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_as_test
 
 from cell.plant.folded import possible_in
-from cell.plant.messages import COMMANDS, Kind, Request
+from cell.plant.messages import COMMANDS, MessageKind, Request
 from cell.plant.reporter import Reporter
 from cell.plant.service import Service
 from cell.records.result import Outcome
 from cell.run.cycle import Cell
 from cell.run.findings import Findings
-from cell.run.machine import TRANSITIONS, CellState, Event, target_of
+from cell.run.machine import TRANSITIONS, CellState, MachineEvent, target_of
 from cell.run.plans import Plan, Step
 from cell.run.product import ProductTask
 from cell.run.station import Station
@@ -166,22 +166,22 @@ class ServiceStates(RuleBasedStateMachine):
         self._states = [self._cell.machine.state]
         self._reports = self._cell.machine.on_change
         self._cell.machine.on_change = self._changed_to
-        self._asked: Event | None = None
+        self._asked: MachineEvent | None = None
         self._causes = 0  # given since a person's word, accepted or not
         self._due: set[CellState] = set()  # to be reached because of what was accepted
         lockstep.begin(lambda: self._service.run(lambda result: lockstep.moment()))
 
-    def _told(self, kind: Kind, data: Mapping[str, Any]) -> None:
-        if kind is Kind.FAULT:
+    def _told(self, kind: MessageKind, data: Mapping[str, Any]) -> None:
+        if kind is MessageKind.FAULT:
             assert self._causes, f"nothing was given that explains {data}"
-        if kind is Kind.ACKNOWLEDGED:
+        if kind is MessageKind.ACKNOWLEDGED:
             self._causes = 0
 
     def _changed_to(self, state: CellState) -> None:
         before = self._states[-1]
         assert (before, state) in LEGAL, f"{before} → {state}"
         if (before, state) == (CellState.STOPPED, CellState.RESETTING):
-            asked = self._asked is Event.RESET
+            asked = self._asked is MachineEvent.RESET
             assert asked or len(self._states) == 1, "nobody has sent the hand home"
         self._states.append(state)
         self._due -= {state}
@@ -200,7 +200,7 @@ class ServiceStates(RuleBasedStateMachine):
         self._give(known[number % len(known)])
 
     @rule(command=st.sampled_from(sorted(COMMANDS)), after=st.sampled_from(MOMENTS))
-    def any(self, command: Event, after: int) -> None:
+    def any(self, command: MachineEvent, after: int) -> None:
         self._advance(after)
         self._give(command)
 
@@ -218,12 +218,12 @@ class ServiceStates(RuleBasedStateMachine):
             if self._lockstep.over or (self._states[-1] in WAITING and same > STILL):
                 return
 
-    def _give(self, command: Event) -> None:
+    def _give(self, command: MachineEvent) -> None:
         """A command is accepted if, and only if, the table knows it in this state."""
         cell, state = self._cell, self._cell.machine.state
         known = target_of(state, command) is not None or cell.commands.resumes(command)
-        stopping = command in (Event.STOP, Event.ABORT)
-        if command is Event.START and self._latched():
+        stopping = command in (MachineEvent.STOP, MachineEvent.ABORT)
+        if command is MachineEvent.START and self._latched():
             known = False  # it would be stopped at once
         if stopping and known:
             self._causes += 1
@@ -232,10 +232,10 @@ class ServiceStates(RuleBasedStateMachine):
         self._asked = None
         assert answer.accepted is known, f"{command} in {state}: {answer}"
         if known and stopping:
-            rests = CellState.ABORTED if command is Event.ABORT else CellState.STOPPED
+            rests = CellState.ABORTED if command is MachineEvent.ABORT else CellState.STOPPED
             if cell.machine.state is not rests and not self._failed():
                 self._due.add(rests)
-        if known and command is Event.RESET and state is not CellState.COMPLETE:
+        if known and command is MachineEvent.RESET and state is not CellState.COMPLETE:
             assert cell.machine.state is CellState.RESETTING
             assert len(self._states) <= 2 or not self._latched(), "it stops again at once"
 
@@ -265,7 +265,7 @@ class ServiceStates(RuleBasedStateMachine):
             assert state in WAITING
             assert not self._due, f"accepted, but {state}: {self._states}"
             if state in (CellState.HELD, CellState.SUSPENDED):
-                self._give(Event.STOP)
+                self._give(MachineEvent.STOP)
             self._service.end()
             self._settle()
             assert self._lockstep.over

@@ -18,7 +18,7 @@ from cell.records.recording import form
 from cell.settings import load_settings
 from cell.settings.plant import Plant
 from cell.settings.plant.mqtt import Mqtt
-from cell.settings.records import Ledger
+from cell.settings.records import LedgerSettings
 
 
 def written(items, path):
@@ -102,7 +102,7 @@ def test_settings_without_a_secret_cost_no_recording(tmp_path, cycle, given):
     tls = {"tls": {}} if given else {}
     settings = load_settings(Path("config/fake.yaml"))
     mqtt = Mqtt.model_validate({"broker": "127.0.0.1", "group": "plant", **tls, **given})
-    settings = settings.model_copy(update={"plant": Plant(mqtt=mqtt), "ledger": Ledger()})
+    settings = settings.model_copy(update={"plant": Plant(mqtt=mqtt), "ledger": LedgerSettings()})
     (cycle / "settings.yaml").write_text(yaml_text(settings.model_dump(mode="json")))
     done, _, _ = written(items_of_cycle(cycle, recordings=True), tmp_path / "bundle.zip")
     assert not done.left_out and not done.cleaned

@@ -11,7 +11,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from cell.plan.paths import MotionLimits, identification_path, insertion_path
-from cell.records.result import Check
+from cell.records.result import AgreementCheck
 from cell.run.agreement import agreement
 from cell.run.findings import JawFilm, RehearsedMotion
 from drivers.interfaces import Frame, Pose, Trajectory
@@ -67,7 +67,7 @@ def made(
     )
 
 
-def checks(speed: float = 1.0, seed: int = 1, **faults: Any) -> dict[str, Check]:
+def checks(speed: float = 1.0, seed: int = 1, **faults: Any) -> dict[str, AgreementCheck]:
     rng = np.random.default_rng(seed)
     brisk, gentle = (m.slowed(1.0 / speed) for m in (MotionLimits(), MotionLimits(0.2, 1.0, 10.0)))
     low = Pose(0.0, -0.05)
@@ -78,7 +78,7 @@ def checks(speed: float = 1.0, seed: int = 1, **faults: Any) -> dict[str, Check]
     return {check.what: check for check in found}
 
 
-def wrong(found: dict[str, Check]) -> set[str]:
+def wrong(found: dict[str, AgreementCheck]) -> set[str]:
     return {what for what, check in found.items() if not check.right}
 
 

@@ -11,9 +11,9 @@ import pytest
 from cell.records.folder import RecordError
 from cell.run.cycle import Cell
 from cell.run.findings import Findings
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from cell.run.plans import CONNECT, INSERTING, RESET, Plan, Step
-from cell.run.progress import Progress
+from cell.run.progress import CycleProgress
 from cell.run.station import Station
 from cell.settings import load_settings
 from cell.simulated.twins import build_twins
@@ -58,7 +58,7 @@ def test_a_device_that_is_lost_as_somebody_stops_is_connected_anew(
     """Who opens the guard also switches the camera off."""
 
     def stopped_and_lost() -> None:
-        cell.command(Event.STOP, "guard opened")
+        cell.command(MachineEvent.STOP, "guard opened")
         raise LOST
 
     result = cell.run_cycle(1, plan_with(stopped_and_lost))
@@ -74,10 +74,10 @@ def test_a_full_disk_does_not_hide_the_device_that_failed(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def lost() -> None:
-        def full(progress: Progress) -> None:
+        def full(progress: CycleProgress) -> None:
             raise RecordError("the record cannot be written: No space left on device")
 
-        monkeypatch.setattr(Progress, "write", full)
+        monkeypatch.setattr(CycleProgress, "write", full)
         raise LOST
 
     result = cell.run_cycle(1, plan_with(lost))

@@ -23,7 +23,7 @@ from cell.plan.choose import Freedom
 from cell.plan.paths import executed_motion, insertion_path
 from cell.run.candidates import simulate_offsets
 from cell.run.commands import Commands
-from cell.run.early_estimate import EarlyEstimator, Look, _looks
+from cell.run.early_estimate import EarlyEstimator, ScheduledEstimate, _looks
 from cell.run.findings import EarlyEstimate, FilmedMotion, Filming
 from cell.run.station import Timing
 from cell.settings import load_settings
@@ -75,13 +75,13 @@ def test_the_hand_waits_for_a_process_that_hurries() -> None:
     computer.noted.append("asked")
     estimate = EarlyEstimate(*3 * [SimpleNamespace()])
     job.set_result(estimate)
-    estimator._running.append((Look(0.0, filming), job))
+    estimator._running.append((ScheduledEstimate(0.0, filming), job))
     assert estimator.result(9) is None
     assert estimator.result(10) is estimate
     assert computer.noted == ["asked", "hurries", "gives way"]
 
 
-def holds(least_s: float | None, most_s: float, window_s: float = 0.0) -> list[Look]:
+def holds(least_s: float | None, most_s: float, window_s: float = 0.0) -> list[ScheduledEstimate]:
     task = replace(cell_task(load_settings(CONFIG)), least_hold_s=least_s, hold_s=most_s)
     task = replace(task, choice=replace(task.choice, freely=Freedom(window_s)))
     filming = Filming(2.0, 2.5, 2.5 + most_s, 100 + round(200 * most_s))

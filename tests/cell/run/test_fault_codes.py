@@ -7,7 +7,7 @@ import pytest
 from cell.records.folder import RecordError
 from cell.run.commands import InterruptedByCommandError
 from cell.run.endings import fault_of
-from cell.run.machine import Event
+from cell.run.machine import MachineEvent
 from drivers.interfaces import (
     ArmMode,
     CameraError,
@@ -34,7 +34,7 @@ from drivers.interfaces import (
         (GripError("gripper", "no cable"), "gripper.grip"),
         (CameraError("camera", "frozen"), "camera.frames"),
         (DeviceError("computer", "too slow"), "computer.device"),
-        (InterruptedByCommandError(Event.ABORT, "a person"), "abort"),
+        (InterruptedByCommandError(MachineEvent.ABORT, "a person"), "abort"),
         (KeyboardInterrupt(), "stop"),
         (RecordError("disk full"), "record"),
         (ZeroDivisionError("a mistake"), "program"),

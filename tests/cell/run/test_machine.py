@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from cell.run.machine import TRANSITIONS, CellState, Event, EventRefusedError, Machine
+from cell.run.machine import TRANSITIONS, CellState, EventRefusedError, Machine, MachineEvent
 
 #: States that wait for a command; the others end by themselves.
 WAITING = {
@@ -51,7 +51,7 @@ ROUTES = {
 def machine_in(state: CellState) -> Machine:
     machine = Machine(Stopwatch())
     for event in ROUTES[state].split():
-        machine.send(Event(event))
+        machine.send(MachineEvent(event))
     assert machine.state is state
     return machine
 
@@ -59,7 +59,7 @@ def machine_in(state: CellState) -> Machine:
 @pytest.mark.parametrize("state", CellState)
 def test_every_event_does_what_the_table_says_or_is_refused(state: CellState) -> None:
     table = {(source, event): target for source, event, target in TRANSITIONS}
-    for event in Event:
+    for event in MachineEvent:
         machine = machine_in(state)
         target = table.get((state.value, event.value))
         assert machine.can(event) is (target is not None)
@@ -75,21 +75,21 @@ def test_abort_comes_from_everywhere_and_stop_from_wherever_something_could_move
     for state in CellState:
         machine = machine_in(state)
         ends_aborted = state in (CellState.ABORTING, CellState.ABORTED)
-        assert machine.can(Event.ABORT) is not ends_aborted
+        assert machine.can(MachineEvent.ABORT) is not ends_aborted
         ends_still = state in (CellState.STOPPING, CellState.STOPPED)
-        assert machine.can(Event.STOP) is not (ends_aborted or ends_still)
+        assert machine.can(MachineEvent.STOP) is not (ends_aborted or ends_still)
 
 
 def test_every_state_either_waits_for_a_command_or_ends_by_itself() -> None:
     for state in CellState:
-        assert machine_in(state).can(Event.DONE) is (state not in WAITING)
+        assert machine_in(state).can(MachineEvent.DONE) is (state not in WAITING)
 
 
 def test_only_clearing_and_resetting_lead_out_of_a_fault() -> None:
     machine = machine_in(CellState.ABORTED)
     with pytest.raises(EventRefusedError):
-        machine.send(Event.RESET)
-    for event in (Event.CLEAR, Event.DONE, Event.RESET, Event.DONE):
+        machine.send(MachineEvent.RESET)
+    for event in (MachineEvent.CLEAR, MachineEvent.DONE, MachineEvent.RESET, MachineEvent.DONE):
         machine.send(event)
     assert machine.state is CellState.IDLE
 
@@ -99,7 +99,7 @@ def test_time_is_counted_per_state() -> None:
     machine = Machine(watch)
     for t_s, event in ((1.0, "reset"), (1.5, "done"), (4.5, "start"), (4.75, "stop")):
         watch.t_s = t_s
-        machine.send(Event(event))
+        machine.send(MachineEvent(event))
     watch.t_s = 6.75
     seconds = machine.seconds()
     assert seconds[CellState.STOPPED] == 1.0
@@ -113,10 +113,10 @@ def test_time_is_counted_per_state() -> None:
 def test_listeners_are_told_every_new_state() -> None:
     told: list[CellState] = []
     machine = Machine(Stopwatch(), told.append)
-    machine.send(Event.RESET)
-    machine.send(Event.DONE)
+    machine.send(MachineEvent.RESET)
+    machine.send(MachineEvent.DONE)
     with pytest.raises(EventRefusedError):
-        machine.send(Event.DONE)
+        machine.send(MachineEvent.DONE)
     assert told == [CellState.RESETTING, CellState.IDLE]
 
 
@@ -128,7 +128,7 @@ def test_of_two_threads_that_abort_at_once_one_is_refused() -> None:
     def abort(index: int) -> None:
         gate.wait()
         try:
-            machine.send(Event.ABORT)
+            machine.send(MachineEvent.ABORT)
         except EventRefusedError:
             refused.append(index)
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 from unittest.mock import MagicMock
 
-from cell.records.result import Check
+from cell.records.result import AgreementCheck
 from cell.run.clocks import KnownDelays
 from cell.run.commands import Commands
 from cell.run.findings import Findings
@@ -15,11 +15,16 @@ from cell.run.machine import Machine
 from cell.run.plans import CHECK_CLOCKS
 from cell.run.step_runner import StepRunner
 
-LATE, LAG = Check("camera: stamps late by", 0.0, "s", -1e-3, 1e-3), Check("arm: lag", 0.0, "s")
+LATE, LAG = (
+    AgreementCheck("camera: stamps late by", 0.0, "s", -1e-3, 1e-3),
+    AgreementCheck("arm: lag", 0.0, "s"),
+)
 KNOWN = KnownDelays(1e-4, 2e-4, 1e-3, "run `cell calibrate time`")
 
 
-def cycles_with_a_check(found: list[tuple[Check, ...]], delays: KnownDelays | None) -> list[int]:
+def cycles_with_a_check(
+    found: list[tuple[AgreementCheck, ...]], delays: KnownDelays | None
+) -> list[int]:
     """Numbers of the cycles in which the clocks are checked, and find this one after another."""
     left, done = list(found), list[int]()
     runner = StepRunner(Machine(lambda: 0.0), Commands(), lambda number, step: done.append(number))

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from cell.run.commands import Commands
-from cell.run.watch import Watch
+from cell.run.watch import SafetyWatch
 from drivers.interfaces import ArmMode, DeviceError, DeviceLostError, GripError, StoppedError
 
 
@@ -68,7 +68,7 @@ def it():
         devices=SimpleNamespace(arm=arm, gripper=gripper, camera=camera), commands=commands
     )
     it = SimpleNamespace(
-        arm=arm, gripper=gripper, camera=camera, commands=commands, watch=Watch(bench)
+        arm=arm, gripper=gripper, camera=camera, commands=commands, watch=SafetyWatch(bench)
     )
     it.watch.begin()
     it.watch.holding = True

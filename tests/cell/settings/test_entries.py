@@ -6,13 +6,13 @@ from pathlib import Path
 
 from cell.files.yaml_document import read_yaml
 from cell.files.yaml_edit import UNSET
-from cell.settings.entries import Entry, Form, change_for, entries
+from cell.settings.entries import SettingsEntry, SettingsForm, change_for, entries
 from cell.settings.starting import answered
 
 CONFIG = Path(__file__).parents[3] / "config"
 
 
-def named(name: str, **sections: object) -> Entry:
+def named(name: str, **sections: object) -> SettingsEntry:
     data = {**read_yaml(CONFIG / "fake.yaml").data, **sections}
     return next(e for e in entries(data) if e.name == name)
 
@@ -21,7 +21,7 @@ def test_an_entry_has_explanation_limits_unit_and_default() -> None:
     entry = named("motion.decide_s")
     assert entry.explained.startswith("From the last frame of the swing")
     assert (entry.limits, entry.unit, entry.default) == ("≥ 0, ≤ 30", "s", 0.2)
-    assert (entry.given, entry.value, entry.form) == (False, 0.2, Form.YAML)
+    assert (entry.given, entry.value, entry.form) == (False, 0.2, SettingsForm.YAML)
     assert named("feedback").choices == {"auto": "auto", "off": "off", "on": "on"}
     assert named("limits.x_m").default is UNSET
     assert named("limits.x_m").shown([-0.06, 0.02]) == "[-0.06, 0.02]"

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from cell.simulated.faults import KINDS, Faults, GivenFault, read_fault
+from cell.simulated.faults import KINDS, DeviceFaults, GivenFault, read_fault
 from drivers.emulators.camera import StreamFaults
 from drivers.emulators.launch import EmulatorError
-from drivers.emulators.robotiq import GripperFaults
+from drivers.emulators.robotiq import RobotiqFaults
 
 DOCS = Path(__file__).parents[3] / "docs" / "commissioning.md"
 
@@ -62,21 +62,21 @@ def test_what_is_no_fault_is_refused_with_an_example(given: str) -> None:
 
 def test_every_fault_can_be_caused_and_stands_in_the_docs(cell: SimpleNamespace) -> None:
     said: list[str] = []
-    faults = Faults(cell, said.append)
+    faults = DeviceFaults(cell, said.append)
     page = DOCS.read_text(encoding="utf-8")
     for name, kind in KINDS.items():
         faults.give(GivenFault(name))
         assert said[-1] == f"{name}: {kind.what}"
         assert f"| `{name}` | {kind.what} |" in page
     faults.repair()
-    assert cell.camera.faults == StreamFaults() and cell.gripper.faults == GripperFaults()
+    assert cell.camera.faults == StreamFaults() and cell.gripper.faults == RobotiqFaults()
     assert cell.controller.ops[-1] == ("clear", {})
     assert cell.gripper.ops[-2:] == [("plug", {}), ("lay_out", {"cable": True})]
 
 
 def test_a_fault_with_a_time_comes_with_the_next_cable_only(cell: SimpleNamespace) -> None:
     said: list[str] = []
-    faults = Faults(cell, said.append)
+    faults = DeviceFaults(cell, said.append)
     faults.give(read_fault("gripper.lost@0s"))
     assert cell.gripper.ops == []
     for _ in range(2):
@@ -94,7 +94,7 @@ def test_a_fault_with_a_time_comes_with_the_next_cable_only(cell: SimpleNamespac
 def test_a_dead_emulator_is_said_and_ends_nothing(cell: SimpleNamespace) -> None:
     said: list[str] = []
     cell.controller.dead = True
-    faults = Faults(cell, said.append)
+    faults = DeviceFaults(cell, said.append)
     faults.give(GivenFault("arm.lost"))
     faults.repair()
     assert said == ["arm.lost: cannot be given: is gone", "repair: is gone"]

@@ -7,7 +7,7 @@ import pytest
 
 from cell.records.result import Fault, Outcome, Result
 from cell.terminal.replayed import replayed_parts
-from cell.wiring.replay import Difference, Replayed
+from cell.wiring.replay import ReplayDifference, Replayed
 
 SAME = Replayed(Path("recording.mcap"), Result(1, Outcome.INSERTED, "f"), True, True, (), {})
 FAILED = Result(1, Outcome.FAILED, "f", fault=Fault("execute", "frame 3 is missing"))
@@ -43,6 +43,8 @@ def test_says_what_is_the_same(replayed: Replayed, said: list[str]) -> None:
 def test_other_software_is_named() -> None:
     """Versions, before the differences that may come of them."""
     replayed = replace(
-        SAME, software={"numpy": ("1.0", "2.0")}, differences=(Difference("offset_m", 0.1, 0.2),)
+        SAME,
+        software={"numpy": ("1.0", "2.0")},
+        differences=(ReplayDifference("offset_m", 0.1, 0.2),),
     )
     assert replayed_parts(replayed, 3)[0] == "numpy was 1.0, now 2.0"

@@ -10,8 +10,8 @@ from numba import njit
 
 from cell.vision.ridge import (
     End,
-    Picture,
-    Start,
+    GreyImage,
+    RidgeStart,
     crossings,
     find_start,
     follow,
@@ -63,7 +63,7 @@ def crossed(picture):
 def test_the_offset_across_is_right_whatever_the_direction_and_the_base(angle, offset, sign, slope):
     image, d = painted(angle, offset, sign=sign, slope=slope)
     points = np.array([160.0, 120.0]) + np.linspace(-60, 60, 121)[:, None] * d
-    picture, normal = Picture.of(image, sign), np.array([-d[1], d[0]])
+    picture, normal = GreyImage.of(image, sign), np.array([-d[1], d[0]])
     offsets, amplitudes, left = offsets_beside(
         picture, points, normal, profile_fit(1.0), new_scratch()
     ).T
@@ -75,7 +75,7 @@ def test_the_offset_across_is_right_whatever_the_direction_and_the_base(angle, o
 def test_where_there_is_no_line_there_is_no_offset():
     image, d = painted(0.3, 0.0, sign=-1)
     points = np.array([160.0, 120.0]) + np.linspace(-30, 30, 61)[:, None] * d
-    picture, normal = Picture.of(image, +1), np.array([-d[1], d[0]])
+    picture, normal = GreyImage.of(image, +1), np.array([-d[1], d[0]])
     offsets = offsets_beside(picture, points, normal, profile_fit(1.0), new_scratch())[:, 0]
     assert np.all(np.isnan(offsets))
 
@@ -84,7 +84,7 @@ def test_where_there_is_no_line_there_is_no_offset():
 @given(angle=st.floats(-3.1, 3.1), end=st.floats(40.0, 90.0))
 def test_a_line_is_started_and_followed_to_its_end(angle, end):
     image, d = painted(angle, 0.0, ends=(-20.0, end))
-    picture = Picture.of(image, 1)
+    picture = GreyImage.of(image, 1)
     at = np.array([160.0, 120.0]) + 2.0 * np.array([-d[1], d[0]])
     start = find_start(picture, tuple(at), tuple(d), 4.0, 0.5, new_scratch())
     assert start.contrast > 20.0
@@ -100,7 +100,7 @@ def test_a_line_is_started_and_followed_to_its_end(angle, end):
 
 def test_a_line_that_goes_on_leaves_the_picture_or_is_too_long():
     image, d = painted(0.2, 0.0)
-    picture, start = Picture.of(image, 1), Start(160.0, 120.0, *d.tolist(), 40.0)
+    picture, start = GreyImage.of(image, 1), RidgeStart(160.0, 120.0, *d.tolist(), 40.0)
     assert followed(picture, start, longest=900.0)[1] is End.LEFT_PICTURE
     assert followed(picture, start, longest=50.0)[1] is End.TOO_LONG
 
@@ -108,7 +108,7 @@ def test_a_line_that_goes_on_leaves_the_picture_or_is_too_long():
 @pytest.mark.parametrize("row", [3.0, 5.0, 234.5, 236.0])
 def test_every_point_of_a_line_along_the_edge_of_the_picture_is_a_number(row):
     image, d = painted(0.01, row - 120.0)
-    line, why = followed(Picture.of(image, 1), Start(40.0, row, *d.tolist(), 40.0))
+    line, why = followed(GreyImage.of(image, 1), RidgeStart(40.0, row, *d.tolist(), 40.0))
     assert np.all(np.isfinite(line))
     assert why is not End.TOO_LONG
 
@@ -117,18 +117,18 @@ def test_an_edge_is_not_a_line():
     image, d = painted(0.5, 0.0, sign=0, edge=80.0)
     at = np.array([160.0, 120.0]) + 10.0 * np.array([-d[1], d[0]])
     for sign in (1, -1):
-        picture = Picture.of(image, sign)
+        picture = GreyImage.of(image, sign)
         assert find_start(picture, tuple(at), tuple(d), 6.0, 0.5, new_scratch()).contrast < 3.0
 
 
 def test_a_line_is_crossed_once_where_it_is():
     image, d = painted(0.5, 0.0)
-    points = crossed(Picture.of(image, 1))[:, :2]
+    points = crossed(GreyImage.of(image, 1))[:, :2]
     assert len(points) == 1
     assert points[0] == pytest.approx(np.array([160.0, 120.0]) + 60.0 * d, abs=1.0)
 
 
 def test_what_lies_beyond_the_edge_is_no_line():
     image, d = painted(0.0, 0.0)
-    start = find_start(Picture.of(image, 1), (319.0, 120.0), tuple(d), 3.0, 0.5, new_scratch())
+    start = find_start(GreyImage.of(image, 1), (319.0, 120.0), tuple(d), 3.0, 0.5, new_scratch())
     assert not start.contrast > 5.0

@@ -19,10 +19,10 @@ import pytest
 from cell.cli.passwords import typed_password
 from cell.computer.peers import user_of_peer
 from cell.plant.client import Client
-from cell.plant.messages import Answer, Request
+from cell.plant.messages import CommandReply, Request
 from cell.records.ledger.actions import listed_actions, take_over
 from cell.records.ledger.ledger import Ledger
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
 from cell.web.camera import LiveCamera
@@ -31,12 +31,12 @@ from cell.web.cycles import cycle_folder
 from cell.web.films import Films
 from cell.web.guard import MOST_BYTES, Guard
 from cell.web.guided import Guided
-from cell.web.jobs import Jobs, Task
+from cell.web.jobs import Jobs, JobTask
 from cell.web.serve import may_be_served
-from cell.web.sessions import IDLE_S, LONGEST_S, MOST_WRONG, Session, Sessions, local_session
+from cell.web.sessions import IDLE_S, LONGEST_S, MOST_WRONG, LoginSession, Sessions, local_session
 from cell.web.users import Role, User, Users
-from cell.web.visit import Room, Visit
-from cell.web.watching import Watch
+from cell.web.visit import PagesContext, Visit
+from cell.web.watching import CellWatch
 
 CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
 ADA = User("ada", Role.operate)
@@ -93,7 +93,7 @@ def asked(
 
 
 async def inner(scope: Any, receive: Any, send: Any) -> None:
-    assert isinstance(scope["state"]["session"], Session) or scope["path"] == "/login"
+    assert isinstance(scope["state"]["session"], LoginSession) or scope["path"] == "/login"
     if scope["type"] == "websocket":
         await send({"type": "websocket.accept"})
         return
@@ -287,17 +287,17 @@ class Asked(Client):
 
     requests: list[Request]
 
-    def send(self, request: Request) -> Answer:
+    def send(self, request: Request) -> CommandReply:
         self.requests.append(request)
-        return Answer(True, CellState.STARTING)
+        return CommandReply(True, CellState.STARTING)
 
 
-def visit(runs: Path, session: Session, sessions: Sessions | None) -> Visit:
+def visit(runs: Path, session: LoginSession, sessions: Sessions | None) -> Visit:
     settings, client = load_settings(CONFIG), Asked(runs)
     client.requests = []
-    watch, audit = Watch(client, settings, runs), Audit(audit_file(runs))
+    watch, audit = CellWatch(client, settings, runs), Audit(audit_file(runs))
     seen = (Films(), LiveCamera(runs), Guided())
-    room = Room(CONFIG, settings, runs, client, watch, Control(), audit, *seen, sessions)
+    room = PagesContext(CONFIG, settings, runs, client, watch, Control(), audit, *seen, sessions)
     return Visit(room, session, "page 1", "en", str)
 
 
@@ -308,7 +308,7 @@ def test_who_may_only_watch_commands_nothing_and_it_is_logged(tmp_path: Path) ->
     assert session is not None
     watching = visit(tmp_path / "runs", session, sessions)
     watching.room.control.take("page 1", "eve")
-    assert "may not" in watching.command(Event.STOP, monotonic())
+    assert "may not" in watching.command(MachineEvent.STOP, monotonic())
     assert watching.room.client.requests == []  # type: ignore[attr-defined]
     [line] = watching.room.audit.file.read_text("utf-8").splitlines()
     said = json.loads(line)
@@ -321,16 +321,16 @@ def test_a_start_needs_control_and_a_stop_does_not(tmp_path: Path) -> None:
     client = operating.room.client
     assert isinstance(client, Asked)
     now_s = monotonic()
-    assert "take control" in operating.command(Event.START, now_s)
-    assert operating.command(Event.STOP, now_s - 60.0) == ""
+    assert "take control" in operating.command(MachineEvent.START, now_s)
+    assert operating.command(MachineEvent.STOP, now_s - 60.0) == ""
     operating.room.control.take("page 1", "local")
-    assert operating.command(Event.RESET, now_s) == ""
+    assert operating.command(MachineEvent.RESET, now_s) == ""
     assert operating.acknowledge(now_s, "Ada", "cable taken out") == ""
-    assert "printable" in operating.command(Event.START, now_s, "A\n")
-    assert "printable" in operating.command(Event.START, now_s, "A" * 201)
+    assert "printable" in operating.command(MachineEvent.START, now_s, "A\n")
+    assert "printable" in operating.command(MachineEvent.START, now_s, "A" * 201)
     assert client.requests == [
-        Request(Event.STOP, "web:local"),
-        Request(Event.RESET, "web:local"),
+        Request(MachineEvent.STOP, "web:local"),
+        Request(MachineEvent.RESET, "web:local"),
         Request(None, "web:local (Ada)", "cable taken out"),
     ]
     assert [r.asked_s for r in client.requests] == [now_s - 60.0, now_s, now_s]
@@ -375,15 +375,15 @@ def test_what_is_done_and_not_in_the_log_is_told(
     """On a full disk the cell was stopped, and whoever had stopped it was told nothing."""
     operating = visit(tmp_path / "runs", local_session(), None)
     monkeypatch.setattr("cell.web.audit.os.write", lambda *_: 3)
-    said = operating.command(Event.STOP, monotonic())
+    said = operating.command(MachineEvent.STOP, monotonic())
     assert said.startswith("done, but it cannot be written to") and "No space left" in said
     assert operating.room.client.requests == [  # type: ignore[attr-defined]
-        Request(Event.STOP, "web:local")
+        Request(MachineEvent.STOP, "web:local")
     ]
-    assert "take control" in operating.command(Event.START, monotonic())
+    assert "take control" in operating.command(MachineEvent.START, monotonic())
 
 
-MOVING = Task("Measure", "cell", (("run",),), moves=True)
+MOVING = JobTask("Measure", "cell", (("run",),), moves=True)
 
 
 def test_what_moves_the_arm_begins_only_if_nothing_else_has_the_devices(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from cell.records.folder import Record
 from cell.records.recording import form
 from cell.records.recording.writer import RecordingWriter
 from cell.records.result import Outcome, Result
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
 from cell.web.camera import LiveCamera
@@ -29,8 +29,8 @@ from cell.web.guided import Guided
 from cell.web.serve import application
 from cell.web.sessions import IDLE_S, Sessions
 from cell.web.users import Role, User, Users
-from cell.web.visit import Room, Visit
-from cell.web.watching import Seen, Watch
+from cell.web.visit import PagesContext, Visit
+from cell.web.watching import CellWatch, Seen
 
 with warnings.catch_warnings():  # starlette wishes for another client than we have
     warnings.simplefilter("ignore")
@@ -61,9 +61,9 @@ class Served:
         settings, client = load_settings(CONFIG), Client(runs)
         self.clock, self.cycle = Clock(), film(runs)
         self.sessions = Sessions(USERS.get, self.clock)
-        of_cell = (client, Watch(client, settings, runs), Control(), Audit(audit_file(runs)))
+        of_cell = (client, CellWatch(client, settings, runs), Control(), Audit(audit_file(runs)))
         seen = (Films(), LiveCamera(runs), Guided())
-        self.room = Room(CONFIG, settings, runs, *of_cell, *seen, self.sessions)
+        self.room = PagesContext(CONFIG, settings, runs, *of_cell, *seen, self.sessions)
         app = application(self.room, Users(folder / "users.json"), False)
         self.web = TestClient(Guard(app, self.sessions, False), AT, follow_redirects=False)
 
@@ -207,12 +207,14 @@ def test_a_body_of_a_gibibyte_is_refused_before_it_is_read(served: Served, path:
     assert served.web.post(path, content=b"", headers=headers).status_code == 413
 
 
-HELD = (CellState.HELD, (Event.UNHOLD, Event.STOP))
+HELD = (CellState.HELD, (MachineEvent.UNHOLD, MachineEvent.STOP))
 
 
-@pytest.mark.parametrize("state, possible", [(CellState.EXECUTE, (Event.HOLD, Event.STOP)), HELD])
+@pytest.mark.parametrize(
+    "state, possible", [(CellState.EXECUTE, (MachineEvent.HOLD, MachineEvent.STOP)), HELD]
+)
 def test_no_button_takes_the_place_of_its_opposite(
-    served: Served, state: CellState, possible: tuple[Event, ...]
+    served: Served, state: CellState, possible: tuple[MachineEvent, ...]
 ) -> None:
     """Who pressed Hold twice could press Continue, which came where Hold had been."""
     served.room.client.heard_s = float("inf")

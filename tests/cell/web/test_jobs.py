@@ -21,8 +21,8 @@ from cell.web.jobs import (
     REMEMBERED,
     Job,
     Jobs,
-    State,
-    Task,
+    JobState,
+    JobTask,
     run_at_once,
 )
 
@@ -63,8 +63,8 @@ def jobs() -> Iterator[Jobs]:
         yield jobs
 
 
-def task(*programs: str, subject: str = "study", log: Path | None = None) -> Task:
-    return Task("Work", subject, tuple(("work", p) for p in programs), log=log)
+def task(*programs: str, subject: str = "study", log: Path | None = None) -> JobTask:
+    return JobTask("Work", subject, tuple(("work", p) for p in programs), log=log)
 
 
 def newest(jobs: Jobs) -> Job:
@@ -74,11 +74,11 @@ def newest(jobs: Jobs) -> Job:
 def test_commands_run_one_after_another_until_one_fails(jobs: Jobs, tmp_path: Path) -> None:
     log = tmp_path / "results" / "log.txt"
     jobs.submit(task("print(1)", "print(2)\nprint(3)", log=log), "ada")
-    until(lambda: newest(jobs).state is State.DONE)
+    until(lambda: newest(jobs).state is JobState.DONE)
     assert newest(jobs).printed == ("2", "3")
     assert log.read_text() == "2\n3\n"
     jobs.submit(task("print('bad:3: mend it', file=sys.stderr); sys.exit(2)", "1"), "ada")
-    failed = until(lambda: newest(jobs).state is State.FAILED and newest(jobs))
+    failed = until(lambda: newest(jobs).state is JobState.FAILED and newest(jobs))
     assert (failed.step, failed.said, failed.by) == (0, ("bad:3: mend it",), "ada")
 
 
@@ -86,10 +86,10 @@ def test_progress_is_what_the_command_says(jobs: Jobs) -> None:
     version = jobs.version
     jobs.submit(task(ENDLESS), "ada")
     job = until(lambda: newest(jobs).progress and newest(jobs))
-    assert (job.state, job.progress, job.share) == (State.RUNNING, "3 of 4, 1 s so far", 0.75)
+    assert (job.state, job.progress, job.share) == (JobState.RUNNING, "3 of 4, 1 s so far", 0.75)
     assert jobs.version > version
     assert jobs.cancel(job.number) == ""
-    until(lambda: newest(jobs).state is State.CANCELLED)
+    until(lambda: newest(jobs).state is JobState.CANCELLED)
     assert "ended" in jobs.cancel(job.number)
 
 
@@ -97,7 +97,7 @@ def test_what_is_cancelled_may_say_what_it_knows(jobs: Jobs, tmp_path: Path) -> 
     jobs.submit(task(ANSWERING, log=tmp_path / "log.txt"), "ada")
     until(lambda: newest(jobs).progress)
     jobs.cancel(newest(jobs).number)
-    until(lambda: newest(jobs).state is State.CANCELLED)
+    until(lambda: newest(jobs).state is JobState.CANCELLED)
     assert (tmp_path / "log.txt").read_text() == "the best so far\n"
 
 
@@ -120,10 +120,10 @@ def test_what_is_cancelled_between_two_commands_is_not_done() -> None:
     with Jobs(start) as jobs:
         jobs.submit(task("1", "2"), "ada")
         until(lambda: newest(jobs).ended_s is not None)
-        assert (newest(jobs).state, newest(jobs).step) == (State.CANCELLED, 0)
+        assert (newest(jobs).state, newest(jobs).step) == (JobState.CANCELLED, 0)
         jobs.submit(task("1"), "ada")  # all that was asked is done: the order came too late
         until(lambda: newest(jobs).ended_s is not None)
-        assert newest(jobs).state is State.DONE
+        assert newest(jobs).state is JobState.DONE
 
 
 def test_what_is_cancelled_before_its_first_command_is_not_done(
@@ -139,16 +139,16 @@ def test_what_is_cancelled_before_its_first_command_is_not_done(
     with Jobs(started) as jobs:
         jobs.submit(task(ENDLESS), "ada")
         until(lambda: newest(jobs).ended_s is not None)
-        assert newest(jobs).state is State.CANCELLED
+        assert newest(jobs).state is JobState.CANCELLED
 
 
 def test_what_does_not_listen_is_ended_by_a_second_cancel(jobs: Jobs) -> None:
     jobs.submit(task(STUBBORN), "ada")
     until(lambda: newest(jobs).progress)
     jobs.cancel(newest(jobs).number)
-    assert newest(jobs).state is State.CANCELLING
+    assert newest(jobs).state is JobState.CANCELLING
     jobs.cancel(newest(jobs).number)
-    until(lambda: newest(jobs).state is State.CANCELLED)
+    until(lambda: newest(jobs).state is JobState.CANCELLED)
 
 
 def test_what_does_not_listen_is_ended_after_a_while() -> None:
@@ -156,7 +156,7 @@ def test_what_does_not_listen_is_ended_after_a_while() -> None:
         jobs.submit(task(STUBBORN), "ada")
         until(lambda: newest(jobs).progress)
         jobs.cancel(newest(jobs).number)
-        until(lambda: newest(jobs).state is State.CANCELLED)
+        until(lambda: newest(jobs).state is JobState.CANCELLED)
 
 
 def test_the_queue_is_short_and_the_past_too(jobs: Jobs) -> None:
@@ -167,20 +167,20 @@ def test_the_queue_is_short_and_the_past_too(jobs: Jobs) -> None:
     assert "wait already" in jobs.submit(task("1", subject="more"), "ada")
     first, *_, running = jobs.seen()
     assert jobs.cancel(first.number) == ""
-    assert newest(jobs).state is State.CANCELLED
+    assert newest(jobs).state is JobState.CANCELLED
     assert "being done" in jobs.submit(task(ENDLESS), "bob")
     jobs.cancel(running.number)
-    until(lambda: all(j.state in (State.DONE, State.CANCELLED) for j in jobs.seen()))
+    until(lambda: all(j.state in (JobState.DONE, JobState.CANCELLED) for j in jobs.seen()))
     for n in range(REMEMBERED):
         jobs.submit(task("1", subject=str(n)), "ada")
-        until(lambda: newest(jobs).state is State.DONE)
+        until(lambda: newest(jobs).state is JobState.DONE)
     assert len(jobs.seen()) == REMEMBERED
 
 
 def test_output_without_end_is_cut(jobs: Jobs) -> None:
     long = "print('x' * 3000, file=sys.stderr)"
     jobs.submit(task(f"{long}\nfor _ in range({10 * MOST_LINES}): print('y')"), "ada")
-    until(lambda: newest(jobs).state is State.DONE)
+    until(lambda: newest(jobs).state is JobState.DONE)
     assert max(map(len, newest(jobs).said)) == LONGEST_LINE
     assert len(newest(jobs).printed) == MOST_LINES
 
@@ -208,11 +208,11 @@ def test_the_arm_moves_at_once_or_not_at_all(jobs: Jobs) -> None:
     jobs.submit(task(ENDLESS), "ada")
     assert "when you say so" in jobs.submit(moving, "ada")
     jobs.cancel(newest(jobs).number)
-    until(lambda: newest(jobs).state is State.CANCELLED)
+    until(lambda: newest(jobs).state is JobState.CANCELLED)
     assert jobs.submit(moving, "ada") == ""
     assert "is being measured" in jobs.submit(task("1"), "bob")
     jobs.cancel(newest(jobs).number)
-    until(lambda: newest(jobs).state is State.CANCELLED)
+    until(lambda: newest(jobs).state is JobState.CANCELLED)
 
 
 def test_what_moves_the_arm_closes_its_record_when_the_server_ends(tmp_path: Path) -> None:
@@ -246,7 +246,7 @@ while True: time.sleep(0.01)
         jobs.cancel(newest(jobs).number)
         until(lambda: set(threading.enumerate()) <= before)  # no timer kills it
         go.touch()
-        until(lambda: newest(jobs).state is State.CANCELLED)
+        until(lambda: newest(jobs).state is JobState.CANCELLED)
     assert closed.exists()
 
 

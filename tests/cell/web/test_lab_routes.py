@@ -26,8 +26,8 @@ from cell.web.guided import Guided
 from cell.web.lab_routes import lab_routes
 from cell.web.sessions import Sessions
 from cell.web.users import Role, User
-from cell.web.visit import Room
-from cell.web.watching import Watch
+from cell.web.visit import PagesContext
+from cell.web.watching import CellWatch
 
 CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
 USERS = {role.name: User(role.name, role) for role in Role}
@@ -40,10 +40,10 @@ class Served:
     def __init__(self, runs: Path) -> None:
         settings, client = load_settings(CONFIG), Client(runs)
         self.sessions = Sessions(USERS.get)
-        watch, audit = Watch(client, settings, runs), Audit(audit_file(runs))
+        watch, audit = CellWatch(client, settings, runs), Audit(audit_file(runs))
         seen = (Films(), LiveCamera(runs), Guided())
         of_cell = (client, watch, Control(), audit)
-        self.room = Room(CONFIG, settings, runs, *of_cell, *seen, self.sessions)
+        self.room = PagesContext(CONFIG, settings, runs, *of_cell, *seen, self.sessions)
         app = FastAPI(openapi_url=None)
         lab_routes(app, self.room)
         self._app = Guard(app, self.sessions, False)

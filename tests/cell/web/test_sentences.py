@@ -15,10 +15,10 @@ from cell.cable.solver import DivergedError
 from cell.identify.individual import CableRejectedError, Reason
 from cell.run.plans import INSERTING
 from cell.vision.sighting import Unseen
-from cell.web.sentences import LONGEST, Found, Place, Sentences, parts_of
+from cell.web.sentences import LONGEST, Found, Placeholder, Sentences, parts_of
 from cell.web.wording import catalogue, languages, sentences, translation
 from drivers.interfaces import ArmMode
-from drivers.ur_versions import Known
+from drivers.ur_versions import SupportLevel
 from tests.cell.web.sentences import (
     CALLS,
     Hole,
@@ -68,8 +68,8 @@ def test_every_sentence_that_the_source_says_is_in_the_catalogue(language: str) 
 @pytest.mark.parametrize("language", languages()[1:])
 def test_a_translation_has_the_places_of_its_message(language: str) -> None:
     for message, said in catalogue(language).items():
-        asked = [p.name for p in parts_of(message) if isinstance(p, Place)]
-        given = [p.name for p in parts_of(said) if isinstance(p, Place)]
+        asked = [p.name for p in parts_of(message) if isinstance(p, Placeholder)]
+        given = [p.name for p in parts_of(said) if isinstance(p, Placeholder)]
         assert sorted(asked) == sorted(set(given)) == sorted(given), message
         assert not re.search(r"\}\{", message), f"{message}: nothing tells one value's end"
 
@@ -109,7 +109,11 @@ def act(name, n):
         *(f"no pictures; {u.value.replace('_', ' ')} in 2, empty in 1" for u in Unseen),
         *(f"failed in step {s.name}: still moving" for s in INSERTING.steps),
         str(DivergedError([0], 0.1, 0.001)),
-        *(f"the controller runs PolyScope 5, {k}: too hot" for k in Known if k is not Known.PROVED),
+        *(
+            f"the controller runs PolyScope 5, {k}: too hot"
+            for k in SupportLevel
+            if k is not SupportLevel.PROVED
+        ),
     ],
 )
 def test_words_of_the_program_are_known_in_its_sentences(text: str) -> None:

@@ -6,10 +6,10 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from cell.plant.messages import FaultNotice, Kind, Notice, Status
+from cell.plant.messages import FaultNotice, MessageKind, Notice, Status
 from cell.records.ledger.effectiveness import Shift
 from cell.records.ledger.ledger import ListedCycle
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING
 from cell.web.theme import AWAY, LOOKS
 from cell.web.views import (
@@ -34,10 +34,10 @@ RESULT = {
     "probability": 0.9995,
     "margin_m": None,
 }
-IDLE = Status("run", 1, CellState.IDLE, 0.0, possible=(Event.START, Event.STOP))
+IDLE = Status("run", 1, CellState.IDLE, 0.0, possible=(MachineEvent.START, MachineEvent.STOP))
 
 
-def notice(kind: Kind, at_s: float = 0.0, **data: object) -> Notice:
+def notice(kind: MessageKind, at_s: float = 0.0, **data: object) -> Notice:
     return Notice("run", 2, at_s, kind, data)
 
 
@@ -53,19 +53,19 @@ def test_before_a_cell_was_seen_nothing_can_be_pressed() -> None:
 
 def test_a_step_is_shown_with_its_time_until_the_state_changes() -> None:
     seen = seen_after(Seen(), IDLE)
-    assert live_view(seen, 0.0).buttons == {Event.START, Event.STOP}
-    seen = seen_after(seen, notice(Kind.STATE, state="execute", step=None, since=1.0))
-    seen = seen_after(seen, notice(Kind.CYCLE, cycle=3, part=None, product=None))
-    seen = seen_after(seen, notice(Kind.STEP, 5.0, step="lower", cycle=3))
+    assert live_view(seen, 0.0).buttons == {MachineEvent.START, MachineEvent.STOP}
+    seen = seen_after(seen, notice(MessageKind.STATE, state="execute", step=None, since=1.0))
+    seen = seen_after(seen, notice(MessageKind.CYCLE, cycle=3, part=None, product=None))
+    seen = seen_after(seen, notice(MessageKind.STEP, 5.0, step="lower", cycle=3))
     view = live_view(seen, 7.5)
     assert (view.look.word, view.step, view.step_s, view.cycle) == ("Execute", "lowering", 2.5, 3)
     assert live_view(seen, 4.0).step_s == 0.0  # clocks differ a little
-    seen = seen_after(seen, notice(Kind.STATE, state="held", step=None, since=9.0))
+    seen = seen_after(seen, notice(MessageKind.STATE, state="held", step=None, since=9.0))
     assert live_view(seen, 9.0).step_s is None
 
 
 def test_a_cell_that_has_gone_shows_its_newest_cable_and_no_buttons() -> None:
-    seen = seen_after(seen_after(Seen(), IDLE), notice(Kind.RESULT, **RESULT))
+    seen = seen_after(seen_after(Seen(), IDLE), notice(MessageKind.RESULT, **RESULT))
     view = live_view(replace(seen, there=False), 0.0)
     assert (view.look, view.buttons) == (AWAY, frozenset())
     assert (view.folder, view.counts) == ("20261121T021043.800-3", {"inserted": 1})
@@ -84,17 +84,17 @@ def test_a_fault_is_shown_with_cause_and_remedy_until_it_is_acknowledged() -> No
     assert (view.fault.device, view.fault.step, view.fault.cause) == ("arm", "lowering", "limit")
     assert view.fault.remedies == ("move it back", "a cable is in the jaws")
     assert view.waiting == ("acknowledgement",)
-    seen = seen_after(seen, notice(Kind.ACKNOWLEDGED, by="Ada", note="looked"))
+    seen = seen_after(seen, notice(MessageKind.ACKNOWLEDGED, by="Ada", note="looked"))
     assert live_view(seen, 0.0).fault is None
 
 
 def test_an_adapter_in_trouble_is_named_until_it_runs_again() -> None:
     trouble = "has ended: signal 9; it is started again"
     seen = seen_after(Seen(), IDLE)
-    seen = seen_after(seen, notice(Kind.ADAPTER, adapter="opcua", trouble=trouble))
+    seen = seen_after(seen, notice(MessageKind.ADAPTER, adapter="opcua", trouble=trouble))
     assert live_view(seen, 0.0).adapters == {"OPC UA": trouble}
     assert live_view(replace(seen, there=False), 0.0).adapters == {}
-    seen = seen_after(seen, notice(Kind.ADAPTER, adapter="opcua", trouble=""))
+    seen = seen_after(seen, notice(MessageKind.ADAPTER, adapter="opcua", trouble=""))
     assert live_view(seen, 0.0).adapters == {}
 
 

@@ -10,7 +10,7 @@ import pytest
 from drivers.clock import RealClock
 from drivers.emulators.gripper import GripperProcess
 from drivers.emulators.launch import EmulatorError
-from drivers.emulators.robotiq import GripperFaults
+from drivers.emulators.robotiq import RobotiqFaults
 from drivers.interfaces import DeviceLostError, GripError
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 
@@ -69,7 +69,7 @@ def test_after_its_power_was_off_the_jaws_still_hold_and_it_is_reached_again(
 
 
 def test_faults_reach_it(emulator, gripper) -> None:
-    emulator.faults = GripperFaults(bad_crc=True)
+    emulator.faults = RobotiqFaults(bad_crc=True)
     with pytest.raises(DeviceLostError, match="attempts"):
         gripper.state()
 

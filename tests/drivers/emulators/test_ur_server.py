@@ -10,7 +10,7 @@ import time
 import pytest
 
 from drivers.emulators.launch import EmulatedController, EmulatorError
-from drivers.rtde_wire import Kind, Packet, Splitter
+from drivers.rtde_wire import PackageType, Packet, Splitter
 
 rtde_control = pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 rtde_receive = pytest.importorskip("rtde_receive")
@@ -168,11 +168,11 @@ def test_names_that_are_unknown_or_taken_are_told(emulator) -> None:
         return answers[0].payload
 
     first, second = raw_client(emulator), raw_client(emulator)
-    claim = Packet(Kind.INPUT_SETUP, b"input_int_register_0,")
+    claim = Packet(PackageType.INPUT_SETUP, b"input_int_register_0,")
     assert ask(first, claim) == b"\x01INT32"
     assert ask(first, claim) == b"\x02INT32"
     assert ask(second, claim) == b"\x00IN_USE"
-    outputs = Packet(Kind.OUTPUT_SETUP, b"\x40\x7f\x40" + bytes(5) + b"timestamp,nonsense,")
+    outputs = Packet(PackageType.OUTPUT_SETUP, b"\x40\x7f\x40" + bytes(5) + b"timestamp,nonsense,")
     assert ask(second, outputs) == b"\x01DOUBLE,NOT_FOUND"
     first.close()
     deadline = time.monotonic() + 2.0

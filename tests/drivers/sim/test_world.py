@@ -5,7 +5,7 @@ import pytest
 
 from drivers.interfaces import Pose, Trajectory
 from drivers.sim.clock import SimClock
-from drivers.sim.world import World
+from drivers.sim.world import SimWorld
 
 
 def test_the_arm_carries_the_cable_and_the_camera_sees_it(cell, line) -> None:
@@ -58,7 +58,7 @@ def test_shapes_between_grid_points_are_smooth() -> None:
         return np.broadcast_to(y[:, None, None], (len(query_s), 60, 2)).copy()
 
     clock = SimClock()
-    world = World(clock, Pose(0.0, 0.0))
+    world = SimWorld(clock, Pose(0.0, 0.0))
     world.present(swing)
     world.take()
     clock.sleep_s(1.0)
@@ -77,7 +77,7 @@ def test_a_callable_of_wrong_shape_is_named(shape) -> None:
     def wrong(grip: Trajectory, query_s: np.ndarray) -> np.ndarray:
         return np.zeros([len(query_s) if n is None else n for n in shape])
 
-    world = World(SimClock(), Pose(0.0, 0.0))
+    world = SimWorld(SimClock(), Pose(0.0, 0.0))
     world.present(wrong)
     world.take()
     with pytest.raises(ValueError, match="callable returned shape"):

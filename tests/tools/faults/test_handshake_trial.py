@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from cell.plant.messages import Kind, Notice
+from cell.plant.messages import MessageKind, Notice
 from tools.faults.handshake_trial import compared
 from tools.faults.scripted_plc import INPUTS
 
@@ -14,15 +14,15 @@ READY = {**dict.fromkeys(INPUTS, True), "acknowledge": False, "stop": False}
 
 
 def state(time_s: float, name: str) -> Notice:
-    return Notice("r", 1, time_s, Kind.STATE, {"state": name})
+    return Notice("r", 1, time_s, MessageKind.STATE, {"state": name})
 
 
 def result(time_s: float, outcome: str) -> Notice:
-    return Notice("r", 1, time_s, Kind.RESULT, {"outcome": outcome})
+    return Notice("r", 1, time_s, MessageKind.RESULT, {"outcome": outcome})
 
 
 def fault(time_s: float) -> Notice:
-    return Notice("r", 1, time_s, Kind.FAULT, {})
+    return Notice("r", 1, time_s, MessageKind.FAULT, {})
 
 
 def said(time_s: float, **signals: bool) -> dict[str, Any]:
@@ -60,5 +60,5 @@ def test_what_may_not_happen_is_said(
 
 
 def test_an_acknowledgement_lets_the_cell_go_on() -> None:
-    acknowledged = Notice("r", 1, 1.5, Kind.ACKNOWLEDGED, {"by": "plc", "note": ""})
+    acknowledged = Notice("r", 1, 1.5, MessageKind.ACKNOWLEDGED, {"by": "plc", "note": ""})
     assert compared(HEARD, [fault(1.2), acknowledged, state(1.6, "resetting"), *CYCLE]).wrong == ()

@@ -12,11 +12,11 @@ from cell.web.theme import N_
 from cell.web.visit import Visit
 
 _TABS = (
-    ("study", N_("Study"), "folder_open", study.Part),
-    ("compare", N_("Compare"), "compare", compare.Part),
-    ("diagnose", N_("Diagnose"), "troubleshoot", diagnose.Part),
-    ("own", N_("Own effect"), "edit_note", own.Part),
-    ("line", N_("Line"), "conveyor_belt", line.Part),
+    ("study", N_("Study"), "folder_open", study.StudyPanel),
+    ("compare", N_("Compare"), "compare", compare.ModelsPanel),
+    ("diagnose", N_("Diagnose"), "troubleshoot", diagnose.DiagnosePanel),
+    ("own", N_("Own effect"), "edit_note", own.OwnEffectPanel),
+    ("line", N_("Line"), "conveyor_belt", line.LinePanel),
 )
 
 

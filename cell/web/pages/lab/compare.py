@@ -21,7 +21,7 @@ _PLACES = {
 }
 
 
-class Part:
+class ModelsPanel:
     """The part of the page."""
 
     def __init__(self, desk: Desk) -> None:
@@ -46,7 +46,7 @@ class Part:
                 self._models.classes("w-full").props("use-chips data-test=models")
                 button = ui.button(t("Compare"), icon="compare", color=BLUE)
                 button.on_click(self._compare).props("text-color=white data-test=compare")
-        self._shown = Comparison(self._desk, "compare")
+        self._shown = ComparePanel(self._desk, "compare")
         self._desk.listen(self._refresh)
 
     async def _refresh(self) -> None:
@@ -77,7 +77,7 @@ class Part:
             desk.ask(desk.tasks.compare(desk.subject, models, ()))
 
 
-class Comparison:
+class ComparePanel:
     """A comparison that a command wrote: errors as bars, and where they are in each trial."""
 
     def __init__(self, desk: Desk, name: str) -> None:

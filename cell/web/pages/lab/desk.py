@@ -11,7 +11,7 @@ from typing import Any
 from nicegui import run, ui
 
 from cell.web.cycles import cycle_folder
-from cell.web.jobs import Job, Task
+from cell.web.jobs import Job, JobTask
 from cell.web.lab_tasks import PREVIEW, LabTasks, Subject
 from cell.web.users import Role
 from cell.web.visit import Visit
@@ -80,7 +80,7 @@ class Desk:
         found = (j for j in self.lab.jobs.seen() if j.task.subject == self._name)
         return next(found, None)
 
-    def ask(self, task: Task, asked_s: float | None = None) -> bool:
+    def ask(self, task: JobTask, asked_s: float | None = None) -> bool:
         """Put a job in the queue, audited; whether it was taken.
 
         asked_s  of a job that moves the arm, as of `Visit.do`

@@ -8,7 +8,7 @@ from nicegui import run, ui
 
 from cell.cable.effects import library
 from cell.web.heartbeat import on_press
-from cell.web.jobs import Task
+from cell.web.jobs import JobTask
 from cell.web.lab_views import (
     VERDICTS,
     Data,
@@ -31,7 +31,7 @@ _PASSED = """
 """
 
 
-class Part:
+class DiagnosePanel:
     """The part of the page."""
 
     def __init__(self, desk: Desk) -> None:
@@ -161,7 +161,7 @@ class Part:
                 self._measuring(task)
                 ui.label(t("Then gather both cycles into a study, and diagnose it."))
 
-    def _measuring(self, task: Task) -> None:
+    def _measuring(self, task: JobTask) -> None:
         """A button that has the cell measure, once somebody has said that all is ready."""
         desk, t = self._desk, self._t
         with ui.dialog() as dialog, ui.card():

@@ -18,7 +18,7 @@ from cell.web.workspace import is_name
 _SHOWN = 4
 
 
-class Part:
+class LinePanel:
     """The part of the page."""
 
     def __init__(self, desk: Desk) -> None:

@@ -11,7 +11,7 @@ from nicegui import run, ui
 
 from cell.cable.effects import library
 from cell.web.lab import Checked
-from cell.web.pages.lab.compare import Comparison
+from cell.web.pages.lab.compare import ComparePanel
 from cell.web.pages.lab.desk import Desk, heading, output
 from cell.web.theme import BLUE
 from cell.web.users import Role
@@ -45,7 +45,7 @@ class MyDrag(Effect):
 '''
 
 
-class Part:
+class OwnEffectPanel:
     """The part of the page."""
 
     def __init__(self, desk: Desk) -> None:
@@ -81,7 +81,7 @@ class Part:
                 infer = ui.button(t("Infer a law from the error"), icon="psychology")
                 infer.on_click(self._infer).props("outline data-test=infer")
             self._inferred = ui.column().classes("w-full")
-        self._shown = Comparison(self._desk, "own")
+        self._shown = ComparePanel(self._desk, "own")
         self._desk.listen(self._refresh)
 
     async def _refresh(self) -> None:

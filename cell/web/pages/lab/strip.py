@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from nicegui import ui
 
-from cell.web.jobs import OPEN, Job, State
+from cell.web.jobs import OPEN, Job, JobState
 from cell.web.pages.lab.desk import Desk
 from cell.web.theme import AMBER, BLUE, GREEN, N_, RED
 from cell.web.users import Role
 
 _EVERY_S = 0.4
 _WORDS = {
-    State.QUEUED: (N_("waits"), "schedule", BLUE),
-    State.RUNNING: (N_("at work"), "sync", BLUE),
-    State.CANCELLING: (N_("is being cancelled"), "hourglass_bottom", AMBER),
-    State.DONE: (N_("done"), "check_circle", GREEN),
-    State.FAILED: (N_("ended with an error"), "error", RED),
-    State.CANCELLED: (N_("cancelled"), "cancel", AMBER),
+    JobState.QUEUED: (N_("waits"), "schedule", BLUE),
+    JobState.RUNNING: (N_("at work"), "sync", BLUE),
+    JobState.CANCELLING: (N_("is being cancelled"), "hourglass_bottom", AMBER),
+    JobState.DONE: (N_("done"), "check_circle", GREEN),
+    JobState.FAILED: (N_("ended with an error"), "error", RED),
+    JobState.CANCELLED: (N_("cancelled"), "cancel", AMBER),
 }
 #: So many jobs are shown, open ones first; of a failed one so many lines.
 _SHOWN, _LINES = 4, 12
@@ -34,7 +34,7 @@ class Strip:
         """Make the elements and keep them up to date."""
         with ui.card().classes("w-full gap-2 p-3") as self._card:
             self._card.props("data-test=jobs role=status")
-            self._rows = [_Row(self._desk) for _ in range(_SHOWN)]
+            self._rows = [_StripRow(self._desk) for _ in range(_SHOWN)]
         ui.timer(_EVERY_S, self._update)
         self._desk.asked = self._show
         self._show()
@@ -64,7 +64,7 @@ class Strip:
         return {j.number for j in self._desk.lab.jobs.seen() if j.state not in OPEN}
 
 
-class _Row:
+class _StripRow:
     """One job."""
 
     def __init__(self, desk: Desk) -> None:
@@ -94,7 +94,7 @@ class _Row:
         step = f"{job.step + 1}/{steps}: " if steps > 1 and job.state in OPEN else ""
         self._progress.text = f"{step}{job.progress}" if job.state in OPEN else ""
         self._cancel.set_visibility(job.state in OPEN)
-        self._bar.set_visibility(job.state in (State.RUNNING, State.CANCELLING))
+        self._bar.set_visibility(job.state in (JobState.RUNNING, JobState.CANCELLING))
         self._bar.props(f"{'' if job.share is not None else 'indeterminate'}")
         if job.share is not None:
             self._bar.props(remove="indeterminate")

@@ -59,7 +59,7 @@ def chooser(desk: Desk) -> None:
     desk.listen(refresh)
 
 
-class Part:
+class StudyPanel:
     """The part of the page."""
 
     def __init__(self, desk: Desk) -> None:

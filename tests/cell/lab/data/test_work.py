@@ -8,7 +8,7 @@ import time
 import pytest
 
 from cell.lab.data.side_by_side import PARTS_OF_ONE, side_by_side
-from cell.lab.data.work import SOLVER, STAGES, Budget, SpentError, StoppedError, Work
+from cell.lab.data.work import SOLVER, STAGES, Budget, SpentError, Work, WorkStoppedError
 
 
 def simulate(work: Work, seconds: float) -> None:
@@ -56,7 +56,7 @@ def test_processor_time_is_the_outer_limit() -> None:
 def test_whoever_stops_is_heard_once() -> None:
     work = Work(Budget(simulated_s=100.0), known="noise 0.1 mm")
     work.stop()
-    with pytest.raises(StoppedError, match="noise"):
+    with pytest.raises(WorkStoppedError, match="noise"):
         simulate(work, 1.0)
     work.conclude()
     work.stop()

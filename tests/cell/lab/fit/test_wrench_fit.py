@@ -12,7 +12,7 @@ from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.mesh import mesh_error_m, without_mesh_error
 from cell.lab.fit.starts import cold_start
-from cell.lab.next.hidden import World
+from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.search.fitted_model import POLISH
 from tools.worlds.made_studies import hidden
 from tools.worlds.rig_kinds import KINDS
@@ -65,7 +65,7 @@ def test_the_tare_of_the_sensor_changes_nothing(study):
 def test_a_copy_of_the_study_has_a_wrench_of_the_same_noise_and_colour(study):
     """Fresh noise on the fitted cable's wrench; it is a study as the one that was measured."""
     prepared, fit = fitted(study)
-    world = World.of(prepared, fit, None)
+    world = HiddenEffectWorld.of(prepared, fit, None)
     (copy,), (measured,) = world.copy(1).trials, as_measured(prepared).trials
     assert np.isin(copy.wrench.t_s, measured.wrench.t_s).all()
     np.testing.assert_array_equal(copy.markers.t_s, measured.markers.t_s)
@@ -84,7 +84,7 @@ def test_a_copy_of_a_fast_sensor_has_its_rows_not_their_means():
     made = rig_study(rig, MASS)
     prepared, fit = fitted(replace(made, trials=made.trials[:1]))
     assert prepared.study.trials[0].row_means is not None
-    world = World.of(prepared, fit, None)
+    world = HiddenEffectWorld.of(prepared, fit, None)
     (copy,), (measured,) = world.copy(1).trials, as_measured(prepared).trials
     filmed = measured.wrench.t_s >= measured.markers.t_s[0]
     filmed &= measured.wrench.t_s <= measured.markers.t_s[-1]

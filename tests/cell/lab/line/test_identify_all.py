@@ -16,7 +16,12 @@ from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.line.identified_again import IdentifiedAgain, identified_again
 from cell.lab.line.identified_table import IdentifiedTable, identified_table, rows_of
-from cell.lab.line.identify_again import Recorded, identify_again, options_with, study_to_identify
+from cell.lab.line.identify_again import (
+    RecordedCable,
+    identify_again,
+    options_with,
+    study_to_identify,
+)
 from cell.lab.line.identify_all import identify_all
 from cell.lab.line.recordings import packer, recordings_in
 from cell.study.folder import write_study
@@ -76,7 +81,7 @@ def test_values_are_those_of_a_single_identification(runs, table, expected):
     first, second, _ = rows_of(table)
     folder = runs / first.recording
     found = identify_again(
-        Recorded(folder, study_to_identify(folder), options_with(None, [])),
+        RecordedCable(folder, study_to_identify(folder), options_with(None, [])),
     )
     values = [value for value, _, _ in first.parameters.values()]
     assert values == pytest.approx(list(found.values), rel=1e-6)

@@ -30,7 +30,7 @@ from cell.identify.individual import (
     Reason,
     identify,
 )
-from cell.lab.data.check import Answer
+from cell.lab.data.check import CheckOutcome
 from cell.lab.data.cycles import RecordedCycle, read_cycles
 from cell.lab.data.named_effects import select_effects
 from cell.lab.fit.shared import (
@@ -58,7 +58,7 @@ from cell.lab.report.learning_tables import learning_lines
 from cell.lab.search.setup import fit_cache_of, read_kind
 from cell.records.folder import Record
 from cell.settings import load_settings
-from cell.settings.model import Model
+from cell.settings.model import ModelSettings
 from cell.settings.promotion import read_candidate
 from cell.settings.surroundings import Surroundings
 from cell.settings.translate import identification_of
@@ -129,10 +129,10 @@ def test_a_cable_left_out_is_forecast_better_and_the_candidate_passes(
     assert found < 0.6 * present
     assert judgement.fit_for_line, judgement.gates
     path = tmp_path / "candidate.yaml"
-    write_candidate(path, result, judgement, Model(), lines_of(result.cycles, SETTINGS))
+    write_candidate(path, result, judgement, ModelSettings(), lines_of(result.cycles, SETTINGS))
     back = read_candidate(path)
     assert back.failed == {}
-    assert back.model == section(result, Model())
+    assert back.model == section(result, ModelSettings())
     stated = back.model.effects[0].parameters["drag_coefficient"]
     assert not isinstance(stated, str)
     assert stated.fixed == pytest.approx(2.0, abs=3.0 * stated.std)
@@ -261,7 +261,7 @@ def test_with_the_effect_learned_another_cable_is_followed(result: LearningResul
     task = cell_task(SETTINGS)
     (other,) = cycles_in({"air_drag": {"drag_coefficient": 2.0}}, 1, 6)
     assert other.held is not None
-    settings = SETTINGS.model_copy(update={"model": section(result, Model())})
+    settings = SETTINGS.model_copy(update={"model": section(result, ModelSettings())})
     found = [
         identify(other.held, task.arc_length_m, task.cable, options=options)
         for options in (task.identification, identification_of(settings))
@@ -272,7 +272,9 @@ def test_with_the_effect_learned_another_cable_is_followed(result: LearningResul
 
 def test_the_lab_starts_from_the_lines_model(result: LearningResult, tmp_path: Path) -> None:
     """With the effect in the settings, a study of such a cable is explained without a word more."""
-    section_text = yaml_text({"model": section(result, Model()).model_dump(exclude_defaults=True)})
+    section_text = yaml_text(
+        {"model": section(result, ModelSettings()).model_dump(exclude_defaults=True)}
+    )
     config = tmp_path / "cell.yaml"
     config.write_text((ROOT / "config/fake.yaml").read_text("utf-8") + section_text, "utf-8")
     study = result.cycles[0].study
@@ -392,7 +394,7 @@ def test_an_effect_of_one_line_in_two_does_not_pass(
     begin = np.vstack([result.baseline.q[:2], result.baseline.q[:2]])
     mixed = fit_shared(prepared, base, begin, (library()["air_drag"],), np.array([1.0]))
 
-    def gate(fit: SharedFit) -> Answer[LineEvidence]:
+    def gate(fit: SharedFit) -> CheckOutcome[LineEvidence]:
         tried = replace(result, best=EffectFit((library()["air_drag"],), fit, 1e3, 1e-9))
         found = gates(tried, [], task.destination)
         return next(g for g in found if g.name == "all cables have it alike")
@@ -476,7 +478,7 @@ def test_two_effects_that_all_cables_share_are_found_one_after_the_other(
     assert result.best.fit.rms_m < 1.05 * result.noise_m < 0.8 * result.simpler.best.fit.rms_m
     values = dict(zip(result.best.names, result.best.fit.theta, strict=True))
     assert values["air_drag.drag_coefficient"] == pytest.approx(2.0, rel=0.1)
-    model = section(result, Model())
+    model = section(result, ModelSettings())
     assert [e.effect for e in model.effects] == [e.name for e in result.best.effects]
     assert model.prior is not None
     assert model.prior.names == list(result.best.names)

@@ -12,7 +12,7 @@ from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.noise import Noise
 from cell.lab.data.noise_model import noise_model_of
 from cell.lab.fit.sensitivity import changes
-from cell.lab.next.hidden import World, left_of
+from cell.lab.next.hidden import HiddenEffectWorld, left_of
 
 MASS_KG = 2.5e-5
 
@@ -20,7 +20,7 @@ MASS_KG = 2.5e-5
 @pytest.fixture(scope="module")
 def world(fitted):
     hidden = library()["tip_mass"].active(mass_kg=MASS_KG)
-    return World.of(fitted.prepared, fitted.baseline().fit, hidden)
+    return HiddenEffectWorld.of(fitted.prepared, fitted.baseline().fit, hidden)
 
 
 def test_a_copy_has_the_frames_markers_and_gaps_of_the_study(world):
@@ -67,7 +67,7 @@ def test_rounded_values_stay_rounded(world):
 
 
 def test_the_effect_is_in_it(fitted, world):
-    without = World.of(fitted.prepared, fitted.baseline().fit, None)
+    without = HiddenEffectWorld.of(fitted.prepared, fitted.baseline().fit, None)
     moved = world.clean_m["deep"] - without.clean_m["deep"]
     assert np.abs(moved).max() > 1e-4
 
@@ -86,6 +86,6 @@ def test_without_noise_a_refit_leaves_what_its_parameters_cannot_imitate(fitted,
 def test_an_effect_with_which_nothing_can_be_simulated_is_told(fitted):
     heavy = library()["tip_mass"].active(mass_kg=10.0)
     with pytest.raises(UnsimulatedError):
-        World.of(fitted.prepared, fitted.baseline().fit, heavy)
+        HiddenEffectWorld.of(fitted.prepared, fitted.baseline().fit, heavy)
     with pytest.raises(UnsimulatedError):
         left_of(fitted.prepared, fitted.baseline().fit, heavy)

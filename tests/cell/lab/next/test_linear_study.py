@@ -13,7 +13,7 @@ from cell.lab.data.renoised import with_noise_model
 from cell.lab.fit.fitting import fit_model, fit_trials
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.sensitivity import changes, nuisance_of, sensitivities
-from cell.lab.next.hidden import World
+from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.next.linear_study import own_slopes, rivals_of
 from cell.lab.search.fitted_model import POLISH
 
@@ -31,8 +31,8 @@ def noiseless(fitted):
     """The study without noise, the drag in it; weighed as the study was."""
     base, prepared = fitted.baseline(), fitted.prepared
     active = library()["air_drag"].active(drag_coefficient=DRAG)
-    world = World.of(prepared, base.fit, active)
-    clean = World.of(prepared, base.fit, None)
+    world = HiddenEffectWorld.of(prepared, base.fit, active)
+    clean = HiddenEffectWorld.of(prepared, base.fit, None)
     trials = []
     for trial in prepared.study.trials:  # the fit's own mesh, the difference by the finer one
         here = prepared.predict(trial, [base.fit.model])[0]

@@ -12,7 +12,7 @@ from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import Diagnosis, Errors, MissingEffect
 from cell.lab.next.asked import select_asked
 from cell.lab.next.forecast import POWER, forecast
-from cell.lab.next.recovery import Outcome, Recovery, judged, recover
+from cell.lab.next.recovery import CopyOutcome, Recovery, judged, recover
 from cell.lab.next.study_power import power_of
 from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
 from cell.lab.search.fit_cache import FitCache
@@ -82,16 +82,16 @@ def said(verdict, *named):
 @pytest.mark.parametrize(
     ("diagnosis", "expected"),
     [
-        (said("missing", ("air_drag",)), Outcome("found", ("air_drag",))),
-        (said("missing", ("draught", "air_drag")), Outcome("found", ("draught or air_drag",))),
-        (said("missing", ("draught",)), Outcome("confused", ("draught",))),
+        (said("missing", ("air_drag",)), CopyOutcome("found", ("air_drag",))),
+        (said("missing", ("draught", "air_drag")), CopyOutcome("found", ("draught or air_drag",))),
+        (said("missing", ("draught",)), CopyOutcome("confused", ("draught",))),
         (
             said("missing", ("air_drag",), ("draught",)),
-            Outcome("confused", ("air_drag", "draught")),
+            CopyOutcome("confused", ("air_drag", "draught")),
         ),
-        (said("cannot_tell", ("air_drag",)), Outcome("undecided", ("air_drag",))),
-        (said("complete"), Outcome("missed")),
-        (said("unexplained"), Outcome("unexplained")),
+        (said("cannot_tell", ("air_drag",)), CopyOutcome("undecided", ("air_drag",))),
+        (said("complete"), CopyOutcome("missed")),
+        (said("unexplained"), CopyOutcome("unexplained")),
     ],
 )
 def test_a_verdict_is_judged_beside_what_is_hidden(diagnosis, expected):
@@ -100,7 +100,7 @@ def test_a_verdict_is_judged_beside_what_is_hidden(diagnosis, expected):
 
 def test_the_result_is_json_and_tables_of_it_tell_the_same(fitted, smallest):
     found = power_of(fitted, [asked("air_drag"), asked(f"tip_mass={1e-5}")])
-    copies = Recovery(4, (*[Outcome("found")] * 3, Outcome("confused", ("draught",))))
+    copies = Recovery(4, (*[CopyOutcome("found")] * 3, CopyOutcome("confused", ("draught",))))
     tried = replace(found, effects=(replace(found.effects[0], recovery=copies), found.effects[1]))
     data = json.loads(json.dumps(tried.to_json(), allow_nan=False))
     assert data["format"] == "cable-power/1"
@@ -132,7 +132,7 @@ def test_without_a_held_out_trial_nothing_is_found_and_why_is_said(fitted):
 
 def test_the_interval_of_a_share_is_that_of_a_published_example() -> None:
     """Newcombe 1998, Stat. Med. 17, 857, table I: 81 of 263, Wilson's."""
-    copies = (*[Outcome("found")] * 81, *[Outcome("missed")] * 182)
+    copies = (*[CopyOutcome("found")] * 81, *[CopyOutcome("missed")] * 182)
     assert Recovery(263, copies).share == pytest.approx((81 / 263, 0.2553, 0.3662), abs=5e-5)
 
 

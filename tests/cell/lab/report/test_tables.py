@@ -9,7 +9,7 @@ import pytest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.check import Answer, Reading
+from cell.lab.data.check import CheckOutcome, Reading
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt, Errors, MissingEffect
 from cell.lab.next.advice import Paths, advice
@@ -61,7 +61,7 @@ def test_where_the_noise_is_not_known_no_effect_is_said_to_lack_and_rest_is_aske
 def failed(name):
     """A check that failed."""
     (check,) = [c for c in CHECKS if c.name == name]
-    return Answer(check, Reading(0.0, ("tip_mass",)), passed=False).result
+    return CheckOutcome(check, Reading(0.0, ("tip_mass",)), passed=False).result
 
 
 def test_one_effect_that_a_prior_alone_asks_for_is_not_told_from_others():

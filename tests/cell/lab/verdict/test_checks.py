@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell.lab.data.check import Answer, Check, Reading, worst_verdict
+from cell.lab.data.check import Check, CheckOutcome, Reading, worst_verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.verdict import questions
 from cell.lab.verdict.checks import CHECKS, LEAVES_NOISE, MAY_BE_CLAIMED, answers, explains
@@ -46,12 +46,12 @@ def test_names_are_unique():
     ],
 )
 def test_the_verdict_is_the_worst_of_what_failed(failed, is_base, verdict):
-    found = [Answer(c, Reading(0.0), c.name not in failed) for c in CHECKS]
+    found = [CheckOutcome(c, Reading(0.0), c.name not in failed) for c in CHECKS]
     assert worst_verdict(found, is_base) == verdict
 
 
 def test_what_does_not_apply_fails_nothing():
-    assert worst_verdict([Answer(c, None, None) for c in CHECKS], is_base=True) == "complete"
+    assert worst_verdict([CheckOutcome(c, None, None) for c in CHECKS], is_base=True) == "complete"
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from cell.cli import app
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rival import Rival
-from cell.lab.data.work import StoppedError, Work
+from cell.lab.data.work import Work, WorkStoppedError
 from cell.lab.next.suggest import distinguishing_motions
 from cell.lab.next.suggestion import Option
 from cell.lab.next.terms import admissible
@@ -88,7 +88,7 @@ def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, mon
 
 
 def test_before_the_baseline_there_is_nothing_to_tell(study):
-    with pytest.raises(StoppedError):
+    with pytest.raises(WorkStoppedError):
         diagnose(stopped_when(study, "looking where to begin"))
 
 

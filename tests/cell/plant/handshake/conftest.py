@@ -18,8 +18,8 @@ from cell.plant.handshake.controller import ControllerCarrier
 from cell.plant.handshake.modbus import ModbusCarrier
 from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
 from cell.plant.link import Link
-from cell.plant.messages import Answer, FaultNotice, Kind, Request, Status, to_json
-from cell.run.machine import CellState, Event, EventRefusedError, Machine
+from cell.plant.messages import CommandReply, FaultNotice, MessageKind, Request, Status, to_json
+from cell.run.machine import CellState, EventRefusedError, Machine, MachineEvent
 from cell.settings.plant.handshake import Handshake
 from drivers.emulators.launch import EmulatedController
 from tools.faults.scripted_plc import (
@@ -66,8 +66,8 @@ class FakeCell:
 
     def __enter__(self) -> FakeCell:
         self.link.__enter__()
-        self._machine.send(Event.RESET)
-        self._machine.send(Event.DONE)
+        self._machine.send(MachineEvent.RESET)
+        self._machine.send(MachineEvent.DONE)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -77,9 +77,9 @@ class FakeCell:
 
     def _told(self, state: CellState) -> None:
         self.states.append(state)
-        self.link.publish(Kind.STATE, {"state": state.value, "step": None, "since": 1.0})
+        self.link.publish(MessageKind.STATE, {"state": state.value, "step": None, "since": 1.0})
 
-    def _answer(self, request: Request) -> Answer:
+    def _answer(self, request: Request) -> CommandReply:
         self.asked.append(request)
         command = request.command
         assert command is not None
@@ -87,25 +87,32 @@ class FakeCell:
             try:
                 state = self._machine.send(command)
             except EventRefusedError as error:
-                return Answer(False, self._machine.state, str(error))
+                return CommandReply(False, self._machine.state, str(error))
             match command:
-                case Event.START:
+                case MachineEvent.START:
                     assert self._fault is None
                     self.starts += 1
                     self._part_of_cycle = threading.Thread(target=self._cycle, daemon=True)
                     self._part_of_cycle.start()
-                case Event.SUSPEND:
-                    self.link.publish(Kind.WAITING, {"waiting_for": [request.note]})
-                    self._machine.send(Event.DONE)
-                case Event.UNSUSPEND | Event.RESET | Event.STOP | Event.CLEAR:
-                    self._machine.send(Event.DONE)
-            if command in (Event.CLEAR, Event.RESET) and self._fault is not None:
+                case MachineEvent.SUSPEND:
+                    self.link.publish(MessageKind.WAITING, {"waiting_for": [request.note]})
+                    self._machine.send(MachineEvent.DONE)
+                case (
+                    MachineEvent.UNSUSPEND
+                    | MachineEvent.RESET
+                    | MachineEvent.STOP
+                    | MachineEvent.CLEAR
+                ):
+                    self._machine.send(MachineEvent.DONE)
+            if command in (MachineEvent.CLEAR, MachineEvent.RESET) and self._fault is not None:
                 self._fault = None
-                self.link.publish(Kind.ACKNOWLEDGED, {"by": request.by, "note": request.note})
-        return Answer(True, state)
+                self.link.publish(
+                    MessageKind.ACKNOWLEDGED, {"by": request.by, "note": request.note}
+                )
+        return CommandReply(True, state)
 
     def _cycle(self) -> None:
-        self._machine.send(Event.DONE)
+        self._machine.send(MachineEvent.DONE)
         end_s = time.monotonic() + CYCLE_S
         while time.monotonic() < end_s or self._machine.state is CellState.SUSPENDED:
             time.sleep(0.01)
@@ -117,16 +124,16 @@ class FakeCell:
             if self.ended % 7 == 0:
                 outcome = "failed"
                 self._fault = FaultNotice(self.ended, "grip", "no cable", 0.0)
-                self._machine.send(Event.ABORT)
-                self._machine.send(Event.DONE)
-                self.link.publish(Kind.FAULT, to_json(self._fault))
+                self._machine.send(MachineEvent.ABORT)
+                self._machine.send(MachineEvent.DONE)
+                self.link.publish(MessageKind.FAULT, to_json(self._fault))
             else:
-                self._machine.send(Event.DONE)
-                self._machine.send(Event.DONE)
-            self.link.publish(Kind.RESULT, {"outcome": outcome, "cycle": self.ended})
+                self._machine.send(MachineEvent.DONE)
+                self._machine.send(MachineEvent.DONE)
+            self.link.publish(MessageKind.RESULT, {"outcome": outcome, "cycle": self.ended})
             if self._machine.state is CellState.COMPLETE:
-                self._machine.send(Event.RESET)
-                self._machine.send(Event.DONE)
+                self._machine.send(MachineEvent.RESET)
+                self._machine.send(MachineEvent.DONE)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cell.plant.handshake.adapter import HandshakeAdapter
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 from cell.settings.plant.handshake import Handshake
 from tests.cell.plant.handshake.conftest import (
     FakeCarrier,
@@ -32,7 +32,7 @@ def test_a_plc_that_misbehaves_gets_one_cycle_for_each_start(
     assert told == ["done", "done", "rejected", "done", "done", "rejected", "fault", "fault"]
     assert CellState.SUSPENDED in fake.states
     asked = [(request.command, request.by) for request in fake.asked]
-    assert (Event.CLEAR, "plc") in asked and (Event.RESET, "plc") in asked
+    assert (MachineEvent.CLEAR, "plc") in asked and (MachineEvent.RESET, "plc") in asked
 
 
 def test_a_plc_that_is_lost_starts_nothing_when_it_comes_back(
@@ -68,7 +68,11 @@ def test_a_stop_stops_and_needs_an_acknowledgement(
     plc.quiet()
     plc.say(start=False, acknowledge=True)
     plc.wait(lambda heard: heard["ready"])
-    assert [request.command for request in fake.asked] == [Event.START, Event.STOP, Event.RESET]
+    assert [request.command for request in fake.asked] == [
+        MachineEvent.START,
+        MachineEvent.STOP,
+        MachineEvent.RESET,
+    ]
 
 
 def test_a_cell_that_is_away_is_a_fault_and_is_not_started_when_it_comes(

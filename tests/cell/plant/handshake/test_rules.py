@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.plant.folded import possible_in
-from cell.plant.handshake.rules import Ask, Look, Memory, away, look, not_obeyed, obeyed
+from cell.plant.handshake.rules import Ask, Memory, PlcInputs, away, look, not_obeyed, obeyed
 from cell.plant.handshake.signals import Inputs, Outputs
 from cell.plant.messages import FaultNotice, Status
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 
 FAULT = FaultNotice(1, "grip", "no cable", 0.0)
 
@@ -51,7 +51,7 @@ def test_a_start_needs_an_edge_a_part_and_ready_and_no_fault(
         assert len(asks) <= 1
         assert not (outputs.ready and (outputs.busy or outputs.fault))
         assert outputs.done + outputs.rejected + outputs.busy <= 1
-        if Event.START in [ask.command for ask in asks]:
+        if MachineEvent.START in [ask.command for ask in asks]:
             assert ready_was and inputs.start and not start_was
             assert inputs.part_present and inputs.upstream_ready and inputs.downstream_ready
             assert not inputs.stop
@@ -60,7 +60,7 @@ def test_a_start_needs_an_edge_a_part_and_ready_and_no_fault(
             assert not asks and outputs.fault and not outputs.ready and not outputs.busy
         else:
             assert all(ask.command in now.possible for ask in asks) or asks[0].command is (
-                Event.UNSUSPEND  # also takes back a pause that has not begun
+                MachineEvent.UNSUSPEND  # also takes back a pause that has not begun
             )
             assert outputs.fault or now.fault is None
         start_was = inputs.start
@@ -79,7 +79,7 @@ def test_an_idle_cell_gets_at_most_one_start_for_an_edge(levels: list[bool]) -> 
 
 def commands(
     inputs: Inputs, now: Status | None, memory: Memory
-) -> tuple[list[Event], Outputs, Memory]:
+) -> tuple[list[MachineEvent], Outputs, Memory]:
     asks, outputs, memory = look(inputs, now, memory)
     return [ask.command for ask in asks], outputs, memory
 
@@ -102,7 +102,7 @@ def test_a_start_that_is_held_at_connection_or_after_a_fault_does_nothing() -> N
         assert not asked and not outputs.ready
     _, outputs, memory = commands(Inputs(), IDLE, memory)
     assert outputs.ready
-    assert commands(held, IDLE, memory)[0] == [Event.START]
+    assert commands(held, IDLE, memory)[0] == [MachineEvent.START]
     assert commands(held, IDLE, away(memory))[0] == []
 
 
@@ -115,7 +115,7 @@ def test_the_outcome_is_told_until_start_changes() -> None:
     ):
         held = Inputs(start=True)
         asked, _, memory = commands(held, IDLE, ready_memory())
-        assert asked == [Event.START]
+        assert asked == [MachineEvent.START]
         _, outputs, memory = commands(held, EXECUTE, memory)
         assert outputs == Outputs(busy=True)
         ended = {"counts": {outcome: 1}, "last": {"outcome": outcome}}
@@ -138,7 +138,7 @@ def test_the_outcome_of_a_pulsed_start_waits_for_the_next() -> None:
         _, outputs, memory = commands(Inputs(), idle, memory)
         assert outputs == Outputs(ready=True, done=True)
     asked, outputs, _ = commands(Inputs(start=True), idle, memory)
-    assert asked == [Event.START] and outputs == Outputs()
+    assert asked == [MachineEvent.START] and outputs == Outputs()
 
 
 def test_results_of_another_run_or_of_before_are_not_told() -> None:
@@ -153,21 +153,23 @@ def test_machines_beside_the_cell_suspend_it_once_and_let_it_go_on() -> None:
     memory = ready_memory()
     blocked = Inputs(downstream_ready=False)
     asks, _, memory = look(blocked, EXECUTE, memory)
-    assert asks == (Ask(Event.SUSPEND, "downstream"),)
+    assert asks == (Ask(MachineEvent.SUSPEND, "downstream"),)
     assert commands(blocked, EXECUTE, memory)[0] == []
-    assert commands(Inputs(), EXECUTE, memory)[0] == [Event.UNSUSPEND]  # not begun: taken back
+    assert commands(Inputs(), EXECUTE, memory)[0] == [
+        MachineEvent.UNSUSPEND
+    ]  # not begun: taken back
     suspended = status(CellState.SUSPENDED, waiting_for=("downstream",))
     assert commands(blocked, suspended, memory)[0] == []
     asked, _, memory = commands(Inputs(), suspended, memory)
-    assert asked == [Event.UNSUSPEND]
+    assert asked == [MachineEvent.UNSUSPEND]
     assert commands(Inputs(), suspended, memory)[0] == []
     asked, _, memory = commands(Inputs(upstream_ready=False), EXECUTE, memory)
-    assert asked == [Event.SUSPEND]
+    assert asked == [MachineEvent.SUSPEND]
 
 
 def test_after_a_restart_only_a_pause_of_the_line_is_ended() -> None:
     line = status(CellState.SUSPENDED, waiting_for=("upstream",))
-    assert commands(Inputs(), line, Memory())[0] == [Event.UNSUSPEND]
+    assert commands(Inputs(), line, Memory())[0] == [MachineEvent.UNSUSPEND]
     someone = status(CellState.SUSPENDED, waiting_for=("cleaning",))
     assert commands(Inputs(), someone, Memory())[0] == []
 
@@ -177,12 +179,12 @@ def test_one_acknowledgement_clears_and_resets() -> None:
     pressed = Inputs(acknowledge=True)
     aborted, stopped = status(CellState.ABORTED, fault=FAULT), status(CellState.STOPPED)
     asked, outputs, memory = commands(pressed, aborted, memory)
-    assert asked == [Event.CLEAR] and outputs == Outputs(fault=True)
+    assert asked == [MachineEvent.CLEAR] and outputs == Outputs(fault=True)
     asked, _, memory = commands(pressed, status(CellState.CLEARING), memory)
     assert asked == []
     for again in (pressed, Inputs()):  # held, or a short pulse
         asked, outputs, after = commands(again, stopped, memory)
-        assert asked == [Event.RESET] and outputs == Outputs(fault=True)
+        assert asked == [MachineEvent.RESET] and outputs == Outputs(fault=True)
         assert commands(again, stopped, after)[0] == []
     assert commands(pressed, IDLE, after)[0] == []
 
@@ -201,11 +203,11 @@ def test_a_reset_follows_only_its_own_clear_and_nothing_else() -> None:
     ]
     for inputs, now in between:
         asked, _, memory = commands(inputs, now, cleared)
-        assert Event.RESET not in asked
+        assert MachineEvent.RESET not in asked
         assert commands(pressed, replace(stopped, run=memory.run or "r"), memory)[0] == []
     for lost in (away(cleared), not_obeyed(asks[0], before, cleared)):
         assert commands(replace(pressed, acknowledge=False), stopped, lost)[0] == []
-    assert commands(pressed, stopped, before)[0] == [Event.RESET]  # after a stop
+    assert commands(pressed, stopped, before)[0] == [MachineEvent.RESET]  # after a stop
 
 
 def test_while_a_stop_is_held_no_acknowledgement_moves_the_hand() -> None:
@@ -219,34 +221,36 @@ def test_while_a_stop_is_held_no_acknowledgement_moves_the_hand() -> None:
     asked, _, memory = commands(Inputs(acknowledge=True), stopped, memory)
     assert asked == [], "this press is over"
     _, _, memory = commands(Inputs(), stopped, memory)
-    assert commands(Inputs(acknowledge=True), stopped, memory)[0] == [Event.RESET]
+    assert commands(Inputs(acknowledge=True), stopped, memory)[0] == [MachineEvent.RESET]
 
 
 @settings(max_examples=60, deadline=None)
 @given(looks)
 def test_every_acknowledgement_is_used_once(seen: list[tuple[Inputs, Status | None]]) -> None:
-    memory, was, used = Memory(), True, {Event.CLEAR, Event.RESET}
+    memory, was, used = Memory(), True, {MachineEvent.CLEAR, MachineEvent.RESET}
     for inputs, now in seen:
         if inputs.acknowledge and not was:
             used = set()
         asks, _, memory = look(inputs, now, memory)
         for ask in asks:
             assert ask.command not in used
-            used |= {ask.command} & {Event.CLEAR, Event.RESET}
+            used |= {ask.command} & {MachineEvent.CLEAR, MachineEvent.RESET}
         was = inputs.acknowledge
 
 
 def test_a_stop_stops_once_and_waits_for_a_cell_that_is_away() -> None:
     stop = Inputs(stop=True)
     asked, _, memory = commands(stop, EXECUTE, ready_memory())
-    assert asked == [Event.STOP]
+    assert asked == [MachineEvent.STOP]
     assert commands(stop, EXECUTE, memory)[0] == []
-    lost = not_obeyed(Ask(Event.STOP), ready_memory(), memory)
-    assert commands(stop, EXECUTE, lost)[0] == [Event.STOP]
+    lost = not_obeyed(Ask(MachineEvent.STOP), ready_memory(), memory)
+    assert commands(stop, EXECUTE, lost)[0] == [MachineEvent.STOP]
     asked, outputs, memory = commands(stop, None, ready_memory())
     assert not asked and outputs == Outputs(fault=True)
-    assert commands(stop, EXECUTE, memory)[0] == [Event.STOP]
-    assert commands(stop, EXECUTE, Memory())[0] == [Event.STOP]  # held when the PLC comes back
+    assert commands(stop, EXECUTE, memory)[0] == [MachineEvent.STOP]
+    assert commands(stop, EXECUTE, Memory())[0] == [
+        MachineEvent.STOP
+    ]  # held when the PLC comes back
 
 
 def test_an_outcome_is_told_after_the_plc_was_away_until_start_changes() -> None:
@@ -263,7 +267,9 @@ def test_what_did_not_reach_the_cell_is_asked_again_unless_it_starts_it() -> Non
     before = ready_memory()
     blocked = Inputs(upstream_ready=False)
     asks, _, after = look(blocked, EXECUTE, before)
-    assert commands(blocked, EXECUTE, not_obeyed(asks[0], before, after))[0] == [Event.SUSPEND]
+    assert commands(blocked, EXECUTE, not_obeyed(asks[0], before, after))[0] == [
+        MachineEvent.SUSPEND
+    ]
     asks, _, after = look(Inputs(start=True), IDLE, before)
     after = not_obeyed(asks[0], before, after)
     assert commands(Inputs(start=True), IDLE, after)[0] == []
@@ -272,12 +278,12 @@ def test_what_did_not_reach_the_cell_is_asked_again_unless_it_starts_it() -> Non
 def test_a_start_that_is_obeyed_is_told_before_the_next_look() -> None:
     asks, outputs, _ = look(Inputs(start=True), IDLE, ready_memory())
     assert obeyed(asks[0], outputs) == Outputs(busy=True)
-    assert obeyed(Ask(Event.STOP), Outputs(busy=True)) == Outputs(busy=True)
+    assert obeyed(Ask(MachineEvent.STOP), Outputs(busy=True)) == Outputs(busy=True)
 
 
 def test_a_look_knows_who_is_in_the_way() -> None:
     for inputs, who in ((Inputs(), ""), (Inputs(upstream_ready=False), "upstream")):
-        assert Look(inputs, IDLE, Memory()).obstacle == who
+        assert PlcInputs(inputs, IDLE, Memory()).obstacle == who
 
 
 def test_a_start_is_of_the_product_whose_number_the_plc_says() -> None:
@@ -287,7 +293,7 @@ def test_a_start_is_of_the_product_whose_number_the_plc_says() -> None:
         _, outputs, memory = look(Inputs(**said), idle, Memory())
         assert outputs.ready
         asks, *_ = look(Inputs(start=True, **said), idle, memory)
-        assert asks == (Ask(Event.START, product=product),)
+        assert asks == (Ask(MachineEvent.START, product=product),)
     unknown = Inputs(product_0=True, product_1=True)
     _, outputs, memory = look(unknown, idle, Memory())
     assert not outputs.ready, "there is no third"

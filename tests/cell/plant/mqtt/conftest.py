@@ -18,7 +18,7 @@ import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
 from cell.plant.link import Link
-from cell.plant.messages import Answer, Kind, Status
+from cell.plant.messages import CommandReply, MessageKind, Status
 from cell.run.machine import CellState
 
 BEGUN = Status(run="", sequence=0, state=CellState.IDLE, since_s=0.0, line="L1")
@@ -91,7 +91,7 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 @pytest.fixture
 def link(tmp_path: Path) -> Iterator[Link]:
-    refused = Answer(False, CellState.IDLE, "this cell only publishes")
+    refused = CommandReply(False, CellState.IDLE, "this cell only publishes")
     with Link(tmp_path / "runs", BEGUN, lambda _: refused) as opened:
         yield opened
 
@@ -180,7 +180,7 @@ def result(link: Link, cycle: int) -> None:
     """A cycle of the cell, as far as it is published."""
     from cell.records.result import Outcome, Result
 
-    link.publish(Kind.CYCLE, {"cycle": cycle, "part": None, "product": None})
-    link.publish(Kind.STEP, {"step": "grasp", "cycle": cycle})
+    link.publish(MessageKind.CYCLE, {"cycle": cycle, "part": None, "product": None})
+    link.publish(MessageKind.STEP, {"step": "grasp", "cycle": cycle})
     ended = Result(cycle, Outcome.INSERTED, f"runs/{cycle}", margin_m=0.001)
-    link.publish(Kind.RESULT, ended.to_json())
+    link.publish(MessageKind.RESULT, ended.to_json())

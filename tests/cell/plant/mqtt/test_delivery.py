@@ -11,7 +11,7 @@ import jsonschema
 import paho.mqtt.client as paho
 
 from cell.plant.link import Link
-from cell.plant.messages import Kind
+from cell.plant.messages import MessageKind
 from cell.plant.mqtt.schema import schema
 from tests.cell.plant.mqtt.conftest import Adapter, Broker, Receiver, result, wait_until
 
@@ -105,7 +105,7 @@ def test_what_happens_while_the_broker_is_away_waits(
     adapter()
     for cycle in range(1, 6):
         result(link, cycle)
-    link.publish(Kind.WAITING, {"waiting_for": ["part"]})
+    link.publish(MessageKind.WAITING, {"waiting_for": ["part"]})
     broker.start()
     heard = receiver("cable-cell/L1/#")
     wait_until(lambda: bool(heard.of("/waiting")))

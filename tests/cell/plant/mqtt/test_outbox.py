@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from cell.plant.messages import Kind, Notice
+from cell.plant.messages import MessageKind, Notice
 from cell.plant.mqtt.outbox import MqttOutbox, OutboxError, outbox_of
 
 
-def notice(sequence: int, kind: Kind = Kind.STEP) -> Notice:
+def notice(sequence: int, kind: MessageKind = MessageKind.STEP) -> Notice:
     return Notice("r", sequence, 1.5, kind, {"cycle": sequence})
 
 
@@ -38,10 +38,10 @@ def test_too_many_lose_the_oldest_that_are_no_results(
 ) -> None:
     box = MqttOutbox(tmp_path / "box.sqlite", 10)
     for sequence in range(1, 21):
-        box.put(notice(sequence, Kind.RESULT if sequence % 2 else Kind.STEP))
+        box.put(notice(sequence, MessageKind.RESULT if sequence % 2 else MessageKind.STEP))
     assert (box.count(), box.dropped()) == (10, 10)
     assert "the oldest 1 that are not results were dropped" in caplog.text
-    box.put(notice(21, Kind.RESULT))
+    box.put(notice(21, MessageKind.RESULT))
     kept = []
     while (waiting := box.first()) is not None:
         kept.append(waiting.notice.sequence)

@@ -16,11 +16,11 @@ import pytest
 from asyncua import Client, ua
 
 from cell.plant.link import Link
-from cell.plant.messages import Answer, Kind, Request, Status
+from cell.plant.messages import CommandReply, MessageKind, Request, Status
 from cell.plant.opcua import packml
 from cell.plant.opcua.server import OWN_URI, running
 from cell.plant.users import Role, Users
-from cell.run.machine import CellState, Event, EventRefusedError, Machine
+from cell.run.machine import CellState, EventRefusedError, Machine, MachineEvent
 from cell.settings import Settings, load_settings
 from cell.settings.plant import OpcUa, Plant
 
@@ -49,38 +49,41 @@ class FakeCell:
 
     def _tell(self, state: CellState) -> None:
         self.states.append(state.value)
-        self.link.publish(Kind.STATE, {"state": state.value, "step": None, "since": time.time()})
+        self.link.publish(
+            MessageKind.STATE, {"state": state.value, "step": None, "since": time.time()}
+        )
 
-    def _obey(self, request: Request) -> Answer:
+    def _obey(self, request: Request) -> CommandReply:
         self.asked.append(request)
         try:
             if request.command is not None:
                 self.send(request.command)
             if request.product is not None:
-                self.link.publish(Kind.PRODUCT, {"product": request.product})
+                self.link.publish(MessageKind.PRODUCT, {"product": request.product})
         except EventRefusedError as error:
-            return Answer(False, self.machine.state, str(error))
+            return CommandReply(False, self.machine.state, str(error))
         if request.note:
-            self.link.publish(Kind.ACKNOWLEDGED, {"by": request.by, "note": request.note})
-        return Answer(True, self.machine.state)
+            self.link.publish(MessageKind.ACKNOWLEDGED, {"by": request.by, "note": request.note})
+        return CommandReply(True, self.machine.state)
 
-    def send(self, event: Event) -> None:
+    def send(self, event: MachineEvent) -> None:
         """Take a transition, and those that follow by themselves."""
         self.machine.send(event)
-        while self.machine.state is not CellState.EXECUTE and self.machine.can(Event.DONE):
+        while self.machine.state is not CellState.EXECUTE and self.machine.can(MachineEvent.DONE):
             if self.machine.state is CellState.COMPLETING:
-                self.link.publish(Kind.RESULT, {"cycle": self.cycle, "outcome": "inserted"})
-            self.machine.send(Event.DONE)
-        if event is Event.START:
+                self.link.publish(MessageKind.RESULT, {"cycle": self.cycle, "outcome": "inserted"})
+            self.machine.send(MachineEvent.DONE)
+        if event is MachineEvent.START:
             self.cycle += 1
             self.link.publish(
-                Kind.CYCLE, {"cycle": self.cycle, "part": f"A-{self.cycle}", "product": "long"}
+                MessageKind.CYCLE,
+                {"cycle": self.cycle, "part": f"A-{self.cycle}", "product": "long"},
             )
 
     def fail(self, cause: str) -> None:
         fault = {"cycle": 1, "step": "grasp", "cause": cause, "time_s": time.time()}
-        self.link.publish(Kind.FAULT, {**fault, "device": "gripper", "remedy": "look at it"})
-        self.send(Event.ABORT)
+        self.link.publish(MessageKind.FAULT, {**fault, "device": "gripper", "remedy": "look at it"})
+        self.send(MachineEvent.ABORT)
 
 
 def settings_with(opcua: OpcUa) -> Settings:
@@ -225,10 +228,10 @@ def stopped(loopback: Site) -> Site:
     """The cell in Stopped, whatever a test before has left, and nothing recorded."""
     cell = loopback.cell
     if cell.machine.state is CellState.ABORTED:
-        cell.send(Event.CLEAR)
-        cell.link.publish(Kind.ACKNOWLEDGED, {"by": "test", "note": ""})
+        cell.send(MachineEvent.CLEAR)
+        cell.link.publish(MessageKind.ACKNOWLEDGED, {"by": "test", "note": ""})
     if cell.machine.state is not CellState.STOPPED:
-        cell.send(Event.STOP)
+        cell.send(MachineEvent.STOP)
     cell.asked.clear()
     cell.states.clear()
     return loopback

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from asyncua import ua
 
-from cell.plant.messages import Answer, Kind, Request
+from cell.plant.messages import CommandReply, MessageKind, Request
 from cell.plant.opcua.commands import COMMANDS
 from cell.plant.opcua.server import _Shown
 from cell.plant.opcua.unit import tags_of
-from cell.run.machine import CellState, Event
+from cell.run.machine import CellState, MachineEvent
 
 from .conftest import Seen, Site, free_port, served, settings_with
 
@@ -61,7 +61,7 @@ def test_three_cycles_are_started_held_and_stopped_and_every_transition_is_seen(
             assert await seen.call(f"{EXECUTE}.Unhold") == "Good"
             assert await seen.call(f"{EXECUTE}.Suspend") == "Good"
             assert await seen.call(f"{EXECUTE}.Unsuspend") == "Good"
-            cell.send(Event.DONE)
+            cell.send(MachineEvent.DONE)
             assert await seen.call(f"{EXECUTE}.Reset") == "Good"
         assert await seen.call(f"{MACHINE}.Stop") == "Good"
         await seen.until("Cell.State", "stopped")
@@ -147,7 +147,7 @@ def test_a_fault_is_shown_and_only_a_person_clears_it(stopped: Site) -> None:
         assert newest.AckDateTime >= newest.DateTime
 
     stopped.look(watch)
-    assert cell.asked == [Request(Event.CLEAR, "opcua:anonymous (Ada)", "jaws cleaned")]
+    assert cell.asked == [Request(MachineEvent.CLEAR, "opcua:anonymous (Ada)", "jaws cleaned")]
 
 
 #: Commands that each state refuses, as PackML has it.
@@ -198,7 +198,7 @@ def test_a_part_that_is_refused_is_named_by_its_argument(
     stopped: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The status said that the state forbids it."""
-    why = Answer(False, CellState.IDLE, "part 'S-1' is of product soft", "part")
+    why = CommandReply(False, CellState.IDLE, "part 'S-1' is of product soft", "part")
     monkeypatch.setattr(stopped.cell.link, "_handler", lambda request: why)
 
     async def watch(seen: Seen) -> None:
@@ -313,7 +313,7 @@ def test_a_server_without_a_cell_says_so_and_shows_it_when_it_comes(tmp_path: Pa
         assert await seen.read("Cell.Refusal") == "stop: the cell does not run"
         with cell.link:
             await seen.until("Cell.State", "stopped")
-            cell.link.publish(Kind.CYCLE, {"cycle": 7, "part": None, "product": None})
+            cell.link.publish(MessageKind.CYCLE, {"cycle": 7, "part": None, "product": None})
             await seen.until("Cell.Cycle", 7)
         await seen.until("Cell.State", "not connected")
         data = await seen.node("Cell.Cycle").read_data_value(raise_on_bad_status=False)

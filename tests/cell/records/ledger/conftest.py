@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.records.ledger.entry import Entry, Estimate
+from cell.records.ledger.entry import LedgerEntry, LedgerEstimate
 from cell.records.ledger.ledger import Ledger
 from cell.records.result import Fault, Outcome, Result
 
@@ -43,7 +43,7 @@ def ledger(place: str) -> Iterator[Ledger]:
     ledger.close()
 
 
-def begun(number: int = 1, **changes) -> Entry:
+def begun(number: int = 1, **changes) -> LedgerEntry:
     """A cycle that has begun: one a minute."""
     given = {
         "line": "line3",
@@ -52,10 +52,12 @@ def begun(number: int = 1, **changes) -> Entry:
         "started": BEGUN + timedelta(minutes=number),
         "aim": "inserted",
     }
-    return Entry(**(given | changes))
+    return LedgerEntry(**(given | changes))
 
 
-def ended(number: int = 1, outcome: Outcome = Outcome.INSERTED, fault=None, **changes) -> Entry:
+def ended(
+    number: int = 1, outcome: Outcome = Outcome.INSERTED, fault=None, **changes
+) -> LedgerEntry:
     """A cycle that has ended."""
     result = Result(
         number,
@@ -75,14 +77,17 @@ def ended(number: int = 1, outcome: Outcome = Outcome.INSERTED, fault=None, **ch
     given = {
         "ended": BEGUN + timedelta(minutes=number, seconds=25),
         "result": result,
-        "estimates": (Estimate("rigidity_0", 2e-5, 1e-5, 3e-5), Estimate("viscosity", 1e-7)),
+        "estimates": (
+            LedgerEstimate("rigidity_0", 2e-5, 1e-5, 3e-5),
+            LedgerEstimate("viscosity", 1e-7),
+        ),
         "software": "0.1.0",
         "calibration": "c0ffee",
     }
     return begun(number, **(given | changes))
 
 
-def stopped(number: int, code: str = "stop") -> Entry:
+def stopped(number: int, code: str = "stop") -> LedgerEntry:
     """A cycle that a fault has ended."""
     fault = Fault("lower", f"cause {number}", "arm", "remedy", "in the jaws", code)
     return ended(number, Outcome.FAILED, fault)

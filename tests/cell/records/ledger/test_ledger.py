@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from cell.records.ledger.entry import Acknowledgement, Entry
+from cell.records.ledger.entry import Acknowledgement, LedgerEntry
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
@@ -106,7 +106,7 @@ def test_cables_not_inserted_are_counted_with_the_newest_reason(ledger: Ledger) 
     assert ledger.not_inserted(Wanted(part="nobody's")) == []
 
 
-def with_reason(number: int, outcome: Outcome, **changes: Any) -> Entry:
+def with_reason(number: int, outcome: Outcome, **changes: Any) -> LedgerEntry:
     entry = ended(number, outcome, **changes)
     assert entry.result is not None
     return replace(entry, result=replace(entry.result, reason=f"reason {number}"))
@@ -200,10 +200,12 @@ def test_an_acknowledgement_is_written_after_its_fault(ledger: Ledger) -> None:
     (cycle,) = ledger.listed(Wanted(), estimates=True)
     assert (cycle.outcome, cycle.acknowledged) == ("failed", said)
     assert cycle.estimates
-    assert Entry.from_json(replace(stopped(1), acknowledged=said).to_json()).acknowledged == said
+    assert (
+        LedgerEntry.from_json(replace(stopped(1), acknowledged=said).to_json()).acknowledged == said
+    )
     old = begun(1).to_json()
     del old["acknowledged"]
-    assert Entry.from_json(old) == begun(1)
+    assert LedgerEntry.from_json(old) == begun(1)
 
 
 def test_products_do_not_mix(ledger: Ledger) -> None:

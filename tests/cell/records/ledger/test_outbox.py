@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from cell.records.ledger import outbox
-from cell.records.ledger.entry import Entry
+from cell.records.ledger.entry import LedgerEntry
 from cell.records.ledger.error import LedgerError
 from cell.records.ledger.ledger import Ledger, Wanted
 from cell.records.ledger.outbox import LaterLedger, LedgerWriter, Outbox, outbox_of
@@ -31,7 +31,7 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 class Told:
     """A ledger that hands entries on."""
 
-    def __init__(self, write: Callable[[Sequence[Entry]], None]) -> None:
+    def __init__(self, write: Callable[[Sequence[LedgerEntry]], None]) -> None:
         self.write = write
 
     def close(self) -> None:
@@ -63,7 +63,7 @@ def until(done: Callable[[], object], seconds: float = 20.0) -> None:
 
 def test_an_entry_is_read_back_as_it_was() -> None:
     for entry in (begun(1, part="Ä 1"), ended(2), stopped(3)):
-        assert Entry.from_json(json.loads(json.dumps(entry.to_json()))) == entry
+        assert LedgerEntry.from_json(json.loads(json.dumps(entry.to_json()))) == entry
 
 
 def test_entries_are_written_in_order_and_removed(writer_to, tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_what_an_earlier_run_has_left_comes_first(writer_to, tmp_path: Path) -> 
     left = Outbox(outbox_of(tmp_path / "runs"))
     left.put(begun(1))
     left.put(stopped(1))
-    told: list[Entry] = []
+    told: list[LedgerEntry] = []
     writer = writer_to(told.extend)
     writer.put(begun(2))
     until(lambda: len(told) == 3)  # a busy disk may be slower than `close` waits
@@ -92,11 +92,11 @@ def test_what_an_earlier_run_has_left_comes_first(writer_to, tmp_path: Path) -> 
 
 
 def test_a_cell_goes_on_while_the_ledger_is_away(writer_to, tmp_path: Path, caplog) -> None:
-    told: list[Entry] = []
+    told: list[LedgerEntry] = []
     away = threading.Event()
     away.set()
 
-    def write(entries: list[Entry]) -> None:
+    def write(entries: list[LedgerEntry]) -> None:
         if away.is_set():
             raise LedgerError("the server is away")
         told.extend(entries)
@@ -113,7 +113,7 @@ def test_a_cell_goes_on_while_the_ledger_is_away(writer_to, tmp_path: Path, capl
 
 
 def test_what_cannot_be_told_waits_for_the_next_run(writer_to, tmp_path: Path) -> None:
-    def refused(entries: list[Entry]) -> None:
+    def refused(entries: list[LedgerEntry]) -> None:
         raise LedgerError("the server is away")
 
     writer = writer_to(refused)
@@ -159,7 +159,7 @@ def test_what_is_no_entry_is_put_aside(writer_to, tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "00000001-7.json").write_text('{"half')
     (folder / "00000002-7.json").write_text('{"line": "other"}')
-    told: list[Entry] = []
+    told: list[LedgerEntry] = []
     writer = writer_to(told.extend)
     writer.put(begun(1))
     writer.close()

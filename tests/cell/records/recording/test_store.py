@@ -18,18 +18,18 @@ from fsspec.implementations.memory import MemoryFile, MemoryFileSystem
 from cell.files.input_error import InputError
 from cell.records.recording import form, uploads
 from cell.records.recording.reading import read_recording, verify
-from cell.records.recording.retention import KEPT, Retention, Room
+from cell.records.recording.retention import KEPT, DiskRoom, Retention
 from cell.records.recording.store import (
     BLOCK_BYTES,
+    RecordingStoreError,
     Store,
-    StoreError,
     fetch,
     mark,
     name_of,
     stored_of,
 )
 from cell.records.recording.uploads import Uploads, bring, waiting
-from cell.settings.records import Recording
+from cell.settings.records import RecordingSettings
 
 SIZE = 2 * BLOCK_BYTES + 12_345
 
@@ -120,7 +120,7 @@ def test_what_the_store_has_spoilt_stays_here(tmp_path, monkeypatch):
     fsspec.filesystem("memory").mkdir("/spoilt")
     recording = recording_of(tmp_path, 1)
     before = recording.read_bytes()
-    with pytest.raises(StoreError, match="is not what was sent"):
+    with pytest.raises(RecordingStoreError, match="is not what was sent"):
         bring(Store("memory://spoilt/x"), recording, "line3", nullcontext)
     assert recording.read_bytes() == before
     assert stored_of(recording.parent) is None
@@ -131,14 +131,14 @@ def test_what_was_changed_in_the_store_is_not_taken_back(tmp_path):
     (tmp_path / "nas").mkdir()
     stored = bring(Store(str(tmp_path / "nas")), recording, "line3", nullcontext)
     (tmp_path / "nas" / name_of(recording, "line3")).write_bytes(b"something else")
-    with pytest.raises(StoreError, match="is not what was stored"):
+    with pytest.raises(RecordingStoreError, match="is not what was stored"):
         fetch(stored, recording, lambda share: None)
     assert list(recording.parent.iterdir()) == [recording.with_name(form.STORED)]
 
 
 def test_a_folder_that_is_not_mounted_gets_nothing(tmp_path):
     recording = recording_of(tmp_path / "runs", 1)
-    with pytest.raises(StoreError, match=r"no folder .*; make it, or mount it"):
+    with pytest.raises(RecordingStoreError, match=r"no folder .*; make it, or mount it"):
         bring(Store(str(tmp_path / "nas")), recording, "line3", nullcontext)
     assert recording.exists() and not (tmp_path / "nas").exists()
 
@@ -155,7 +155,7 @@ def test_a_marked_recording_stays_here_too(tmp_path):
 def test_old_recordings_go_only_once_they_are_stored(tmp_path):
     first, second = (recording_of(tmp_path / "runs", n) for n in (1, 2))
     (tmp_path / "nas").mkdir()
-    room = Room(max_bytes=1000)
+    room = DiskRoom(max_bytes=1000)
     Retention(tmp_path / "runs", room, only_stored=True).make_room()
     assert first.exists() and second.exists()
     mark(first.parent, Store(str(tmp_path / "nas")).put(first, "first"))
@@ -303,7 +303,7 @@ def test_two_processes_do_not_upload_one_recording(tmp_path, slow):
 )
 def test_stores_that_the_settings_refuse(url, why):
     with pytest.raises(ValueError, match=why):
-        Recording(store=url)
+        RecordingSettings(store=url)
 
 
 def test_a_mark_that_was_changed_is_told_of(tmp_path):
@@ -347,7 +347,7 @@ def test_one_that_cannot_be_sent_stops_no_other(tmp_path, slow, monkeypatch):
 
     def refusing(source, *rest):
         if source == first:
-            raise StoreError("not this one")
+            raise RecordingStoreError("not this one")
         return put(source, *rest)
 
     monkeypatch.setattr(slow.store, "put", refusing)
@@ -366,7 +366,7 @@ def test_a_store_that_fails_in_its_own_way_is_told_of(monkeypatch):
         raise LookupError("no such profile")
 
     monkeypatch.setattr("fsspec.core.url_to_fs", refused)
-    with pytest.raises(StoreError, match="no such profile"):
+    with pytest.raises(RecordingStoreError, match="no such profile"):
         Store("s3://recordings")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.study.imports.capture import Capture, Column
+from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.choosing import choose
 from cell.study.imports.contents import contents
 from tests.cell.study.imports.made import made
@@ -17,7 +17,7 @@ def a_file(places_mm: np.ndarray) -> Capture:
     """Time, hand and markers (rows, points, 2) of a file."""
     names = [f"{n} {a} [mm]" for n in ("hand", "m1", "m2", "m3", "m4", "tip") for a in "xy"]
     values = np.column_stack([np.arange(len(places_mm)) / 200.0, places_mm.reshape(-1, 12)])
-    columns = (Column("t [s]"), *map(Column, names))
+    columns = (CapturedColumn("t [s]"), *map(CapturedColumn, names))
     return Capture(Path("a.csv"), columns, values, np.arange(len(values)) + 2)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.study.imports.capture import Capture, Column
+from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.encoder import count_of, place_m, turn_of
 from cell.study.imports.hand_section import TurnsSection
 
@@ -18,7 +18,9 @@ TURNS = TurnsSection(
 
 
 def capture(values: np.ndarray) -> Capture:
-    return Capture(Path("a.csv"), (Column("enc"),), values[:, None], np.arange(len(values)) + 2)
+    return Capture(
+        Path("a.csv"), (CapturedColumn("enc"),), values[:, None], np.arange(len(values)) + 2
+    )
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cell.files.yaml_document import Document
-from cell.study.imports.capture import Capture, Column
+from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.hand_file import hand_file
 from cell.study.imports.hand_path import hand_path
 from cell.study.imports.hand_section import AxesSection
@@ -31,7 +31,7 @@ def trial(angle_rad: np.ndarray) -> Made:
 
 def captured(name: str, **columns: np.ndarray) -> Capture:
     values = np.column_stack([T_S[: len(next(iter(columns.values())))], *columns.values()])
-    named = (Column("time", "s"), *(Column(c) for c in columns))
+    named = (CapturedColumn("time", "s"), *(CapturedColumn(c) for c in columns))
     return Capture(Path(name), named, values, np.arange(len(values)) + 2)
 
 

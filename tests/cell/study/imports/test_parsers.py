@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import Column
+from cell.study.imports.capture import CapturedColumn
 from cell.study.imports.cells import NOT_SEEN, number
-from cell.study.imports.column_names import Kind, meaning
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.read import read_capture
 from cell.study.imports.units import METRES, RADIANS, SECONDS, split_unit
@@ -139,47 +139,47 @@ def test_a_unit_is_taken_off_a_name(unit: str, form: str) -> None:
 @pytest.mark.parametrize(
     ("name", "kind", "group", "axis"),
     [
-        ("t_s", Kind.TIME, "", ""),
-        ("Time (Seconds)", Kind.TIME, "", ""),
-        ("timestamp", Kind.TIME, "", ""),
-        ("Zeit [ms]", Kind.TIME, "", ""),
-        ("Frame#", Kind.FRAME, "", ""),
-        ("Sub Frame", Kind.FRAME, "sub", ""),
-        ("tip_x_mm", Kind.COORDINATE, "tip", "x"),
-        ("Tip X [mm]", Kind.COORDINATE, "tip", "x"),
-        ("tipX", Kind.COORDINATE, "tip", "x"),
-        ("x_tip", Kind.COORDINATE, "tip", "x"),
-        ("X1", Kind.COORDINATE, "1", "x"),
-        ("x0_m", Kind.COORDINATE, "0", "x"),
-        ("M1Z", Kind.COORDINATE, "m1", "z"),
-        ("rig:LED 3 Y", Kind.COORDINATE, "rig led 3", "y"),
-        ("/mocap/tip pose position z", Kind.COORDINATE, "mocap tip", "z"),
-        ("pos_y", Kind.COORDINATE, "", "y"),
-        ("posx", Kind.COORDINATE, "", "x"),
-        ("Hand Rotation W", Kind.ANGLE, "hand", "w"),
-        ("hand_qx", Kind.QUATERNION, "hand", "x"),
-        ("clamp_angle_deg", Kind.ANGLE, "clamp", ""),
-        ("theta", Kind.ANGLE, "", ""),
-        ("tip_vx", Kind.OTHER, "tip vx", ""),
-        ("tip x velocity", Kind.OTHER, "tip velocity", "x"),
-        ("force_y", Kind.OTHER, "force", "y"),
-        ("acc_x [g]", Kind.ACCELERATION, "", "x"),
-        ("ax_g", Kind.ACCELERATION, "", "x"),
-        ("accelY", Kind.ACCELERATION, "", "y"),
-        ("Base Acceleration Z (m/s²)", Kind.ACCELERATION, "base", "z"),
-        ("tip_az", Kind.ACCELERATION, "tip", "z"),
-        ("Accelerometer", Kind.ACCELERATION, "", ""),
-        ("arm_encoder", Kind.ENCODER, "arm", ""),
-        ("enc_y_mm", Kind.ENCODER, "", "y"),
-        ("joint angle [counts]", Kind.ENCODER, "joint", ""),
-        ("frame counts", Kind.FRAME, "counts", ""),
-        ("notes", Kind.OTHER, "notes", ""),
+        ("t_s", ColumnKind.TIME, "", ""),
+        ("Time (Seconds)", ColumnKind.TIME, "", ""),
+        ("timestamp", ColumnKind.TIME, "", ""),
+        ("Zeit [ms]", ColumnKind.TIME, "", ""),
+        ("Frame#", ColumnKind.FRAME, "", ""),
+        ("Sub Frame", ColumnKind.FRAME, "sub", ""),
+        ("tip_x_mm", ColumnKind.COORDINATE, "tip", "x"),
+        ("Tip X [mm]", ColumnKind.COORDINATE, "tip", "x"),
+        ("tipX", ColumnKind.COORDINATE, "tip", "x"),
+        ("x_tip", ColumnKind.COORDINATE, "tip", "x"),
+        ("X1", ColumnKind.COORDINATE, "1", "x"),
+        ("x0_m", ColumnKind.COORDINATE, "0", "x"),
+        ("M1Z", ColumnKind.COORDINATE, "m1", "z"),
+        ("rig:LED 3 Y", ColumnKind.COORDINATE, "rig led 3", "y"),
+        ("/mocap/tip pose position z", ColumnKind.COORDINATE, "mocap tip", "z"),
+        ("pos_y", ColumnKind.COORDINATE, "", "y"),
+        ("posx", ColumnKind.COORDINATE, "", "x"),
+        ("Hand Rotation W", ColumnKind.ANGLE, "hand", "w"),
+        ("hand_qx", ColumnKind.QUATERNION, "hand", "x"),
+        ("clamp_angle_deg", ColumnKind.ANGLE, "clamp", ""),
+        ("theta", ColumnKind.ANGLE, "", ""),
+        ("tip_vx", ColumnKind.OTHER, "tip vx", ""),
+        ("tip x velocity", ColumnKind.OTHER, "tip velocity", "x"),
+        ("force_y", ColumnKind.OTHER, "force", "y"),
+        ("acc_x [g]", ColumnKind.ACCELERATION, "", "x"),
+        ("ax_g", ColumnKind.ACCELERATION, "", "x"),
+        ("accelY", ColumnKind.ACCELERATION, "", "y"),
+        ("Base Acceleration Z (m/s²)", ColumnKind.ACCELERATION, "base", "z"),
+        ("tip_az", ColumnKind.ACCELERATION, "tip", "z"),
+        ("Accelerometer", ColumnKind.ACCELERATION, "", ""),
+        ("arm_encoder", ColumnKind.ENCODER, "arm", ""),
+        ("enc_y_mm", ColumnKind.ENCODER, "", "y"),
+        ("joint angle [counts]", ColumnKind.ENCODER, "joint", ""),
+        ("frame counts", ColumnKind.FRAME, "counts", ""),
+        ("notes", ColumnKind.OTHER, "notes", ""),
     ],
 )
 def test_the_meaning_of_names_that_programs_give(
-    name: str, kind: Kind, group: str, axis: str
+    name: str, kind: ColumnKind, group: str, axis: str
 ) -> None:
-    found = meaning(Column(name))
+    found = meaning(CapturedColumn(name))
     assert (found.kind, found.group, found.axis) == (kind, group, axis)
 
 
