@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from calib.errors import WrongBoardError
 from calib.lens import Lens
+from drivers.interfaces import FloatArray
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _DICTIONARIES = {

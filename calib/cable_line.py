@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline
 
 from calib.errors import TooFewError
 from calib.plane import PlaneView
+from drivers.interfaces import FloatArray
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 #: Profiles are taken so far beyond the jaw's edge and the tip, and reach so far to both sides, px.

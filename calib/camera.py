@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.board import Board, BoardView
 from calib.errors import BlurredError, MisfitError, OneSidedError, TooFewError
@@ -15,8 +14,7 @@ from calib.lens import Lens
 from calib.plane import fit_homography, map_homography
 from calib.projection import pose, project, rotation
 from calib.robust import PriorKnowledge, RobustFit, robust_fit
-
-FloatArray = NDArray[np.float64]
+from drivers.interfaces import FloatArray
 
 #: Fewest pictures from which a lens is found, and a board must be tilted against the others by
 #: so much at least, rad.

@@ -34,8 +34,7 @@ from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.projection import pose
 from calib.robust import PriorKnowledge, RobustFit, robust_fit
-
-FloatArray = NDArray[np.float64]
+from drivers.interfaces import FloatArray
 
 #: Fewest poses in which the marks must be found.
 LEAST_POSES = 8

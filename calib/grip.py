@@ -17,8 +17,7 @@ from scipy.special import stdtrit as student_quantile
 
 from calib.cable_line import CableLine
 from calib.errors import MisfitError, TooFewError
-
-FloatArray = NDArray[np.float64]
+from drivers.interfaces import FloatArray
 
 #: Fewest poses, and how far a cable may seem to move in the jaws from pose to pose, at most.
 LEAST_POSES = 5

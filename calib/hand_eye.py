@@ -13,14 +13,12 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.jaw_marks import JawObservation
 from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.projection import pose
-
-FloatArray = NDArray[np.float64]
+from drivers.interfaces import FloatArray
 
 
 def classic_view(

@@ -10,13 +10,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.lens import Lens
 from calib.projection import pose, project, rotation
 from calib.robust import sum_variance
-
-FloatArray = NDArray[np.float64]
+from drivers.interfaces import FloatArray
 
 #: Step of finite differences, relative for parameters above 1.
 _STEP = 1e-6

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.lens import Lens
-
-FloatArray = NDArray[np.float64]
+from drivers.interfaces import FloatArray
 
 
 @dataclass(frozen=True)

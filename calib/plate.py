@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.plane import fit_homography, map_homography
+from drivers.interfaces import FloatArray
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _RADII_PX = (3.0, 60.0)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from calib.cell import CellFit
 from calib.jaw_marks import Gravity, JawObservation, MarksModel
-
-FloatArray = NDArray[np.float64]
+from drivers.interfaces import FloatArray
 
 #: Nothing that is to be found comes nearer to the picture's edge, px.
 _EDGE_PX = 25.0

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from drivers.interfaces import FloatArray
 
 
 def project(numbers: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

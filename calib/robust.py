@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import OneSidedError
-
-FloatArray = NDArray[np.float64]
+from drivers.interfaces import FloatArray
 
 #: (P,) parameters → (N, 2) residuals, px, and their (N, 2, P) derivatives.
 Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
+
+from drivers.interfaces import FloatArray
 
 FORMAT = "cell-calibration/2"
 KINDS = ("camera", "cell", "time", "grip")
-FloatArray = NDArray[np.float64]
 
 _KEYS = ("format", "kind", "made", "how", "devices", "error", "result", "covariance", "hash")
 

@@ -6,15 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit as student_quantile
 
 from calib.errors import MisfitError, OneSidedError, TooFewError
 from calib.robust import sum_variance
-from drivers.interfaces import Trajectory
+from drivers.interfaces import FloatArray, Trajectory
 from drivers.servo import servo_response
-
-FloatArray = NDArray[np.float64]
 
 #: Fewest frames, and least speed reached in the motion.
 LEAST_FRAMES, LEAST_SPEED_M_PER_S = 30, 0.05

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.api.shown import Row, Shown
+from cell.cable.arrays import FloatArray
 from cell.files.atomic import write_whole
 from cell.files.table import TableData
 from cell.identify.identified import Identified
@@ -49,8 +49,6 @@ if TYPE_CHECKING:
     from cell.lab.next.suggestion import Suggestion
     from cell.lab.search.fitted_model import FittedModel
     from cell.lab.verdict.diagnose import Examination
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

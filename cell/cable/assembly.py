@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable import layout as at
+from cell.cable.arrays import FloatArray
 from cell.cable.compiling import WIDEST
 from cell.cable.effects.base import Effect
 from cell.cable.effects.compiled import Hooks, cable_data, hooks_of, in_steps, parameters
 from cell.cable.effects.own import with_compiled_hooks
 from cell.cable.model import CableModel, knot_basis
-
-FloatArray = NDArray[np.float64]
 
 #: Discretisation error of a held cable's tip: see `docs/effects.md`, "Accuracy".
 DEFAULT_SEGMENTS = 28

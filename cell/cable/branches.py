@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.cable import camera
+from cell.cable.arrays import FloatArray
 from cell.cable.assembly import assemble
 from cell.cable.clamp import pose_of
 from cell.cable.dynamics import increasing, simulate
@@ -16,8 +16,6 @@ from cell.cable.hands import on_hand
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, Solver, threads
 from cell.cable.swing import Grid, Swing, move
-
-FloatArray = NDArray[np.float64]
 
 #: Whether motions are alike is looked at in one step of so many, and in each of so many last ones.
 _SELDOM, _OFTEN = 16, 128

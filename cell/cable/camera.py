@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cell.cable.arrays import FloatArray
 from cell.cable.compiling import compiled
-from cell.cable.effects.base import FloatArray
 from cell.cable.effects.compiled import cable_data, parameters
 from cell.cable.model import CableModel
 

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.cable import layout as at
 from cell.cable import splines
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect, HandMotion
 from cell.cable.effects.compiled import parameters
 from cell.cable.geometry import Motion, MotionSplines, SmoothedMotion
 from cell.cable.splines import Steps, spread_steps
-
-FloatArray = NDArray[np.float64]
 
 #: Axes of a pose.  Of an axis' three fields each is so many behind the one before: see `layout`.
 _AXES = 3

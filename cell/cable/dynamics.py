@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.assembly import ParameterBlock, assemble, slipped_out
 from cell.cable.geometry import Motion, Start
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, LanesError, Solver, threads
 from cell.cable.swing import Grid, Swing, each_once, failures
 from cell.cable.wrench import AS_POINTS, Gauge, RowMeans
-
-FloatArray = NDArray[np.float64]
 
 
 def simulate(

@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+
+from cell.cable.arrays import FloatArray
 
 if TYPE_CHECKING:
     from cell.cable.splines import Spline
 
-FloatArray = NDArray[np.float64]
 MotionSplines: TypeAlias = "tuple[Spline, Spline, Spline]"
 
 #: Densities of anything that is sold as a cable, from foam to gold, kg/m³.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable import layout as at
+from cell.cable.arrays import FloatArray
 from cell.cable.clamp import Instants, base_rows, pose_of
 from cell.cable.effects.base import ActiveEffect
 from cell.cable.geometry import Motion
@@ -15,7 +16,6 @@ from cell.cable.model import CableModel
 from cell.cable.splines import Steps, spread_steps, spread_values
 from cell.cable.stepping import spread_rows
 
-FloatArray = NDArray[np.float64]
 Lanes = NDArray[np.int64]
 
 #: Coordinates of a pose.

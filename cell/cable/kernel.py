@@ -7,9 +7,7 @@ and in world axes.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from cell.cable.arrays import FloatArray
 from cell.cable.compiling import inline, widest_vectors
 from cell.cable.layout import (
     ACCEL_C,
@@ -69,8 +67,6 @@ from cell.cable.layout import (
 )
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M
 from cell.cable.numerics import power, sincos
-
-FloatArray = NDArray[np.float64]
 
 _KE2 = (REGULAR_CURVATURE_1_PER_M / REFERENCE_CURVATURE_1_PER_M) ** 2
 _KR2 = 1.0 / REFERENCE_CURVATURE_1_PER_M**2

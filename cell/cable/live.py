@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.cable import camera
 from cell.cable import layout as at
+from cell.cable.arrays import FloatArray
 from cell.cable.assembly import assemble, marker_weights
 from cell.cable.effects.base import Effect
 from cell.cable.effects.own import run_engine
@@ -17,8 +17,6 @@ from cell.cable.solver import DivergedError, Solver, generalised_alpha
 from cell.cable.splines import Steps, fit
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, looks, nodes
-
-FloatArray = NDArray[np.float64]
 
 #: Poses that must follow before the hand's acceleration at a pose is known: each new one changes
 #: a spline's second derivative by 0.27 times what the one after it did.

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
-
-FloatArray = NDArray[np.float64]
 
 #: Curvature at which EI(s) is the secant rigidity whatever N is, 1/m.  Inside the range of a held
 #: cable (0 … 12 /m), so that a change of N changes the shape and hardly the size of the bending.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from cell.cable.arrays import FloatArray
 
 #: Roots of cosh β cos β = −1.
 ROOTS = (1.87510407, 4.69409113, 7.85475744, 10.99554073, 14.13716839, 17.27875953)

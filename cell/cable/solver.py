@@ -9,11 +9,9 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.assembly import DEFAULT_SEGMENTS
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

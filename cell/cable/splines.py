@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.compiling import compiled, inline
 from cell.cable.wrong_values import (
     GLITCH,
@@ -22,8 +23,6 @@ from cell.cable.wrong_values import (
     made_up,
     wrong_alone,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: White noise below this is left in: its spline moves a cable's tip by less than a micrometre.
 NEGLIGIBLE_NOISE = 1e-7

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.assembly import ParameterBlock
 from cell.cable.compiling import compiled, inline
 from cell.cable.effects.own import run_engine
@@ -32,8 +32,6 @@ from cell.cable.layout import (
     WEIGHT_1,
 )
 from cell.cable.solver import LanesError
-
-FloatArray = NDArray[np.float64]
 
 #: Equilibrium is reached when no Newton step turns any segment by more than this, rad.
 _TOLERANCE = 1e-11

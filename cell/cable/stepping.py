@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.compiling import compiled, inline, widest_vectors
 from cell.cable.effects.pointer import ADVANCE, EVALUATE, call_force, call_moment
 from cell.cable.kernel import bending, kinematics, solve
@@ -31,8 +32,6 @@ from cell.cable.layout import (
     VECTOR,
 )
 from cell.cable.numerics import sincos
-
-FloatArray = NDArray[np.float64]
 
 #: Steps between looks for divergence.
 _CHECK_EVERY = 8

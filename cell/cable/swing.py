@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cell.cable import camera
 from cell.cable import layout as at
+from cell.cable.arrays import FloatArray
 from cell.cable.assembly import ParameterBlock, marker_weights
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion
@@ -24,8 +25,6 @@ from cell.cable.splines import Steps
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, looks, nodes
 from cell.cable.wrench import AXES, Gauge, RowMeans, as_points, at_places
-
-FloatArray = NDArray[np.float64]
 
 _MOST_STEPS = 5_000_000
 #: Steps after a time whose wrench is wanted: it is interpolated between those around it.

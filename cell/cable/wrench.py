@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable import layout as at
-
-FloatArray = NDArray[np.float64]
+from cell.cable.arrays import FloatArray
 
 #: Force x, y, and moment.
 AXES = 3

@@ -9,9 +9,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.compiling import compiled, inline
-
-FloatArray = NDArray[np.float64]
 
 #: A value of the log that lies apart by more standard deviations of its noise than this is wrong;
 #: it is compared with so many neighbours on either side.

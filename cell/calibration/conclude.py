@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.board import Board, BoardView, find_board
 from calib.camera import CameraFit, fit_camera, picture_grid
@@ -20,13 +19,12 @@ from calib.lens import Lens
 from calib.store import StoredCalibration
 from calib.thread import find_thread
 from calib.timing import Delay, arm_lag, camera_latency
+from cell.cable.arrays import FloatArray
 from cell.calibration.measure import marks_m, matrix_of, seen_marks
 from cell.calibration.raw import NamedImage, SeenMove, ShownCell
 from cell.settings import Settings
 from cell.settings.calibrated import CIRCLE_95, devices_of
 from cell.settings.translate import pose_of, vision_of
-
-FloatArray = NDArray[np.float64]
 
 #: A base is mounted level to this without a plumb line: standard deviation, rad.
 LEVEL_SPREAD_RAD = 0.0035

@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.cable_line import measure_line
 from calib.errors import MisfitError, TooFewError
@@ -23,8 +22,6 @@ from cell.settings.calibrated import devices_of
 from cell.settings.translate import vision_of
 from cell.vision.detect import VisionOptions, detect
 from drivers.interfaces import Pose
-
-FloatArray = NDArray[np.float64]
 
 #: Turns of the hand with a cable, within so many rad, and how much of its length it may be longer
 #: or shorter than stated.

@@ -7,7 +7,6 @@ from itertools import product
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.board import Board, BoardView, find_board
 from calib.camera import picture_grid
@@ -17,6 +16,7 @@ from calib.jaw_marks import JawObservation
 from calib.plane import PlaneView
 from calib.plate import find_plate
 from calib.poses import choose_poses, in_picture
+from cell.cable.arrays import FloatArray
 from cell.calibration.coverage import Look
 from cell.calibration.raw import NamedImage, SeenMove, ShownCell, ShownPose
 from cell.calibration.session import CalibrationSession, FilmedMove
@@ -26,8 +26,6 @@ from cell.settings import Settings
 from cell.settings.translate import vision_of
 from cell.vision.marks import JawMarks, find_jaw
 from drivers.interfaces import Pose, Trajectory
-
-FloatArray = NDArray[np.float64]
 
 
 class Say(Protocol):

@@ -11,12 +11,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from drivers.interfaces import Image, Pose, Trajectory
-
-FloatArray = NDArray[np.float64]
 
 _POSES, _TOLD, _HAND, _SEEN = "poses.csv", "told.csv", "hand.csv", "seen.csv"
 _POSE_COLUMNS = ("picture", "role", "x_m", "y_m", "angle_rad")

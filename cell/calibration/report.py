@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.board import BoardView
 from calib.camera import CameraFit, picture_grid
@@ -17,13 +16,12 @@ from calib.grip import GripFit, GripView
 from calib.plane import PlaneView
 from calib.store import StoredCalibration
 from calib.timing import Delay
+from cell.cable.arrays import FloatArray
 from cell.calibration.conclude import Times
 from cell.calibration.raw import NamedImage, SeenMove, ShownCell
 from cell.settings import Settings
 from cell.settings.calibrated import CIRCLE_95
 from drivers.interfaces import Image
-
-FloatArray = NDArray[np.float64]
 
 #: Length of the longest arrow in a picture of residuals.
 _ARROW_PX = 60.0

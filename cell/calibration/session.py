@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.plan.paths import MotionLimits, retreat_path
 from cell.settings import Settings
@@ -26,8 +25,6 @@ from drivers.interfaces import (
     StoppedError,
     Trajectory,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: A hand is brought to a pose with the cell's own speed divided by this.
 _SLOWER = 2.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.cable import layout as at
+from cell.cable.arrays import FloatArray
 from cell.cable.assembly import assemble
 from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3, AirDrag
 from cell.cable.effects.bending import StressRelaxation
@@ -17,8 +17,6 @@ from cell.cable.model import CableModel
 from cell.cable.statics import settle
 from cell.exchange.expressible import value
 from cell.exchange.springs import Springs, springs_for
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

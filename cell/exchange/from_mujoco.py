@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.cable.model import knot_basis
 from cell.exchange.hinge_chain import HingeChain
@@ -18,8 +18,6 @@ from cell.files.input_error import InputError
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace, Prior
-
-FloatArray = NDArray[np.float64]
 
 #: Bounds of N, as those of a fit.
 _EXPONENTS = (0.3, 3.0)

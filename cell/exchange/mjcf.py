@@ -10,12 +10,10 @@ from collections.abc import Iterator, Sequence
 from xml.sax.saxutils import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Connector
 from cell.exchange.chain import Chain
-
-FloatArray = NDArray[np.float64]
 
 #: Added inertia of the hand's joints, kg and kg·m²: a cable of a gram then moves it by a billionth
 #: of what its motors do, and their control is the hand's acceleration.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
@@ -17,8 +17,6 @@ from cell.exchange.mjcf import mjcf, resting_qpos
 from cell.exchange.mujoco_library import mujoco_library, without_log
 from cell.plan.measuring import quintic
 from cell.study.data import Study
-
-FloatArray = NDArray[np.float64]
 
 #: What an export must keep: the tip's difference to the engine, root mean square, m.
 BAR_M = 1e-4

@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.exchange.hinge_chain import HingeChain, Spring
 from cell.exchange.mjcf import CURVATURE_LENGTH
 from cell.exchange.mujoco_library import mujoco_library, without_log
 from cell.exchange.xml_lines import element_lines, line_in
 from cell.files.input_error import InputError
 from cell.files.text_file import read_text
-
-FloatArray = NDArray[np.float64]
 
 #: A chain of 1000 links in our own words has less.
 MAX_BYTES = 20_000_000

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M
-
-FloatArray = NDArray[np.float64]
 
 #: Error of the tip at rest that the springs' error in curvature may cause, if it had one sign
 #: everywhere, m: a tenth of the 0.1 mm that an export must keep.  In a swing the error of the

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
 from cell.identify.differences import difference_points
 from cell.identify.identified import Identified
 from cell.plan.choose import coarsened
-
-FloatArray = NDArray[np.float64]
 
 #: Time between two instants at which nodes are known, s.
 INTERVAL_S = 0.005

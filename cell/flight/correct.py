@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from cell.cable.arrays import FloatArray
 from cell.flight.answers import INTERVAL_S, Answers
 from cell.flight.estimate import Deviation
 from cell.plan.destination import Destination
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
-
-FloatArray = NDArray[np.float64]
 
 #: The hand is led up or down by so much at most, m, in one of these times, s; and by as much again
 #: after that.  Pairs of heights so far apart, m, are compared, then nearer ones around the best.

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.flight.answers import Answers
 from cell.flight.correct import LEAST, Tail, best_tail, chance, moved_by
 from cell.flight.estimate import deviation
 from cell.identify.identified import Identified
 from cell.plan.destination import Destination
-
-FloatArray = NDArray[np.float64]
 
 #: Frames that differ from what is found by so many standard deviations are not explained by it.
 MOST_MISFIT = 5.0

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from cell.cable.arrays import FloatArray
 from cell.flight.answers import EVERY_NODE, INTERVAL_S, KNOTS_S, MODES, Answers
-
-FloatArray = NDArray[np.float64]
 
 #: By so much at once, m: of the tip that a force bends, and of the hand.  Which of these fit best
 #: the frames tell.  The smallest add up to 0.01 mm at the tip in a flight: the engine's own error.

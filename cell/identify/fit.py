@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import Beginning, simulate, simulate_each, simulate_gauged
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver
@@ -22,8 +22,6 @@ from cell.identify.parameters import ParameterSpace
 from cell.identify.predicted_frames import PredictedFrames
 from cell.identify.whitener import Whitener
 from cell.study.data import Markers, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Variance inflation from which a fit is repeated with frames that weigh as much less.
 _MATTERS = 1.3

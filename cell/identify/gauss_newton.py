@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.differences import difference_points, one_sided_steps, within_deviations
-
-FloatArray = NDArray[np.float64]
 
 #: Residuals of many parameter vectors at once: (lanes, p) → (lanes, rows), white, of unit size.
 #: A lane that cannot be computed is not finite throughout.

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.clamp import motions_like
 from cell.cable.geometry import Motion
 from cell.study.data import Trial
 from cell.study.hand_drift import HandDrift
-
-FloatArray = NDArray[np.float64]
 
 
 def align_motion(

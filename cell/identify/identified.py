@@ -8,17 +8,16 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
 from cell.cable.model import CableModel, knot_basis
 from cell.identify.gaussian import covariance_root
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace, Prior
-
-FloatArray = NDArray[np.float64]
 
 FORMAT = "identified-cable/1"
 

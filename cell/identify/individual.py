@@ -8,8 +8,8 @@ from enum import StrEnum
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion
 from cell.cable.still import moves_from_s
@@ -20,8 +20,6 @@ from cell.identify.model_class import ModelClass
 from cell.identify.paper import fit_as_paper
 from cell.identify.predicted_frames import PredictedFrames, simulate_frames
 from cell.study.data import Markers, Trial
-
-FloatArray = NDArray[np.float64]
 
 
 class Reason(StrEnum):

@@ -6,12 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
-
 
 #: Rounds in which the spline takes its own length for the markers' places; points of a quadrature.
 _ROUNDS, _POINTS = 3, 4

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects import Effect, file_sha256, library, load_effect, unscreened
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
 from cell.identify.parameters import ParameterSpace, Prior
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.cable.still import moves_from_s
-
-FloatArray = NDArray[np.float64]
 
 #: Fewest still frames of a trial from which noise is estimated.
 FEWEST_STILL_FRAMES = 8

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M
 from cell.identify import gauss_newton
@@ -25,8 +26,6 @@ from cell.identify.identified import Identified
 from cell.identify.noise import Noise, still_frames
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

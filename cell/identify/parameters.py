@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
 from cell.cable.model import CableModel
 from cell.identify.differences import one_sided_steps, within_deviations
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

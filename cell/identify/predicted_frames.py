@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
@@ -16,8 +16,6 @@ from cell.identify.differences import difference_points
 from cell.identify.hand import HandErrors, likely_motions
 from cell.identify.parameters import ParameterSpace
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 #: A frame that comes further than this from its time is not the one that was predicted, s.
 MOST_OFF_S = 1e-3

@@ -11,12 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.identify.gauss_newton import UNSIMULATED, LeastSquaresProblem, Options, Solution, minimise
-
-FloatArray = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 #: The first point to a side is so many standard deviations away.

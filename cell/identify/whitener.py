@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.innovations import coloured, innovations, whiten, whiten_constant
 from cell.identify.noise import Noise, across
-
-FloatArray = NDArray[np.float64]
 
 #: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
 SLOW_FRAMES, ALONG = 8, 3

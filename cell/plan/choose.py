@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.cable.branches import simulate_branches
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
@@ -17,8 +17,6 @@ from cell.identify.differences import difference_points
 from cell.identify.identified import Identified
 from cell.plan.destination import Destination
 from cell.settings.model import REPEATABILITY_M
-
-FloatArray = NDArray[np.float64]
 
 #: So many times longer steps, and this share of the segments, are good enough for how a tip depends
 #: on the parameters: 1 % of it.

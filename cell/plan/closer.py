@@ -6,17 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from cell.cable.arrays import FloatArray
 from cell.cable.branches import simulate_branches
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.plan.choose import ChoiceOptions, Forecast, coarsened
 from cell.plan.destination import Destination
-
-FloatArray = NDArray[np.float64]
 
 #: Insertions are simulated at so many moments at least, no further apart, s …
 MOMENTS, MOMENTS_S = 3, 0.13

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from cell.identify.identified import Identified
 from cell.plan.choose import Choice, ChoiceOptions, Forecast, deviates, missed_height_m
 from cell.plan.destination import Destination
-
-FloatArray = NDArray[np.float64]
 
 #: More frames are not worth their time if they would change the probability by less, in the mean.
 SMALL_CHANGE = 0.01

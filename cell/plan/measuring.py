@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from drivers.interfaces import Pose, Trajectory
-
-FloatArray = NDArray[np.float64]
 
 #: Peak speed, acceleration and jerk of a fifth-order polynomial from rest to rest, over 1 in 1 s.
 QUINTIC_PEAKS = (1.875, 10.0 / 3.0**0.5, 60.0)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.plan.destination import Destination
-
-FloatArray = NDArray[np.float64]
 
 #: Frames that may be missing in a row while the tip passes, for the passage to count as seen.
 MOST_UNSEEN = 3

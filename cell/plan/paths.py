@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import ruckig
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.clamp import pose_of
 from cell.cable.geometry import Motion
 from drivers.interfaces import Pose, Trajectory
 from drivers.servo import servo_response
-
-FloatArray = NDArray[np.float64]
 
 #: A hand this close to where it is sent is there already, m: an arm's repeatability, and too little
 #: to set a cable swinging when the arm is brought the rest of the way.

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.records.result import Result
-
-FloatArray = NDArray[np.float64]
 
 #: Cycles of either model that are compared: at least, and at most the first since the change and
 #: the last before it.

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from cell.cable.arrays import FloatArray
 from cell.records.result import Result
-
-FloatArray = NDArray[np.float64]
 
 #: All charts together give at most one false alarm in so many cycles.
 FALSE_ALARM_CYCLES = 1000.0

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from cell.cable.arrays import FloatArray
 from cell.records.result import Result
-
-FloatArray = NDArray[np.float64]
 
 #: Cycles that are looked at: at least, and at most the newest.
 FEWEST, MOST = 5, 50

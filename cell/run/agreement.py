@@ -7,13 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.golden_section import where_least
 from cell.records.result import AgreementCheck
 from cell.run.findings import RehearsedMotion
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
-
-FloatArray = NDArray[np.float64]
 
 #: What a cycle bears of an unknown delay: at 0.2 m/s it moves the tip by 0.4 mm, s.
 DELAY_TOLERANCE_S = 0.002

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
@@ -19,8 +19,6 @@ from cell.run.station import Task, Timing
 from cell.run.trials import hand_offset_m_rad, moved
 from cell.study.data import Trial
 from drivers.interfaces import Trajectory
-
-FloatArray = NDArray[np.float64]
 
 #: An offset whose margin is so many times its standard deviation passes surely: no other moment is
 #: looked at, and the offset is only refined.

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.timing import LEAST_FRAMES, Delay, lag_change, latency_change
+from cell.cable.arrays import FloatArray
 from cell.records.result import AgreementCheck
 from drivers.interfaces import Trajectory
-
-FloatArray = NDArray[np.float64]
 
 #: Seen further than this beside the arm's own log, rms, the motion tells no delays, m.
 _MOST_MISFIT_M = 0.0005

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
 from cell.flight.answers import Answers, answers, expected_nodes
@@ -22,8 +22,6 @@ from cell.run.station import Station
 from cell.vision.recording import steady_nodes
 from cell.vision.sighting import Sighting
 from drivers.interfaces import LimitError, TooLateError, Trajectory
-
-FloatArray = NDArray[np.float64]
 
 _LOG = logging.getLogger(__name__)
 

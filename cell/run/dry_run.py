@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.computer.memory import freeze_loaded_objects
 from cell.records.result import AgreementCheck
 from cell.run.findings import Findings, JawFilm, RehearsedMotion
@@ -18,8 +18,6 @@ from cell.run.waiting import AHEAD_S, await_rest, wait_until
 from cell.run.warm_up import warm_up_servo, warm_up_vision
 from cell.vision.marks import find_jaw
 from drivers.interfaces import Frame, GripError
-
-FloatArray = NDArray[np.float64]
 
 #: A path is given to the arm so long before it is to start, and by this share of its duration: the
 #: arm looks at all of it first.

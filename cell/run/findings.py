@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.flight.correct import Tail
 from cell.identify.identified import Identified
 from cell.identify.predicted_frames import PredictedFrames
@@ -19,7 +20,6 @@ from cell.study.data import Trial
 from cell.vision.sighting import Sighting
 from drivers.interfaces import Frame, Trajectory
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 Value = TypeVar("Value")

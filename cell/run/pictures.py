@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.identify.identified import Identified
 from cell.plan.choose import Choice
@@ -32,8 +32,6 @@ from cell.vision.annotation import (
 )
 from cell.vision.marks import pixels_per_metre
 from cell.vision.overlay import overlay
-
-FloatArray = NDArray[np.float64]
 
 #: What the lines of a picture are.
 _NODES_SEEN = ("nodes seen by the camera", SEEN)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.records.recording import form
 from cell.records.recording.retention import Retention
 from cell.records.recording.uploads import Uploads
@@ -22,8 +22,6 @@ from cell.run.findings import FilmedMotion, Findings
 from cell.run.station import Station
 from cell.study.data import Study
 from cell.study.plain import study_to_plain
-
-FloatArray = NDArray[np.float64]
 
 #: Versions on which the last digit of a result may depend.
 _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")

@@ -5,10 +5,8 @@ from __future__ import annotations
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from calib.plane import PlaneView
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable, node_arc_lengths
 from cell.identify.individual import IdentifyOptions
 from cell.plan.choose import ChoiceOptions
@@ -18,8 +16,6 @@ from cell.run.clocks import KnownDelays
 from cell.run.commands import Commands
 from cell.vision.detect import VisionOptions
 from drivers.interfaces import Devices, Pose
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.identify.individual import hold_trial
 from cell.identify.noise import estimate_noise, still_frames
@@ -16,8 +16,6 @@ from cell.study.data import Markers, Study, Trial
 from cell.vision.marks import pixels_per_metre
 from cell.vision.recording import steady_nodes
 from drivers.interfaces import Trajectory
-
-FloatArray = NDArray[np.float64]
 
 #: Error of one coordinate of a node in motion.  At rest less is seen of it, because how the tip
 #: falls between the pixels is then the same in every frame.

@@ -9,17 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.board import Board
 from calib.lens import Lens
 from calib.plane import PlaneView
 from calib.store import CalibrationFileError, StoredCalibration, load
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from cell.settings.devices import UrArmSettings
 from cell.settings.model import Calibration, Settings
-
-FloatArray = NDArray[np.float64]
 
 #: 95 % of a circle's normal law lie within so many standard deviations over both axes together.
 CIRCLE_95 = 1.73

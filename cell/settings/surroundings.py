@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.plane import PlaneView
+from cell.cable.arrays import FloatArray
 from cell.settings import Settings, load_settings
 from cell.settings.calibrated import calibrated
 from cell.settings.loading import load_product
 from cell.vision.marks import JawMarks
 
-FloatArray = NDArray[np.float64]
 Range = tuple[float, float]
 
 #: Nothing that is to be seen comes nearer to the picture's edge, px.

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.live import SwingingCable
 from cell.cable.solver import Solver
 from cell.settings import Settings
@@ -37,8 +37,6 @@ from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_P
 from drivers.ur_kinematics import MODELS, OutOfReachError
 from drivers.ur_pose import matrix_of
 from drivers.ur_versions import has_dashboard, read_version
-
-FloatArray = NDArray[np.float64]
 
 #: Interval at which the jaws are asked whether they hold a cable, s.
 _LOOK_S = 0.02

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library, unscreened
 from cell.cable.geometry import Motion
@@ -14,8 +14,6 @@ from cell.settings import Settings
 from cell.settings.translate import cable_of
 from drivers.interfaces import Trajectory
 from drivers.sim.world import CableShape
-
-FloatArray = NDArray[np.float64]
 
 #: Knots of the simulated cables' flexural rigidity; more than the model has.
 HIDDEN_KNOTS = 13

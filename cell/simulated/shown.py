@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.board import Board
+from cell.cable.arrays import FloatArray
 from drivers.sim.pinhole import Pinhole
 from drivers.sim.render import Patches, RenderOptions, backdrop, render
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _WHITE, _BLACK = 205.0, 22.0

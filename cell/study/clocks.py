@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.cable.still import ROUGHLY_STILL
 from cell.study.data import Trial
 from cell.study.facts import trial_facts
 from cell.study.pull import WEAK_M_PER_S2
-
-FloatArray = NDArray[np.float64]
 
 #: A hand's log may skip so many of its usual steps, and so many seconds, while the hand moves.
 GAP_STEPS, GAP_S = 5.0, 0.1

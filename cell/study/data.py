@@ -9,11 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable, Motion, Start
 from cell.cable.wrench import Gauge, RowMeans
 from cell.study.hand_drift import HandDrift
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from cell.cable.arrays import FloatArray
 
 #: Two have changed places if each is nearer to where the other was, or was going, than to its own
 #: by this factor, and if they were farther apart than this many times what they usually move beside

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
 from cell.files.plain import plain
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 #: A frequency is told of at least so many swings and frames after the hand has stopped.
 FEWEST_SWINGS, FEWEST_FRAMES = 1.5, 16

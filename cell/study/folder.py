@@ -26,8 +26,6 @@ from cell.study.wrench_file import FILE as WRENCH_FILE
 from cell.study.wrench_file import SensorEntry, read_wrench, sensor_entry, wrench_text
 from cell.study.wrench_plausible import force_factor
 
-FloatArray = NDArray[np.float64]
-
 FORMAT = "cable-study/1"
 GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Places are the same within this; cameras measure less well, m.
 SAME_M = 1e-7

@@ -11,12 +11,10 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
-
-FloatArray = NDArray[np.float64]
 
 #: Pieces of constant acceleration error over a motion, and shapes that are left out of the error's
 #: variance with less than this share.

@@ -5,15 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.files.input_error import Problem
 from cell.study.checks import exchanged
 from cell.study.data import Source, Trial
 from cell.study.plausible import clocks_differ, doubt, impossible
-
-FloatArray = NDArray[np.float64]
 
 #: A marker cannot be farther from the hand than the cable is long; half as far again leaves
 #: room for noise, a slipping grip and a clock that is off, and none for millimetres.

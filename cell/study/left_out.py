@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from cell.study.data import Source, Study, Trial
 from cell.study.wrong_samples import wrong_samples
-
-FloatArray = NDArray[np.float64]
 
 #: A marker that is wrong in a larger share of its rows is badly tracked: that is no slip, and no
 #: noise either.  So many rows always may be wrong, as in a short trial.

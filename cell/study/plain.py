@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable, Motion
-from cell.study.data import FloatArray, Markers, Study, Trial, Wrench, WrenchSensor
+from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
 from cell.study.hand_drift import HandDrift, HandDriftSection
 from cell.study.wrench_file import SensorEntry, sensor_entry
 

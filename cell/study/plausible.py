@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
 from cell.study.clocks import Offset, offset
@@ -18,7 +19,6 @@ from cell.study.data import Trial
 from cell.study.frozen import frozen
 from cell.study.pull import WEAK_M_PER_S2
 
-FloatArray = NDArray[np.float64]
 Gravity = tuple[float, float]
 
 #: Room for noise, a slipping grip and a camera whose scale is off, as a share of the free length.

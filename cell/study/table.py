@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_text
-
-FloatArray = NDArray[np.float64]
 
 #: A minute at 1000 rows a second, and what 100 markers need for it.
 MAX_ROWS = 60_000

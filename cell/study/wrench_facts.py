@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
 from cell.files.plain import plain
 from cell.study.data import Trial
 from cell.study.facts import noise_m
 from cell.study.wrench_file import COLUMNS
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

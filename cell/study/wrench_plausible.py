@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.study.data import Trial, WrenchSensor
-
-FloatArray = NDArray[np.float64]
 
 #: Where this share of what twice the integral of a force shows is the motion's, it is judged …
 _SHOWN = 0.8

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from cell.study.data import Study, Trial
 from cell.study.left_out import TOLD, limit_said, most_wrong
 from cell.study.wrench_file import COLUMNS, FILE, UNITS
 from cell.study.wrong_samples import wrong_samples
-
-FloatArray = NDArray[np.float64]
 
 #: Columns that one amplifier shows: forces, and the moment.
 _TOGETHER = (slice(0, 2), slice(2, 3))

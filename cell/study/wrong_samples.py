@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from cell.cable.arrays import FloatArray
+
 Numbers = NDArray[np.intp]
 
 #: Samples on either side with which one is compared: few where the motion is fast for the camera,

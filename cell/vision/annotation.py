@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from cell.cable.arrays import FloatArray
+
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 

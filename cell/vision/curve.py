@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.vision.compiling import compiled
-
-FloatArray = NDArray[np.float64]
 
 DEGREE = 5
 

@@ -18,7 +18,6 @@ from cell.vision.ridge import GreyImage
 from cell.vision.sighting import UNSEEN, Sighting
 from cell.vision.trace import cable_appearance
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _OF_THREAD = local()

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.lens import distort_pixel, undistort_pixel
+from cell.cable.arrays import FloatArray
 from cell.vision.compiling import compiled, hypot, inline
-
-FloatArray = NDArray[np.float64]
 
 _MOST = 512  # discs in one picture; those beyond are not looked at
 _SURROUNDINGS = 2.5  # of a disc, in its radii

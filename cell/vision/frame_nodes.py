@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.vision.compiling import compiled, hypot, inline
 from cell.vision.discs import (
     DiscMemory,
@@ -22,8 +23,6 @@ from cell.vision.second_line import another_line
 from cell.vision.sighting import UNSEEN, Unseen
 from cell.vision.spline import at
 from cell.vision.trace import DENSE, SEEN, CableAppearance, TraceMemory, trace_cable, trace_memory
-
-FloatArray = NDArray[np.float64]
 
 _EVERY = 16  # pixel and row is looked at to say whether a picture is usable at all
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.plane import PlaneView
+from cell.cable.arrays import FloatArray
 from cell.vision.discs import BodyPose, ImageView, Marks, body_values, disc_memory
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 #: From one frame to the next a mark moves less than this, or is looked for everywhere, m.

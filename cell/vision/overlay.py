@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.plane import PlaneView
+from cell.cable.arrays import FloatArray
 from cell.vision.annotation import (
     JAW,
     PREDICTED,
@@ -19,8 +19,6 @@ from cell.vision.annotation import (
     title,
 )
 from cell.vision.sighting import Sighting
-
-FloatArray = NDArray[np.float64]
 
 _SHIFT = 4  # cv2 draws on sixteenths of a pixel
 

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.vision.curve import Centreline, choose_penalty, chord_parameters, fit_curve
 from cell.vision.ridge import GreyImage, RidgeStart, find_start, follow, new_scratch
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _INTERVALS = 16

@@ -6,11 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.vision.sighting import Sighting, Unseen
-
-FloatArray = NDArray[np.float64]
 
 #: A length further off than this is no scatter of the tip's detection; such a frame is left alone.
 SCATTER_M = 2e-4

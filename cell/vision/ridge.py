@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.vision.compiling import compiled, hypot, inline
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 

@@ -9,12 +9,10 @@ from __future__ import annotations
 from math import floor, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.vision.compiling import compiled, inline
 from cell.vision.curve import DEGREE, pieces_of_splines, roughness
-
-FloatArray = NDArray[np.float64]
 
 INTERVALS = 7  # of the cable's curve: room for the fourth bending mode
 _PENALTY = 1e-10  # keeps the ends of the curve from waving

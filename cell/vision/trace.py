@@ -9,8 +9,8 @@ from math import erfc, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.vision.compiling import compiled, hypot, inline
 from cell.vision.ridge import (
     ProfileFit,
@@ -33,8 +33,6 @@ from cell.vision.spline import (
     new_equations,
     new_pieces,
 )
-
-FloatArray = NDArray[np.float64]
 
 SAMPLES = 400  # along the cable, at which offsets are measured
 DENSE = 401  # points along the cable, 0.25 mm apart

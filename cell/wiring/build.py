@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.computer.memory import use_one_arena
 from cell.computer.second_process import SecondProcess
@@ -54,8 +53,6 @@ from drivers.priority import take_precedence
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 from drivers.ur import UrArm, UrOptions
-
-FloatArray = NDArray[np.float64]
 
 _UR_TUNING = ("lookahead_s", "gain")
 #: How well latency and lag must be known, 95 %, for corrections in flight, s.

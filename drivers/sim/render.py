@@ -18,10 +18,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from drivers.interfaces import FloatArray
 from drivers.sim.coverage import gather, lay_over, running_sum
 from drivers.sim.pinhole import Sight, metres_per_pixel, to_pixels
 
-FloatArray = NDArray[np.float64]
 LightArray = NDArray[np.float32]
 Image = NDArray[np.uint8]
 

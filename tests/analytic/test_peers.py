@@ -12,14 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.compiling import compiled
 from cell.cable.geometry import GRAVITY_M_PER_S2, Motion
 
 mujoco = pytest.importorskip("mujoco")
 
-FloatArray = NDArray[np.float64]
 
 N, LENGTH, MASS, STIFFNESS, DAMPING = 10, 0.01, 7.4e-5, 3e-3, 1e-5
 

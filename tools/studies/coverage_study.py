@@ -20,6 +20,7 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 from calib.plane import PlaneView
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
@@ -31,8 +32,6 @@ from cell.study.data import Trial
 from cell.vision.detect import VisionOptions, detect_all
 from drivers.interfaces import Image, Pose
 from drivers.sim.render import Rates, RenderOptions, render
-
-FloatArray = NDArray[np.float64]
 
 CABLE = Cable(free_length_m=0.1, line_density_kg_per_m=0.0074, width_m=0.016, thickness_m=0.0001)
 WORLD = Solver(segments=60, step_s=5e-4)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.effects import Effect
 from cell.cable.geometry import Motion
@@ -47,8 +47,6 @@ from tools.worlds.fast_truth import (
     truths,
     until,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: A cable counts as one that a perfect model could insert if its best offset passes by this, m:
 #: three times what arm and camera repeat to.

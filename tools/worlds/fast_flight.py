@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
@@ -19,8 +19,6 @@ from cell.run.station import Task, Timing
 from drivers.interfaces import Trajectory
 from tools.studies.coverage_study import Errors
 from tools.worlds.fast_truth import WORLD, Bias, pictured, whole_motion
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
@@ -19,8 +19,6 @@ from cell.run.station import Task
 from cell.study.data import Markers, Trial
 from drivers.interfaces import Trajectory
 from tools.studies.coverage_study import Errors
-
-FloatArray = NDArray[np.float64]
 
 WORLD = Solver(segments=60, step_s=5e-4)
 RATE_HZ = 500.0

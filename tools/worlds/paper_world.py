@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
@@ -19,8 +19,6 @@ from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, identification_path, insertion_path
 from cell.study.data import Markers, Trial
 from drivers.interfaces import Pose
-
-FloatArray = NDArray[np.float64]
 
 CABLE = Cable(free_length_m=0.1, line_density_kg_per_m=0.0074, width_m=0.016, thickness_m=0.0001)
 WORLD, MODEL = Solver(segments=60, step_s=5e-4), Solver()

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Bend, CableData, Effect, Parameter
 from cell.cable.effects.rest import RestShape
-
-FloatArray = NDArray[np.float64]
 
 
 class StressRelaxation(Effect):

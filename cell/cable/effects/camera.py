@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from cell.cable.effects.base import CableData, Effect, FloatArray, Parameter
+from cell.cable.arrays import FloatArray
+from cell.cable.effects.base import CableData, Effect, Parameter
 
 #: Centre of the picture in the plane of motion: the middle of a drooping cable held at the origin.
 _CENTRE = (

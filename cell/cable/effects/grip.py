@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from cell.cable.effects.base import CableData, Effect, FloatArray, HandMotion, Parameter
+from cell.cable.arrays import FloatArray
+from cell.cable.effects.base import CableData, Effect, HandMotion, Parameter
 
 
 class TipMass(Effect):

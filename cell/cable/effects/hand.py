@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from cell.cable.effects.base import Effect, FloatArray, HandMotion, Parameter
+from cell.cable.arrays import FloatArray
+from cell.cable.effects.base import Effect, HandMotion, Parameter
 
 #: The hand is still below this share of the log's highest speed.
 _STILL = 0.02

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import CableData, Effect, Parameter
-
-FloatArray = NDArray[np.float64]
 
 #: Places along the cable, evenly spaced from end to end.
 _PLACES = 6

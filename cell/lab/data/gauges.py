@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.wrench import AS_POINTS, Gauge
 from cell.identify.noise import Noise
 from cell.identify.whitener import Sensors
@@ -25,8 +25,6 @@ from cell.lab.data.noise_model import (
 )
 from cell.lab.data.wrench_rows import JoinedTrial, joined
 from cell.study.data import Study, Trial, Wrench
-
-FloatArray = NDArray[np.float64]
 
 #: A tare is anything up to so many standard deviations of the noise: nothing is known of it.
 TARE = 1e4

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.noise import still_frames
 from cell.study.data import Study, Trial
-
-FloatArray = NDArray[np.float64]
 
 
 def placed(study: Study) -> Study:

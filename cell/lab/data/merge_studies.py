@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, Key, read_yaml
 from cell.identify.noise import still_frames
@@ -17,8 +17,6 @@ from cell.lab.data.cycles import measured
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder, write_study
 from cell.study.left_out import without_wrong_samples
-
-FloatArray = NDArray[np.float64]
 
 #: Datasheets of the same cable agree to this.
 SAME = 1e-6

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_triangular
 
+from cell.cable.arrays import FloatArray
 from cell.identify.innovations import frames_since, made_white
-
-FloatArray = NDArray[np.float64]
 
 #: What is taken out of a residual is worked out at so many correlations, and between them by a
 #: cubic spline: to 0.03 of −2 ln of the likelihood where they span all.

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
+from cell.cable.arrays import FloatArray
 from cell.lab.data.noise_likelihood import DEGREE, NoiseBlock, RestFrames
 from cell.lab.data.noise_model import Level, NoiseModel, noise_model_of_blocks, still_blocks
 from cell.study.data import Study, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Levels differ if chance makes them differ so much with this probability.  Few still frames with
 #: outliers reach 1e-3 in 1 of 100 studies; markers of which some have twice the noise of others

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import lambertw
 
+from cell.cable.arrays import FloatArray
 from cell.identify.golden_section import where_least
 from cell.identify.innovations import made_white
 from cell.identify.noise import Noise
-
-FloatArray = NDArray[np.float64]
 
 #: Strongest correlation of neighbouring frames that is believed.
 MAX_AR1 = 0.98

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.innovations import frames_since
 from cell.identify.noise import Noise, still_frames
 from cell.lab.data.noise_in_motion import Remainder
@@ -25,8 +26,6 @@ from cell.lab.data.noise_likelihood import (
     resolution_m,
 )
 from cell.study.data import Study, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Fewer still frames than this say nothing about noise.
 MIN_STILL_FRAMES = 6

@@ -11,13 +11,11 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.computer.watched import must_end
 from cell.files.input_error import InputError, Problem
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 #: A statistic fits on a page.
 MAX_BYTES = 100_000

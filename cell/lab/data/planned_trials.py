@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.lab.data.prepared import PreparedStudy
 from cell.study.data import Markers, Study, Trial, Wrench
 from cell.study.hand_drift import HandDrift
-
-FloatArray = NDArray[np.float64]
 
 
 def planned_trials(

@@ -10,6 +10,7 @@ from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.cable.wrench import AS_POINTS, Gauge
@@ -25,7 +26,6 @@ from cell.lab.data.whitening import whiteners_of
 from cell.lab.data.work import SOLVER, Work
 from cell.study.data import Study, Trial
 
-FloatArray = NDArray[np.float64]
 Number = TypeVar("Number", bound=np.generic)
 Given = ParamSpec("Given")
 Result = TypeVar("Result")

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from cell.cable.arrays import FloatArray
 from cell.lab.data.gauges import scaled
 from cell.lab.data.noise_model import NoiseModel, noise_model_of_residuals
 from cell.lab.data.prepared import PreparedStudy, of_frames
 from cell.lab.data.whitening import whiteners_of
-
-FloatArray = NDArray[np.float64]
 
 
 def judged_by(prepared: PreparedStudy, errors: Sequence[FloatArray]) -> PreparedStudy:

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from cell.cable.arrays import FloatArray
 from cell.cable.model import CableModel
 from cell.identify.parameters import ParameterSpace
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

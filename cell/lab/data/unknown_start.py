@@ -10,13 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.cable.modes import ROOTS
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 #: A cable held by a person is let go within this of the time noted.
 RELEASE_STD_S = 0.02

@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.marker_shift import carried_m, slopes_along
 from cell.identify.noise import Noise
 from cell.identify.whitener import Whitener
 from cell.lab.data.gauges import Gauges
 from cell.lab.data.noise_model import Level
 from cell.study.data import Study
-
-FloatArray = NDArray[np.float64]
 
 
 def arcs_are_uncertain(study: Study) -> bool:

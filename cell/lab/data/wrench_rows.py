@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.wrench import AS_POINTS, AXES, FEWEST_ROWS, RowMeans, as_points
 from cell.study.data import Markers, Trial, Wrench
-
-FloatArray = NDArray[np.float64]
 
 #: Rows of a wrench that are farther apart than this are not averaged: forces change within it, s.
 SPAN_S = 0.005

@@ -7,16 +7,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.lab.data.prepared import PreparedStudy, once_per_study, pooled
 from cell.lab.fit.fitting import Fit, fit_model, fit_trials
 from cell.lab.fit.sensitivity import Sensitivity, prior_root, sensitivities
 from cell.lab.fit.systematic_error import SystematicError, systematic_error
-
-FloatArray = NDArray[np.float64]
 
 #: What a pass gains below that share, of a model that errs, is far below what it could be wrong by.
 CONVERGED = Options(tolerance=0.03, most_passes=40, least_gain=1e-3, updates=3)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from cell.cable.arrays import FloatArray
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.gain import with_gain_of
 from cell.lab.fit.mesh import mesh_error_m, without_mesh_error
 from cell.lab.fit.rounding import rounding_error_m, without_rounding_error
-
-FloatArray = NDArray[np.float64]
 
 
 def corrected(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.model import CableModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.study.data import Markers, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Points that show the whole cable, however few markers it has.
 DRAWN = 21

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.identify import gauss_newton
@@ -17,8 +17,6 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.initial_state import estimate_initial_states
 from cell.lab.statistics.series import overall
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.hand import HandErrors, likely_motions
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Motions of the hand drawn for every trial.
 MOTIONS = 8

@@ -9,13 +9,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.model import CableModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.study.data import Markers, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: First frames, of a cable in motion: for this share of the time that a hanging one needs to swing
 #: to and fro, and so many at least.

@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.whitening import arcs_are_uncertain, whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_states
-
-FloatArray = NDArray[np.float64]
 
 #: The mesh and the step are this many times finer in the simulation that tells their errors, which
 #: fall with the square of both: what it still errs by is this share of the difference.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.noise import still_frames
 from cell.lab.data.noise_in_motion import Remainder
@@ -18,8 +18,6 @@ from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
 from cell.lab.statistics.score import score_test
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 
 def with_noise_beside(

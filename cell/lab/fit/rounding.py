@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr as normal_cdf
 
+from cell.cable.arrays import FloatArray
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.whitening import whiteners_of
 from cell.lab.fit.fitting import Fit, best_initial_states
-
-FloatArray = NDArray[np.float64]
 
 #: Neighbouring steps that noise of a step reaches.
 REACHED = 8

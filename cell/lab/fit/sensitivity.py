@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
 from cell.cable.model import CableModel
 from cell.identify.gaussian import covariance_root
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.statistics.score import Nuisance
-
-FloatArray = NDArray[np.float64]
 
 #: Amplitudes are perturbed by this share of their typical size: a slope may vanish at zero.
 PERTURBATION = 0.05

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
@@ -24,8 +25,6 @@ from cell.lab.data.work import Work
 from cell.lab.fit.fitting import space_with
 from cell.lab.fit.mesh import lines_of
 from cell.study.data import Study, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: What is constant in a marker throughout a cable's pictures: how far along the tip is seen, m.
 BIAS_M = 5e-5

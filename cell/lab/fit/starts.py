@@ -6,14 +6,12 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, fit_trials, residuals
-
-FloatArray = NDArray[np.float64]
 
 #: Uniform cables tried for a cold start, over this range about the prior's EI, in logarithm.
 COLD_STARTS, COLD_RANGE = 48, 3.0

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.hand_error import MOTIONS, by_other_hands
 from cell.lab.fit.mesh import LEFT, finer
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

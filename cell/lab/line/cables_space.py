@@ -7,9 +7,9 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
@@ -37,8 +37,6 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import holm_among
-
-FloatArray = NDArray[np.float64]
 
 #: Effects of the screen that are refitted, besides those that are not smooth.
 BEST = 4

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.lab.data.work import Budget, Work
 from cell.lab.fit.shared import PASSES, SharedFit
-
-FloatArray = NDArray[np.float64]
 
 #: Fits whose χ² is within this factor of the best are taken to convergence.
 NEAR, ALL_PASSES = 2.0, replace(PASSES, most_passes=30)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable
 from cell.cable.solver import DivergedError
@@ -24,8 +24,6 @@ from cell.lab.line.learn import LearningResult
 from cell.plan.destination import Destination
 from cell.plan.passage import height_at_mouth_m, measured_passage
 from cell.study.data import Markers, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Share of a hold from which the rest is forecast, where there is no execution.
 FIRST_SHARE = 0.6

@@ -7,8 +7,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
 from cell.cable.solver import threads
@@ -26,8 +26,6 @@ from cell.lab.line.learned_cables import identified_cables, learned_from
 from cell.lab.search.stepwise import levels
 from cell.workers.executor import Executor
 from cell.workers.here import this_computer
-
-FloatArray = NDArray[np.float64]
 
 #: Cables that the library is tried on, at most.
 TRIED_ON = 4

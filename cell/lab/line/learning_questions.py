@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.check import Reading
 from cell.lab.data.noise_model import KNOWN_WITHIN
@@ -17,8 +17,6 @@ from cell.lab.line.effect_fit import EffectFit
 from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.learn import CHANCE, LearningResult, ends_seen_beyond
 from cell.plan.destination import Destination
-
-FloatArray = NDArray[np.float64]
 
 #: From as many forecasts a rank test can be sure; of fewer none may be worse by more than noise.
 RANKED_FROM = 5

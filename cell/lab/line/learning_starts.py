@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
@@ -18,8 +18,6 @@ from cell.lab.fit.shared import PASSES, SharedFit, fit_shared
 from cell.lab.line.effect_fit import EffectFit, natural
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect
-
-FloatArray = NDArray[np.float64]
 
 #: Starts of a fit are compared on so many cables, with so many passes.
 START_ON, FIRST_PASSES = 1, replace(PASSES, tolerance=1.0, most_passes=6)

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.results import Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
@@ -32,8 +32,6 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.diagnose import Examination
 from cell.lab.verdict.evidence import Evidence
-
-FloatArray = NDArray[np.float64]
 
 #: Sets of effects that are fitted to all studies, and how many of them by the sum of the screens.
 MOST_SETS, BY_SCREENS = 8, 2

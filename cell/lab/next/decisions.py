@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gaussian import covariance_root
 from cell.lab.data.thresholds import Rules
@@ -16,7 +17,6 @@ from cell.lab.fit.sensitivity import one_sided
 from cell.lab.next.linear_study import LinearStudy, Slopes
 from cell.lab.search.criterion import bic_penalty, p_value_of_fall
 
-FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 #: Draws of the scores: a probability of 95 % is then known to half a per cent.

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.fit.fitting import fit_trials
@@ -22,8 +22,6 @@ from cell.lab.next.hidden import left_of
 from cell.lab.next.linear_study import LinearStudy, Slopes, own_slopes, rivals_of
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.smooth_part import smooth_part
-
-FloatArray = NDArray[np.float64]
 
 #: Power that the smallest size has.
 POWER = 0.95

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
@@ -25,8 +26,6 @@ from cell.lab.fit.heldout import heldout_rows
 from cell.lab.fit.mesh import finer
 from cell.lab.search.fitted_model import POLISH
 from cell.study.data import Markers, Study, Trial
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
@@ -22,8 +23,6 @@ from cell.lab.fit.hand_error import MOTIONS
 from cell.lab.fit.sensitivity import one_sided, prior_root
 from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual, noise_was_seen
 from cell.lab.verdict.specification import directions_of_trials
-
-FloatArray = NDArray[np.float64]
 
 #: Less of a change than this share is not told from what the fitted parameters do.
 LEAST_LEFT = 1e-4

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr as normal_cdf
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.identify.differences import difference_points
@@ -31,8 +31,6 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.diagnose import Examination
 from cell.settings.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: χ² by which one candidate must beat the other to be believed; as `Rules.tie_delta_chi2`.
 DECIDED = 9.0

@@ -7,15 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cell.files.atomic import write_whole
 from cell.files.yaml_document import yaml_text
 from cell.lab.next.strokes import FORMAT, HOLD_S, STILL_S, Stroke
 from cell.settings.surroundings import Surroundings
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from cell.cable.arrays import FloatArray
 from cell.files.figure_style import NOISE, SEEN, laid_out, listed
 from cell.lab.report.series import Series
 from cell.lab.strength.trial_residual import across_tip, displacement, distance, largest
-
-FloatArray = NDArray[np.float64]
 
 #: Frames that the time slider of an overlay offers.
 SLIDER_FRAMES = 60

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.files.figure_style import ADDED, MODEL, NOISE, QUIET, laid_out, listed
 from cell.lab.strength.profiles import ParameterProfile
-
-FloatArray = NDArray[np.float64]
 
 #: Standard deviations to the end of a 95 % interval.
 Z_95 = float(normal_quantile(0.975))

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.files.figure_style import (
     ADDED,
     BETWEEN,
@@ -29,8 +29,6 @@ from cell.lab.report.series import Series
 from cell.lab.report.wording import by_evidence, chance, noise_label, places
 from cell.lab.strength.compare import Comparison
 from cell.lab.strength.trial_residual import PHASES, distance, largest, phase_of
-
-FloatArray = NDArray[np.float64]
 
 #: Family-wise level at which evidence is beyond chance, as a diagnosis asks for.
 CHANCE = 0.01

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.table import TableData
 from cell.files.words import counted
 from cell.lab.data.check import CheckOutcome
@@ -29,8 +29,6 @@ LEARNING_VERDICTS: dict[Verdict, str] = {
     "unexplained": "the model lacks an effect, and none that was tried explains the error",
     "cannot_tell": "these cycles cannot decide whether the model lacks an effect, or which one",
 }
-
-FloatArray = NDArray[np.float64]
 
 
 def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from cell.cable.arrays import FloatArray
 from cell.files.figure_style import ADDED, MODEL, NOISE, QUIET, SEEN, in_mm, laid_out, listed
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts
-
-FloatArray = NDArray[np.float64]
 
 #: Shapes of a film strip, and of a line of it.
 STRIP, IN_LINE = 10, 5

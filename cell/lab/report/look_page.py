@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.files.page import Plot, page
 from cell.files.table import TableData
@@ -17,8 +16,6 @@ from cell.lab.report.wrench_report import wrench_facts_table, wrench_figure
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts
 from cell.study.wrench_facts import WrenchFacts
-
-FloatArray = NDArray[np.float64]
 
 FACT_HEADS = (
     "trial", "role, start, sensors", "frames", "per s", "still", "hand, mm", "hand, °", "tip, mm",

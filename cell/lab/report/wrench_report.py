@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from cell.cable.arrays import FloatArray
 from cell.files.figure_style import NOISE, SEEN, laid_out, listed
 from cell.files.table import TableData
 from cell.lab.report.series import Series
@@ -17,8 +17,6 @@ from cell.lab.strength.compare import Comparison
 from cell.lab.strength.wrench_residual import WrenchResidual
 from cell.study.data import Wrench
 from cell.study.wrench_facts import WrenchFacts
-
-FloatArray = NDArray[np.float64]
 
 #: In the order of the columns of `wrench.csv`.
 NAMES = ("force x", "force y", "moment")

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
@@ -26,8 +26,6 @@ from cell.lab.fit.starts import MOST_GUESSES, cold_start
 from cell.lab.search.extension import TEMPER
 from cell.lab.search.fitted_model import POLISH, REFIT
 from cell.lab.search.screen import screen
-
-FloatArray = NDArray[np.float64]
 
 #: Above this χ² per value the baseline cannot fit, and a tempered fit is a better place to start.
 MISFIT = 1.5

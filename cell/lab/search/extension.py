@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
@@ -26,8 +26,6 @@ from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.starts import cold_start, each_once, is_new, scaled, typical
 from cell.lab.search.fitted_model import POLISH, FittedModel, penalty_of, weighed
 from cell.lab.search.screen import MOST_SHAPES, ScreenedEffect
-
-FloatArray = NDArray[np.float64]
 
 #: By which residuals of a fit that is far from noise are divided, beside the root of its χ².
 TEMPER = 3.0

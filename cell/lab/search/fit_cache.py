@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
@@ -31,8 +31,6 @@ from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, Gain, gaine
 from cell.lab.search.refits import Refits
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import levels
-
-FloatArray = NDArray[np.float64]
 
 #: Two fits of the same effects are different minima if one is so much likelier (logarithm).
 LIKELIER = 0.1

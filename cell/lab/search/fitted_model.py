@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.lab.data.prepared import PreparedStudy
@@ -16,8 +16,6 @@ from cell.lab.fit.fitting import Fit, errors_m, fit_trials
 from cell.lab.fit.hand_error import HandError
 from cell.lab.fit.heldout import Heldout, heldout
 from cell.lab.search.criterion import bic_penalty, p_value_of_fall
-
-FloatArray = NDArray[np.float64]
 
 #: Passes of a first refit; the best few are then taken to convergence.
 REFIT = Options(tolerance=0.3, most_passes=12, least_gain=1e-3, updates=3)

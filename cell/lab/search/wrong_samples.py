@@ -7,16 +7,14 @@ noise, shows in what a model leaves of them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import residuals_m
 from cell.study.data import Study
 from cell.study.left_out import leaving_out
 from cell.study.wrong_samples import wrong_samples
-
-FloatArray = NDArray[np.float64]
 
 #: One that is left out shows others, which the fit had followed.
 _MOST_ROUNDS = 3

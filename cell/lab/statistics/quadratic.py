@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri as chi2_quantile
 from scipy.special import fdtri as f_quantile
 
-FloatArray = NDArray[np.float64]
+from cell.cable.arrays import FloatArray
 
 
 @dataclass(frozen=True)

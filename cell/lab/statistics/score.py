@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtr as normal_cdf
 
+from cell.cable.arrays import FloatArray
 from cell.identify.gaussian import covariance_root
-
-FloatArray = NDArray[np.float64]
 
 #: Draws behind the p-value of a maximum over shapes; below a few of them Bonferroni is used.
 DRAWS = 20_000

@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtr as normal_cdf
 
+from cell.cable.arrays import FloatArray
 from cell.identify.noise import Noise, rms
-
-FloatArray = NDArray[np.float64]
-
 
 LAGS = 10
 

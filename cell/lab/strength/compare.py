@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.model import CableModel
 from cell.files.plain import plain
 from cell.lab.data.noise_model import NoiseUnknownError, noise_model_of
@@ -21,8 +21,6 @@ from cell.lab.statistics.series import overall
 from cell.lab.strength.trial_residual import TrialResidual, trial_residual, unsimulated_trial
 from cell.lab.strength.wrench_residual import WrenchResidual, wrench_residual
 from cell.study.data import Study
-
-FloatArray = NDArray[np.float64]
 
 #: A residual has a pattern below this p-value of its whiteness, and goes with a signal below it.
 NOTICEABLE = 0.01

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import parameters_root
@@ -17,8 +17,6 @@ from cell.lab.data.results import Interval
 from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit
 from cell.lab.strength.omitted_effect_bias import omitted_effect_bias
-
-FloatArray = NDArray[np.float64]
 
 #: Converged simulators of the same cable differ by this much in the parameters that they need.
 MODEL_ERROR = 0.01

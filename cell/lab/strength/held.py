@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect, Effect
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, by_trial, extended, fit_model, fit_trials, space_with
 from cell.lab.fit.sensitivity import prior_root
-
-FloatArray = NDArray[np.float64]
 
 _REFIT = Options(tolerance=0.1, most_passes=15, least_gain=1e-3, updates=3)
 

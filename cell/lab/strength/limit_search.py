@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect, Parameter
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.prepared import PreparedStudy
@@ -20,9 +20,6 @@ from cell.lab.fit.systematic_error import SystematicError
 from cell.lab.statistics.score import Nuisance
 from cell.lab.strength.estimate import LEAST_KNOWN, MIN_FREEDOM
 from cell.lab.strength.held import HeldEffect
-
-FloatArray = NDArray[np.float64]
-
 
 CONFIDENCE = 0.95
 #: A limit is simulated, and moved to where the effect so strong is excluded, this often; not again

@@ -6,9 +6,6 @@ import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cell.cable.effects.base import Effect
 from cell.cable.solver import threads
 from cell.identify.fit import variance_inflation
@@ -21,8 +18,6 @@ from cell.lab.fit.sensitivity import changes, nuisance_of
 from cell.lab.statistics.score import Nuisance
 from cell.lab.strength.held import HeldEffect, all_changes
 from cell.lab.strength.limit_search import ROUNDS, LimitSearch
-
-FloatArray = NDArray[np.float64]
 
 #: Effects are shared out in so many parts for each core.
 PER_CORE = 2

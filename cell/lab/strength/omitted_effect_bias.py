@@ -11,9 +11,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.fit import variance_inflation
 from cell.lab.data.prepared import PreparedStudy
@@ -22,8 +22,6 @@ from cell.lab.fit.all_trials_fit import AllTrialsFit, Linear
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import one_sided
 from cell.lab.fit.systematic_error import SystematicError
-
-FloatArray = NDArray[np.float64]
 
 #: Effects taken in at most, one after another, until what is left is noise.
 MOST = 4

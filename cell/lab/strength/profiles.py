@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.files.plain import plain
 from cell.identify.gauss_newton import Options, minimise
 from cell.identify.identified import Identified
@@ -17,8 +17,6 @@ from cell.identify.profile import LikelihoodProfile, profile
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.fit.fitting import Fit, fit_trials, problem_of
-
-FloatArray = NDArray[np.float64]
 
 #: Each point is a fit of its own, near the one before.
 _POINT = Options(tolerance=0.1, most_passes=12, least_gain=1e-3, updates=3)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtri as normal_quantile
 
+from cell.cable.arrays import FloatArray
 from cell.identify.fit import variance_inflation
 from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
@@ -24,8 +24,6 @@ from cell.lab.fit.fitting import Fit, fit_model
 from cell.lab.statistics.score import holm
 from cell.lab.strength.estimate import MODEL_ERROR
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Precision with which what trials have in common is held, in fit coordinates (of order 1).
 HELD = 1e10

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.cable.still import moves_from_s
 from cell.identify.noise import Noise, rms, still_frames
@@ -19,8 +20,6 @@ from cell.lab.statistics.series import (
     spectrum,
 )
 from cell.study.data import Trial
-
-FloatArray = NDArray[np.float64]
 
 TIME_BINS = 24
 #: The swing is `early` for this long after the hand has stopped, then `late`.

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.noise import rms
 from cell.lab.data.gauges import Gauges
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.statistics.series import ljung_box
 from cell.study.data import Trial
 from cell.study.wrench_file import COLUMNS
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.lab.data.own_check import OwnCheck, Residual
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual
-
-FloatArray = NDArray[np.float64]
 
 #: Draws end when so many exceed what was measured: p is then known to a third …
 EXCEEDING = 10

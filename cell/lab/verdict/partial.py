@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
@@ -31,8 +30,6 @@ from cell.lab.verdict.residual_summary import (
     residual_summary,
 )
 from cell.lab.verdict.rivals import added_effect, chance, chance_of, is_at_bound, near_singles
-
-FloatArray = NDArray[np.float64]
 
 #: Its error is far below what a model errs by that explains a study in part; it saves time.
 COARSE = Solver(segments=20, step_s=1.5e-3)

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.identify.noise import rms
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.data.results import Peak
@@ -15,8 +15,6 @@ from cell.lab.search.fitted_model import FittedModel, residuals_m
 from cell.lab.statistics.series import spectrum
 from cell.lab.strength.trial_residual import TIME_BINS
 from cell.study.data import Study
-
-FloatArray = NDArray[np.float64]
 
 #: Frames of a trial over this many are the largest lag at which a residual is compared with itself.
 LARGEST_LAG = 4

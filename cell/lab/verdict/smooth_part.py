@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import fdtrc as f_sf
 
+from cell.cable.arrays import FloatArray
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2, marginal_products
 from cell.identify.whitener import Whitener
@@ -25,8 +25,6 @@ from cell.lab.fit.mesh import LEFT
 from cell.lab.fit.sensitivity import prior_root
 from cell.lab.fit.systematic_error import SystematicError, systematic_error
 from cell.lab.statistics.quadratic import ExpectedSquare
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gaussian import parameters_root
 from cell.lab.data.prepared import PreparedStudy, once_per_study
@@ -18,8 +19,6 @@ from cell.lab.verdict.smooth_part import (
     all_trials_residual,
     noise_was_seen,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: Nothing is asked for in directions of an effect that change less than by this share.
 LEAST_ASKED = 1e-6

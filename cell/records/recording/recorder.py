@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.words import counted
 from cell.records.recording import form
 from cell.records.recording.ring import (
@@ -30,8 +31,6 @@ from cell.records.recording.ring import (
 )
 from drivers.interfaces import Arm, Clock, DeviceError, Frame, Trajectory
 from drivers.threads import GuardedThread, said
-
-FloatArray = NDArray[np.float64]
 
 _LOG = logging.getLogger(__name__)
 

@@ -23,13 +23,11 @@ from foxglove.channels import (
     RawImageChannel,
 )
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions, MCAPWriter
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.plain import plain
 from cell.records.recording import form
 from drivers.threads import GuardedThread, said
-
-FloatArray = NDArray[np.float64]
 
 #: Frames end a chunk each; smaller messages share one until the next flush.
 CHUNK_BYTES = 256 * 1024

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
+from cell.cable.arrays import FloatArray
 from cell.study.hand_drift import HandDrift
 
-FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: A rest is at least so many rows and so many seconds.

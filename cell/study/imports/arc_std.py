@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.entries import MAX_ARC_STD_FRACTION
 from cell.study.imports.shape import arc_lengths, middle, resting
-
-FloatArray = NDArray[np.float64]
 
 #: Arc lengths are proposed to so much, m.
 ROUNDED_M = 1e-5

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem, did_you_mean
 from cell.study.imports.cells import Decimal
-
-FloatArray = NDArray[np.float64]
 
 #: Stands for a column of time where a file has none.
 ROW_NUMBER = "row number"

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture
 from cell.study.imports.contents import Contents, Point
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.lost import lost_rows, means_lost
 from cell.study.imports.shape import chain, middle, rest_rows
-
-FloatArray = NDArray[np.float64]
 
 #: A point stays if it moves by less than this share of what the farthest moves.
 STAYS = 1e-3

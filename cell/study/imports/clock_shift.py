@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-FloatArray = NDArray[np.float64]
+from cell.cable.arrays import FloatArray
 
 #: Shifts that are tried, and samples that each is tried on.
 _SHIFTS, _SAMPLES = 1500, 600

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.study.imports.capture import Capture
 from cell.study.imports.column_names import ColumnKind, Meaning, meaning
 from cell.study.imports.units import RADIANS
-
-FloatArray = NDArray[np.float64]
 
 #: Words for what holds a cable.
 HAND = frozenset(

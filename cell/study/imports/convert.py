@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable, Motion
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Key
@@ -25,8 +26,6 @@ from cell.study.imports.quality import Measured, examined
 from cell.study.imports.read import read_capture
 from cell.study.imports.scales import WRONG_UNIT, other_rate
 from cell.study.judged import judged
-
-FloatArray = NDArray[np.float64]
 
 #: A unit of angles below this is no radian.
 _DEGREES = 0.1

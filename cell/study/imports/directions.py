@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_section import AxesSection
 from cell.study.imports.shape import bend
-
-FloatArray = NDArray[np.float64]
 
 #: An axis of the file is in the plane if this share of it is.
 _IN_PLANE = 0.9

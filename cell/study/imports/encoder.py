@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture
 from cell.study.imports.hand_section import TurnsSection
-
-FloatArray = NDArray[np.float64]
-
 
 #: Numbers are counts if they are whole multiples of one step, within this share of it.
 _WHOLE = 1e-3

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture
 from cell.study.imports.choosing import seen_places
 from cell.study.imports.contents import Contents, Point, contents
@@ -19,8 +19,6 @@ from cell.study.imports.scales import metres_per_unit, time_section
 from cell.study.imports.sensed_hand import hand_by_sensor
 from cell.study.imports.shape import AWAY, FEWEST_REST, arc_lengths
 from cell.study.imports.units import METRES
-
-FloatArray = NDArray[np.float64]
 
 #: A chain from the hand on is the cable's if it is longer than the free length by this share at
 #: most; where no unit is stated, and shorter by that.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.yaml_document import Key
 from cell.study.hand_drift import HandDrift
 from cell.study.imports.accelerometer import REST_ROWS, NotIntegrableError, Sensed, integrated
@@ -17,7 +18,6 @@ from cell.study.imports.lost import lost_rows
 from cell.study.imports.mapping import ReadMapping, TrialEntry
 from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
 
-FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: Of the cable's length: what each thing that is wrong with an accelerometer may do to the hand's

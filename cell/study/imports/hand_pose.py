@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture
 from cell.study.imports.contents import HAND, Contents, Point
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_section import BODY_AXES, AngleSection, AxesSection
 from cell.study.imports.places import body_axis, continuous
 from cell.study.imports.units import RADIANS
-
-FloatArray = NDArray[np.float64]
 
 #: An angle that turns by more tells its sign by how the cable's root turns with it, rad.
 _TURNS = 0.05

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.imports.shape import FEWEST_REST
 
-FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: A point that is lost jumps by so many of the longest steps that it makes otherwise, of which so

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.files.input_error import Problem
 from cell.study.checks import MAX_TRIAL_S, exchanged
@@ -16,7 +17,6 @@ from cell.study.imports.capture import Capture
 from cell.study.left_out import without_wrong_samples
 from cell.study.plausible import SLACK
 
-FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: A marker is on no moving cable if it stays within this share of what the others move.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.entries import MAX_LENGTH_M
 from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn
 from cell.study.imports.column_names import ColumnKind, meaning
@@ -12,8 +12,6 @@ from cell.study.imports.contents import Contents
 from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_section import TimeSection
 from cell.study.imports.units import METRES, SECONDS
-
-FloatArray = NDArray[np.float64]
 
 #: Steps between rows at rates from 2 to 2000 a second; the units' ranges meet and do not overlap.
 _LONGEST_STEP_S = 0.5

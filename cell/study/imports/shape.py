@@ -6,10 +6,10 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-FloatArray = NDArray[np.float64]
+from cell.cable.arrays import FloatArray
+
 Ends = Literal["not-a-knot", "natural"]
 
 #: A chain has begun to move when a point is this share of the chain's length from where it was …

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture
 from cell.study.imports.clock_shift import clock_shift_s
 from cell.study.imports.convert import times_s
@@ -14,8 +14,6 @@ from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.mapping import Mapping
 from cell.study.imports.places import places_m
 from cell.study.imports.shape import FEWEST_REST, rest_rows
-
-FloatArray = NDArray[np.float64]
 
 #: A clock is proposed to be off if it is so by more than this many rows.
 ROWS_OFF = 1.5

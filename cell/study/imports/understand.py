@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.entries import MAX_ARC_STD_FRACTION
 from cell.study.imports.arc_std import ROUNDED_M, arc_length_stds
 from cell.study.imports.capture import Capture
@@ -25,8 +25,6 @@ from cell.study.imports.scales import metres_per_unit, time_section
 from cell.study.imports.sensed_hand import hand_by_sensor
 from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
 from cell.study.imports.trials import Files, text_section, trial_entries
-
-FloatArray = NDArray[np.float64]
 
 #: Points of a chain that show a line and no bend.
 _A_LINE = 2

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import Problem
 from cell.files.yaml_document import Document
 from cell.study.data import Study, Wrench
 from cell.study.imports.capture import Capture
 from cell.study.imports.hand_section import Finite, Name
 from cell.study.wrench_file import SensorEntry, sensor_entry
-
-FloatArray = NDArray[np.float64]
 
 
 class WrenchSection(SensorEntry):

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.atomic import write_all
 from cell.files.input_error import InputError
 from cell.study.data import Study, Trial
@@ -34,8 +35,6 @@ from cell.study.imports.proposal import mapping_text
 from cell.study.imports.wrench_section import wrench_section
 from cell.study.table import table_text
 from cell.study.wrench_file import COLUMNS
-
-FloatArray = NDArray[np.float64]
 
 _POSE = ("t_s", "x_m", "y_m", "angle_rad")
 _FRAME = "frame"
