@@ -30,6 +30,7 @@ from cell.plant.handshake.modbus import ModbusCarrier
 from cell.plant.link import Link
 from cell.plant.mqtt.taking import Taker
 from cell.plant.opcua import server as opcua_server
+from cell.plant.server import CommandServer
 from cell.plant.service import Service
 from cell.plant.wire import LinkError
 from cell.records.ledger.outbox import LedgerWriter
@@ -249,7 +250,7 @@ def test_a_link_that_dies_is_a_cell_that_is_away(
     thread: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rather than one whose state is old, or which does not obey."""
-    monkeypatch.setattr(Server if thread == "_serve_all" else Link, thread, boom)
+    monkeypatch.setattr(CommandServer if thread == "_serve_all" else Link, thread, boom)
     with Link(tmp_path / "runs", BEGUN, obeys):
 
         def away() -> bool:
@@ -266,7 +267,7 @@ def test_a_service_without_signs_of_life_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = service_of(tmp_path / "runs", [])
-    commands: list[tuple[Event, str]] = []
+    commands: list[tuple[MachineEvent, str]] = []
     service._cell = SimpleNamespace(  # type: ignore[assignment]
         machine=service._cell.machine, command=lambda *c: commands.append(c)
     )
