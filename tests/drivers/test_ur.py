@@ -292,18 +292,21 @@ def test_a_motion_that_is_slowed_is_broken_off_and_stays_so(arm, ur_emulator, li
     assert arm.state().pose.y_m == pytest.approx(rest.y_m + 0.01, abs=2e-4)
 
 
-def test_an_arm_without_power_or_with_its_brakes_on_says_so(arm, ur_emulator, ur_options) -> None:
+def test_an_arm_without_power_or_with_its_brakes_on_says_so(arm, ur_emulator) -> None:
     ur_emulator.ask("end_program")
     ur_emulator.ask("brakes", on=True)
     until(lambda: arm.state().mode is ArmMode.POWER_OFF)
     with pytest.raises(StoppedError, match="power_off; power on and release the brakes"):
         arm.reset()
-    with pytest.raises(ConnectError, match="power_off; power on and release the brakes"):
-        UrArm(ur_options).connect()
     ur_emulator.ask("brakes", on=False)
     until(lambda: arm.state().mode is ArmMode.STOPPED)
     arm.reset()
     assert arm.state().mode is ArmMode.READY
+    ur_emulator.ask("brakes", on=True)
+    arm.close()
+    with pytest.raises(ConnectError, match="power_off; power on and release the brakes"):
+        arm.connect()
+    ur_emulator.ask("brakes", on=False)
 
 
 def test_a_program_that_ended_can_be_started_anew(arm, ur_emulator, line) -> None:

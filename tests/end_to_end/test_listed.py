@@ -161,6 +161,7 @@ def test_a_fault_is_listed_with_its_code(quick: Settings, tmp_path: Path) -> Non
     with pytest.raises(InterruptedByCommandError) as stopped:
         cell.check()
     cell.leave_idle(stopped.value)
+    cell.come_to_rest()
     cell.acknowledge("Eve", "back from lunch")  # it is none of the cycle's
     cell.close()
     (cycle,) = listed(tmp_path / "runs")
