@@ -181,7 +181,7 @@ def test_a_run_goes_on_without_its_server(quick_config: Path, tmp_path: Path) ->
     runs = tmp_path / "runs"
     done = run("run", "--config", away, "--out", runs)
     assert done.returncode == 0, done.stderr
-    assert "2 entries of the ledger wait" in done.stderr
+    assert "2 entries for the ledger in" in done.stderr
     assert "whether anything has changed cannot be said" in done.stderr
     assert len(list(outbox_of(runs).iterdir())) == 2
     done = run("run", "--config", quick_config, "--out", runs)  # another ledger, the same outbox
