@@ -49,6 +49,7 @@ WINDY = [
     ("  segments: 60\n", ""),
     ("effects: {}", "effects: {draught: {wind_x_m_per_s: 1.6, wind_y_m_per_s: 1.6}}"),
     ("gripper:\n", "choice: {min_probability: 0.3}\n\ngripper:\n"),
+    ("motion:\n", "motion:\n  start: {}\n"),
 ]
 
 
