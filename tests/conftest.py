@@ -26,7 +26,7 @@ REAL_TIME = (
     "drivers/emulators",
     "drivers/test_opencv_camera",
     "drivers/test_serial_gripper",
-    "drivers/test_ur",
+    "drivers/test_ur",  # and the gripper behind its URCap
     "end_to_end/test_hardware",  # which runs a few of the conformance suite
 )
 

@@ -77,6 +77,8 @@ Direction = Annotated[Vector, AfterValidator(_direction)]
 #: No arm reaches further from its base, m.
 Reach = Annotated[float, Field(ge=-3.0, le=3.0)]
 
+#: Where Robotiq's URCap listens on a UR controller.
+URCAP_PORT = 63352
 #: A line that is reached through a network: its address and port.
 _LINE_URL = re.compile(r"(socket|rfc2217)://([^/:]+|\[[0-9a-fA-F:]+\]):(\d{1,5})")
 
@@ -92,6 +94,11 @@ def _line(port: str) -> str:
             "rfc2217://host:port"
         )
     address(found[2].strip("[]"))
+    if int(found[3]) == URCAP_PORT:
+        raise ValueError(
+            f"{port!r}: at port {URCAP_PORT} Robotiq's URCap takes lines of text, not the bytes of "
+            f"a serial line; give `kind: urcap` and `host: {found[2]}` instead of port"
+        )
     return port
 
 
@@ -244,10 +251,24 @@ class SerialGripperSettings(_Gripper):
     """Closing force: it can do no less and no more."""
     port: Annotated[str, Field(min_length=1), AfterValidator(_line)]
     """Device of the serial line, or `socket://host:port` where another computer passes its bytes
-    on, as a UR controller does for a gripper on its tool flange."""
+    on.  For the URCap of a gripper on a UR's tool flange there is `kind: urcap`."""
     address: Annotated[int, Field(ge=1, le=247)] = 9
     """Modbus address of the gripper."""
     baud: Annotated[int, Field(ge=1200)] = 115_200
     """Bits per second of the line."""
     reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.035
     """Time that an answer may take; two missing in a row are a lost gripper, and stop the arm."""
+
+
+class UrcapGripperSettings(_Gripper):
+    """Robotiq-type gripper (2F-85) on a UR's tool flange, through Robotiq's URCap."""
+
+    kind: Literal["urcap"]
+    force_n: Annotated[float, Field(ge=20.0, le=235.0)]
+    """Closing force: it can do no less and no more."""
+    host: Host
+    """Address of the controller."""
+    port: Annotated[int, Field(ge=1, le=65535)] = URCAP_PORT
+    """Where the URCap listens."""
+    reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.07
+    """Time that an answer may take; one that is missing is a lost gripper, and stops the arm."""

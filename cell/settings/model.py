@@ -16,6 +16,7 @@ from cell.settings.devices import (
     SimulatedCamera,
     SimulatedGripper,
     UrArmSettings,
+    UrcapGripperSettings,
 )
 from cell.settings.plant import Plant
 from cell.settings.product import Products
@@ -371,7 +372,9 @@ class Settings(Section):
         Field(discriminator="kind"),
     ]
     """The camera, by its kind."""
-    gripper: Annotated[SimulatedGripper | SerialGripperSettings, Field(discriminator="kind")]
+    gripper: Annotated[
+        SimulatedGripper | SerialGripperSettings | UrcapGripperSettings, Field(discriminator="kind")
+    ]
     """The gripper, by its kind."""
     vision: Vision = Vision()
     calibration: Calibration | None = None

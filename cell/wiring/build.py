@@ -46,13 +46,14 @@ from drivers.guard import (
     GuardedCamera,
     GuardedGripper,
 )
-from drivers.interfaces import Camera, Devices
+from drivers.interfaces import Camera, Clock, Devices, Gripper
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
 from drivers.plane_mount import PlaneMount
 from drivers.priority import take_precedence
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 from drivers.ur import UrArm, UrOptions
+from drivers.urcap_gripper import UrcapGripper, UrcapGripperOptions
 
 _UR_TUNING = ("lookahead_s", "gain")
 #: How well latency and lag must be known, 95 %, for corrections in flight, s.
@@ -216,17 +217,15 @@ def real_devices(settings: Settings, known: Calibrated | None = None) -> Devices
     known  their delays; None = as typed
     """
     known = typed(settings) if known is None else known
-    arm, gripper, clock = settings.arm, settings.gripper, RealClock()
+    arm, clock = settings.arm, RealClock()
     assert isinstance(arm, given.UrArmSettings)
-    assert isinstance(gripper, given.SerialGripperSettings)
     mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
     reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
     reached |= {"lag_s": known.lag_s, "allow_version": arm.allowed_version}
-    serial = gripper.model_dump(include={"port", "address", "baud", "reply_s"})
     return Devices(
         arm=UrArm(UrOptions(mount=mount, **reached)),
         camera=_real_camera(settings, clock, known.latency_s),
-        gripper=SerialGripper(SerialGripperOptions(**serial), clock),
+        gripper=_real_gripper(settings, clock),
         clock=clock,
     )
 
@@ -243,6 +242,16 @@ def _real_camera(settings: Settings, clock: RealClock, latency_s: float) -> Came
         case given.FilesCameraSettings() as camera:
             return FilesCamera(camera.folder, camera.frame_rate_hz, clock)
     raise AssertionError("the settings refuse a simulated camera beside a real arm")
+
+
+def _real_gripper(settings: Settings, clock: Clock) -> Gripper:
+    values = settings.gripper.model_dump(exclude={"kind", "force_n", "force_limits_n"})
+    match settings.gripper:
+        case given.SerialGripperSettings():
+            return SerialGripper(SerialGripperOptions(**values), clock)
+        case given.UrcapGripperSettings():
+            return UrcapGripper(UrcapGripperOptions(**values), clock)
+    raise AssertionError("the settings refuse a simulated gripper beside a real arm")
 
 
 def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:

@@ -110,8 +110,12 @@ def devices_of(settings: Settings) -> list[Device]:
         case given.GenicamCameraSettings():
             which = camera.serial_number or f"of {camera.producer.resolve()}"
             devices.append(Device("camera.serial_number", f"camera {which}"))
-    if isinstance(gripper, given.SerialGripperSettings):
-        devices.append(Device("gripper.port", f"gripper on {_place(gripper.port)}"))
+    match gripper:
+        case given.SerialGripperSettings():
+            devices.append(Device("gripper.port", f"gripper on {_place(gripper.port)}"))
+        case given.UrcapGripperSettings():
+            place = f"{_address(gripper.host)}:{gripper.port}"
+            devices.append(Device("gripper.host", f"gripper on {place}"))
     return devices
 
 

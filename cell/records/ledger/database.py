@@ -113,9 +113,10 @@ def told(engine: Engine) -> Iterator[None]:
         yield
     except SQLAlchemyError as error:
         cause = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+        says = f"{engine.url.render_as_string()}: {cause}"
         if _is_damaged(error):
-            cause += "; " + _move_away(Path(engine.url.database or ""))
-        raise LedgerError(f"{engine.url.render_as_string()}: {cause}") from error
+            raise LedgerError(f"{says}; {_move_away(Path(engine.url.database or ''))}") from error
+        raise LedgerError(says) from error
 
 
 def _is_damaged(error: SQLAlchemyError) -> bool:

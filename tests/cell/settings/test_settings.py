@@ -302,6 +302,7 @@ def test_every_outcome_may_be_kept() -> None:
         ("plane_y_axis", "[0, 0, 0]", "is no direction; give one of length 1, such as [0, -1, 0]"),
         ("port", "socket://10.0.0.3", "is no line; give a device such as /dev/ttyUSB0, or socket:"),
         ("port", "socket://10.0.0.3:70000", "is no line; give a device such as /dev/ttyUSB0, or s"),
+        ("port", "socket://10.0.0.3:63352", "give `kind: urcap` and `host: 10.0.0.3` instead of"),
     ],
 )
 def test_a_place_that_no_arm_has_is_refused(
@@ -311,10 +312,10 @@ def test_a_place_that_no_arm_has_is_refused(
     assert count == 1 and said in complaint(tmp_path, text)
 
 
-def test_a_gripper_on_the_tool_flange_is_reached_through_the_controller(tmp_path: Path) -> None:
+def test_a_line_may_be_reached_through_a_network(tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
-    path.write_text(re.sub("port: /dev/[^ #\n]*", "port: socket://10.0.0.3:63352", LINE3))
-    assert load_settings(path).gripper.port == "socket://10.0.0.3:63352"  # type: ignore[union-attr]
+    path.write_text(re.sub("port: /dev/[^ #\n]*", "port: socket://10.0.0.3:54321", LINE3))
+    assert load_settings(path).gripper.port == "socket://10.0.0.3:54321"  # type: ignore[union-attr]
 
 
 def numbers_without_a_range(

@@ -76,7 +76,7 @@ RETURNED = {
     "cell/records/chart.py": ("__str__",),
     "drivers/ur_process.py": ("farewell",),
 }
-TABLES = {"drivers/interfaces.py": ("_REMEDIES",), "drivers/serial_gripper.py": ("_FAULTS",)}
+TABLES = {"drivers/interfaces.py": ("_REMEDIES",), "drivers/robotiq_gripper.py": ("_FAULTS",)}
 #: A sentence with more ways to be said than this is cut short.
 _MOST = 40
 

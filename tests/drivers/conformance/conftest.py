@@ -18,7 +18,8 @@ import pytest
 
 from drivers.clock import RealClock
 from drivers.emulators.camera import StreamFaults
-from drivers.emulators.robotiq import EmulatedGripper
+from drivers.emulators.robotiq import EmulatedGripper, Jaws
+from drivers.emulators.urcap import EmulatedUrcap
 from drivers.files import FilesCamera, write_frames
 from drivers.guard import (
     ArmLimits,
@@ -35,6 +36,7 @@ from drivers.sim.camera import CameraFaults
 from drivers.sim.clock import SimClock
 from drivers.sim.gripper import GripperFaults
 from drivers.ur import UrArm
+from drivers.urcap_gripper import UrcapGripper, UrcapGripperOptions
 
 from ..conftest import GRIPPER_REPLY_S
 
@@ -226,6 +228,20 @@ def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
         )
 
 
+@contextlib.contextmanager
+def urcap_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
+    with EmulatedUrcap(Jaws(object_count=200.0)) as urcap:
+        options = UrcapGripperOptions(urcap.host, urcap.port, reply_s=2.0 * GRIPPER_REPLY_S)
+        clock = RealClock()
+
+        def pull_out() -> None:
+            urcap.jaws.object_count = None
+
+        yield GripperBench(
+            UrcapGripper(options, clock), clock, pull_out, pull_out, urcap.unplug, urcap.unplug
+        )
+
+
 @pytest.fixture
 def real_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Station:
     """The devices of the settings, not connected yet, within the settings' limits."""
@@ -274,7 +290,12 @@ CAMERAS = {
     "files": files_camera,
     "opencv": opencv_camera,
 }
-GRIPPERS = {"sim": sim_gripper, "guarded": guarded_sim_gripper, "serial": serial_gripper}
+GRIPPERS = {
+    "sim": sim_gripper,
+    "guarded": guarded_sim_gripper,
+    "serial": serial_gripper,
+    "urcap": urcap_gripper,
+}
 CLOCKS = {"sim": SimClock, "real": RealClock}
 KINDS = {"arm_bench": ARMS, "camera_bench": CAMERAS, "gripper_bench": GRIPPERS, "clock": CLOCKS}
 REAL = {"arm_bench": real_arm, "camera_bench": real_camera, "gripper_bench": real_gripper}
