@@ -78,7 +78,7 @@ def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
     """
     if len(views) < LEAST_VIEWS:
         raise TooFewError(
-            f"the board was found in {len(views)} pictures, at least {LEAST_VIEWS} are needed",
+            f"the board was found in {len(views)} of at least {LEAST_VIEWS} pictures",
             "take more, 20 are good: the board in all corners, near and far, tilted to all sides",
         )
     sizes = {view.size_px for view in views}

@@ -185,7 +185,7 @@ def fit_cell(
     """
     if len(shown) < LEAST_POSES:
         raise TooFewError(
-            f"the jaw's marks were found in {len(shown)} poses, at least {LEAST_POSES} are needed",
+            f"the jaw's marks were found in {len(shown)} of at least {LEAST_POSES} poses",
             "see that they are lit, sharp and not hidden, and widen `limits` if they are narrow",
         )
     _check_poses(shown)

@@ -79,7 +79,7 @@ def fit_grip(views: Sequence[GripView], map_std_m: float = 0.0) -> GripFit:
     """
     if len(views) < LEAST_POSES:
         raise TooFewError(
-            f"the cable was measured in {len(views)} poses, at least {LEAST_POSES} are needed",
+            f"the cable was measured in {len(views)} of at least {LEAST_POSES} poses",
             "see that jaw and cable are in the picture, lit and sharp",
         )
     shapes = [_Shape.of(view) for view in views]

@@ -38,7 +38,7 @@ def find_thread(image: Image, without: Image) -> FloatArray:
             found = found[off < max(0.5, 3.0 * 1.4826 * float(np.median(off)))]
     if len(found) < _LEAST_ROWS:
         raise TooFewError(
-            f"the thread was found in {len(found)} rows of the picture, {_LEAST_ROWS} are needed",
+            f"the thread was found in {len(found)} of at least {_LEAST_ROWS} rows of the picture",
             "hang it before something of another brightness, and let it come to rest",
         )
     return found

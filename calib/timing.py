@@ -45,7 +45,7 @@ def camera_latency(stamps_s: FloatArray, seen_m: FloatArray, hand: Trajectory) -
     stamps_s, seen_m = stamps_s[keep], seen_m[keep]
     if len(stamps_s) < LEAST_FRAMES:
         raise TooFewError(
-            f"the jaw was found in {len(stamps_s)} frames, at least {LEAST_FRAMES} are needed",
+            f"the jaw was found in {len(stamps_s)} of at least {LEAST_FRAMES} frames",
             "see that its marks are lit and in the picture during the whole motion",
         )
     _check_speed(hand)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -37,6 +37,7 @@ from cell.lab.verdict.doubts import lacking_doubt
 from cell.lab.verdict.fit_doubts import fit_doubts
 from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
 from cell.study.data import Study
+from cell.study.folder import check_study
 
 if TYPE_CHECKING:
     from cell.lab.search.fit_cache import FitCache
@@ -50,7 +51,12 @@ Tell = Callable[[Sequence[str]], None]
 
 
 def several(given: Sequence[T]) -> tuple[T, ...]:
-    """What is given where there may be several; one alone, such as a name, is one of them."""
+    """What is given where there may be several; one alone, such as a name, is one of them.
+
+    raises  TypeError: a table, of which only the names would count
+    """
+    if isinstance(given, Mapping):
+        raise TypeError(f"{given!r} is a table; give a list, with sizes as text: ['air_drag=2']")
     alone = isinstance(given, str) or not isinstance(given, Iterable)
     return (given,) if alone else tuple(given)  # type: ignore[return-value]
 
@@ -317,6 +323,8 @@ def _compared(fits: FitCache, models: Sequence[CableModel]) -> tuple[Comparison,
 
 
 def _opened(study: StudyOrFolder, tell: Tell) -> Study:
+    if isinstance(study, Study):
+        check_study(study)
     opened = study if isinstance(study, Study) else read_study(study)
     tell(opened.notes)
     return opened
@@ -332,8 +340,10 @@ def _model(given: FitResult | Identified | Path | str, study: Study) -> Identifi
         given = given.model
     if isinstance(given, Path | str):
         path, model = Path(given), read_model(Path(given), {})
-    else:
+    elif isinstance(given, Identified):
         path, model = Path("model"), given
+    else:
+        raise TypeError(f"models: {given!r} is none; give a result of `cell.fit` or a model's file")
     check_same_kind(path, model, study.cable)
     return model
 

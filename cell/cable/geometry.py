@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -64,7 +65,11 @@ class Cable:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name != "connector" and not (np.isfinite(value) and value > 0.0):
+            if name == "connector":
+                continue
+            if not isinstance(value, Real):
+                raise TypeError(f"cable.{name} = {value!r}: must be a number")
+            if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"cable.{name} = {value}: must be finite and > 0")
 
     @property

@@ -14,6 +14,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
+from cell.files.words import counted
 from drivers.interfaces import Image, Pose, Trajectory
 
 _POSES, _TOLD, _HAND, _SEEN = "poses.csv", "told.csv", "hand.csv", "seen.csv"
@@ -191,7 +192,10 @@ def _rows(path: Path, header: Sequence[str]) -> list[tuple[int, list[str]]]:
         raise _wrong(path, 1, f"must begin with the line {','.join(header)}")
     for number, row in lines:
         if len(row) != len(names):
-            message = f"has {len(row)} columns, {len(names)} are needed; mend it or record again"
+            message = (
+                f"has {counted(len(row), 'column')}, {len(names)} are needed; mend it "
+                "or record again"
+            )
             raise _wrong(path, number, message)
     if len(lines) < 2:
         raise _wrong(path, 1, "has no rows")

@@ -17,6 +17,7 @@ from cell.cli.lab import Force, refusing, working
 from cell.cli.ledger import open_ledger
 from cell.cli.shared import AsJson, MaybeConfig, group
 from cell.cli.streams import emit
+from cell.files.words import counted
 
 if TYPE_CHECKING:
     from cell.records.bundle import Item
@@ -91,7 +92,7 @@ def bundle(
         data |= {"left_out": dict(done.left_out), "secrets_removed_from": list(done.cleaned)}
         emit(json.dumps(data, indent=2, ensure_ascii=False))
         return
-    print(f"{target}: {len(done.files)} files, {size / 1e6:.1f} MB")
+    print(f"{target}: {counted(len(done.files), 'file')}, {size / 1e6:.1f} MB")
     for name in done.cleaned:
         print(f"a secret was removed from {name}")
     for name, why in done.left_out.items():

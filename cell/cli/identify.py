@@ -16,6 +16,7 @@ from cell.cli.options import taking
 from cell.cli.result_json import Json, JsonCommand, print_result
 from cell.cli.shared import NOT_ALL_DONE, group, stoppable, tell_notes
 from cell.cli.workers import Workers, workers
+from cell.files.words import counted
 
 if TYPE_CHECKING:
     from cell.lab.line.identify_all import IdentifiedAll
@@ -170,4 +171,5 @@ def _all(given: _Identify) -> None:
 
 
 def _left(found: IdentifiedAll) -> str:
-    return f"{found.recordings - found.done} of {found.recordings} recordings are left"
+    left = found.recordings - found.done
+    return f"{left} of {counted(found.recordings, 'recording')} {'is' if left == 1 else 'are'} left"

@@ -15,6 +15,7 @@ from cell.cli.lab import refusing, working
 from cell.cli.result_json import print_result
 from cell.cli.shared import ALL_DONE, tell_notes
 from cell.files.overwriting import check_new_study, check_output
+from cell.files.words import counted
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ def recordings_study(given: RecordedImport, recordings: list[Path]) -> NoReturn:
     def printed() -> None:
         if print_result(data, given.as_json):
             tell_notes(notes)
-            print(f"{given.out}: {len(study.trials)} trials of {len(recordings)} recordings")
+            trials_said = counted(len(study.trials), "trial")
+            print(f"{given.out}: {trials_said} of {counted(len(recordings), 'recording')}")
 
     deliver(printed, *json_files(data, given.as_json))
     raise typer.Exit(ALL_DONE)

@@ -16,6 +16,7 @@ from cell.cli.options import taking
 from cell.cli.result_json import Json, JsonCommand, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, tell_notes
 from cell.files.overwriting import check_new_study, check_output
+from cell.files.words import counted
 
 if TYPE_CHECKING:
     from cell.lab.report.look_page import StudyOverview
@@ -291,7 +292,8 @@ def _write(options: ImportOptions) -> NoReturn:
             tell_notes(notes)
             frames = sum(len(t.markers.t_s) for t in study.trials)
             print(
-                f"{folder}: {len(study.trials)} trials, {frames} frames, verified by reading back"
+                f"{folder}: {counted(len(study.trials), 'trial')}, {counted(frames, 'frame')}, "
+                "verified by reading back"
             )
             print(f"look at it: cell look {folder}; then: cell diagnose {folder}")
 

@@ -20,6 +20,7 @@ from cell.cli.lab import Force, refusing
 from cell.cli.options import taking
 from cell.cli.shared import AsJson, MaybeConfig, group
 from cell.cli.streams import emit
+from cell.files.words import counted
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -97,10 +98,17 @@ class HistoryOptions:
         from cell.records.ledger.ledger import Wanted
         from cell.records.past_cycles import UNFINISHED
 
+        since = moment(self.since, now, "--since")
+        until = moment(self.until, now, "--until")
+        if since is not None and until is not None and since >= until:
+            raise ValueError(
+                f"--since {self.since} is not before --until {self.until}: no time is between; "
+                "exchange them"
+            )
         outcomes = [UNFINISHED if o == "unfinished" else _known(o) for o in self.outcome or ()]
         return Wanted(
-            since=moment(self.since, now, "--since"),
-            until=moment(self.until, now, "--until"),
+            since=since,
+            until=until,
             outcomes=tuple(outcomes),
             line=self.line,
             part=self.part_id,
@@ -248,9 +256,22 @@ def ledger_errors() -> Iterator[None]:
 
 
 def moment(said: str | None, now: datetime, option: str) -> datetime | None:
-    """A time that was typed; None = none was.  Raises ValueError: it is no time."""
+    """A time that was typed; None = none was.
+
+    raises  ValueError: it is no time, or one from which on nothing can have been
+    """
     if said is None:
         return None
+    found = _time(said, now, option)
+    if option == "--since" and found > now:
+        raise ValueError(
+            f"{option} {said}: is to come, it is {now.astimezone():%Y-%m-%dT%H:%M} now; give a "
+            "time that has been"
+        )
+    return found
+
+
+def _time(said: str, now: datetime, option: str) -> datetime:
     try:
         if ago := re.fullmatch(r"(\d+)([hd])", said):
             number = int(ago[1])
@@ -276,13 +297,19 @@ def _taken_in(ledger: Ledger, folder: Path, settings: Settings | None) -> str:
     from cell.settings.referred import line_of
 
     if not folder.is_dir():
-        raise ValueError(f"--import {folder}: is no folder of cycles")
+        raise ValueError(
+            f"--import {folder}: is no folder of cycles; give the one that `cell run --out` "
+            "wrote to"
+        )
     line = line_of(settings)
     known = {f"{c.line}/{c.folder.name}" for c in ledger.listed(_everything(line))}
     entries = [e for f in sorted(folder.iterdir()) if (e := entry_of_folder(f, line)) is not None]
     new = [e for e in entries if e.uid not in known]
     ledger.write(new, of_now=False)
-    return f"{folder}: {len(new)} of {len(entries)} cycles are new to the ledger"
+    return (
+        f"{folder}: {len(new)} of {counted(len(entries), 'cycle')} "
+        f"{'is' if len(new) == 1 else 'are'} new to the ledger"
+    )
 
 
 def _everything(line: str) -> Wanted:

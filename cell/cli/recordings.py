@@ -16,6 +16,7 @@ from cell.cli.options import taking
 from cell.cli.result_json import Json, JsonCommand, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group
 from cell.files.rescue import why_not_written
+from cell.files.words import counted
 
 if TYPE_CHECKING:
     from cell.records.recording.recover import Recovered
@@ -240,7 +241,7 @@ def recover(
 def _told(recovered: Recovered) -> str:
     messages = recovered.messages
     frames, poses = messages.get("/camera/image", 0), messages.get("/arm/measured", 0)
-    text = f"{recovered.file}: {frames} frames, {poses} poses, verified"
+    text = f"{recovered.file}: {counted(frames, 'frame')}, {counted(poses, 'pose')}, verified"
     if recovered.frames_s is not None:
         text += f"; last frame {recovered.frames_s:.3f} s after the beginning"
     if recovered.poses_s is not None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cell.files.figure_style import ADDED, MODEL, QUIET, SEEN, laid_out
 from cell.files.page import PagePicture, Plot, page
 from cell.files.table import TableData
+from cell.files.words import counted
 from cell.records.folder import Recorded
 from cell.records.recording import form
 from cell.records.recording.film import drawn
@@ -150,7 +151,9 @@ def _strip(recording: Recording) -> list[PagePicture]:
 def _missing(recording: Recording) -> str:
     """Frames that were not recorded, and why."""
     gaps = recording.json(form.GAP)
-    return "; ".join(f"{g['frames']} frames from {g['first']}: {g['cause']}" for g in gaps)
+    return "; ".join(
+        f"{counted(g['frames'], 'frame')} from {g['first']}: {g['cause']}" for g in gaps
+    )
 
 
 def _seen(record: Recorded) -> list[PagePicture]:

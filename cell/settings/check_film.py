@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from cell.files.input_error import Problem
+from cell.files.words import counted
 from cell.files.yaml_document import Document, Key
 from cell.identify.noise import FEWEST_STILL_FRAMES
 from cell.settings.model import Settings
@@ -22,7 +23,8 @@ def film_problems(document: Document, settings: Settings) -> list[Problem]:
     if at_rest < FEWEST_STILL_FRAMES:
         least_s = math.ceil(100.0 * FEWEST_STILL_FRAMES / rate_hz) / 100.0
         message = (
-            f"{motion.still_s:g} s at {rate_hz:g} Hz makes {at_rest} frames of the cable at rest; "
+            f"{motion.still_s:g} s at {rate_hz:g} Hz makes {counted(at_rest, 'frame')} of "
+            "the cable at rest; "
             f"its noise is known from {FEWEST_STILL_FRAMES} or more, and without them every cable "
             f"is rejected: give {least_s:g} s or more"
         )

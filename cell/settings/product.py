@@ -93,7 +93,7 @@ def product_of_part(patterns: Mapping[str, str | None], part: str) -> str | None
             f"part {part!r} matches part_ids of {' and '.join(found)}; make the patterns narrower"
         )
     if known and not found:
-        said = ", ".join(f"{name} {said!r}" for name, said in known.items())
+        said = ", ".join(f"{name} '{said}'" for name, said in known.items())
         raise ValueError(
             f"part {part!r} matches part_ids of no product: {said}; name the product, or correct "
             "the id or a pattern"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.files.input_error import InputError
+from cell.files.words import counted
 from cell.settings.model import Settings
 from cell.settings.translate import pose_of
 from cell.study.folder import read_grip
@@ -73,7 +74,9 @@ def read_film(
     except (ConnectError, CameraError) as error:
         raise InputError.at(film, f"{error.cause}; {error.remedy}".rstrip("; ")) from error
     if len(frames) < 2:
-        raise InputError.at(film, f"holds {len(frames)} frames; needs a second of a swing")
+        raise InputError.at(
+            film, f"holds {counted(len(frames), 'frame')}; needs a second of a swing"
+        )
     if len({frame.image.shape for frame in frames}) > 1:
         raise InputError.at(film, "its pictures differ in size; give those of one film")
     frames = [replace(frame, t_s=frame.t_s + first_frame_s) for frame in frames]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cell.files.input_error import Problem
+from cell.files.words import counted
 from cell.study.clocks import GAP_S, GAP_STEPS, cut_off, gap
 from cell.study.data import Markers
 from cell.study.exchanged import exchanges
@@ -20,7 +21,7 @@ def check_times(table: Table) -> None:
     """Raise InputError unless every row has its time, the last soon after the first."""
     t_s = table.values[:, 0]
     if len(t_s) < 2:
-        raise table.error(1, None, f"has {len(t_s)} rows, needs at least 2")
+        raise table.error(1, None, f"has {counted(len(t_s), 'row')}, needs at least 2")
     if not np.isfinite(t_s).all():
         row = int(np.argmin(np.isfinite(t_s)))
         raise table.error(table.lines[row], "t_s", f"is {t_s[row]}; every row needs its time")

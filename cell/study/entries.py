@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import AfterValidator
 
 from cell.cable.geometry import Cable, Connector
+from cell.files.words import counted
 from cell.files.yaml_document import Key
 
 #: Beyond these a number is taken for a mistaken unit.
@@ -114,7 +115,10 @@ def _of_arc_length_std(given: Sequence[float], markers: int, length_m: float) ->
     """As many as markers, or one for all; none that is negative or far beyond its marker."""
     key = ("markers", "arc_length_std_m")
     if len(given) not in (0, 1, markers):
-        message = f"has {len(given)} values for {markers} markers; give one for each, or one number"
+        message = (
+            f"has {counted(len(given), 'value')} for {counted(markers, 'marker')}; "
+            "give one for each, or one number"
+        )
         return [(key, message)]
     found: list[Complaint] = []
     limit_m = MAX_ARC_STD_FRACTION * length_m

@@ -11,6 +11,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.still import ROUGHLY_STILL, moves_from_s
 from cell.files.plain import plain
+from cell.files.words import counted
 from cell.study.data import Trial
 
 #: A frequency is told of at least so many swings and frames after the hand has stopped.
@@ -126,7 +127,8 @@ def sensors_in_words(trials: Sequence[Trial]) -> str:
     """The same of several trials, with how many state it; empty if none does."""
     said = [sensor for trial in trials for sensor in sensors_of(trial)]
     return ", ".join(
-        f"{sensor} ({said.count(sensor)} of {len(trials)} trials)" for sensor in dict.fromkeys(said)
+        f"{sensor} ({said.count(sensor)} of {counted(len(trials), 'trial')})"
+        for sensor in dict.fromkeys(said)
     )
 
 

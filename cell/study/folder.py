@@ -15,7 +15,8 @@ from cell.cable.geometry import Cable, Motion, Start
 from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_text
-from cell.files.yaml_document import Document, Key, read_yaml, validate, yaml_text
+from cell.files.words import counted
+from cell.files.yaml_document import Document, Key, document_of, read_yaml, validate, yaml_text
 from cell.study.checks import check_finite, check_reaches, check_times, check_whole
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import TrialName, datasheet_of, implausible_entries
@@ -199,7 +200,7 @@ def study_folder(folder: Path) -> Path:
     return folder
 
 
-def write_study(study: Study, folder: Path, *, recorded: bool = False) -> None:
+def write_study(study: Study, folder: Path | str, *, recorded: bool = False) -> None:
     """Write a study so that `read_study` gives it back to the last bit.
 
     recorded  these are a cycle's measurements: `study.yaml` also holds the rows and the SHA-256 of
@@ -208,8 +209,12 @@ def write_study(study: Study, folder: Path, *, recorded: bool = False) -> None:
     All files are written before the first takes its place, `study.yaml` the last: where the disk is
     full, a reader meets the former study.
 
-    raises  OSError: it cannot be written; nothing has changed
+    raises  ValueError: the study is none that `read_study` accepts; nothing has changed
+            OSError: it cannot be written; nothing has changed
     """
+    folder = Path(folder)
+    if not recorded:
+        check_study(study)
     tables: dict[Path, str] = {}
     for trial in study.trials:
         grip, markers = trial.grip, trial.markers
@@ -223,6 +228,40 @@ def write_study(study: Study, folder: Path, *, recorded: bool = False) -> None:
         )
         if trial.wrench is not None:
             tables[folder / trial.name / WRENCH_FILE] = wrench_text(trial.wrench)
+    header = _header(study)
+    if recorded:
+        header["tables"] = {
+            path.relative_to(folder).as_posix(): _written(text) for path, text in tables.items()
+        }
+    write_all({**tables, folder / "study.yaml": yaml_text(header)})
+
+
+def check_study(study: Study) -> None:
+    """Raises ValueError: names, roles, starts, datasheet or shapes are none that a study can have.
+
+    It says the same of a study made in Python as `read_study` of a file.
+    """
+    document = document_of(yaml_text(_header(study)), Path("study.yaml"))
+    try:
+        header = validate(document, _Study)
+        cable = datasheet_of(header.cable.model_dump(exclude_none=True))
+        if problems := _implausible(document, header, cable):
+            raise InputError(problems)
+    except InputError as error:
+        said = "\n".join(f"study {study.name!r}: {p.key}: {p.message}" for p in error.problems)
+        raise ValueError(said) from error
+    count = len(study.arc_length_m)
+    for trial in study.trials:
+        needed = (len(trial.markers.t_s), count, 2)
+        if trial.markers.xy_m.shape != needed:
+            raise ValueError(
+                f"trial {trial.name!r}: markers.xy_m has shape {trial.markers.xy_m.shape}, needs "
+                f"{needed}: a row per time of t_s, an x and a y per marker of arc_length_m"
+            )
+
+
+def _header(study: Study) -> dict[str, object]:
+    """What `study.yaml` says of a study."""
     header: dict[str, object] = {
         "format": FORMAT,
         "name": study.name,
@@ -235,11 +274,7 @@ def write_study(study: Study, folder: Path, *, recorded: bool = False) -> None:
     if entry := sensor_entry(study.sensor):
         header["wrench"] = entry
     header["trials"] = [_trial_entry(t) for t in study.trials]
-    if recorded:
-        header["tables"] = {
-            path.relative_to(folder).as_posix(): _written(text) for path, text in tables.items()
-        }
-    write_all({**tables, folder / "study.yaml": yaml_text(header)})
+    return header
 
 
 def _written(text: str) -> dict[str, object]:
@@ -256,7 +291,11 @@ def _check_as_written(path: Path, said: _WrittenTable | None) -> None:
     if there["sha256"] == said.sha256:
         return
     rows = there["rows"]
-    differs = f"has {rows} rows, {said.rows} were recorded" if rows != said.rows else "was changed"
+    differs = (
+        f"has {counted(rows, 'row')}, {said.rows} were recorded"
+        if rows != said.rows
+        else "was changed"
+    )
     raise InputError.at(
         path,
         f"{differs}: it is not as the cycle wrote it; copy it whole again, or give the cycle's "
@@ -364,7 +403,9 @@ def _read_trial(
     xy_m = table.values[:, 1:].reshape(len(t_s), count, 2)
     if np.isnan(xy_m).all():
         raise table.error(
-            2, None, f"no marker is seen in any of {len(t_s)} rows; remove the trial or its nan"
+            2,
+            None,
+            f"no marker is seen in any of {counted(len(t_s), 'row')}; remove the trial or its nan",
         )
     if t_s[-1] < motion.t_s[0] or t_s[0] > motion.t_s[-1]:
         raise table.error(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cell.files.words import counted
 from cell.study.facts import TrialFacts
 
 #: Frames at rest with which the level of a noise is known to a fifth, at two coordinates.
@@ -71,7 +72,8 @@ def _of_trial(facts: TrialFacts, stated_noise: bool) -> list[str]:
             return found  # and what a swing should be is of no interest
     if facts.rest_frames < _STILL and facts.start != "moving" and not stated_noise:
         found.append(
-            f"{facts.rest_frames} frames show the cable at rest; record {_STILL} or more before "
+            f"{counted(facts.rest_frames, 'frame shows', 'frames show')} the cable at rest; "
+            f"record {_STILL} or more before "
             "the motion, for the noise is known from these"
         )
     if facts.seen < _SEEN:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_text
+from cell.files.words import counted
 
 #: A minute at 1000 rows a second, and what 100 markers need for it.
 MAX_ROWS = 60_000
@@ -56,7 +57,8 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
     rows_given = text.count("\n")
     if rows_given > MAX_ROWS:
         message = (
-            f"has {rows_given} rows, limit {MAX_ROWS}; cut it to the motion and the swing after "
+            f"has {counted(rows_given, 'row')}, limit {MAX_ROWS}; cut it to the motion and "
+            "the swing after "
             "it, a few seconds, or leave out rows: 200 a second are plenty"
         )
         raise _error(path, MAX_ROWS, "", message)

@@ -11,6 +11,7 @@ from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
+from cell.files.words import counted
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
@@ -269,7 +270,9 @@ def on_all(
     raises  UnsimulatedError: nor can they be simulated then
     """
     each_s = sum(simulated_s(cable) for cable in prepared) * (1 + best.fit.own + len(best.names))
-    options = budget.passes(each_s, ALL_PASSES, f"the fit of {best.name} to {len(prepared)} cables")
+    options = budget.passes(
+        each_s, ALL_PASSES, f"the fit of {best.name} to {counted(len(prepared), 'cable')}"
+    )
 
     def fitted(begin: FloatArray) -> SharedFit:
         q = begin.copy()

@@ -12,6 +12,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import Cable
 from cell.cable.solver import threads
+from cell.files.words import counted
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.individual import IdentifyOptions
 from cell.identify.parameters import ParameterSpace
@@ -265,7 +266,7 @@ class _LearningSpace:
         """The result with the best of these, fitted to all cables."""
         search = self.search
         simpler = before.baseline if before.best is None else before.best.fit
-        search.progress(f"fitting {tried[0].name} to {len(self.prepared)} cables")
+        search.progress(f"fitting {tried[0].name} to {counted(len(self.prepared), 'cable')}")
         tied = tuple(t.effect.name for t in tried[1:] if is_tied(t, tried[0]))
         best = on_all(self.prepared, search.base, self.plausible, simpler, tried[0], search.budget)
         values, std = best.fit.by_cable

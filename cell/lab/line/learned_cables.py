@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
+from cell.files.words import counted
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason, identify
 from cell.lab.data.cycles import RecordedCycle
@@ -70,7 +71,7 @@ def identified_cables(
 ) -> list[tuple[RecordedCycle, Identified]]:
     """Cycles with what each says of its own cable; what says nothing is left out, and told."""
     usable = []
-    progress(f"identifying {len(cycles)} cables")
+    progress(f"identifying {counted(len(cycles), 'cable')}")
     with closing(executor.map(_IdentifiedBy(cable, options), cycles)) as results:
         for cycle, result in zip(cycles, results, strict=True):
             found = result.value

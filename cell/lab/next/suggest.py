@@ -16,6 +16,7 @@ from scipy.special import ndtr as normal_cdf
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
+from cell.files.words import counted
 from cell.identify.differences import difference_points
 from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.whitener import Whitener
@@ -81,12 +82,15 @@ def _what_would_help(found: Suggestion, prepared: PreparedStudy) -> str:
     noise_mm = prepared.noise.std_m * 1e3
     helps = []
     if lacking <= MOST_REPEATED:
-        helps.append(f"the best one {int(np.ceil(lacking))} times over, each as a trial")
+        helps.append(f"the best one {counted(int(np.ceil(lacking)), 'time')} over, each as a trial")
     if lacking <= MOST_REPEATED**2:
         helps.append(f"noise of {noise_mm / np.sqrt(lacking):.2g} mm instead of {noise_mm:.2g} mm")
     if refused := sum(found.refused.values()):
         wider = ", ".join(f"{count} for the {why}" for why, count in found.refused.items())
-        helps.append(f"room for the {refused} motions that were refused, {wider}")
+        helps.append(
+            f"room for the {counted(refused, 'motion that was', 'motions that were')} "
+            f"refused, {wider}"
+        )
     helps.append(
         "measuring what sets them apart in another way (weigh the cable, look at the jaws)"
     )

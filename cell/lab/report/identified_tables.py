@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cell.files.table import TableData
+from cell.files.words import counted
 from cell.lab.line.identify_all import IdentifiedAll
 
 #: What is said of each way in which a result stands beside that of then.
@@ -24,7 +25,8 @@ def identified_parts(found: IdentifiedAll, table: Path) -> list[str | TableData]
     counts = ", ".join(f"{count} {name}" for name, count in sorted(found.outcomes.items()))
     known = f" ({found.known} known from before)" if found.known else ""
     return [
-        f"{found.done} of {found.recordings} recordings{known}: {counts or 'none'}; in {table}",
+        f"{found.done} of {counted(found.recordings, 'recording')}{known}: "
+        f"{counts or 'none'}; in {table}",
         *([_compared(found)] if found.done else []),
         *([_moved(found)] if found.moved else []),
         *([_unidentified(found)] if found.unidentified else []),

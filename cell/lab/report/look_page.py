@@ -11,6 +11,7 @@ import numpy as np
 
 from cell.files.page import Plot, page
 from cell.files.table import TableData
+from cell.files.words import counted
 from cell.lab.report.look_figures import courses, film_strip, swing_figure
 from cell.lab.report.wrench_report import wrench_facts_table, wrench_figure
 from cell.study.data import Trial
@@ -129,7 +130,7 @@ def facts_table(look: StudyOverview) -> TableData:
         ]
         for f in look.facts
     ]
-    title = f"{look.name}: {len(look.trials)} trials"
+    title = f"{look.name}: {counted(len(look.trials), 'trial')}"
     return TableData(title, FACT_HEADS, rows, range(2, len(FACT_HEADS) - 1))
 
 

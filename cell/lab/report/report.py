@@ -12,6 +12,7 @@ import numpy as np
 from cell.files.figure_style import ADDED, BETWEEN, MODEL
 from cell.files.page import Plot, page
 from cell.files.table import TableData
+from cell.files.words import counted
 from cell.identify.identified import Identified
 from cell.lab.data.results import Diagnosis
 from cell.lab.next.advice import NextStep, meaning
@@ -218,8 +219,8 @@ def _facts(comparison: Comparison) -> str:
     said = sensors_in_words(study.trials)
     counts = f"{len(study.role('fit'))} fitted, {len(study.role('validate'))} held out"
     return (
-        f"{len(study.trials)} trials ({counts}), {markers} "
-        f"marker{'s' * (markers > 1)} on {study.cable.free_length_m * 1e3:.0f} mm of cable; "
+        f"{counted(len(study.trials), 'trial')} ({counts}), {counted(markers, 'marker')} on "
+        f"{study.cable.free_length_m * 1e3:.0f} mm of cable; "
         f"{noise_in_words(comparison)}{said and f'; {said}'}. Errors are rms per coordinate."
     )
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cell.cable.effects.base import after_number
+from cell.files.words import counted
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import (
     Agreement,
@@ -138,7 +139,10 @@ def noise_like(noise_mm: float, final: Comparison | None) -> str:
     if final is None:
         return f"camera noise ({short(noise_mm)} mm)"
     patterns, trials = final.patterns(), len(final.where)
-    seen = f"in {patterns} of {trials} trials it has a pattern, too small to identify its cause"
+    seen = (
+        f"in {patterns} of {counted(trials, 'trial')} it has a pattern, too small to "
+        "identify its cause"
+    )
     if not final.noise_is_stated:
         return (
             f"camera noise ({short(noise_mm)} mm)"

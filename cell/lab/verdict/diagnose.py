@@ -6,6 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cell.files.words import counted
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.lab.data.check import worst_verdict
 from cell.lab.data.prepared import PreparedStudy
@@ -197,7 +198,8 @@ def _so_far(fits: FitCache, rules: Rules, error: WorkStoppedError) -> Examinatio
     base = fits.baseline()
     tried = sum(len(c.names) == len(base.names) + 1 for c in fits.known())
     doubt = ended_doubt(
-        isinstance(error, SpentError), f"{tried} effects were fitted so far, nothing is confirmed"
+        isinstance(error, SpentError),
+        f"{counted(tried, 'effect was', 'effects were')} fitted so far, nothing is confirmed",
     )
     return _unsearched(fits, base, rules, "cannot_tell", doubt)
 

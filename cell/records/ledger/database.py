@@ -40,6 +40,11 @@ def url_of(place: str | Path) -> URL:
     if isinstance(place, Path) or "://" not in place:
         path = Path(place)
         if path.suffix != _SUFFIX:  # beside the folder, as its log
+            if path.is_file():
+                raise LedgerError(
+                    f"{path} is a file, and none named *{_SUFFIX}: give a folder of records, a "
+                    "ledger's file, or a database's URL"
+                )
             try:
                 path = named_folder(path)
             except ValueError as error:

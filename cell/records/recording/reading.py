@@ -20,6 +20,7 @@ from mcap.stream_reader import CRCValidationError
 from zstandard import ZstdError
 
 from cell.files.input_error import InputError
+from cell.files.words import counted
 from cell.records.recording import form
 from drivers.interfaces import Frame, Trajectory
 
@@ -93,7 +94,8 @@ class Recording:
     def losses(self) -> tuple[str, ...]:
         """What was measured and is not in it: left out while recording, or not recovered."""
         gaps = [
-            f"{gap['frames']} frames are missing: {gap['cause']}" for gap in self.json(form.GAP)
+            f"{counted(gap['frames'], 'frame is', 'frames are')} missing: {gap['cause']}"
+            for gap in self.json(form.GAP)
         ]
         damaged = int(self.closed.get(form.DAMAGED_BYTES, "0"))
         lost = [f"{damaged} damaged bytes could not be recovered"] if damaged else []

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable, Motion
 from cell.files.input_error import InputError, Problem
+from cell.files.words import counted
 from cell.files.yaml_document import Key
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
@@ -202,7 +203,7 @@ def times_s(capture: Capture, section: TimeSection) -> FloatArray:
     """(rows,) times.  Raises InputError: one is missing, repeated or before the one above it."""
     raw = capture.column(section.column)
     if len(raw) < 2:
-        raise capture.error(0, f"has {len(raw)} rows, needs at least 2")
+        raise capture.error(0, f"has {counted(len(raw), 'row')}, needs at least 2")
     if not np.isfinite(raw).all():
         row = int(np.argmin(np.isfinite(raw)))
         raise capture.error(row, "is empty; every row needs its time", section.column)

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from cell.cable.geometry import Start
 from cell.files.input_error import InputError, Problem
+from cell.files.words import counted
 from cell.files.yaml_document import Document, Key, read_yaml, validate
 from cell.study.entries import TrialName
 from cell.study.hand_drift import HandDriftSection
@@ -239,7 +240,9 @@ def _axes(document: Document, mapping: Mapping) -> list[Problem]:
             continue
         for point, columns in points:
             if len(columns) != len(right):
-                message = f"names {len(columns)} columns, the axes {len(right)}; give as many"
+                message = (
+                    f"names {counted(len(columns), 'column')}, the axes {len(right)}; give as many"
+                )
                 problems.append(document.problem((*point, "columns"), message))
         for name, vector in (("right", right), ("up", up)):
             if abs(np.linalg.norm(vector) - 1.0) > NOT_SQUARE:

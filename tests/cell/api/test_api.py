@@ -9,7 +9,7 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from cell.files.input_error import InputError
 #: Public functions as users call them: a change here is a change of version.
 SIGNATURES = {
     "read_study": "(folder: 'Path | str') -> 'Study'",
-    "write_study": "(study: 'Study', folder: 'Path') -> 'None'",
+    "write_study": "(study: 'Study', folder: 'Path | str', *, recorded: 'bool' = False) -> 'None'",
     "fit": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
     "prior: 'Path | str | None' = None, config: 'Path | str | None' = None, "
     "progress: 'Progress' = <function no_progress>) -> 'FitResult'",
@@ -224,3 +224,23 @@ def test_bad_input_is_refused_as_by_the_command(tmp_path: Path) -> None:
         cell.fit(tmp_path)
     with pytest.raises(ValueError, match="did you mean 'tip_mass'"):
         cell.fit(tmp_path, effects=["tip_mas"])
+
+
+def test_a_study_made_in_python_is_checked_as_one_of_a_file(folder: Path) -> None:
+    """A cable of 100 m, for millimetres, was fitted without a word."""
+    study = cell.read_study(folder)
+    long = replace(study, cable=replace(study.cable, free_length_m=100.0))
+    twice = replace(study, trials=(study.trials[0], study.trials[0]))
+    for wrong, said in ((long, "give metres, not millimetres"), (twice, "is also trial 1")):
+        for work in (cell.fit, cell.diagnose, cell.suggest):
+            with pytest.raises(ValueError, match=said):
+                work(wrong)
+
+
+def test_what_is_of_another_kind_is_named(folder: Path) -> None:
+    with pytest.raises(TypeError, match=r"is a table; give a list.*'air_drag=2'"):
+        cell.power(folder, {"air_drag": 2.0})  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"models: 3 is none; give a result of `cell\.fit`"):
+        cell.compare(folder, [3])  # type: ignore[list-item]
+    with pytest.raises(TypeError, match=r"cable\.free_length_m = '0\.1': must be a number"):
+        cell.Cable("0.1", 0.0074, 0.016, 1e-4)  # type: ignore[arg-type]

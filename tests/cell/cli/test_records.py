@@ -110,11 +110,33 @@ def test_a_time_before_the_calendar_is_none(runs: Path, said: str) -> None:
         assert not isinstance(done.exception, OverflowError)
 
 
+@pytest.mark.parametrize("command", ["history", "actions"])
+def test_nothing_can_have_been_since_a_time_to_come(runs: Path, command: str) -> None:
+    done = cell(command, "--ledger", runs, "--since", "2999-01-01")
+    assert (done.exit_code, "2999-01-01: is to come" in done.stderr) == (2, True)
+
+
+def test_times_that_exclude_each_other_are_refused(runs: Path) -> None:
+    done = cell("history", "--ledger", runs, "--since", "1d", "--until", "2d")
+    assert (done.exit_code, "is not before --until 2d" in done.stderr) == (2, True)
+
+
+def test_a_file_that_is_no_ledger_is_named_as_it_is_given(runs: Path) -> None:
+    """`settings.yaml.sqlite` was called missing, which nobody had named."""
+    done = cell("history", "--ledger", CONFIG)
+    assert (done.exit_code, f"{CONFIG} is a file, and none named" in done.stderr) == (2, True)
+
+
 def test_a_status_without_a_cell_is_json_too(tmp_path: Path) -> None:
     done = cell("status", "--runs", tmp_path, "--json")
     said = json.loads(done.stdout)
     assert (done.exit_code, said["state"]) == (3, None)
     assert "no cell runs" in said["cause"]
+
+
+def test_one_cycle_is_one_cycle(runs: Path, tmp_path: Path) -> None:
+    done = cell("history", "--ledger", tmp_path / "new", "--import", runs)
+    assert "1 of 1 cycle is new to the ledger" in done.stdout
 
 
 def test_faults_and_shifts_are_two_answers(runs: Path) -> None:

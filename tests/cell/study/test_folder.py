@@ -299,7 +299,7 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("identify/grip.csv", cell(2, 1, ""), "grip.csv:3: x_m: nan is not a number; the grip"),
     ("identify/grip.csv", lines(lambda r: [r[0], r[1], r[1]]), "grip.csv:3: t_s: "),
     ("identify/grip.csv", lines(lambda r: [r[0], r[2], r[1]]), "comes after"),
-    ("identify/grip.csv", lines(lambda r: r[:2]), "has 1 rows, needs at least 2"),
+    ("identify/grip.csv", lines(lambda r: r[:2]), "has 1 row, needs at least 2"),
     ("identify/grip.csv", lambda text: text.replace(",", ";"), "separated by commas"),
     ("identify/markers.csv", cell(3, 2, "1,5"), "markers.csv:4: has 8 cells, the header has 7"),
     (
@@ -417,3 +417,36 @@ def test_a_recorded_table_may_be_cut_on_purpose(tmp_path):
     assert len(read_study(tmp_path).trials[0].markers.t_s) == 5
     write_study(study(), tmp_path)
     assert "tables" not in header.read_text()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (study(trial("../away")), r"trials\[0\]\.name: '\.\./away' names a folder"),
+        (study(trial(""), trial("b")), r"trials\[0\]\.name: '' names a folder"),
+        (study(trial("a"), trial("a", seed=1)), r"trials\[1\]\.name: 'a' is also trial 1"),
+        (
+            study(replace(trial(), role="train")),
+            r"trials\[0\]\.role: input should be 'fit' or 'validate' \(got 'train'",
+        ),  # type: ignore[arg-type]
+        (
+            study(replace(trial(), start="rest")),
+            r"trials\[0\]\.start: input should be 'equilibrium'.*got 'rest'",
+        ),  # type: ignore[arg-type]
+        (study(trial(markers=2)), r"xy_m has shape \(5, 2, 2\), needs \(5, 3, 2\)"),
+        (replace(study(), cable=Cable(100, 0.0074, 0.016, 1e-4)), "give metres, not millimetres"),
+        (replace(study(), trials=()), r"trials: "),
+    ],
+)
+def test_a_study_that_no_reader_accepts_is_not_written(
+    wrong: Study, said: str, tmp_path: Path
+) -> None:
+    """`../away` was written outside the folder, and of two trials of one name one was kept."""
+    with pytest.raises(ValueError, match=said):
+        write_study(wrong, tmp_path / "study")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_folder_may_be_given_as_text(tmp_path: Path) -> None:
+    write_study(study(), str(tmp_path / "study"))
+    same(read_study(tmp_path / "study"), study())
