@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -67,7 +66,7 @@ class Cable:
         for name, value in vars(self).items():
             if name == "connector":
                 continue
-            if not isinstance(value, Real):
+            if not isinstance(value, int | float | np.integer | np.floating):
                 raise TypeError(f"cable.{name} = {value!r}: must be a number")
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"cable.{name} = {value}: must be finite and > 0")

@@ -291,11 +291,7 @@ def _check_as_written(path: Path, said: _WrittenTable | None) -> None:
     if there["sha256"] == said.sha256:
         return
     rows = there["rows"]
-    differs = (
-        f"has {counted(rows, 'row')}, {said.rows} were recorded"
-        if rows != said.rows
-        else "was changed"
-    )
+    differs = f"has {rows} rows, {said.rows} were recorded" if rows != said.rows else "was changed"
     raise InputError.at(
         path,
         f"{differs}: it is not as the cycle wrote it; copy it whole again, or give the cycle's "
