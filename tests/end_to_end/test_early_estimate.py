@@ -27,9 +27,16 @@ from cell.records.result import Outcome, Result
 from cell.run import early_estimate, jobs, steps
 from cell.run.findings import Filming
 from cell.settings import Settings
-from cell.settings.model import Hold
+from cell.settings.model import Hold, StartSettings
 
 Live = Callable[..., SimpleNamespace]
+
+
+@pytest.fixture
+def quick(quick: Settings) -> Settings:
+    """Every insertion begins at once: what is found is compared number by number."""
+    motion = quick.motion.model_copy(update={"start": StartSettings()})
+    return quick.model_copy(update={"motion": motion})
 
 
 def test_frames_are_looked_at_while_the_hand_still_moves(

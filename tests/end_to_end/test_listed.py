@@ -155,6 +155,7 @@ def test_a_fault_is_listed_with_its_code(quick: Settings, tmp_path: Path) -> Non
 
     cell = build_cell(quick, tmp_path / "runs", seed=1, cycles=1, on_step=on_step)
     result = cell.run_cycle(1, part="P")
+    cell.come_to_rest()
     cell.acknowledge("Ada", "was only tried")
     assert cell.prepare(2) is None
     cell.command(MachineEvent.STOP, "lunch")

@@ -317,7 +317,7 @@ def test_a_bundle_is_what_a_maker_needs(recorded, quick_config, tmp_path):
 
 def test_a_hold_that_ended_early_is_replayed(tmp_path, recorded_config):
     """With other settings that ask for more frames than were filmed, the replay says so."""
-    hold = ("hold_s: 0.4", "hold: {least_s: 0.4, most_s: 1.0}")
+    hold = ("hold_s: 0.4", "start: {}\n  hold: {least_s: 0.4, most_s: 1.0}")
     config = changed(recorded_config, tmp_path / "hold.yaml", [hold])
     done = run("run", "--config", config, "--cycles", "1", "--out", tmp_path / "runs", "--json")
     result = json.loads(done.stdout.splitlines()[0])

@@ -160,7 +160,7 @@ def test_a_cycle_that_was_killed_before_it_measured_is_left_out_and_said(record,
     runs = [str(folder) for folder in (good, without_study, without_state)]
     found = CliRunner().invoke(app, ["study", *runs, "-o", str(tmp_path / "together")])
     assert found.exit_code == 0, found.output
-    assert "3 trials of 1 cycles" in found.stdout
+    assert "3 trials of 1 cycle" in found.stdout
     for killed in (without_study, without_state):
         assert f"left out: {killed}: nothing was measured" in found.stderr
     none = CliRunner().invoke(app, ["study", *runs[1:], "-o", str(tmp_path / "nothing")])

@@ -424,12 +424,12 @@ def test_a_place_that_cables_together_miss_is_found_from_each_alone(
     made = cycles_of(SETTINGS, task, 41, numbers, [magnet])
     cycles = [recorded_cycle(task, n, c) for n, c in zip(numbers, made, strict=True)]
     laws = laws_in(tmp_path / "laws", [c.study for c in cycles]).effects
-    result = learn(cycles, task.cable, task.identification, {"point": laws["point"]})
+    result = learn(cycles, task.cable, task.identification, {"law_point": laws["law_point"]})
     assert result.best is not None
     fit = result.best.fit
     found = dict(zip(result.best.names, fit.theta, strict=True))
-    assert found["point.point_x_m"] == pytest.approx(-0.11, abs=0.012)
-    assert found["point.point_y_m"] == pytest.approx(-0.09, abs=0.012), "it was at −0.108"
+    assert found["law_point.point_x_m"] == pytest.approx(-0.11, abs=0.012)
+    assert found["law_point.point_y_m"] == pytest.approx(-0.09, abs=0.012), "it was at −0.108"
     assert fit.rms_m < 5e-5, "it was 0.31 mm"
 
 

@@ -9,6 +9,7 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.data.work import Work
 from cell.lab.fit.fitting import space_with
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict import nearest, partial, rivals
@@ -161,7 +162,7 @@ def test_singles_are_compared_when_their_fits_are_finished():
         asked.append(len(effects))
         return [single(e.name, 0.35) for e in effects]
 
-    ended = partial._finished(SimpleNamespace(fit_extended=add), base, initial_states)
+    ended = partial._finished(SimpleNamespace(fit_extended=add, work=Work()), base, initial_states)
     assert [c.chi2 for c in ended] == [0.35, 0.35, 0.35, 0.35, 0.31]
     assert [c.names for c in ended] == [c.names for c in initial_states]
     assert asked == [3, 1]

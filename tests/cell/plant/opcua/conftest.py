@@ -168,7 +168,7 @@ class Site:
     port: int
     folder: Path
     runs: Path
-    loop: asyncio.AbstractEventLoop
+    loop: asyncio.AbstractEventLoop | None = None
 
     @asynccontextmanager
     async def connected(

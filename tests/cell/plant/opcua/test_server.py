@@ -183,6 +183,7 @@ def test_a_call_that_waited_at_a_halted_server_is_refused(stopped: Site) -> None
             halted.set()
             time.sleep(1.3)
 
+        assert stopped.loop is not None
         stopped.loop.call_soon_threadsafe(halt)
         await asyncio.to_thread(halted.wait)
         assert await seen.call(f"{MACHINE}.Reset") == "BadTimeout"
