@@ -29,26 +29,26 @@ CELL = """
 import sys, time
 from pathlib import Path
 from cell.plant.link import Link
-from cell.plant.messages import Answer, Kind, Status
-from cell.run.machine import CellState, Event, EventRefusedError, Machine
+from cell.plant.messages import CommandReply, MessageKind, Status
+from cell.run.machine import CellState, MachineEvent, EventRefusedError, Machine
 
 def told(state):
     since = {'state': state.value, 'step': None, 'since': time.time()}
-    link.publish(Kind.STATE, since)
+    link.publish(MessageKind.STATE, since)
 
 def obey(request):
     try:
         machine.send(request.command)
     except EventRefusedError as error:
-        return Answer(False, machine.state, str(error))
+        return CommandReply(False, machine.state, str(error))
     print(request.command.value, flush=True)
-    while machine.state is not CellState.EXECUTE and machine.can(Event.DONE):
-        machine.send(Event.DONE)
-    return Answer(True, machine.state)
+    while machine.state is not CellState.EXECUTE and machine.can(MachineEvent.DONE):
+        machine.send(MachineEvent.DONE)
+    return CommandReply(True, machine.state)
 
 machine = Machine(time.monotonic, told)
 with Link(Path(sys.argv[1]), Status('', 0, CellState.STOPPED, time.time()), obey) as link:
-    for event in (Event.RESET, Event.DONE):
+    for event in (MachineEvent.RESET, MachineEvent.DONE):
         machine.send(event)
     print('ready', flush=True)
     sys.stdin.read()

@@ -36,13 +36,13 @@ import sys
 from pathlib import Path
 from cell.plant import connection
 from cell.plant.link import Link
-from cell.plant.messages import Kind, Status
+from cell.plant.messages import MessageKind, Status
 from cell.run.machine import CellState
 connection.HEARTBEAT_S = 0.1
 with Link(Path(sys.argv[1]), Status('', 0, CellState.IDLE, 0.0), None) as link:
     print(flush=True)
     for line in sys.stdin:
-        link.publish(Kind.PRODUCT, {'product': line.strip()})
+        link.publish(MessageKind.PRODUCT, {'product': line.strip()})
 """
 
 
