@@ -58,7 +58,7 @@ from cell.lab.report.learning_tables import learning_lines
 from cell.lab.search.setup import fit_cache_of, read_kind
 from cell.records.folder import Record
 from cell.settings import load_settings
-from cell.settings.model import ModelSettings
+from cell.settings.model import ModelSettings, StartSettings
 from cell.settings.promotion import read_candidate
 from cell.settings.surroundings import Surroundings
 from cell.settings.translate import identification_of
@@ -73,7 +73,11 @@ from tools.worlds.rigs import rig_study
 
 ROOT = Path(__file__).parents[4]
 CONFIG = ROOT / "config" / "fake.yaml"
-SETTINGS = load_settings(CONFIG)
+_SHIPPED = load_settings(CONFIG)
+#: Every insertion begins at once: the cycles learned from are known to the last bit.
+SETTINGS = _SHIPPED.model_copy(
+    update={"motion": _SHIPPED.motion.model_copy(update={"start": StartSettings()})}
+)
 TRIED = {n: library()[n] for n in ("air_drag", "tip_mass")}
 #: Coarser than the line's, for half of its time: 0.035 mm are left where a magnet pulls.
 COARSE = Solver(segments=16, step_s=3e-3)
