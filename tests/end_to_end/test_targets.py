@@ -78,12 +78,12 @@ TABLE: dict[str, Small | ByTest | OfCI] = {
     "calibration-study": Small("ARGS='--setups 1 -o {out}/c.csv'", writes="c.csv"),
     "malformed": ByTest("end_to_end/test_malformed.py::"
                         "test_a_spoilt_file_is_refused_with_its_place_or_used"),
-    "endurance": Small("ARGS='--cycles 2 --host 127.0.0.83'", "2"),
+    "endurance": ByTest("end_to_end/test_emulated.py::test_a_cable_is_inserted_by_the_one_command"),
     "insertion": Small(
         "ARGS='{out}/i.csv --cables 1 --half-mm 2 --ways pace short_hold'", "complete", "i.csv"
     ),
     "plant": Small("ARGS='--only mqtt --quick'", "mqtt"),
-    "pages": Small("ARGS='--hours 0.01'", "MiB"),
+    "pages": Small("ARGS='--hours 0.2 --speed 60'", "MiB"),
     "kills": Small("ARGS='{out}/k.csv --kills 1'", "1", "k.csv"),
     "clean": ByTest("end_to_end/test_targets.py::test_what_was_installed_is_removed"),
 }  # fmt: skip

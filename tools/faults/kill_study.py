@@ -213,9 +213,10 @@ def table(kills: list[Kill]) -> str:
     for what, lost_ms in (("poses", poses_ms), ("frames", frames_ms)):
         within = sum(lost <= MOST_LOST_S * 1e3 for lost in lost_ms)
         lines.append(
-            f"{what}: {within} of {len(lost_ms)} up to {MOST_LOST_S * 1e3:.0f} ms before; "
-            f"median {lost_ms[len(lost_ms) // 2]:.0f} ms, largest {lost_ms[-1]:.0f} ms"
-        )
+            f"{what}: {within} of {len(lost_ms)} up to {MOST_LOST_S * 1e3:.0f} ms before"
+            + (f"; median {lost_ms[len(lost_ms) // 2]:.0f} ms, largest {lost_ms[-1]:.0f} ms"
+               if lost_ms else "")
+        )  # fmt: skip
     false = sum(k.listed_wrong for k in kills)
     listed = sum(k.listed for k in kills)
     lines.append(f"ledger: sound every time; {listed} cycles, {false} called finished that are not")
