@@ -54,11 +54,10 @@ compiled-effects: $(VENV)/.dev
 compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests begin at the same time
 	@$(BIN)/pytest -q --collect-only > /dev/null || true  # what is wrong the tests say themselves
 
-tests: $(VENV)/.dev
-	$(MAKE) --no-print-directory -j 2 tests-real-time tests-computing
-	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time' --ignore $(COMPUTING)  # more than cores: many tests wait
+tests: tests-real-time   # alone: nothing computes beside what runs in real time
+	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time'  # more than cores: many tests wait
 
-# Tests in real time leave half of the processor's time; what only computes takes no more than that.
+# A part of its own, for who works on the lab; it takes the processor's spare time.
 COMPUTING := tests/cell/lab
 
 tests-real-time: $(VENV)/.dev
