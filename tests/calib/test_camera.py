@@ -71,7 +71,7 @@ def test_wrong_corners_are_set_aside(eye):
 def test_what_cannot_give_a_lens_is_named(eye):
     rng = np.random.default_rng(1)
     good = views_of(eye, rng)
-    with pytest.raises(TooFewError, match="found in 3 pictures"):
+    with pytest.raises(TooFewError, match="found in 3 of at least 8 pictures"):
         fit_camera(good[:3], BOARD)
     with pytest.raises(BlurredError, match="are blurred"):
         fit_camera([replace(v, blur_px=4.0) for v in good], BOARD)

@@ -156,7 +156,7 @@ def test_what_cannot_give_a_cell_is_named():
     def fit(shown):
         return fit_cell(shown, [], Plate(MARKS_M), *lens, gravity, truth.home, in_plane=True)
 
-    with pytest.raises(TooFewError, match="found in 3 poses"):
+    with pytest.raises(TooFewError, match="found in 3 of at least 8 poses"):
         fit(truth.shown(rng, poses[:3]))
     line = hands(rng, 20, in_plane=True, y_m=(0.0, 1e-4))
     with pytest.raises(OneSidedError, match="on a line"):

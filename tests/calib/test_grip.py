@@ -81,7 +81,7 @@ def test_one_wrong_end_is_set_aside(shapes):
 
 
 def test_four_poses_are_too_few(shapes):
-    with pytest.raises(TooFewError, match="measured in 4 poses, at least 5"):
+    with pytest.raises(TooFewError, match="measured in 4 of at least 5 poses"):
         fit_grip(views(shapes)[:4])
 
 

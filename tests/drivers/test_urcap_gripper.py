@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from drivers.clock import RealClock
-from drivers.emulators.robotiq import GripperFaults, Jaws
+from drivers.emulators.robotiq import Jaws, RobotiqFaults
 from drivers.emulators.urcap import EmulatedUrcap
 from drivers.interfaces import ConnectError, DeviceError, DeviceLostError, DeviceTimeoutError
 from drivers.urcap_gripper import UrcapGripper, UrcapGripperOptions
@@ -73,7 +73,7 @@ def test_a_server_without_sense_is_a_lost_gripper_soon(
     assert UrcapGripperOptions("as shipped").reply_s < 2.0 * GRIPPER_REPLY_S, "and sooner still"
     with pytest.raises(DeviceLostError, match="not connected"):
         gripper.state()
-    urcap.jaws.faults = GripperFaults()
+    urcap.jaws.faults = RobotiqFaults()
     gripper.connect()
     assert not gripper.state().holding
 

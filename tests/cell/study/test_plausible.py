@@ -89,10 +89,6 @@ def only(marker: int, change: Change) -> Change:
         (slower(1000.0), "give seconds, not milliseconds"),
         (slower(200.0), "limit 30 s; give seconds"),
         (
-            lambda s: replace(s, gravity_m_per_s2=(0.0, 9.81)),
-            "study.yaml:8:1: gravity_m_per_s2: [0.0, 9.81] points up",
-        ),
-        (
             lambda s: with_trial(
                 slower(24.0)(s), **{
                     "t_s": s.trials[0].markers.t_s[::60] * 24.0,
