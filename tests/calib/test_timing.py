@@ -70,7 +70,7 @@ def test_what_says_nothing_about_time_is_named():
         camera_latency(stamps_s[:10], seen[:10], hand)
     hidden = seen.copy()
     hidden[20:] = np.nan
-    with pytest.raises(TooFewError, match="found in 20 frames"):
+    with pytest.raises(TooFewError, match="found in 20 of at least 30 frames"):
         camera_latency(stamps_s, hidden, hand)
     still = Trajectory(hand.t_s, 0 * hand.t_s, 0 * hand.t_s, 0 * hand.t_s)
     with pytest.raises(OneSidedError, match="at most"):
