@@ -317,6 +317,7 @@ def test_settings_are_written_a_film_is_seen_and_a_camera_calibrated(
     until(lambda: answers(port))
 
     browser.get(f"{at}/calibration")
+    time.sleep(2.0)  # a command quotes a heartbeat that the page has seen
     page.click("start-camera")
     until(lambda: page.text("guided") == "calibrate camera")
     calibrating = browser.current_window_handle
