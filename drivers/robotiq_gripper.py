@@ -67,7 +67,7 @@ class RobotiqOptions:
 
 
 @dataclass(frozen=True)
-class Status:
+class GripperStatus:
     """What the gripper reports.
 
     activation  3 = active
@@ -99,7 +99,7 @@ class Status:
 
 
 @dataclass(frozen=True)
-class Action:
+class GripperAction:
     """What the gripper is to do; all counts 0 … 255."""
 
     active: bool
@@ -137,11 +137,11 @@ class RobotiqGripper(ABC):
         """Close the connection, leaving the jaws as they are."""
 
     @abstractmethod
-    def _status(self) -> Status:
+    def _status(self) -> GripperStatus:
         """Raises DeviceLostError, the connection being closed then."""
 
     @abstractmethod
-    def _act(self, action: Action) -> None:
+    def _act(self, action: GripperAction) -> None:
         """Raises DeviceLostError, the connection being closed then."""
 
     # --- gripper --------------------------------------------------------------------------------
@@ -199,19 +199,21 @@ class RobotiqGripper(ABC):
         return self._jaws.stroke_m * max(0.0, 1.0 - count / self._jaws.closed_count)
 
     def _activate(self) -> None:
-        self._act(Action(active=False))
+        self._act(GripperAction(active=False))
         self._wait(lambda status: status.activation == 0, "activation", hindering=_NO_FAULT)
-        self._act(Action(active=True))
+        self._act(GripperAction(active=True))
         self._wait(lambda status: status.active, "activation")
 
     def _move(self, count: int, force: int) -> GripperState:
         with self._lock:
-            self._act(Action(True, True, count, _FASTEST, force))
+            self._act(GripperAction(True, True, count, _FASTEST, force))
             # the echo of the request tells the answer to this motion from that to the last one
             self._wait(lambda s: s.requested == count and s.going and not s.moving, "motion")
             return self.state()
 
-    def _wait(self, done: Callable[[Status], bool], what: str, hindering: int = _FAULT) -> None:
+    def _wait(
+        self, done: Callable[[GripperStatus], bool], what: str, hindering: int = _FAULT
+    ) -> None:
         until_s = self._clock.now_s() + self._jaws.motion_s
         while True:
             status = self._status()

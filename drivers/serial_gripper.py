@@ -15,7 +15,7 @@ import minimalmodbus
 import serial
 
 from drivers.interfaces import Clock, DeviceLostError
-from drivers.robotiq_gripper import Action, RobotiqGripper, RobotiqOptions, Status
+from drivers.robotiq_gripper import GripperAction, GripperStatus, RobotiqGripper, RobotiqOptions
 
 T = TypeVar("T")
 
@@ -67,10 +67,10 @@ class SerialGripper(RobotiqGripper):
         self._bus = minimalmodbus.Instrument(line, options.address)
         self._bus.clear_buffers_before_each_transaction = True
 
-    def _status(self) -> Status:
+    def _status(self) -> GripperStatus:
         first, second, third = self._ask(lambda bus: bus.read_registers(_STATUS, 3))
         status = first >> 8
-        return Status(
+        return GripperStatus(
             activation=status >> 4 & 3,
             object=status >> 6 & 3,
             going=bool(status >> 3 & 1),
@@ -79,7 +79,7 @@ class SerialGripper(RobotiqGripper):
             count=third >> 8,
         )
 
-    def _act(self, action: Action) -> None:
+    def _act(self, action: GripperAction) -> None:
         request = (action.active | action.going << 3) << 8
         registers = [request, action.count, action.speed << 8 | action.force]
         self._ask(lambda bus: bus.write_registers(_COMMAND, registers))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from drivers.interfaces import Clock, DeviceLostError
-from drivers.robotiq_gripper import Action, RobotiqGripper, RobotiqOptions, Status
+from drivers.robotiq_gripper import GripperAction, GripperStatus, RobotiqGripper, RobotiqOptions
 
 _CONNECT_S = 2.0
 _LOST_REMEDY = (
@@ -57,11 +57,11 @@ class UrcapGripper(RobotiqGripper):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.settimeout(options.reply_s)
 
-    def _status(self) -> Status:
+    def _status(self) -> GripperStatus:
         with self._lock:
             # the request before its outcome, so that both are of one motion
             requested, going = self._get("PRE"), bool(self._get("GTO"))
-            return Status(
+            return GripperStatus(
                 activation=self._get("STA"),
                 object=self._get("OBJ"),
                 going=going,
@@ -70,7 +70,7 @@ class UrcapGripper(RobotiqGripper):
                 count=self._get("POS"),
             )
 
-    def _act(self, action: Action) -> None:
+    def _act(self, action: GripperAction) -> None:
         request = f"SET ACT {action.active:d} POS {action.count} SPE {action.speed} "
         request += f"FOR {action.force} GTO {action.going:d}"
         answer = self._ask(request)
