@@ -341,11 +341,12 @@ class Jobs:
             partial(self._read_printed, number, process.stdout),
             lambda _: end(process),
         )
-        printing.start()
-        begins = f"{words[0]}: "
-        for line in _lines(process.stderr):
-            self._hear(number, line.removeprefix(begins), progress=line.startswith(begins))
-        printing.join()
+        with process.stdout, process.stderr:
+            printing.start()
+            begins = f"{words[0]}: "
+            for line in _lines(process.stderr):
+                self._hear(number, line.removeprefix(begins), progress=line.startswith(begins))
+            printing.join()
         code = process.wait()
         with self._changed:
             self._process = None

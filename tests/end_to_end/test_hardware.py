@@ -58,6 +58,7 @@ def config(light_config: Path) -> Iterator[Path]:
         yield config
 
 
+@pytest.mark.real_time
 def test_arm_camera_and_gripper_of_the_settings_are_tested(config: Path) -> None:
     some = "logs_what_it_did or stop_in_motion or exactly_the_frames or grips_and_releases"
     code, out = conformance("--hardware", "--config", config, "-k", some, "-rA")

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from pickle import PicklingError
@@ -337,9 +337,17 @@ def test_jobs_whose_thread_dies_have_failed() -> None:
 
 def test_a_job_whose_output_is_read_no_more_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Jobs, "_read_printed", boom)
-    with Jobs(started) as jobs:
+    processes = []
+
+    def start(words: Sequence[str]) -> subprocess.Popen[str]:
+        processes.append(started(words))
+        return processes[0]
+
+    with Jobs(start) as jobs:
         assert jobs.submit(task("import time; time.sleep(60)"), "Ada") == ""
         until(lambda: newest(jobs).state is JobState.FAILED)
+    [process] = processes
+    assert process.stdout is not None and process.stdout.closed
 
 
 @pytest.mark.parametrize("what", ["_follow", "_hear"])
