@@ -1,7 +1,9 @@
 """The cable's curve, compiled: quintic B-splines on a fixed number of intervals.
 
-The same curve as in `curve`, for which see there.  A curve is kept as one polynomial per interval:
-pieces (intervals, 6, 2), lowest power first, of a place that goes from 0 to 1 in every piece.
+A polyline through noisy points is too long.  Here two B-splines x(u), y(u) are fitted by penalised
+least squares to points whose parameter u comes from a smoother curve before, so noise moves points
+across the curve but never along it.  A curve is kept as one polynomial per interval: pieces
+(intervals, 6, 2), lowest power first, of a place that goes from 0 to 1 in every piece.
 """
 
 from __future__ import annotations
@@ -12,8 +14,8 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.vision.compiling import compiled, inline
-from cell.vision.curve import DEGREE, pieces_of_splines, roughness
 
+DEGREE = 5
 INTERVALS = 7  # of the cable's curve: room for the fourth bending mode
 _PENALTY = 1e-10  # keeps the ends of the curve from waving
 _WIDTH = DEGREE + 1  # splines that are not zero in an interval
@@ -24,14 +26,51 @@ _COUNT = INTERVALS + DEGREE
 COLUMN, ROW, STRENGTH, PARAMETER, WEIGHT = range(5)
 
 
+def pieces_of_splines(derivative: int = 0) -> FloatArray:
+    """(INTERVALS, 6, C) from coefficients of splines to those of powers of the place in a piece.
+
+    source  de Boor 1972 (recursion over the degree)
+    """
+    knots = np.clip(np.arange(-DEGREE, INTERVALS + DEGREE + 1), 0, INTERVALS)
+    pieces = np.zeros((INTERVALS, DEGREE + 1, INTERVALS + 2 * DEGREE))
+    first = np.arange(INTERVALS)
+    pieces[first, 0, first + DEGREE] = 1.0
+    for degree in range(1, DEGREE + 1):
+        width = knots[degree:] - knots[:-degree]
+        share = np.where(width > 0, pieces / np.maximum(width, 1), 0.0)
+        times_u = first[:, None, None] * share
+        times_u[:, 1:] += share[:, :-1]
+        rising, falling = times_u - knots[:-degree] * share, knots[degree:] * share - times_u
+        pieces = rising[:, :, :-1] + falling[:, :, 1:]
+    for _ in range(derivative):
+        pieces[:, :-1] = INTERVALS * np.arange(1, DEGREE + 1)[:, None] * pieces[:, 1:]
+        pieces[:, -1] = 0.0
+    return pieces
+
+
+def roughness() -> FloatArray:
+    """(C, C) matrix of ∫ (d³/du³)² du, by Gauss–Legendre quadrature (exact)."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    first = np.arange(INTERVALS)[:, None] / INTERVALS
+    u = (first + (nodes + 1.0) / (2.0 * INTERVALS)).ravel()
+    w = np.tile(weights / (2.0 * INTERVALS), INTERVALS)
+    pieces = pieces_of_splines(3)
+    piece = np.clip(np.floor(u * INTERVALS).astype(int), 0, INTERVALS - 1)
+    place = (u * INTERVALS - piece)[:, None]
+    d3 = np.zeros((len(u), _COUNT))
+    for power in range(DEGREE, -1, -1):
+        d3 = d3 * place + pieces[piece, power]
+    return np.asarray(d3.T @ (w[:, None] * d3), dtype=np.float64)
+
+
 def _splines() -> tuple[FloatArray, FloatArray]:
     """Powers (INTERVALS, 6, 6) of the splines that are not zero in an interval; the penalty.
 
     penalty  (C, C), what is added to the normal equations
     """
-    full = pieces_of_splines(INTERVALS, 0)
+    full = pieces_of_splines()
     pieces = np.stack([full[i, :, i : i + _WIDTH] for i in range(INTERVALS)])
-    return pieces, _PENALTY * roughness(INTERVALS) + 1e-12 * np.eye(_COUNT)
+    return pieces, _PENALTY * roughness() + 1e-12 * np.eye(_COUNT)
 
 
 _PIECES, _PENALTIES = _splines()
