@@ -19,8 +19,7 @@ from cell.run.candidates import Executing
 from cell.run.findings import Findings, required
 from cell.run.jobs import found_by, hurried
 from cell.run.station import Station
-from cell.vision.recording import steady_nodes
-from cell.vision.sighting import Sighting
+from cell.vision.sighting import Sighting, steady_nodes
 from drivers.interfaces import LimitError, TooLateError, Trajectory
 
 _LOG = logging.getLogger(__name__)

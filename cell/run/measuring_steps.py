@@ -13,7 +13,7 @@ from cell.run.station import Station
 from cell.run.steps import KEEP_EVERY_HELD, move_to
 from cell.run.trials import held_trial
 from cell.run.waiting import wait_until
-from cell.vision.recording import why_unseen
+from cell.vision.sighting import why_unseen
 
 #: Share of a measuring motion's frames in which the cable must be seen.
 LEAST_SEEN = 0.8

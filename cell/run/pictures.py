@@ -27,11 +27,11 @@ from cell.vision.annotation import (
     difference_inset,
     legend,
     line,
+    overlay,
     scale_bar,
     title,
 )
 from cell.vision.marks import pixels_per_metre
-from cell.vision.overlay import overlay
 
 #: What the lines of a picture are.
 _NODES_SEEN = ("nodes seen by the camera", SEEN)

@@ -38,7 +38,7 @@ from cell.run.trials import executed_trial, held_trial
 from cell.run.waiting import AHEAD_S, POLL_S, await_rest, check_arm, rest_timeout_s, wait_until
 from cell.run.warm_up import warm_up as warm_up_engine
 from cell.run.warm_up import warm_up_vision
-from cell.vision.recording import why_unseen
+from cell.vision.sighting import why_unseen
 from drivers.interfaces import (
     ArmMode,
     DeviceError,

@@ -14,7 +14,7 @@ from cell.run.findings import FilmedMotion
 from cell.run.station import Task
 from cell.study.data import Markers, Study, Trial
 from cell.vision.marks import pixels_per_metre
-from cell.vision.recording import steady_nodes
+from cell.vision.sighting import steady_nodes
 from drivers.interfaces import Trajectory
 
 #: Error of one coordinate of a node in motion.  At rest less is seen of it, because how the tip

@@ -1,4 +1,4 @@
-"""What makes a picture readable by itself: legend, scale bar, words and a magnified inset."""
+"""Pictures for the record: what was seen and expected, legend, scale bar, words, magnified inset."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.plane import PlaneView
 from cell.cable.arrays import FloatArray
+from cell.vision.sighting import Sighting
 
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
@@ -141,3 +143,33 @@ def difference_inset(
 def _letters(picture: Image) -> float:
     """Size of letters, relative to those in a picture of full width."""
     return float(np.clip(picture.shape[1] / _FULL_PX, 0.45, 2.0))
+
+
+def overlay(
+    image: Image, sighting: Sighting, view: PlaneView, predicted: FloatArray | None = None
+) -> Image:
+    """(H, W, 3) BGR picture: nodes seen green, predicted nodes orange, jaw axis blue, words on top.
+
+    predicted  (nodes, 2) nodes expected at that time, m; nan or None = nothing drawn
+    """
+    picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+    if np.all(np.isfinite(sighting.grip_m)):
+        c, s = np.cos(sighting.clamp_angle_rad), np.sin(sighting.clamp_angle_rad)
+        axis = sighting.grip_m + np.array([[0.0, 0.0], [0.02 * c, 0.02 * s]])
+        line(picture, view.to_pixels(axis), JAW)
+    if sighting.unseen is None:
+        _draw_nodes(picture, view.to_pixels(sighting.nodes_m), SEEN, 5)
+        words = f"t {sighting.t_s:.3f} s  quality {sighting.quality:.2f}"
+        title(picture, [(f"{words}  length {1e3 * sighting.length_m:.2f} mm", SEEN)])
+    else:
+        title(picture, [(f"t {sighting.t_s:.3f} s  unseen: {sighting.unseen.value}", UNSEEN)])
+    if predicted is not None and np.all(np.isfinite(predicted)):
+        # Last and wider, so that what was seen does not hide it.
+        _draw_nodes(picture, view.to_pixels(predicted), PREDICTED, 9)
+    return picture
+
+
+def _draw_nodes(picture: Image, pixels: FloatArray, colour: Colour, radius_px: int) -> None:
+    line(picture, pixels, colour)
+    for u, v in sixteenths(pixels).tolist():
+        cv2.circle(picture, (u, v), radius_px << _SHIFT, colour, 1, cv2.LINE_AA, _SHIFT)

@@ -162,7 +162,7 @@ def _moved(near, pose, marks):  # type: ignore[no-untyped-def]
 
 @compiled
 def body_values(image, view, marks, memory, near, reach):  # type: ignore[no-untyped-def]
-    """The values of `find_body`'s result as a plain tuple; see `frame_nodes.frame_values`."""
+    """The values of `find_body`'s result as a plain tuple; see `detect.frame_values`."""
     found = find_body(image, view, marks, memory, near, reach)
     return found.x_m, found.y_m, found.angle_rad, found.marks, found.rms_m
 

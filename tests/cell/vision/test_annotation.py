@@ -10,8 +10,10 @@ from cell.vision.annotation import (
     difference_inset,
     legend,
     line,
+    overlay,
     scale_bar,
 )
+from cell.vision.detect import VisionOptions, detect
 
 SCALE = 0.0002
 
@@ -64,3 +66,27 @@ def test_points_that_are_not_known_are_left_out_of_a_line() -> None:
     picture = blank()
     line(picture, np.array([[10.0, 10.0], [np.nan, 5.0], [60.0, 10.0]]), SEEN)
     assert (np.abs(picture[10, 12:58].astype(int) - SEEN) < 20).all()
+
+
+def test_nodes_and_prediction_are_drawn_where_they_are(view, make_cable, photograph_of):
+    held = make_cable((0.05, 0.03, 0.1), lambda u: 10.0 * (1.0 - u))
+    image = photograph_of(held)
+    sighting = detect(image, 0.25, view, VisionOptions(free_length_m=0.1))
+    before = image.copy()
+    predicted = sighting.nodes_m + np.array([0.0, 0.01])
+    picture = overlay(image, sighting, view, predicted)
+    assert picture.shape == (*image.shape, 3)
+    assert picture.dtype == np.uint8
+    assert np.array_equal(image, before)
+    for nodes, channel in ((sighting.nodes_m, 1), (predicted, 2)):
+        column, row = np.rint(view.to_pixels(0.5 * (nodes[4] + nodes[5]))).astype(int)
+        patch = picture[row - 2 : row + 3, column - 2 : column + 3].astype(int)
+        assert (patch[..., channel] - patch[..., 0]).max() > 60
+
+
+def test_a_reason_is_written_where_nothing_was_seen(view):
+    image = np.zeros((1024, 1280), np.uint8)
+    sighting = detect(image, 0.0, view, VisionOptions(free_length_m=0.1))
+    picture = overlay(image, sighting, view)
+    assert picture[:50].max() > 200
+    assert picture[60:].max() == 0

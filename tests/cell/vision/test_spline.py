@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -35,10 +37,7 @@ def fitted(u, points, weights):
 def test_roughness_is_the_integral_of_the_third_derivative_squared():
     third = SPLINES.derivative(3)
     ends = np.linspace(0.0, 1.0, INTERVALS + 1)
-    parts = [
-        quad_vec(lambda u: np.outer(third(u), third(u)), a, b)[0]
-        for a, b in zip(ends[:-1], ends[1:], strict=True)
-    ]
+    parts = [quad_vec(lambda u: np.outer(third(u), third(u)), a, b)[0] for a, b in pairwise(ends)]
     np.testing.assert_allclose(roughness(), sum(parts), rtol=1e-9, atol=1e-6)
 
 

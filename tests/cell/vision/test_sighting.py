@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cell.vision.recording import steady_nodes, why_unseen
-from cell.vision.sighting import Sighting, Unseen
+from cell.vision.sighting import Sighting, Unseen, steady_nodes, why_unseen
 
 
 def sighting(length_m: float, unseen: Unseen | None = None) -> Sighting:
