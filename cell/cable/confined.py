@@ -11,12 +11,11 @@ import numpy as np
 
 from cell.cable.dynamics import simulate
 from cell.cable.effects import compiled
-from cell.cable.effects.base import CableData, Effect, HandMotion
+from cell.cable.effects.base import CableData, Effect, EffectError, HandMotion
 from cell.cable.effects.check import HOOKS
 from cell.cable.effects.compiled import loops_of
 from cell.cable.effects.library import library, load_source, try_source, unscreened
 from cell.cable.effects.own import COMPILED, first_line, run_engine
-from cell.cable.effects.refused import EffectError
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.statics import balance

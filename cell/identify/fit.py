@@ -9,10 +9,10 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import Beginning, simulate, simulate_each, simulate_gauged
+from cell.cable.geometry import moves_from_s
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver
 from cell.cable.statics import UnsettledError
-from cell.cable.still import moves_from_s
 from cell.cable.wrench import Gauge, RowMeans
 from cell.identify import gauss_newton
 from cell.identify.hand import HandErrors, likely_motions

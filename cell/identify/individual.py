@@ -11,8 +11,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
-from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion
-from cell.cable.still import moves_from_s
+from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion, moves_from_s
 from cell.identify.fit import FitError, FitOptions, fit, still_noise
 from cell.identify.hand import HandErrors, align_motion
 from cell.identify.identified import Identified

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.geometry import Motion
-from cell.cable.still import moves_from_s
+from cell.cable.geometry import Motion, moves_from_s
 
 #: Fewest still frames of a trial from which noise is estimated.
 FEWEST_STILL_FRAMES = 8

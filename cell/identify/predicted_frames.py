@@ -9,9 +9,8 @@ from numba import njit
 
 from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
-from cell.cable.geometry import Motion
+from cell.cable.geometry import STILL, Motion
 from cell.cable.solver import Solver
-from cell.cable.still import STILL
 from cell.identify.differences import difference_points
 from cell.identify.hand import HandErrors, likely_motions
 from cell.identify.parameters import ParameterSpace

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.cable.geometry import Cable
-from cell.cable.still import ROUGHLY_STILL
+from cell.cable.geometry import ROUGHLY_STILL, Cable
 from cell.study.data import Trial
 from cell.study.facts import trial_facts
 from cell.study.pull import WEAK_M_PER_S2

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.still import ROUGHLY_STILL, moves_from_s
+from cell.cable.geometry import ROUGHLY_STILL, moves_from_s
 from cell.files.plain import plain
 from cell.files.words import counted
 from cell.study.data import Trial

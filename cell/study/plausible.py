@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.cable.geometry import Cable
-from cell.cable.still import ROUGHLY_STILL, moves_from_s
+from cell.cable.geometry import ROUGHLY_STILL, Cable, moves_from_s
 from cell.study.clocks import Offset, offset
 from cell.study.data import Trial
 from cell.study.frozen import frozen

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.still import ROUGHLY_STILL, moves_from_s
+from cell.cable.geometry import ROUGHLY_STILL, moves_from_s
 from cell.files.plain import plain
 from cell.study.data import Trial
 from cell.study.facts import noise_m

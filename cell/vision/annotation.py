@@ -1,4 +1,4 @@
-"""Pictures for the record: what was seen and expected, legend, scale bar, words, magnified inset."""
+"""Pictures for the record: what was seen and expected, with legend, scale bar and inset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was seen of the cable: its nodes in one picture or why there are none, and in a recording."""
+"""What was seen of the cable: its nodes in one picture, or why there are none."""
 
 from __future__ import annotations
 

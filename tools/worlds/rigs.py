@@ -13,7 +13,7 @@ from cell.cable.dynamics import simulate, simulate_gauged
 from cell.cable.effects import ActiveEffect, library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
-from cell.cable.modes import mode_curvature
+from cell.cable.swing import mode_curvature
 from cell.cable.wrench import Gauge, Tool
 from cell.identify.noise import Noise
 from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor

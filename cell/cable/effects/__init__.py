@@ -5,13 +5,13 @@ from cell.cable.effects.base import (
     Bend,
     CableData,
     Effect,
+    EffectError,
     EffectFile,
     HandMotion,
     Parameter,
     Place,
 )
 from cell.cable.effects.library import file_sha256, library, load_effect, unscreened
-from cell.cable.effects.refused import EffectError
 
 __all__ = [
     "ActiveEffect",

@@ -204,3 +204,13 @@ class ActiveEffect:
     def named(self) -> dict[str, float]:
         """Values by parameter name."""
         return {p.name: v for p, v in zip(self.effect.parameters, self.values, strict=True)}
+
+
+class EffectError(ValueError):
+    """An effect cannot be used.  Scenario: a hook returns one number where two are needed."""
+
+    def __init__(self, path: str | Path, line: int, cause: str) -> None:
+        super().__init__(f"{path}:{line}: {cause}")
+        self.path = Path(path)
+        self.line = line
+        self.cause = cause

@@ -18,8 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from cell.cable.effects.base import Bend, CableData, Effect, HandMotion, Parameter, Place
-from cell.cable.effects.refused import EffectError
+from cell.cable.effects.base import (
+    Bend,
+    CableData,
+    Effect,
+    EffectError,
+    HandMotion,
+    Parameter,
+    Place,
+)
 from cell.computer.watched import PATIENCE_S
 
 #: Arguments of every hook.

@@ -13,12 +13,11 @@ from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
 
-from cell.cable.effects import air, bending, camera, drag, grip, hand, lens, plastic, rest
-from cell.cable.effects.base import Effect, EffectFile
+from cell.cable.effects import air, bending, camera, grip, hand, rare
+from cell.cable.effects.base import Effect, EffectError, EffectFile
 from cell.cable.effects.check import HOOKS, Doing, check, visit_many_states
 from cell.cable.effects.compiled import loops_of, proof_of
 from cell.cable.effects.own import first_line, watch_hooks
-from cell.cable.effects.refused import EffectError
 from cell.cable.effects.remote import is_confined, load_remote
 from cell.cable.effects.trial import COMPILING_S, try_effect
 from cell.computer.watched import PATIENCE_S, must_end
@@ -27,7 +26,6 @@ from cell.computer.watched import PATIENCE_S, must_end
 MAX_BYTES = 100_000
 
 _FAMILIES = (air, bending, grip, hand, camera)
-_RARE = (plastic, lens, rest, drag)
 
 
 def library() -> dict[str, type[Effect]]:
@@ -37,7 +35,7 @@ def library() -> dict[str, type[Effect]]:
 
 def unscreened() -> dict[str, type[Effect]]:
     """The project's other effects, which are only looked for where they are named."""
-    return {e.name: e for module in _RARE for e in _effects_in(module)}
+    return {e.name: e for e in _effects_in(rare)}
 
 
 def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:

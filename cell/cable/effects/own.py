@@ -12,8 +12,7 @@ from typing import Any
 
 from numba import typeof
 
-from cell.cable.effects.base import Effect
-from cell.cable.effects.refused import EffectError
+from cell.cable.effects.base import Effect, EffectError
 from cell.cable.effects.remote import is_remote, run_remote
 from cell.computer.watched import must_end
 

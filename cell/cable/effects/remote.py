@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from cell.cable.effects.base import Effect, EffectFile, HandMotion, Parameter
+from cell.cable.effects.base import Effect, EffectError, EffectFile, HandMotion, Parameter
 from cell.cable.effects.compiled import Loops, symbol_of, take_loops
-from cell.cable.effects.refused import EffectError
 from cell.computer.confinement import UnconfinedError
 from cell.computer.sandbox import Nursery, Sandbox, SandboxEndedError, SandboxStuckError
 from cell.computer.watched import PATIENCE_S, no_end

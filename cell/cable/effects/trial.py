@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from types import ModuleType
 
-from cell.cable.effects.refused import EffectError
+from cell.cable.effects.base import EffectError
 from cell.computer.watched import LOOK_S, PATIENCE_S, GivenTime, UnderWay, no_end
 
 #: Time that compiling the hooks may take, s; and the process's own beginning.

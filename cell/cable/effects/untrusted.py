@@ -12,7 +12,7 @@ from types import GeneratorType
 
 import numpy as np
 
-from cell.cable.effects.refused import EffectError
+from cell.cable.effects.base import EffectError
 
 #: What of `cell.cable.effects` may be imported.
 _OURS = ("Bend", "CableData", "Effect", "HandMotion", "Parameter", "Place")

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.cable.geometry import Motion
-from cell.cable.still import STILL, moves_from_s
+from cell.cable.geometry import STILL, Motion, moves_from_s
 from cell.files.input_error import InputError, Problem
 from cell.identify.noise import still_frames
 from cell.lab.data.rest_drift import with_tested_starts

@@ -13,7 +13,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
-from cell.cable.modes import ROOTS
+from cell.cable.swing import ROOTS
 from cell.study.data import Trial
 
 #: A cable held by a person is let go within this of the time noted.

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.cable.geometry import Motion
-from cell.cable.still import moves_from_s
+from cell.cable.geometry import Motion, moves_from_s
 from cell.identify.noise import Noise, rms, still_frames
 from cell.lab.statistics.series import (
     LAGS,

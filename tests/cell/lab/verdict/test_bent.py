@@ -12,8 +12,8 @@ from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
-from cell.cable.modes import mode_curvature
 from cell.cable.solver import Solver
+from cell.cable.swing import mode_curvature
 from cell.cli import app
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.search.setup import fit_cache_of

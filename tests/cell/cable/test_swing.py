@@ -7,8 +7,8 @@ from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
-from cell.cable.modes import ROOTS, mode_curvature
 from cell.cable.solver import Solver
+from cell.cable.swing import ROOTS, mode_curvature
 
 LENGTH_M, RIGIDITY_N_M2, DENSITY = 0.1, 3e-3, 0.0074
 STILL = Motion(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))

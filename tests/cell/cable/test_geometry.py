@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.cable.geometry import Motion
-from cell.cable.still import ROUGHLY_STILL, moves_from_s
+from cell.cable.geometry import ROUGHLY_STILL, Motion, moves_from_s
 
 T_S = np.arange(0.0, 1.5, 0.002)
 
