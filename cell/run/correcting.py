@@ -11,10 +11,9 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
-from cell.flight.answers import Answers, answers, expected_nodes
-from cell.flight.correct import LEAST, Tail, decisions_s
-from cell.flight.decide import Decision, Flight, seen_within_m
+from cell.plan.correction import LEAST, Decision, Flight, Tail, decisions_s, seen_within_m
 from cell.plan.paths import path_to_rest
+from cell.plan.response import Answers, answers, expected_nodes
 from cell.run.candidates import Executing
 from cell.run.findings import Findings, required
 from cell.run.jobs import found_by, hurried

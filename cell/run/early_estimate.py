@@ -13,8 +13,7 @@ from cell.cable.statics import UnsettledError
 from cell.identify.hand import HandErrors
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify, predict_frames
-from cell.plan.choose import choose
-from cell.plan.enough import enough_frames
+from cell.plan.choose import choose, enough_frames
 from cell.run.candidates import simulate_offsets
 from cell.run.filming import filmed_so_far
 from cell.run.findings import EarlyEstimate, FilmedMotion, Filming

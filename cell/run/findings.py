@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.flight.correct import Tail
 from cell.identify.identified import Identified
 from cell.identify.predicted_frames import PredictedFrames
 from cell.plan.choose import Choice, Forecast
+from cell.plan.correction import Tail
 from cell.plan.passage import Passage
 from cell.records.result import AgreementCheck, Outcome
 from cell.study.data import Trial

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
-from cell.flight.correct import Tail
 from cell.identify.identified import Identified
+from cell.plan.correction import Tail
 from cell.plan.passage import height_at_mouth_m
 from cell.records.folder import Record, RecordError
 from cell.records.result import Correction, Fault, Outcome, Result

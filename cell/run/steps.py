@@ -24,7 +24,7 @@ from cell.identify.individual import identify as identify_cable
 from cell.plan.choose import choose as choose_offset
 from cell.plan.passage import measured_passage
 from cell.plan.paths import MotionLimits, identification_path, path_to
-from cell.plan.rest import time_to_rest_s
+from cell.plan.response import time_to_rest_s
 from cell.records.result import Outcome
 from cell.run.candidates import simulate_offsets
 from cell.run.clocks import delay_checks

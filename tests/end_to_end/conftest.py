@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
-from cell.flight import decide
+from cell.plan import correction
 from cell.settings import Settings, load_settings
 from cell.simulated.twins import build_twins
 from cell.wiring.build import cell_with, twin_devices
@@ -152,8 +152,8 @@ def hopeless(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
                 begun.append(answers)
             return 0.03 if len(begun) <= tries else 1.0
 
-        monkeypatch.setattr(decide, "best_tail", lambda *asked: None)
-        monkeypatch.setattr(decide, "chance", chance)
+        monkeypatch.setattr(correction, "best_tail", lambda *asked: None)
+        monkeypatch.setattr(correction, "chance", chance)
 
     return until
 

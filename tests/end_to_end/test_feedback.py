@@ -15,8 +15,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
-from cell.flight import decide
-from cell.flight.correct import Tail
+from cell.plan import correction
+from cell.plan.correction import Tail
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run import correcting
@@ -47,7 +47,7 @@ def one_change(rise_m: float) -> Callable[..., Tail | None]:
             return None
         before_m = answers.nodes_m[:, 0] + beside.tip_m
         tail = Tail(from_s, rise_m, 0.0, 0.2, 1.0, 0.0, 0.5, before_m)
-        moved = decide.moved_by(answers, tail, 0.03).nodes_m[:, 0] + beside.tip_m
+        moved = correction.moved_by(answers, tail, 0.03).nodes_m[:, 0] + beside.tip_m
         made.append(replace(tail, tip_m=moved))
         return made[0]
 
@@ -94,7 +94,7 @@ def test_a_change_in_flight_moves_the_tip_as_foretold(
     rise_m: float,
 ) -> None:
     dense, plain = load_settings(dense_config), plain_dense
-    monkeypatch.setattr(decide, "best_tail", one_change(rise_m))
+    monkeypatch.setattr(correction, "best_tail", one_change(rise_m))
     result = live(settings=seeing(dense)).cell.run_cycle(1)
     assert result.corrections is not None and len(result.corrections) == 1
     assert result.corrections[0].rise_m == rise_m
@@ -118,7 +118,7 @@ def test_what_the_arm_refuses_leaves_the_path_as_it_is(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Too fast for the limits of the settings, or told too late."""
-    monkeypatch.setattr(decide, "best_tail", one_change(0.5))
+    monkeypatch.setattr(correction, "best_tail", one_change(0.5))
     with caplog.at_level(logging.WARNING):
         result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.outcome is Outcome.INSERTED and result.corrections == ()
@@ -130,8 +130,8 @@ def test_what_needs_a_change_that_the_arm_refuses_stops_in_front_of_the_mouth(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At the last decision; a rest within the limits is taken."""
-    monkeypatch.setattr(decide, "best_tail", lambda *asked: replace(FAR, from_s=asked[3]))
-    monkeypatch.setattr(decide, "chance", lambda *asked: 0.2)
+    monkeypatch.setattr(correction, "best_tail", lambda *asked: replace(FAR, from_s=asked[3]))
+    monkeypatch.setattr(correction, "chance", lambda *asked: 0.2)
     result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.outcome is Outcome.REJECTED and result.corrections == ()
     assert result.reason is not None and result.reason.startswith("stopped in front of the mouth")
@@ -140,8 +140,8 @@ def test_what_needs_a_change_that_the_arm_refuses_stops_in_front_of_the_mouth(
 def test_what_cannot_be_explained_is_not_corrected(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(decide, "MOST_MISFIT", 0.0)
-    monkeypatch.setattr(decide, "best_tail", one_change(0.002))
+    monkeypatch.setattr(correction, "MOST_MISFIT", 0.0)
+    monkeypatch.setattr(correction, "best_tail", one_change(0.002))
     result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.outcome is Outcome.INSERTED and result.corrections == ()
 
@@ -164,7 +164,7 @@ def test_a_stop_wins_over_a_change(
         it.cell.command(MachineEvent.STOP, "a person")
         return find(*asked)
 
-    monkeypatch.setattr(decide, "best_tail", stopped)
+    monkeypatch.setattr(correction, "best_tail", stopped)
     result: Result = it.cell.run_cycle(1)
     assert result.outcome is Outcome.FAILED and result.fault is not None
     assert result.fault.step == "execute" and result.fault.cause == "a person"
@@ -175,8 +175,8 @@ def test_what_nothing_brings_through_stops_in_front_of_the_mouth(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The cable is put aside, and the next one is inserted."""
-    monkeypatch.setattr(decide, "best_tail", lambda *asked: None)
-    monkeypatch.setattr(decide, "chance", lambda *asked: 0.03)
+    monkeypatch.setattr(correction, "best_tail", lambda *asked: None)
+    monkeypatch.setattr(correction, "chance", lambda *asked: 0.03)
     it = live(settings=seeing(quick), cycles=2)
     result = it.cell.run_cycle(1)
     assert result.outcome is Outcome.REJECTED
@@ -198,11 +198,11 @@ def test_a_corrected_insertion_is_recorded_and_replayed(
     text = recorded_config.read_text(encoding="utf-8")
     config.write_text(text + "\nfeedback: on\n", encoding="utf-8")
     asked = ["run", "--config", str(config), "--cycles", "1", "--out", str(tmp_path / "runs")]
-    monkeypatch.setattr(decide, "best_tail", one_change(0.002))
+    monkeypatch.setattr(correction, "best_tail", one_change(0.002))
     done = CliRunner().invoke(app, [*asked, "--json"])
     result = json.loads(done.stdout.splitlines()[0])
     assert len(result["corrections"]) == 1, done.output
-    monkeypatch.setattr(decide, "best_tail", one_change(0.002))
+    monkeypatch.setattr(correction, "best_tail", one_change(0.002))
     again = CliRunner().invoke(app, ["replay", result["folder"], "--json"])
     assert json.loads(again.stdout)["identical"], again.stdout
     page = tmp_path / "page.html"
@@ -301,7 +301,7 @@ def test_a_change_that_came_too_late_is_told_again_for_later(
             raise revised_too_late("arm", 0.003)
         revise(arm, path, from_s)
 
-    monkeypatch.setattr(decide, "best_tail", tail)
+    monkeypatch.setattr(correction, "best_tail", tail)
     monkeypatch.setattr(SimArm, "revise", late_at_first)
     with caplog.at_level(logging.WARNING):
         result = it.cell.run_cycle(1)

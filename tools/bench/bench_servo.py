@@ -29,7 +29,7 @@ import yaml
 
 from calib.plane import PlaneView
 from cell.computer.stalls import StallProbe, Stalls
-from cell.flight.correct import Tail
+from cell.plan.correction import Tail
 from cell.records.recording import form
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder

@@ -30,10 +30,9 @@ import numpy as np
 
 from cell.cli.making import MadeCell, Products
 from cell.cli.plant_end import PlantEnd
-from cell.flight import decide
-from cell.flight.answers import Answers
-from cell.flight.correct import Tail
-from cell.flight.estimate import Deviation
+from cell.plan import correction
+from cell.plan.correction import Tail
+from cell.plan.response import Answers, Deviation
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.cycle import Cell
@@ -335,7 +334,7 @@ def main() -> int:
             vars(trial).update(known.get(trial.name, {}))
     if arguments.revising:
         chosen = [t for t in chosen if t.step == "execute"]
-        decide.best_tail = small_change  # type: ignore[assignment]
+        correction.best_tail = small_change  # type: ignore[assignment]
     left = [t for t in chosen if t.attempts == 0 or t.wrong]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

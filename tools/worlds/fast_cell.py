@@ -16,14 +16,12 @@ from cell.cable.dynamics import simulate
 from cell.cable.effects import Effect
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
-from cell.flight.answers import answers
-from cell.flight.correct import Tail
-from cell.flight.decide import Flight, seen_within_m
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, identify
-from cell.plan.choose import Choice, choose
-from cell.plan.enough import enough_frames
+from cell.plan.choose import Choice, choose, enough_frames
+from cell.plan.correction import Flight, Tail, seen_within_m
 from cell.plan.passage import Passage, measured_passage
+from cell.plan.response import answers
 from cell.run.candidates import Executing, simulate_offsets
 from cell.run.early_estimate import possible_ends_s, without_hand_errors
 from cell.run.findings import Candidates

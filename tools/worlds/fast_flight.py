@@ -10,10 +10,9 @@ from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
-from cell.flight.answers import expected_nodes
-from cell.flight.correct import Tail, decisions_s
-from cell.flight.decide import Flight
 from cell.identify.identified import Identified
+from cell.plan.correction import Flight, Tail, decisions_s
+from cell.plan.response import expected_nodes
 from cell.run.candidates import Executing
 from cell.run.station import Task, Timing
 from drivers.interfaces import Trajectory

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cell.cable.effects.base import CableData, Effect, Parameter, Place
-from cell.cable.effects.rare import PowerDrag
+from cell.cable.effects.drag import PowerDrag
 
 AIR_DENSITY_KG_PER_M3 = 1.2
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Bend, CableData, Effect, Parameter
-from cell.cable.effects.rare import RestShape
+from cell.cable.effects.rest import RestShape
 
 
 class StressRelaxation(Effect):

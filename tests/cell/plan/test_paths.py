@@ -1,8 +1,18 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cell.cable.geometry import Motion
-from cell.plan.paths import MotionLimits, executed_motion, identification_path, insertion_path
+from cell.plan.paths import (
+    MotionLimits,
+    executed_motion,
+    identification_path,
+    insertion_path,
+    path_to_rest,
+    retreat_path,
+)
+from drivers.guard import ArmLimits, check_path
 from drivers.interfaces import Pose, Trajectory
 
 LIMITS = MotionLimits(velocity_m_per_s=0.4, acceleration_m_per_s2=3.0, jerk_m_per_s3=60.0)
@@ -103,3 +113,90 @@ def test_executed_motion_continues_a_history() -> None:
 def test_impossible_requests_are_refused(call) -> None:
     with pytest.raises(ValueError, match=r"must be|≥|finite"):
         call()
+
+
+BRISK = MotionLimits()
+ALLOWED = ArmLimits(-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 0.6, 6.0, 250.0)
+PATH = insertion_path(Pose(0.0, -0.05), 0.02, 0.05, MotionLimits(0.2, 1.0, 10.0), 500.0)
+
+
+@given(st.floats(0.0, float(PATH.t_s[-1]) - 0.006))
+def test_it_is_the_path_until_then_and_rests_soon_after(from_s: float) -> None:
+    stopped = path_to_rest(PATH, from_s, BRISK)
+    same = int(np.searchsorted(PATH.t_s, from_s))
+    np.testing.assert_array_equal(stopped.x_m[:same], PATH.x_m[:same])
+    np.testing.assert_array_equal(stopped.y_m[:same], PATH.y_m[:same])
+    assert stopped.t_s[-1] < from_s + 0.15
+    check_path(stopped, ALLOWED)
+    assert stopped.x_m.min() >= PATH.x_m.min() - 1e-6
+
+
+def test_what_has_ended_is_not_left() -> None:
+    with pytest.raises(ValueError, match="the path ends"):
+        path_to_rest(PATH, float(PATH.t_s[-1]) + 0.1, BRISK)
+
+
+@pytest.mark.parametrize("from_s", np.arange(0.02, 0.4, 0.02))
+def test_a_hand_never_goes_back_though_the_path_is_brisker_than_the_limits(from_s: float) -> None:
+    brisk = MotionLimits(0.5, 5.0, 200.0)
+    gentle = MotionLimits(0.3, 1.0, 20.0)
+    path = insertion_path(Pose(0.0, -0.05), 0.02, 0.05, brisk, 500.0)
+    stopped = path_to_rest(path, min(from_s, float(path.t_s[-1]) - 0.006), gentle)
+    assert np.diff(stopped.x_m).max() < 1e-5
+    assert np.diff(stopped.y_m).max() < 1e-5
+    check_path(stopped, ALLOWED)
+
+
+RETREAT_LIMITS = MotionLimits()
+
+
+def test_it_leaves_level_and_then_rises_to_the_goal() -> None:
+    path = retreat_path(Pose(-0.05, -0.09), Pose(0.0, 0.0), RETREAT_LIMITS, 500.0)
+    level = path.x_m < -1e-9
+    np.testing.assert_allclose(path.y_m[level], -0.09, atol=1e-12)
+    assert path.at(99.0) == Pose(pytest.approx(0.0, abs=1e-9), pytest.approx(0.0, abs=1e-9))
+    speed = np.hypot(np.diff(path.x_m), np.diff(path.y_m)) * 500.0
+    assert 0.1 < speed.max() <= RETREAT_LIMITS.velocity_m_per_s * 1.001
+
+
+@pytest.mark.parametrize("end", [Pose(0.01, 0.0), Pose(0.0, 0.01)])
+def test_one_stroke_is_enough_along_an_axis(end: Pose) -> None:
+    path = retreat_path(Pose(0.0, 0.0), end, RETREAT_LIMITS, 500.0)
+    last = path.at(99.0)
+    assert (last.x_m, last.y_m) == pytest.approx((end.x_m, end.y_m), abs=1e-12)
+    assert np.all(np.diff(path.t_s) > 0.0)
+
+
+def test_what_is_no_retreat_is_refused() -> None:
+    with pytest.raises(ValueError, match="no distance to go"):
+        retreat_path(Pose(0.0, 0.0), Pose(0.0, 0.0), RETREAT_LIMITS, 500.0)
+
+
+def test_it_turns_last_in_place_and_within_its_limits() -> None:
+    path = retreat_path(Pose(-0.05, -0.09, 0.6), Pose(0.0, 0.0, -0.2), RETREAT_LIMITS, 500.0)
+    turning = np.abs(path.angle_rad - 0.6) > 1e-9
+    assert turning[-1] and not turning[0]
+    np.testing.assert_allclose(path.x_m[turning], 0.0, atol=1e-9)
+    np.testing.assert_allclose(path.y_m[turning], 0.0, atol=1e-9)
+    assert path.angle_rad[-1] == pytest.approx(-0.2, abs=1e-9)
+    for order, limit in (
+        (1, RETREAT_LIMITS.velocity_rad_per_s),
+        (2, RETREAT_LIMITS.acceleration_rad_per_s2),
+    ):
+        size = np.abs(np.diff(path.angle_rad, order)) * 500.0**order
+        assert 0.5 * limit < size.max() <= 1.01 * limit
+
+
+def test_a_hand_turned_by_less_than_matters_is_not_turned() -> None:
+    path = retreat_path(Pose(0.0, 0.0, 5e-4), Pose(0.01, 0.0), RETREAT_LIMITS, 500.0)
+    assert np.all(path.angle_rad == 5e-4)
+
+
+def test_slowed_limits_give_the_same_path_in_so_many_times_the_time() -> None:
+    start, end = Pose(0.0, 0.0, 0.3), Pose(0.02, -0.03, 0.0)
+    fast = retreat_path(start, end, RETREAT_LIMITS, 2000.0)
+    slow = retreat_path(start, end, RETREAT_LIMITS.slowed(4.0), 500.0)
+    assert len(slow.t_s) == pytest.approx(len(fast.t_s), abs=1)
+    n = min(len(slow.t_s), len(fast.t_s))
+    np.testing.assert_allclose(slow.x_m[:n], fast.x_m[:n], atol=1e-9)
+    np.testing.assert_allclose(slow.angle_rad[:n], fast.angle_rad[:n], atol=1e-9)

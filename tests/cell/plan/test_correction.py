@@ -7,14 +7,13 @@ import pytest
 
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
-from cell.flight.answers import answers
-from cell.flight.correct import LEAST
-from cell.flight.decide import LEAST_FRAMES, Flight
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
+from cell.plan.correction import LEAST, LEAST_FRAMES, Flight
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, insertion_path
+from cell.plan.response import answers
 from drivers.interfaces import Pose
 
 SPACE = ParameterSpace.of(Cable(0.1, 0.0074, 0.016, 0.0001))

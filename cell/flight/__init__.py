@@ -1,1 +1,0 @@
-"""Correction of an insertion while it is made."""
