@@ -22,7 +22,7 @@ MOST_LINES, MOST_PARAMETERS = 80, 8
 KERNEL = ("njit", "compiled", "inline")
 
 #: The modules that call devices; everything else works with what these hand on.
-CALLERS = {"steps", "measuring_steps", "dry_run", "filming", "waiting", "watch"}
+CALLERS = {"steps", "measuring_steps", "dry_run", "endings", "filming", "waiting", "watch"}
 
 
 def installed(python: str, machine: str, system: str = "linux") -> set[str]:

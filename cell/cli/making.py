@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from cell.run.cycle import Cell
-    from cell.run.product import ProductTask
+    from cell.run.station import ProductTask
     from cell.settings.calibrated import Calibrated
     from cell.settings.model import Settings
     from cell.simulated.twins import Twins

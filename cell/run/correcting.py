@@ -16,8 +16,8 @@ from cell.plan.paths import path_to_rest
 from cell.plan.response import Answers, answers, expected_nodes
 from cell.run.candidates import Executing
 from cell.run.findings import Findings, required
-from cell.run.jobs import found_by, hurried
 from cell.run.station import Station
+from cell.run.waiting import found_by, hurried
 from cell.vision.sighting import Sighting, steady_nodes
 from drivers.interfaces import LimitError, TooLateError, Trajectory
 

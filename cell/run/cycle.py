@@ -14,19 +14,14 @@ from pathlib import Path
 from cell.computer.memory import release_free_memory
 from cell.records.folder import LaterRecord, RecordError
 from cell.records.result import Result
-from cell.run import steps
-from cell.run.archive import Archive
+from cell.run import endings
+from cell.run.archive import Archive, CycleListing, CycleRecording
 from cell.run.commands import INTERRUPTING, Commands
-from cell.run.endings import EXPECTED, fault_of, unreached, unrecorded
-from cell.run.listed import CycleListing
 from cell.run.machine import CellState, EventRefusedError, Machine, MachineEvent
 from cell.run.movements import slowed
-from cell.run.one_cycle import OneCycle
 from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, changing_over, rehearsing
-from cell.run.product import ProductTask
-from cell.run.progress import CycleProgress
-from cell.run.recorded import CycleRecording
-from cell.run.station import Station, Task
+from cell.run.progress import CycleProgress, OneCycle
+from cell.run.station import ProductTask, Station, Task
 from cell.run.step_runner import StepRunner
 from drivers.interfaces import ArmMode, DeviceError, Devices
 
@@ -93,7 +88,7 @@ class Cell:
         _LOG.warning("command %s: %s", event.value, reason)
         self.commands.give(event, reason)
         if event in INTERRUPTING:
-            steps.stop(self._station.devices, reason or event.value)
+            endings.stop(self._station.devices, reason or event.value)
 
     def acknowledge(self, by: str = "", note: str = "") -> None:
         """A person's word that the cause of a stop or an abort is gone.
@@ -137,7 +132,7 @@ class Cell:
             stack.callback(self._steps.forget)
             stack.callback(self._archive.close)
             stack.callback(self._station.computer.shutdown, wait=False, cancel_futures=True)
-            steps.close(self._station.devices)
+            endings.close(self._station.devices)
 
     def change_product(self, made: ProductTask) -> None:
         """What the next cycles make, one that is prepared too; called between cycles.
@@ -333,7 +328,7 @@ class Cell:
         try:
             progress.record.close(result)
         except RecordError as error:
-            result = unrecorded(self._station.devices, progress.step, result, error)
+            result = endings.unrecorded(self._station.devices, progress.step, result, error)
         progress.recording.end(result)
         if cycle.listing is not None:
             cycle.listing.end(result, progress.findings.identified)
@@ -346,14 +341,14 @@ class Cell:
 
     def _end(self, progress: CycleProgress, error: BaseException) -> None:
         """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""
-        fault, event = fault_of(progress.step, error)
-        foreign = None if isinstance(error, EXPECTED) else error
+        fault, event = endings.fault_of(progress.step, error)
+        foreign = None if isinstance(error, endings.EXPECTED) else error
         _LOG.error("step %s failed: %s", progress.step, error, exc_info=foreign)
         progress.watch.cease()
-        mode = steps.halt(self._station.devices, fault.cause)
-        cable = steps.whereabouts_of_cable(self._station.devices)
+        mode = endings.halt(self._station.devices, fault.cause)
+        cable = endings.whereabouts_of_cable(self._station.devices)
         _LOG.error("the arm is %s, %s", mode.value.replace("_", " "), cable)
-        if unreached(error) or mode is ArmMode.LOST:
+        if endings.unreached(error) or mode is ArmMode.LOST:
             self._steps.do_again(AGAIN_WHEN_LOST)
         rests = CellState.ABORTED if event is MachineEvent.ABORT else CellState.STOPPED
         if self.machine.can(event):
@@ -367,6 +362,6 @@ class Cell:
                 arm=mode.value,
                 cable=cable,
                 traceback=None
-                if isinstance(error, EXPECTED)
+                if isinstance(error, endings.EXPECTED)
                 else "".join(traceback.format_exception(error)),
             )

@@ -17,9 +17,9 @@ from cell.plan.choose import choose, enough_frames
 from cell.run.candidates import simulate_offsets
 from cell.run.filming import filmed_so_far
 from cell.run.findings import EarlyEstimate, FilmedMotion, Filming
-from cell.run.jobs import found_by, hurried
 from cell.run.station import Station, Task, Timing
 from cell.run.trials import held_trial
+from cell.run.waiting import found_by, hurried
 from cell.vision.sighting import Sighting
 
 #: Shares of a fixed hold after which the cable is identified from the frames so far: at first from

@@ -1,4 +1,4 @@
-"""How a cycle that comes to no good end is said to have ended."""
+"""How a cycle that fails is brought to rest, and how it is said to have ended."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from cell.records.folder import RecordError
 from cell.records.result import Fault, Outcome, Result
 from cell.run.commands import InterruptedByCommandError
 from cell.run.machine import MachineEvent
-from cell.run.steps import whereabouts_of_cable
+from cell.run.waiting import POLL_S, rest_timeout_s
 from drivers.interfaces import (
+    ArmMode,
     CameraError,
     ConnectError,
     DeviceError,
@@ -23,6 +24,47 @@ UNREACHED = (ConnectError, DeviceLostError, DeviceTimeoutError, CameraError)
 
 #: What may end a cycle without being a mistake of the program.
 EXPECTED = (DeviceError, InterruptedByCommandError, KeyboardInterrupt, RecordError)
+
+
+def close(devices: Devices) -> None:
+    """Disconnect all devices, each whatever happens to the others."""
+    try:
+        devices.arm.close()
+    finally:
+        try:
+            devices.camera.close()
+        finally:
+            devices.gripper.close()
+
+
+def stop(devices: Devices, reason: str) -> None:
+    """Stop the arm now; from any thread; latched until `reset`."""
+    devices.arm.stop(reason)
+
+
+def halt(devices: Devices, reason: str) -> ArmMode:
+    """Stop the arm and the recording, and wait until the arm rests; the jaws stay as they are.
+
+    returns  the arm's mode at rest; LOST if it does not answer, and then nothing more is known
+    """
+    devices.arm.stop(reason)
+    devices.camera.stop()
+    end_s = devices.clock.now_s() + rest_timeout_s(devices.arm)
+    try:
+        while (state := devices.arm.state()).moving and devices.clock.now_s() < end_s:
+            devices.clock.sleep_s(POLL_S)
+    except DeviceError:
+        return ArmMode.LOST
+    return state.mode
+
+
+def whereabouts_of_cable(devices: Devices) -> str:
+    """Where the cable is, as far as the gripper can tell."""
+    try:
+        held = devices.gripper.state().holding
+    except DeviceError:
+        return "the gripper does not say whether a cable is in the jaws; look"
+    return "a cable is in the jaws" if held else "no cable is in the jaws"
 
 
 def unreached(error: BaseException) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,11 +11,12 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.identify.identified import Identified
+from cell.identify.individual import CableRejectedError, identify
 from cell.plan.choose import Choice
 from cell.plan.destination import Destination
 from cell.plan.passage import Passage
-from cell.run.findings import Candidates, FilmedMotion, RehearsedMotion
-from cell.run.station import Task
+from cell.run.findings import Candidates, FilmedMotion, Findings, RehearsedMotion, required
+from cell.run.station import Station, Task
 from cell.study.data import Trial
 from cell.vision.annotation import (
     DESTINATION,
@@ -32,6 +34,51 @@ from cell.vision.annotation import (
     title,
 )
 from cell.vision.marks import pixels_per_metre
+
+
+def after_insertion(station: Station, findings: Findings) -> Findings:
+    """Pictures of hold and execution, and the same cable identified again without haste.
+
+    No step of that fit is left linear from early frames.  The choice was made with the cable as it
+    was, which stays if the fit finds nothing better.
+    """
+    task, trial = station.task, findings.trials[0]
+    identified = required(findings.identified)
+    passage = passage_pictures(
+        required(findings.executed),
+        required(findings.candidates),
+        findings.foretold,
+        required(findings.passage),
+        task,
+    )
+    findings = _with_held_pictures(station, findings).with_pictures(passage)
+    try:
+        identified = identify(
+            trial, task.arc_length_m, task.cable, previous=identified, options=task.identification
+        )
+    except CableRejectedError:
+        return findings
+    return replace(findings, identified=identified)
+
+
+def after_release(station: Station, findings: Findings) -> Findings:
+    """Pictures of the hold of a cable that was identified, but that no offset can insert."""
+    if findings.rejected and findings.identified is not None:
+        return _with_held_pictures(station, findings)
+    return findings
+
+
+def after_measurement(station: Station, findings: Findings) -> Findings:
+    """Pictures of a measuring motion."""
+    return findings.with_pictures(measured_pictures(required(findings.held), station.task))
+
+
+def _with_held_pictures(station: Station, findings: Findings) -> Findings:
+    pictures = held_pictures(
+        required(findings.held), findings.trials[0], required(findings.identified), station.task
+    )
+    return findings.with_pictures(pictures)
+
 
 #: What the lines of a picture are.
 _NODES_SEEN = ("nodes seen by the camera", SEEN)

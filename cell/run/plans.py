@@ -9,9 +9,9 @@ from functools import partial
 from cell.plan.measuring import Measuring
 from cell.records.result import Outcome
 from cell.run import dry_run, measuring_steps, movements, steps
-from cell.run.afterwards import after_dry_run, after_insertion, after_measurement, after_release
 from cell.run.findings import Filming, Findings
 from cell.run.movements import Movements, inserting_movements, measuring_movements
+from cell.run.pictures import after_insertion, after_measurement, after_release
 from cell.run.station import Station, Task
 
 Act = Callable[[Station, Findings], Findings]
@@ -237,7 +237,7 @@ def rehearsing(plan: Plan, task: Task, rate_hz: float, speed: float) -> Plan:
     """
     moves = plan.movements(task, rate_hz, speed)
     follow = [Step(m.name, partial(dry_run.follow, m), may_pause=True) for m in moves]
-    follow[-1] = replace(follow[-1], after=after_dry_run)
+    follow[-1] = replace(follow[-1], after=dry_run.after_dry_run)
     return replace(
         plan,
         aim=Outcome.REHEARSED,

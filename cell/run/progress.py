@@ -12,9 +12,11 @@ from cell.plan.correction import Tail
 from cell.plan.passage import height_at_mouth_m
 from cell.records.folder import Record, RecordError
 from cell.records.result import Correction, Fault, Outcome, Result
+from cell.run.archive import CycleListing, CycleRecording
 from cell.run.findings import Findings, required
-from cell.run.recorded import CycleRecording
-from cell.run.station import Station
+from cell.run.machine import CellState
+from cell.run.plans import Plan
+from cell.run.station import ProductTask, Station
 from cell.run.trials import study_of
 from cell.run.watch import SafetyWatch
 
@@ -134,3 +136,29 @@ def _correction(tail: Tail) -> Correction:
 def _finite(value: float | None) -> float | None:
     """None for nan: not known."""
     return None if value is None or math.isnan(value) else value
+
+
+@dataclass
+class OneCycle:
+    """A cycle from its preparation to its end.
+
+    made     what it makes
+    before   time spent in each state before it, s
+    part     id of its cable
+    listing  None = the ledger does not know of it yet
+    """
+
+    plan: Plan
+    made: ProductTask
+    progress: CycleProgress
+    before: Mapping[CellState, float]
+    part: str | None = None
+    listing: CycleListing | None = None
+
+    def spent_s(self, after: Mapping[CellState, float]) -> dict[str, float]:
+        """Time in each state, s, in which it was; `after` as `before`, now."""
+        return {
+            state.value: after[state] - self.before[state]
+            for state in CellState
+            if after[state] > self.before[state]
+        }

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from calib.plane import PlaneView
 from cell.cable.arrays import FloatArray
@@ -97,3 +99,20 @@ class Station:
         """That of the devices."""
         arm, camera = self.devices.arm, self.devices.camera
         return Timing(arm.rate_hz, arm.lag_s, camera.frame_rate_hz)
+
+
+@dataclass(frozen=True, eq=False)
+class ProductTask:
+    """What is done with every cable of a product.
+
+    name         None = the settings have no products
+    settings     as resolved, for the records
+    files        texts that the settings refer to, by path
+    calibration  hash of the calibration's files; None = as typed
+    """
+
+    name: str | None
+    task: Task
+    settings: Mapping[str, Any]
+    files: Mapping[str, str] = field(default_factory=dict)
+    calibration: str | None = None

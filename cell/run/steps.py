@@ -1,6 +1,6 @@
 """What each step does while a cable is inserted; `measuring_steps` has the others.
 
-With `waiting` and `filming`, and beside the `dry_run` and the `watch`, all that calls devices.
+With `waiting`, `filming`, `endings`, the `dry_run` and the `watch`, all that calls devices.
 Every step takes the station and what was found before it, and returns what is known after it;
 nothing is kept here.  Which steps there are, and in which order, is said in `plans`.
 """
@@ -35,15 +35,13 @@ from cell.run.findings import Filming, Findings, required
 from cell.run.movements import APPROACH_SLOWER, Movement, Movements, paths_from
 from cell.run.station import Station, Task
 from cell.run.trials import executed_trial, held_trial
-from cell.run.waiting import AHEAD_S, POLL_S, await_rest, check_arm, rest_timeout_s, wait_until
+from cell.run.waiting import AHEAD_S, await_rest, check_arm, wait_until
 from cell.run.warm_up import warm_up as warm_up_engine
 from cell.run.warm_up import warm_up_vision
 from cell.vision.sighting import why_unseen
 from drivers.interfaces import (
-    ArmMode,
     DeviceError,
     DeviceLostError,
-    Devices,
     DeviceTimeoutError,
     GripError,
     LimitError,
@@ -65,50 +63,6 @@ LONGEST_LEAD_S = 3.0
 RESTING_M, LONGEST_SWING_S = 1e-5, 30.0
 #: What ends a simulation of a cable that the model makes impossible.
 IMPOSSIBLE = (DivergedError, UnsettledError)
-
-
-# --- before and after the cycle -----------------------------------------------------------------
-
-
-def close(devices: Devices) -> None:
-    """Disconnect all devices, each whatever happens to the others."""
-    try:
-        devices.arm.close()
-    finally:
-        try:
-            devices.camera.close()
-        finally:
-            devices.gripper.close()
-
-
-def stop(devices: Devices, reason: str) -> None:
-    """Stop the arm now; from any thread; latched until `reset`."""
-    devices.arm.stop(reason)
-
-
-def halt(devices: Devices, reason: str) -> ArmMode:
-    """Stop the arm and the recording, and wait until the arm rests; the jaws stay as they are.
-
-    returns  the arm's mode at rest; LOST if it does not answer, and then nothing more is known
-    """
-    devices.arm.stop(reason)
-    devices.camera.stop()
-    end_s = devices.clock.now_s() + rest_timeout_s(devices.arm)
-    try:
-        while (state := devices.arm.state()).moving and devices.clock.now_s() < end_s:
-            devices.clock.sleep_s(POLL_S)
-    except DeviceError:
-        return ArmMode.LOST
-    return state.mode
-
-
-def whereabouts_of_cable(devices: Devices) -> str:
-    """Where the cable is, as far as the gripper can tell."""
-    try:
-        held = devices.gripper.state().holding
-    except DeviceError:
-        return "the gripper does not say whether a cable is in the jaws; look"
-    return "a cable is in the jaws" if held else "no cable is in the jaws"
 
 
 # --- in every cycle -----------------------------------------------------------------------------

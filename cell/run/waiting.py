@@ -1,7 +1,13 @@
-"""Waiting until a moment or until the arm rests, and looking whether devices are as needed."""
+"""Waiting: until a moment, until the arm rests, or for a computation; with a look at the devices."""
 
 from __future__ import annotations
 
+from concurrent.futures import BrokenExecutor, Executor, Future
+from contextlib import AbstractContextManager, nullcontext
+from typing import TypeVar
+
+from cell.computer.second_process import SecondProcess
+from cell.run.commands import Commands
 from cell.run.station import Station
 from drivers.interfaces import Arm, ArmMode, DeviceTimeoutError, GripError, StoppedError
 from drivers.servo import SETTLING_LAGS
@@ -60,3 +66,31 @@ def check_grip(station: Station) -> None:
     gripper = station.devices.gripper
     if not gripper.state().holding:
         raise GripError(gripper.name, "lost the cable", "check force and jaws")
+
+
+Value = TypeVar("Value")
+
+#: A computation that takes longer has failed, s.
+LONGEST_S = 5.0
+
+
+def found_by(job: Future[Value], commands: Commands) -> Value | None:
+    """What a job found; None if its process was killed or hangs, which only costs time.
+
+    raises  InterruptedByCommandError
+    """
+    for _ in range(round(LONGEST_S / POLL_S)):
+        commands.check()
+        try:
+            return job.result(POLL_S)
+        except TimeoutError:
+            if job.done():  # it is the job's own
+                raise
+        except BrokenExecutor:
+            return None
+    return None
+
+
+def hurried(computer: Executor) -> AbstractContextManager[None]:
+    """While the hand or a frame waits for the second process it need not give way."""
+    return computer.hurried() if isinstance(computer, SecondProcess) else nullcontext()

@@ -17,8 +17,7 @@ from cell.plan.paths import MotionLimits
 from cell.run.archive import Archive
 from cell.run.clocks import KnownDelays
 from cell.run.cycle import Cell
-from cell.run.product import ProductTask
-from cell.run.station import Task
+from cell.run.station import ProductTask, Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed

@@ -13,8 +13,7 @@ from cell.records.recording.retention import DiskRoom, Retention
 from cell.records.recording.store import Store
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Outcome
-from cell.run.listed import LedgerSetup
-from cell.run.recorded import Keeping, RecordingSetup
+from cell.run.archive import Keeping, LedgerSetup, RecordingSetup
 from cell.settings import Settings
 from cell.settings import devices as given
 from cell.settings.referred import line_of

@@ -14,10 +14,9 @@ from cell.records.recording import form
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
 from cell.records.result import Result
-from cell.run.archive import Archive
+from cell.run.archive import Archive, RecordingSetup
 from cell.run.findings import Filming
 from cell.run.plans import FILM, filmed
-from cell.run.recorded import RecordingSetup
 from cell.settings import Settings
 from cell.settings.calibrated import calibrated
 from cell.settings.records import RecordingSettings

@@ -17,10 +17,9 @@ from cell.records.recording import form
 from cell.records.recording.reading import Recording
 from cell.records.recording.unpack import restored_files
 from cell.records.result import Outcome, Result
-from cell.run.archive import Archive
+from cell.run.archive import Archive, RecordingSetup
 from cell.run.findings import Filming
 from cell.run.plans import FILM, INSERTING, LOOK, Plan, filmed
-from cell.run.recorded import RecordingSetup
 from cell.settings import Settings, load_settings
 from cell.settings.calibrated import Calibrated, calibrated
 from cell.simulated.replayed import replayed_devices

@@ -24,7 +24,7 @@ from cell.plan import choose
 from cell.records import folder
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
-from cell.run import early_estimate, jobs, steps
+from cell.run import early_estimate, steps, waiting
 from cell.run.findings import Filming
 from cell.settings import Settings
 from cell.settings.model import Hold, StartSettings
@@ -217,7 +217,7 @@ def test_a_second_process_finds_the_same_and_may_die_or_hang(
         ({"hold_and_capture": kill}, 30.0, 0.5),
         ({"hold_and_capture": freeze}, 1.0, 0.5),
     ):
-        monkeypatch.setattr(jobs, "LONGEST_S", longest_s)
+        monkeypatch.setattr(waiting, "LONGEST_S", longest_s)
         it = live(at, settings=hurried)
         found = it.cell.run_cycle(1)
         it.cell.close()

@@ -40,8 +40,8 @@ from cell.records.recording.recorder import _PoseStream
 from cell.records.recording.uploads import Uploads
 from cell.records.recording.writer import RecordingWriter
 from cell.run.commands import Commands
-from cell.run.jobs import found_by
 from cell.run.machine import MachineEvent
+from cell.run.waiting import found_by
 from cell.settings.plant import OpcUa
 from cell.settings.plant.handshake import Handshake
 from cell.terminal.keyboard import Keyboard

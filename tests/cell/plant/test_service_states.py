@@ -28,8 +28,7 @@ from cell.run.cycle import Cell
 from cell.run.findings import Findings
 from cell.run.machine import TRANSITIONS, CellState, MachineEvent, target_of
 from cell.run.plans import Plan, Step
-from cell.run.product import ProductTask
-from cell.run.station import Station
+from cell.run.station import ProductTask, Station
 from cell.settings import load_settings
 from cell.wiring.build import cell_task
 from drivers.interfaces import ArmMode, DeviceLostError

@@ -69,7 +69,7 @@ CALLS: Mapping[str, Mapping[int, str]] = {
 }
 #: Functions that return sentences, and tables of them.
 RETURNED = {
-    "cell/run/steps.py": ("whereabouts_of_cable",),
+    "cell/run/endings.py": ("whereabouts_of_cable",),
     "cell/records/recording/film.py": ("why_no_film",),
     "cell/settings/calibrated.py": ("complaint_of",),
     "cell/calibration/work.py": ("_words", "_too_poor"),

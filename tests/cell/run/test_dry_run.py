@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cell.plan.paths import MotionLimits, identification_path, insertion_path
 from cell.records.result import AgreementCheck
-from cell.run.agreement import agreement
+from cell.run.dry_run import agreement
 from cell.run.findings import JawFilm, RehearsedMotion
 from drivers.interfaces import Frame, Pose, Trajectory
 from drivers.servo import servo_response
