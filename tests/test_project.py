@@ -105,7 +105,7 @@ def test_only_a_few_modules_call_devices() -> None:
         and ast.unparse(node.func.value).rpartition(".")[2].lstrip("_")
         in ("arm", "camera", "gripper")
     ]
-    found = {path for path, _ in calls if path.parts[1] != "simulated"}
+    found = {path for path, _ in calls if path.parts[1] != "wiring"}
     callers = {Path("cell", "run", f"{name}.py") for name in CALLERS}
     recorders = {Path("cell", "records", "recording", f"{n}.py") for n in ("devices", "recorder")}
     assert found == callers | recorders | {Path("cell", "calibration", "session.py")}, calls

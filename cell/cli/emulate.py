@@ -15,7 +15,7 @@ from cell.cli.shared import NOT_ALL_DONE, Config, group, interrupted_once, refus
 from cell.cli.typed import TypedLines
 
 if TYPE_CHECKING:
-    from cell.simulated.faults import DeviceFaults
+    from cell.wiring.faults import DeviceFaults
 
 app = group()
 
@@ -43,8 +43,8 @@ def emulate(
     """
     from cell.files.input_error import InputError
     from cell.settings import load_settings
-    from cell.simulated.faults import DeviceFaults, read_fault
     from cell.wiring.build import emulating
+    from cell.wiring.faults import DeviceFaults, read_fault
 
     parent = os.getppid()
     try:
@@ -75,7 +75,7 @@ def emulate(
 
 def _obey(faults: DeviceFaults, line: str) -> None:
     """Do what was typed; what is not understood is said, and changes nothing."""
-    from cell.simulated.faults import REPAIR, read_fault
+    from cell.wiring.faults import REPAIR, read_fault
 
     try:
         if line == REPAIR:

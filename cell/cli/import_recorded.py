@@ -41,8 +41,7 @@ class RecordedImport:
 def film_study(given: RecordedImport) -> NoReturn:
     """A video of a cable becomes a recording, by the cell's own vision, and that a study."""
     from cell.settings import load_settings
-    from cell.simulated.filmed import read_film
-    from cell.wiring.filmed import record_film
+    from cell.wiring.filmed import read_film, record_film
 
     with refusing(), working("import") as progress:
         if len(given.files) > 1 or given.config is None or given.hand is None:

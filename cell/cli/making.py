@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from cell.run.station import ProductTask
     from cell.settings.calibrated import Calibrated
     from cell.settings.model import Settings
-    from cell.simulated.twins import Twins
+    from cell.wiring.twins import Twins
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +101,8 @@ def made_cell(
     cycles  number of simulated cables; None = there is always another
     """
     from cell.settings.devices import SimulatedArm
-    from cell.simulated.twins import build_twins
     from cell.wiring.build import build_cell, product_task
+    from cell.wiring.twins import build_twins
 
     settings = products.whole if first is None else products.settings[first]
     tasks = {n: product_task(s, products.known[n]) for n, s in products.settings.items()}

@@ -133,8 +133,7 @@ def replay(options: ReplayOptions) -> None:
 def _import(options: ReplayOptions) -> NoReturn:
     from cell.records.result import Outcome
     from cell.settings import load_settings
-    from cell.simulated.filmed import read_film
-    from cell.wiring.filmed import record_film
+    from cell.wiring.filmed import read_film, record_film
 
     film = options.recording
     target = film.with_name(f"{film.name}.mcap") if options.out is None else options.out

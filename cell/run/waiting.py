@@ -1,4 +1,4 @@
-"""Waiting: until a moment, until the arm rests, or for a computation; with a look at the devices."""
+"""Waiting: until a moment, until the arm rests, for a computation; and looks at the devices."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ import pytest
 from calib.board import Board, find_board
 from calib.board_pdf import board_pdf
 from calib.errors import WrongBoardError
-from cell.simulated.shown import board_patches, photograph_board
+from cell.wiring.shown import board_patches, photograph_board
 from drivers.sim.render import RenderOptions
 from tests.calib.conftest import BOARD, lens_of, middle_m
 

@@ -14,7 +14,7 @@ from calib.grip import GripView, fit_grip
 from calib.lens import Lens
 from calib.plane import PlaneView
 from cell.settings import load_settings
-from cell.simulated.hidden import cable_shape, hidden_cable
+from cell.wiring.twins import cable_shape, hidden_cable
 from drivers.interfaces import Trajectory
 from drivers.sim.pinhole import Pinhole
 from drivers.sim.render import LIGHT_ON_DARK, RenderOptions, render

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 from cell.cli import app
 from cell.plan import correction
 from cell.settings import Settings, load_settings
-from cell.simulated.twins import build_twins
 from cell.wiring.build import cell_with, twin_devices
+from cell.wiring.twins import build_twins
 
 from .forked import Forking
 

@@ -20,7 +20,7 @@ from cell.run.plans import INSERTING, Step
 from cell.run.station import Station
 from cell.settings import Settings
 from cell.settings.model import JawPlate, Vision
-from cell.simulated.hidden import hidden_cable
+from cell.wiring.twins import hidden_cable
 from drivers.interfaces import DeviceTimeoutError, Trajectory
 
 Live = Callable[..., SimpleNamespace]

@@ -21,8 +21,8 @@ from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING, measuring
 from cell.run.waiting import POLL_S
 from cell.settings import Settings
-from cell.simulated.twins import build_twins
 from cell.wiring.build import cell_with, twin_devices
+from cell.wiring.twins import build_twins
 from drivers.interfaces import Pose
 from drivers.servo import SETTLING_LAGS
 from drivers.sim.arm import ArmFaults, ArmTwinOptions, SimArm

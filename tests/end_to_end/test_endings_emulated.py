@@ -27,7 +27,7 @@ from drivers.sim.camera import Staging
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 
-from cell.simulated.emulated import EmulatedCell, HiddenCableFactory
+from cell.wiring.emulated import EmulatedCell, HiddenCableFactory
 
 pytestmark = pytest.mark.real_time
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cell.settings import load_settings
-from cell.simulated.emulated import EmulatedCell
+from cell.wiring.emulated import EmulatedCell
 
 from .conftest import run, unrecorded
 

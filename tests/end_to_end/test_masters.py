@@ -18,7 +18,7 @@ from cell.plant.client import Client
 from cell.plant.messages import Notice, Request, Status
 from cell.run.machine import MachineEvent
 from cell.settings import load_settings
-from cell.simulated.emulated import EmulatedCell
+from cell.wiring.emulated import EmulatedCell
 
 from .conftest import unrecorded
 from .forked import Forked, Forking

@@ -20,8 +20,8 @@ from cell.records.result import Outcome
 from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import measuring
 from cell.settings import Settings, load_settings
-from cell.simulated.hidden import hidden_cable
 from cell.study.folder import read_study
+from cell.wiring.twins import hidden_cable
 
 Live = Callable[..., SimpleNamespace]
 

@@ -36,10 +36,10 @@ from cell.records.recording.recorder import Recorder
 from cell.run.warm_up import warm_up_vision
 from cell.settings import load_settings
 from cell.settings.translate import vision_of
-from cell.simulated.emulated import EmulatedCell
 from cell.vision.detect import VisionOptions, detect
 from cell.vision.sighting import Sighting
 from cell.wiring.build import real_devices
+from cell.wiring.emulated import EmulatedCell
 from drivers.interfaces import Arm, Camera, DeviceError, TooLateError, Trajectory
 from tools.plant.around import Plant, published
 

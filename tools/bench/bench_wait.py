@@ -43,9 +43,8 @@ from cell.run.cycle import Cell
 from cell.run.plans import EXECUTE, HOLD, IDENTIFY
 from cell.settings import Settings, load_settings
 from cell.settings.model import StartSettings
-from cell.simulated.twins import build_twins
-from cell.wiring.build import cell_with, twin_devices
-from cell.wiring.evidence import with_recorder
+from cell.wiring.build import cell_with, twin_devices, with_recorder
+from cell.wiring.twins import build_twins
 from drivers.interfaces import Camera, Frame
 from drivers.priority import take_precedence
 from drivers.sim.clock import SimClock

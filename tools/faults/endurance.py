@@ -19,8 +19,8 @@ import numpy as np
 
 from cell.records.result import Outcome
 from cell.settings import load_settings
-from cell.simulated.emulated import EmulatedCell
 from cell.wiring.build import cell_with, real_devices
+from cell.wiring.emulated import EmulatedCell
 from tools.faults.short_cycles import short_cycles
 
 #: Waits that just leave enough to identify a cable, s.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.simulated.emulated import EmulatedCell
+from cell.wiring.emulated import EmulatedCell
 
 STILL_S = 0.2
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from cell.simulated.emulated import EmulatedCell
+from cell.wiring.emulated import EmulatedCell
 from drivers.emulators.camera import StreamFaults
 from drivers.emulators.robotiq import RobotiqFaults
 

@@ -39,8 +39,8 @@ from cell.run.cycle import Cell
 from cell.run.machine import MachineEvent
 from cell.run.plans import INSERTING
 from cell.settings import Settings, load_settings
-from cell.simulated.emulated import EmulatedCell
 from cell.wiring.build import cell_with, real_devices
+from cell.wiring.emulated import EmulatedCell
 from drivers.interfaces import Trajectory
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions

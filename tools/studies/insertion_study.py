@@ -33,8 +33,8 @@ from cell.cable.effects.library import library
 from cell.cable.model import CableModel
 from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
-from cell.simulated.hidden import hidden_cable
 from cell.wiring.build import cell_task
+from cell.wiring.twins import hidden_cable
 from tools.worlds.fast_cell import CONFIG, fast_cycle, typical, with_opening, with_world
 from tools.worlds.fast_flight import Flown
 from tools.worlds.fast_truth import true_hold

@@ -34,9 +34,9 @@ from cell.lab.next.next_motion import MOST_ASKED, distinguishing_motion, worth_m
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.settings.surroundings import Surroundings
-from cell.simulated.hidden import hidden_cable
 from cell.study.data import Study
 from cell.wiring.build import cell_task
+from cell.wiring.twins import hidden_cable
 from tools.studies.coverage_study import Errors
 from tools.worlds.fast_cell import (
     CONFIG,

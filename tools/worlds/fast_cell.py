@@ -27,9 +27,9 @@ from cell.run.early_estimate import possible_ends_s, without_hand_errors
 from cell.run.findings import Candidates
 from cell.run.station import Task, Timing
 from cell.settings import Settings
-from cell.simulated.hidden import hidden_cable
 from cell.study.data import Trial
 from cell.wiring.build import cell_task
+from cell.wiring.twins import hidden_cable
 from tools.studies.coverage_study import Errors
 from tools.worlds.fast_flight import Flown, Look, View, inserted
 from tools.worlds.fast_truth import (

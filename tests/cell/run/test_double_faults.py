@@ -16,8 +16,8 @@ from cell.run.plans import CONNECT, INSERTING, RESET, Plan, Step
 from cell.run.progress import CycleProgress
 from cell.run.station import Station
 from cell.settings import load_settings
-from cell.simulated.twins import build_twins
 from cell.wiring.build import cell_with, twin_devices
+from cell.wiring.twins import build_twins
 from drivers.interfaces import DeviceLostError
 
 FAKE = Path(__file__).parents[3] / "config" / "fake.yaml"

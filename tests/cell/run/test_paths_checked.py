@@ -9,8 +9,8 @@ from cell.plan.measuring import Measuring, Move
 from cell.records.result import Outcome
 from cell.run.plans import INSERTING, measuring
 from cell.settings import load_settings
-from cell.simulated.twins import build_twins
 from cell.wiring.build import cell_with, twin_devices
+from cell.wiring.twins import build_twins
 from drivers.interfaces import Pose
 
 FAKE = Path(__file__).parents[3] / "config" / "fake.yaml"

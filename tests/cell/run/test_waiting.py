@@ -14,8 +14,8 @@ from cell.run.findings import Findings
 from cell.run.station import Station
 from cell.run.waiting import await_rest
 from cell.settings import load_settings
-from cell.simulated.twins import build_twins
 from cell.wiring.build import cell_with, twin_devices
+from cell.wiring.twins import build_twins
 from drivers.interfaces import ArmState, DeviceTimeoutError, GripperState
 
 FAKE = Path(__file__).parents[3] / "config" / "fake.yaml"

@@ -48,7 +48,7 @@ def test_the_cable_of_the_made_up_picture_is_seen(options: VisionOptions) -> Non
 ONE_CYCLE = """
 from pathlib import Path
 from cell.wiring.build import cell_with, twin_devices
-from cell.simulated.twins import build_twins
+from cell.wiring.twins import build_twins
 from cell.run.plans import INSERTING
 from cell.settings import load_settings
 

@@ -19,9 +19,9 @@ from cell.settings.check import freedoms
 from cell.settings.devices import SimulatedCamera
 from cell.settings.records import ENDINGS
 from cell.settings.translate import vision_of
-from cell.simulated.twins import camera_twin
 from cell.vision.detect import VisionOptions
 from cell.vision.marks import JawMarks
+from cell.wiring.twins import camera_twin
 
 CONFIG = Path(__file__).parents[3] / "config"
 FAKE = (CONFIG / "fake.yaml").read_text(encoding="utf-8")

@@ -24,7 +24,7 @@ PLACES = (
         "cell/plant/left_behind.py",
         "cell/plant/children.py",
     ),
-    *("cell/calibration", "cell/simulated/filmed.py"),
+    *("cell/calibration", "cell/wiring/filmed.py"),
     *("cell/records/folder.py", "cell/records/recording/film.py", "cell/records/chart.py"),
     *("cell/records/ledger/database.py", "cell/records/recording/writer.py"),
     *("cell/settings/calibrated.py", "cell/cable/statics.py"),

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from cell.simulated.faults import KINDS, DeviceFaults, GivenFault, read_fault
+from cell.wiring.faults import KINDS, DeviceFaults, GivenFault, read_fault
 from drivers.emulators.camera import StreamFaults
 from drivers.emulators.launch import EmulatorError
 from drivers.emulators.robotiq import RobotiqFaults

@@ -23,8 +23,7 @@ from cell.cable.solver import Solver
 from cell.settings import Settings
 from cell.settings import devices as given
 from cell.settings.check import STREAM
-from cell.simulated.hidden import hidden_cable
-from cell.simulated.twins import camera_twin
+from cell.wiring.twins import camera_twin, hidden_cable
 from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera
 from drivers.emulators.camera_live import ArmScene, LiveScene
 from drivers.emulators.gripper import GripperProcess

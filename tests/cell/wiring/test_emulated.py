@@ -10,7 +10,7 @@ CONFIG = Path(__file__).parents[3] / "config" / "emulated.yaml"
 A_SWING = """
 from pathlib import Path
 import numpy as np
-from cell.simulated.emulated import HiddenCableFactory, load_code
+from cell.wiring.emulated import HiddenCableFactory, load_code
 from cell.settings import load_settings
 from drivers.interfaces import Trajectory
 

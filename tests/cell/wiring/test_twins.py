@@ -9,8 +9,7 @@ import pytest
 
 from cell.identify.parameters import Prior
 from cell.settings import Settings, load_settings
-from cell.simulated.hidden import FIRST_MODE, cable_shape, hidden_cable
-from cell.simulated.twins import build_twins
+from cell.wiring.twins import FIRST_MODE, build_twins, cable_shape, hidden_cable
 from drivers.interfaces import Trajectory
 
 CONFIG = Path(__file__).parents[3] / "config"

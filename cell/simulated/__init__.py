@@ -1,1 +1,0 @@
-"""Simulated and emulated cells: hidden cables, twins and emulators, wired to settings."""
