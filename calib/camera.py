@@ -10,9 +10,8 @@ import numpy as np
 
 from calib.board import Board, BoardView
 from calib.errors import BlurredError, MisfitError, OneSidedError, TooFewError
-from calib.lens import Lens
+from calib.lens import Lens, pose, project, rotation
 from calib.plane import fit_homography, map_homography
-from calib.projection import pose, project, rotation
 from calib.robust import PriorKnowledge, RobustFit, robust_fit
 from drivers.interfaces import FloatArray
 

@@ -30,9 +30,8 @@ from calib.jaw_marks import (
     shapes,
     sideways,
 )
-from calib.lens import Lens
+from calib.lens import Lens, pose
 from calib.plane import PlaneView
-from calib.projection import pose
 from calib.robust import PriorKnowledge, RobustFit, robust_fit
 from drivers.interfaces import FloatArray
 

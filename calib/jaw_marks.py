@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.lens import Lens
-from calib.projection import pose, project, rotation
+from calib.lens import Lens, pose, project, rotation
 from calib.robust import sum_variance
 from drivers.interfaces import FloatArray
 

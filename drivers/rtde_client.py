@@ -13,8 +13,7 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Self
 
-from drivers.rtde_wire import PackageType, Packet, Recipe, Splitter, Value, WireError
-from drivers.ur_addresses import RTDE_PORT
+from drivers.rtde_wire import RTDE_PORT, PackageType, Packet, Recipe, Splitter, Value, WireError
 
 
 class RtdeError(ConnectionError):

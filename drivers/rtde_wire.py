@@ -11,6 +11,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 
+RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT, FAULT_PORT = 30004, 30003, 29999, 39999
+
+
 Value = float | int | Sequence[float] | Sequence[int]
 
 _HEADER = struct.Struct(">HB")

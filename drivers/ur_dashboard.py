@@ -6,8 +6,8 @@ import socket
 import threading
 import time
 
+from drivers.rtde_wire import DASHBOARD_PORT
 from drivers.threads import GuardedThread, said
-from drivers.ur_addresses import DASHBOARD_PORT
 
 _EVERY_S = 0.5
 

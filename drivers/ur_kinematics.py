@@ -1,6 +1,6 @@
 """Kinematics of Universal Robots arms from their nominal dimensions.
 
-Poses are 4 × 4 matrices X_BT (tool in base), m; see `drivers.ur_pose`.  Compiled: an emulated
+Poses are 4 × 4 matrices X_BT (tool in base), m; see `drivers.ur_kinematics`.  Compiled: an emulated
 controller works the joints out in each of its cycles, 500 times a second.  A real arm's calibrated
 dimensions differ by a millimetre or so, which is why these serve to judge reach and to emulate,
 never to measure.
@@ -12,10 +12,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import atan2, cos, sin, sqrt
 
+import cv2
 import numpy as np
 from numba import njit
 
-from drivers.interfaces import FloatArray
+from drivers.interfaces import FloatArray, LimitError, Trajectory
+from drivers.plane_mount import PlaneMount
 
 _TWIST_COS = (0.0, 1.0, 1.0, 0.0, 0.0, 1.0)
 _TWIST_SIN = (1.0, 0.0, 0.0, 1.0, -1.0, 0.0)
@@ -178,3 +180,87 @@ def _rotation_vector(R):  # type: ignore[no-untyped-def]
     axis = R[:, k].copy()
     axis[k] += 1.0
     return axis * (np.pi / sqrt(axis @ axis))
+
+
+def matrix_of(pose: FloatArray) -> FloatArray:
+    """(6,) position and rotation vector → (4, 4)."""
+    X = np.zeros((4, 4))
+    X[:3, 3] = pose[:3]
+    X[:3, :3] = cv2.Rodrigues(np.asarray(pose[3:6], dtype=np.float64))[0]
+    X[3, 3] = 1.0
+    return X
+
+
+def matrices_of(poses: FloatArray) -> FloatArray:
+    """(n, 6) positions and rotation vectors → (n, 4, 4), a hundred times as fast as one by one."""
+    vectors = poses[:, 3:6]
+    angle = np.sqrt(np.sum(vectors * vectors, axis=1))
+    axis = vectors / np.where(angle > 0.0, angle, 1.0)[:, None]
+    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    x, y, z = axis.T
+    o = np.zeros_like(x)
+    cross = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)
+    X = np.zeros((len(poses), 4, 4))
+    X[:, :3, :3] = cosine * np.eye(3) + sine * cross
+    X[:, :3, :3] += (1.0 - cosine) * axis[:, :, None] * axis[:, None, :]
+    X[:, :3, 3] = poses[:, :3]
+    X[:, 3, 3] = 1.0
+    return X
+
+
+def pose_of(X: FloatArray) -> FloatArray:
+    """(4, 4) → (6,) position and rotation vector."""
+    return np.concatenate([X[:3, 3], cv2.Rodrigues(X[:3, :3])[0].ravel()])
+
+
+_NOTHING_MOVED = "nothing was moved"
+
+#: Between two places at which the joints are looked at: at most this time, s, or this way, m (a
+#: turn of 1 rad counts as 0.1 m), whichever is longer.
+STEP_S, STEP_M = 0.02, 0.002
+
+
+def check_reach(
+    path: Trajectory,
+    q_rad: FloatArray,
+    model: UrModel,
+    X_FT: FloatArray,
+    mount: PlaneMount,
+    device: str = "arm",
+) -> None:
+    """Joint angles and speeds along a path whose times count from 0.
+
+    q_rad   (6,) joint angles now, near which those of the path are looked for
+    X_FT    (4, 4) tool on the flange
+    raises  LimitError: out of reach, or a joint too fast; with the time of the first such place
+    """
+    before_s = None
+    for t_s in _places_s(path).tolist():
+        try:
+            q_next = model.inverse(mount.to_base(path.at(t_s)), q_rad, X_FT)
+        except OutOfReachError as error:
+            raise LimitError(device, f"at t = {t_s:.3f} s {error}", _NOTHING_MOVED) from error
+        if before_s is not None:
+            fastest = float(np.max(np.abs(q_next - q_rad))) / (t_s - before_s)
+            if fastest > model.max_joint_speed_rad_per_s:
+                raise LimitError(
+                    device,
+                    f"at t = {t_s:.3f} s a joint turns at {fastest:.2f} rad/s, allowed "
+                    f"{model.max_joint_speed_rad_per_s:.2f} rad/s",
+                    _NOTHING_MOVED,
+                )
+        before_s, q_rad = t_s, q_next
+
+
+def _places_s(path: Trajectory) -> FloatArray:
+    """(n,) times at which the joints are looked at, the first and the last of the path included.
+
+    Counted along the path, so that a rest in it takes no places from a fast part.
+    """
+    turns = 0.1 * np.diff(path.angle_rad)
+    ways_m = np.hypot(np.hypot(np.diff(path.x_m), np.diff(path.y_m)), turns)
+    steps = np.minimum(np.diff(path.t_s) / STEP_S, ways_m / STEP_M)
+    done = np.concatenate([[0.0], np.cumsum(steps)])
+    count = max(1, int(np.ceil(done[-1])))
+    inner = np.interp(np.linspace(0.0, done[-1], count + 1)[1:-1], done, path.t_s)
+    return np.concatenate([path.t_s[:1], inner, path.t_s[-1:]])

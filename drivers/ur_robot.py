@@ -14,8 +14,7 @@ from drivers.priority import Pollers, own_threads
 from drivers.rtde_client import RtdeClient
 from drivers.ur_claim import ClaimedError, claim
 from drivers.ur_dashboard import RemoteControl
-from drivers.ur_identity import identify
-from drivers.ur_versions import Version, has_dashboard, refusal
+from drivers.ur_versions import Version, has_dashboard, identify, refusal
 
 _PLAYING = 2  # runtime state
 _RUNNING = 7  # robot mode: powered, brakes released

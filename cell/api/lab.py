@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from cell.api.fitted_study import fit_study
 from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResult, SuggestResult
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
+from cell.identify.noise import Noise
 from cell.lab.data.named_effects import (
     EffectSelection,
     candidates_in,
@@ -20,6 +21,7 @@ from cell.lab.data.named_effects import (
 )
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.own_check import read_own_checks
+from cell.lab.data.prepared import ERRS, PreparedStudy, as_measured
 from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import DIAGNOSIS, SpentError, Work, WorkStoppedError
@@ -27,9 +29,12 @@ from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.asked import select_asked
 from cell.lab.next.study_power import power_of
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
 from cell.lab.search.wrong_samples import without_wrong_samples
 from cell.lab.strength.compare import Comparison, compare_model, model_names
+from cell.lab.strength.kept_model import identified
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.diagnose import diagnose as examine
@@ -38,6 +43,36 @@ from cell.lab.verdict.fit_doubts import fit_doubts
 from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
 from cell.study.data import Study
 from cell.study.folder import check_study
+
+_LOG = logging.getLogger(__name__)
+
+
+def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
+    """The best model of a study with the effects of the fit cache's space; the study as fitted to.
+
+    Where the model errs by more than the camera, its own error is taken for noise and the fit
+    repeated, so that the prior keeps a part in what the data then cannot tell.  Its correlation
+    widens the intervals and leaves the weight of the frames as it is.
+    """
+    candidate = fits.baseline()
+    prepared = fits.prepared
+    _LOG.info("fitted %s: %.4f mm", prepared.study.name, candidate.fit.rms_m * 1e3)
+    if candidate.fit.rms_m <= ERRS * prepared.expected_m("fit"):
+        return identified(prepared, candidate.fit, fits.library.values()), candidate, prepared
+    left = Noise(candidate.fit.rms_m)
+    coarser = FitCache(
+        PreparedStudy.of(
+            as_measured(prepared), misfit=left, solver=prepared.solver, work=prepared.work
+        ),
+        fits.space,
+        fits.library,
+        fits.progress,
+        begin=candidate.fit.q if fits.sought else None,
+    )
+    candidate = coarser.baseline()
+    model = identified(coarser.prepared, candidate.fit, fits.library.values())
+    return model, candidate, coarser.prepared
+
 
 if TYPE_CHECKING:
     from cell.lab.search.fit_cache import FitCache

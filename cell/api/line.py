@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cell.api.lab import several
-from cell.api.shown import Row, Shown
+from cell.api.results import Row, Shown
 from cell.files.table import TableData
 from cell.lab.data.cycles import read_cycles
 from cell.lab.data.named_effects import select_effects

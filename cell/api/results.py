@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cell.api.shown import Row, Shown
 from cell.cable.arrays import FloatArray
 from cell.files.atomic import write_whole
 from cell.files.table import TableData
@@ -41,6 +40,51 @@ from cell.lab.strength.compare import Comparison, comparisons_json
 from cell.lab.strength.kept_model import identified
 from cell.lab.verdict.doubts import interrupted_doubt
 from cell.study.wrench_file import COLUMNS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+#: A row of a data frame by its columns.
+Row = dict[str, Any]
+
+
+class Shown:
+    """A result: sentences and tables for people, plain data and rows for programs."""
+
+    def parts(self) -> Sequence[str | TableData]:
+        """What the command prints, in its order."""
+        raise NotImplementedError
+
+    def rows(self) -> list[Row]:
+        """The main table, one entry per column."""
+        raise NotImplementedError
+
+    def to_frame(self) -> pd.DataFrame:
+        """The main table as a data frame, numbers in SI units.
+
+        raises  ImportError: pandas is not installed
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise ImportError(
+                "data frames need pandas; install it with: pip install 'cable-cell[notebook]'"
+            ) from error
+        return pd.DataFrame.from_records(self.rows())
+
+    def __repr__(self) -> str:
+        """The first sentence that the command prints."""
+        sentences = [part for part in self.parts() if isinstance(part, str)]
+        said = sentences[0] if sentences else self.parts()[0]
+        return f"<{type(self).__name__}: {said if isinstance(said, str) else said.title}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from cell.files.page import fragment  # templates: not needed without a notebook
+
+        return fragment(self.parts())
+
 
 if TYPE_CHECKING:
     from cell.lab.data.prepared import PreparedStudy

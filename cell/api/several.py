@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.api.lab import StudyOrFolder, Tell, examined, rules_with, set_up, several, silent
-from cell.api.shown import Row, Shown
+from cell.api.results import Row, Shown
 from cell.cable.solver import threads
 from cell.files.table import TableData
 from cell.lab.data.named_effects import EffectSelection, select_for_diagnosis

@@ -12,15 +12,14 @@ from calib.board import Board, BoardView, find_board
 from calib.camera import picture_grid
 from calib.cell import CellFit
 from calib.errors import CalibrationError
+from calib.hand_eye import choose_poses, in_picture
 from calib.jaw_marks import JawObservation
 from calib.plane import PlaneView
 from calib.plate import find_plate
-from calib.poses import choose_poses, in_picture
 from cell.cable.arrays import FloatArray
-from cell.calibration.coverage import Look
 from cell.calibration.raw import NamedImage, SeenMove, ShownCell, ShownPose
 from cell.calibration.session import CalibrationSession, FilmedMove
-from cell.calibration.showing import BOARD_VIEWS, THREADS, Assistant
+from cell.calibration.showing import BOARD_VIEWS, THREADS, Assistant, Look
 from cell.plan.measuring import Move, least_duration_s, measuring_path
 from cell.settings import Settings
 from cell.settings.translate import vision_of

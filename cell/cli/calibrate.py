@@ -161,10 +161,12 @@ def board(
     ] = False,
 ) -> None:
     """Write the board as a PDF at full scale, with rulers to check the printout."""
-    from cell.calibration.board_file import write_board
+    from calib.board import Board, board_pdf
+    from cell.files.atomic import write_whole
 
     with refusing(out, force=out.suffix.lower() == ".pdf"):
-        write_board(out, columns, rows, square_mm / 1e3, dictionary=dictionary, legacy=legacy)
+        board = Board(columns, rows, square_mm / 1e3, dictionary=dictionary, legacy=legacy)
+        write_whole(out, board_pdf(board))
     print(f"{out}: print at 100 %, measure ten squares, put the result in calibration.square_m")
 
 
@@ -217,7 +219,7 @@ def _workshop(
 
     gripped  a cable is gripped, so that it must be said of which product
     """
-    from cell.calibration.coverage import write_coverage
+    from cell.calibration.showing import write_coverage
     from cell.calibration.work import BrokenOffError, CalibrationJob
     from cell.files.input_error import InputError
     from cell.settings import load_settings

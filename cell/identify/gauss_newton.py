@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.identify.differences import difference_points, one_sided_steps, within_deviations
+from cell.identify.parameters import difference_points, one_sided_steps, within_deviations
 
 #: Residuals of many parameter vectors at once: (lanes, p) → (lanes, rows), white, of unit size.
 #: A lane that cannot be computed is not finite throughout.

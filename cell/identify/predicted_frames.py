@@ -11,9 +11,8 @@ from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import STILL, Motion
 from cell.cable.solver import Solver
-from cell.identify.differences import difference_points
 from cell.identify.hand import HandErrors, likely_motions
-from cell.identify.parameters import ParameterSpace
+from cell.identify.parameters import ParameterSpace, difference_points
 from cell.study.data import Trial
 
 #: A frame that comes further than this from its time is not the one that was predicted, s.

@@ -14,8 +14,8 @@ from cell.cable.arrays import FloatArray
 from cell.cable.branches import simulate_branches
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
-from cell.identify.differences import difference_points
 from cell.identify.identified import Identified
+from cell.identify.parameters import difference_points
 from cell.plan.destination import Destination
 from cell.settings.model import REPEATABILITY_M
 

@@ -13,8 +13,8 @@ from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
-from cell.identify.differences import difference_points
 from cell.identify.identified import Identified
+from cell.identify.parameters import difference_points
 from cell.plan.choose import coarsened
 
 #: Time between two instants at which nodes are known, s.

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.plane import PlaneView
-from cell.computer.abilities import Abilities, abilities
-from cell.computer.stalls import StallProbe, Stalls
+from cell.computer.abilities import Abilities, StallProbe, Stalls, abilities
 from cell.run.warm_up import made_up_picture
 from cell.vision.detect import VisionOptions, detect
 

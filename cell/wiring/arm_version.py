@@ -18,8 +18,7 @@ from cell.files.input_error import InputError
 from cell.records.result import Outcome, Result
 from cell.settings import Settings
 from cell.settings import devices as given
-from drivers.ur_identity import ControllerIdentity, identify
-from drivers.ur_versions import is_proved, refusal, version_text
+from drivers.ur_versions import ControllerIdentity, identify, is_proved, refusal, version_text
 
 #: In the folder of the records.
 FILE = "allowed_versions.json"

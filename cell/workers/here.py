@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import closing
 
 from cell.cable.solver import one_core, threads
-from cell.computer.fork_stream import ProcessLostError, stream
+from cell.computer.forks import ProcessLostError, stream
 from cell.computer.watched import MOST_FORKS
 from cell.workers.executor import Executor, Given, JobResult, Returned
 from cell.workers.job import done, result_of

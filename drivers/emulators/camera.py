@@ -11,20 +11,76 @@ import select
 import socket
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
+from typing import Protocol
 
 import cv2
+import numpy as np
 
 from drivers.clock import sleep_until
 from drivers.emulators.camera_poses import PRIORITY
-from drivers.emulators.camera_scene import Scene, SceneFactory
 from drivers.emulators.camera_stream import picture_header, stream_header
 from drivers.emulators.launch import EmulatorProcess, answer_all, leave_interrupts_to_parent
 from drivers.interfaces import Image
 from drivers.priority import run_in_real_time
 from drivers.threads import GuardedThread, end_process, only_logged
+
+
+class Scene(Protocol):
+    """What is in front of the camera.  Lives in the camera's process; one thread uses it."""
+
+    def picture(self, t_s: float) -> Image:
+        """(H, W) picture with the middle of its exposure at `t_s` of the monotonic clock, a few
+        milliseconds ago.
+        """
+        ...
+
+    def keep_up(self) -> None:
+        """Called many times a second, whether or not anybody looks."""
+        ...
+
+    def tell(self, message: object) -> None:
+        """Something that the parent process says, e.g. that a cable was gripped."""
+        ...
+
+
+#: Makes a scene in the camera's process: a picklable callable.
+SceneFactory = Callable[[], Scene]
+
+
+@dataclass(frozen=True)
+class TestCard:
+    """A scene without anything: a ramp that moves by one grey level each period, so that every
+    picture tells its number, modulo 256.
+    """
+
+    __test__ = False  # not a test, whatever its name
+
+    width_px: int
+    height_px: int
+    rate_hz: float
+
+    def __call__(self) -> TestCard:
+        """Its own factory."""
+        return self
+
+    def picture(self, t_s: float) -> Image:
+        """Grey level = column + row + number of the period."""
+        columns = np.arange(self.width_px, dtype=np.int64)[None, :]
+        rows = np.arange(self.height_px, dtype=np.int64)[:, None]
+        shift = round(t_s * self.rate_hz) % 256
+        image: Image = ((columns + shift).astype(np.uint8) + rows.astype(np.uint8)).astype(np.uint8)
+        return image
+
+    def keep_up(self) -> None:
+        """Nothing happens to a test card."""
+
+    def tell(self, message: object) -> None:
+        """Nothing can be told to a test card."""
+
 
 _GLANCE_S = 0.02  # how often whoever waits looks whether something changed
 

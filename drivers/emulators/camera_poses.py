@@ -17,9 +17,8 @@ import numpy as np
 from drivers.interfaces import FloatArray, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import run_in_real_time
-from drivers.rtde_wire import PackageType, Packet, Splitter
+from drivers.rtde_wire import RTDE_PORT, PackageType, Packet, Splitter
 from drivers.threads import GuardedThread, end_process
-from drivers.ur_addresses import RTDE_PORT
 from drivers.ur_kinematics import UrModel
 
 #: Of everything in the camera's process: behind the arm, before ordinary programs.

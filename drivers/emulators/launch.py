@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Self
 
 from drivers.interfaces import FloatArray
-from drivers.ur_addresses import FAULT_PORT
+from drivers.rtde_wire import FAULT_PORT
 
 _START_S = 120.0  # on a new computer the machine code is compiled first, a minute on a busy one
 _ANSWER_S = 5.0

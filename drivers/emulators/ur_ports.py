@@ -13,8 +13,12 @@ from typing import Any, Protocol
 
 from drivers.emulators.ur_controller import CYCLE_S, Controller
 from drivers.rtde_wire import (
+    DASHBOARD_PORT,
+    FAULT_PORT,
     INPUTS,
     OUTPUTS,
+    RTDE_PORT,
+    SCRIPT_PORT,
     PackageType,
     Packet,
     Recipe,
@@ -22,7 +26,6 @@ from drivers.rtde_wire import (
     Value,
     names_in,
 )
-from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 
 _RTDE_HZ = 1.0 / CYCLE_S
 _MAX_BACKLOG = 65536  # a slow reader loses packets rather than time

@@ -24,8 +24,7 @@ from drivers.emulators.ur_arm import HOME_RAD
 from drivers.emulators.ur_controller import CYCLE_S, Controller, ControllerOptions
 from drivers.emulators.ur_ports import PORTS, PortConnection, PortFaults, Rtde
 from drivers.priority import run_in_real_time
-from drivers.rtde_wire import WireError
-from drivers.ur_addresses import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
+from drivers.rtde_wire import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT, WireError
 from drivers.ur_kinematics import MODELS, load_code
 from drivers.ur_versions import has_dashboard, read_version
 

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.board import Board, find_board
-from calib.board_pdf import board_pdf
+from calib.board import Board, board_pdf, find_board
 from calib.errors import WrongBoardError
 from cell.wiring.shown import board_patches, photograph_board
 from drivers.sim.render import RenderOptions

@@ -12,8 +12,8 @@ from calib.camera import fit_camera
 from calib.cell import fit_cell
 from calib.errors import MisfitError, OneSidedError, TooFewError, WrongScaleError
 from calib.jaw_marks import Gravity, JawObservation, Plate
+from calib.lens import pose
 from calib.plane import PlaneView
-from calib.projection import pose
 from drivers.sim.render import JAW_MARKS_M
 from tests.calib.conftest import BOARD, lens_of, standing, views_of
 

@@ -8,8 +8,8 @@ import pytest
 from calib.camera import picture_grid
 from calib.hand_eye import classic_view
 from calib.jaw_marks import JawObservation
+from calib.lens import pose
 from calib.plane import PlaneView
-from calib.projection import pose
 from drivers.sim.render import JAW_MARKS_M
 from tests.calib.conftest import SIZE_PX, lens_of
 

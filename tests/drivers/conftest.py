@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera, StreamFaults
-from drivers.emulators.camera_scene import TestCard
+from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera, StreamFaults, TestCard
 from drivers.emulators.launch import EmulatedController
 from drivers.interfaces import FloatArray, Pose, Trajectory
 from drivers.plane_mount import PlaneMount
@@ -20,8 +19,7 @@ from drivers.sim.gripper import SimGripper
 from drivers.sim.render import RenderOptions
 from drivers.sim.world import SimWorld
 from drivers.ur import UrOptions
-from drivers.ur_kinematics import UR5E
-from drivers.ur_pose import pose_of
+from drivers.ur_kinematics import UR5E, pose_of
 
 HOME = Pose(0.5, 0.5, 0.0)
 #: An emulated gripper that is a thread of these tests may answer so late, s: on a busy computer the

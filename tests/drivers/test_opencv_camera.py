@@ -13,8 +13,7 @@ import pytest
 
 from drivers import opencv_camera
 from drivers.clock import RealClock
-from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera, StreamFaults
-from drivers.emulators.camera_scene import TestCard
+from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera, StreamFaults, TestCard
 from drivers.guard import GuardedCamera
 from drivers.interfaces import CameraError, ConnectError, DeviceLostError
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
+import socket
 from collections.abc import Iterator
 from itertools import pairwise
 
 import pytest
 
+from drivers import ur_dashboard, ur_versions
 from drivers.emulators.launch import EmulatedController
 from drivers.rtde_client import RtdeClient, RtdeError
-from drivers.ur_identity import identify
-from drivers.ur_versions import RANGES, SupportLevel, is_proved, refusal
+from drivers.ur_versions import RANGES, SupportLevel, identify, is_proved, refusal
 
 #: Emulated version; which is allowed in the settings; what is said, None = it runs.
 TABLE = [
@@ -128,3 +129,16 @@ def test_a_connection_that_ends_is_noticed(changeable) -> None:
         with pytest.raises(OSError, match=r"closed|reset"):
             while True:
                 client.newest(1.0)
+
+
+@pytest.mark.parametrize(
+    "answer", [b"", b"\n", b"could not understand: 'get serial number'\n", b"\xff\n"]
+)
+def test_what_is_no_serial_number_is_none(monkeypatch, answer) -> None:
+    """A controller that starts up: two of them would pass for the same one."""
+    ours, theirs = socket.socketpair()
+    theirs.sendall(b"Connected: Universal Robots Dashboard Server\n" + answer)
+    theirs.shutdown(socket.SHUT_WR)
+    monkeypatch.setattr(ur_dashboard.socket, "create_connection", lambda *_: ours)
+    with theirs, pytest.raises(OSError, match=r"tells no serial number|has closed"):
+        ur_versions._serial_number("127.0.0.1", 1.0)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.ur_addresses import FAULT_PORT
+from drivers.rtde_wire import FAULT_PORT
 
 from .conftest import run, unrecorded
 

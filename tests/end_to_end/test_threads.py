@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 
 from cell.computer import abilities
-from cell.computer.fork_stream import stream
+from cell.computer.forks import stream
 from cell.plant.children import Adapters
 from cell.plant.client import Client
 from cell.plant.handshake.carrier import CarrierError

@@ -22,8 +22,7 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver, generalised_alpha, threads
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, looks
-from cell.identify.differences import difference_points
-from cell.identify.parameters import ParameterSpace, Prior
+from cell.identify.parameters import ParameterSpace, Prior, difference_points
 from tools.bench.bench_task import (
     ALLOWED_M,
     ARC,

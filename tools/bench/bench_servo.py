@@ -28,7 +28,7 @@ import numpy as np
 import yaml
 
 from calib.plane import PlaneView
-from cell.computer.stalls import StallProbe, Stalls
+from cell.computer.abilities import StallProbe, Stalls
 from cell.plan.correction import Tail
 from cell.records.recording import form
 from cell.records.recording.devices import recorded_devices

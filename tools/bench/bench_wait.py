@@ -35,7 +35,7 @@ import numpy as np
 
 from cell.cli.making import MadeCell, Products
 from cell.cli.plant_end import PlantEnd
-from cell.computer.stalls import StallProbe
+from cell.computer.abilities import StallProbe
 from cell.plant.client import Client
 from cell.records.result import Result
 from cell.run.archive import Archive

@@ -34,10 +34,9 @@ from calib.cell import CellFit, camera_roll, fit_cell
 from calib.errors import CalibrationError
 from calib.grip import fit_grip
 from calib.jaw_marks import Gravity, JawObservation, Plate
-from calib.lens import Lens
+from calib.lens import Lens, pose
 from calib.plane import PlaneView, fit_homography
 from calib.plate import find_plate
-from calib.projection import pose
 from calib.thread import find_thread
 from calib.timing import arm_lag, camera_latency
 from cell.calibration.conclude import camera_from

@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.stats import binomtest
 
-from cell.api.fitted_study import fit_study
+from cell.api.lab import fit_study
 from cell.cable.effects import ActiveEffect, Effect, library
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified

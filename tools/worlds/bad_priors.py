@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cell.api.fitted_study import fit_study
+from cell.api.lab import fit_study
 from cell.cable.effects import library
 from cell.identify.identified import Identified
 from cell.lab.data.named_effects import EffectSelection

@@ -12,8 +12,8 @@ from scipy.linalg import block_diag
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
-from cell.identify.differences import difference_points
 from cell.identify.gaussian import marginal_chi2, parameters_root
+from cell.identify.parameters import difference_points
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit, best_initial_state, extended
 from cell.lab.statistics.series import overall

@@ -17,8 +17,8 @@ from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.files.words import counted
-from cell.identify.differences import difference_points
 from cell.identify.gaussian import covariance_root, marginal_chi2
+from cell.identify.parameters import difference_points
 from cell.identify.whitener import Whitener
 from cell.lab.data.planned_trials import planned_trials
 from cell.lab.data.prepared import PreparedStudy

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from cell.identify.differences import difference_points, one_sided_steps
 from cell.identify.gaussian import (
     covariance_root,
     marginal_chi2,
     marginal_products,
     parameters_root,
 )
+from cell.identify.parameters import difference_points, one_sided_steps
 
 
 def test_the_root_of_a_singular_covariance_gives_it_back():

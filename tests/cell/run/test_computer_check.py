@@ -9,8 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
-from cell.computer.abilities import Abilities
-from cell.computer.stalls import Stalls
+from cell.computer.abilities import Abilities, Stalls
 from cell.run import computer_check
 from cell.run.computer_check import CameraLoad, check_computer, vision_rates_hz
 from cell.vision.detect import VisionOptions

@@ -19,10 +19,10 @@ from drivers.emulators.camera import (
     CameraEmulatorOptions,
     EmulatedCamera,
     StreamFaults,
+    TestCard,
     _Parcel,
     _Server,
 )
-from drivers.emulators.camera_scene import TestCard
 from drivers.emulators.launch import EmulatorError
 
 SIZE = CameraEmulatorOptions(width_px=160, height_px=120)
@@ -147,7 +147,7 @@ def test_killed_it_is_gone_for_everybody() -> None:
 PARENT = """
 import time
 from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera
-from drivers.emulators.camera_scene import TestCard
+from drivers.emulators.camera import TestCard
 if __name__ == "__main__":
     options = CameraEmulatorOptions(width_px=160, height_px=120)
     with EmulatedCamera(TestCard(160, 120, 200.0), options) as camera:

@@ -18,7 +18,7 @@ import pytest
 
 from cell.cable.effects import CableData, Effect, EffectError, HandMotion, load_effect
 from cell.cable.effects.remote import MARK, confine_effects, is_remote
-from cell.computer.plain_values import decode, encode
+from cell.computer.sandbox import decode, encode
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="there is no sandbox elsewhere")
 

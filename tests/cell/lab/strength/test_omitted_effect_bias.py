@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from cell.api.fitted_study import fit_study
+from cell.api.lab import fit_study
 from cell.cable.effects import library
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.search.setup import fit_cache_of

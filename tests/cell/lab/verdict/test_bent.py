@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.api.fitted_study import fit_study
+from cell.api.lab import fit_study
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cell.api.fitted_study import fit_study
+from cell.api.lab import fit_study
 from cell.cable.effects import library
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.thresholds import DEFAULT_RULES
