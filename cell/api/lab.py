@@ -96,18 +96,34 @@ def several(given: Sequence[T]) -> tuple[T, ...]:
     return (given,) if alone else tuple(given)  # type: ignore[return-value]
 
 
+def effect_names(given: Sequence[Path | str], argument: str = "effects") -> tuple[str, ...]:
+    """Names of effects and files of your own, as text.  Raises TypeError: one is neither."""
+    for each in (found := several(given)):
+        if not isinstance(each, str | Path):
+            raise TypeError(f"{argument}: {each!r} is no effect; give a name, or a file.py")
+    return tuple(map(str, found))
+
+
+def check_given(study: object) -> None:
+    """Raises TypeError: it is neither a study nor a folder."""
+    if not isinstance(study, Study | Path | str):
+        raise TypeError(f"study: {study!r} is none; give its folder, or a Study")
+
+
 def read_study(folder: Path | str) -> Study:
     """A study, by its folder or that of a recorded cycle; its notes say what is odd about it.
 
     raises  InputError: file, line, what is wrong, and how to mend it
+            TypeError: it is no folder
     """
+    check_given(folder)
     return open_study(Path(folder))
 
 
 def fit(
     study: StudyOrFolder,
     *,
-    effects: Sequence[str] = (),
+    effects: Sequence[Path | str] = (),
     prior: Path | str | None = None,
     config: Path | str | None = None,
     progress: Progress = no_progress,
@@ -120,7 +136,7 @@ def fit(
     progress told what is computed, and how much of it is done
     raises   InputError, ValueError: study, effect or model is wrong, and how to mend it
     """
-    return fitted(set_up(study, select_effects(several(effects)), prior, config, progress))
+    return fitted(set_up(study, select_effects(effect_names(effects)), prior, config, progress))
 
 
 def compare(
@@ -153,9 +169,9 @@ def compare(
 def diagnose(
     study: StudyOrFolder,
     *,
-    effects: Sequence[str] = (),
+    effects: Sequence[Path | str] = (),
     candidates: Path | str | None = None,
-    known: Sequence[str] = (),
+    known: Sequence[Path | str] = (),
     checks: Sequence[Path | str] = (),
     prior: Path | str | None = None,
     config: Path | str | None = None,
@@ -170,13 +186,13 @@ def diagnose(
     checks   files of your own questions, asked beside those of the lab
     other arguments and errors as of `fit`
     """
-    rules, tried = rules_with(several(checks)), list(several(effects))
+    rules, tried = rules_with(several(checks)), list(effect_names(effects))
     if candidates is not None:
         good, refused = candidates_in(Path(candidates), progress)
         tried += good
         for why in refused:
             warnings.warn(why, stacklevel=2)
-    selection = select_for_diagnosis(tried, several(known))
+    selection = select_for_diagnosis(tried, effect_names(known, "known"))
     fits = set_up(study, selection, prior, config, progress)
     return diagnosed(examined(fits, rules), _place(study))
 
@@ -184,8 +200,8 @@ def diagnose(
 def suggest(
     study: StudyOrFolder,
     *,
-    effects: Sequence[str] = (),
-    known: Sequence[str] = (),
+    effects: Sequence[Path | str] = (),
+    known: Sequence[Path | str] = (),
     prior: Path | str | None = None,
     config: Path | str | None = None,
     progress: Progress = no_progress,
@@ -201,8 +217,8 @@ def suggest(
     from cell.settings.surroundings import Surroundings
 
     around = Surroundings.read(None if config is None else Path(config))
-    names, tried = asked_and_tried(several(effects))
-    known = several(known)
+    names, tried = asked_and_tried(effect_names(effects))
+    known = effect_names(known, "known")
     if names:
         asked, selection = select_asked(names, known)
         fits = set_up(study, selection, prior, config, progress)
@@ -219,7 +235,7 @@ def power(
     *,
     verify: int = 0,
     motions: Sequence[Path | str] = (),
-    known: Sequence[str] = (),
+    known: Sequence[Path | str] = (),
     config: Path | str | None = None,
     progress: Progress = no_progress,
 ) -> PowerResult:
@@ -231,7 +247,7 @@ def power(
     motions  files of `cell suggest`, as if they had been recorded too and held out
     other arguments and errors as of `diagnose`
     """
-    asked, selection = select_asked(several(effects), several(known))
+    asked, selection = select_asked(effect_names(effects), effect_names(known, "known"))
     if not asked:
         raise ValueError("effects: there is none; give one or more")
     fits = set_up(study, selection, None, config, progress)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from cell.api.lab import several
+from cell.api.lab import effect_names, several
 from cell.api.results import Row, Shown
 from cell.files.table import TableData
 from cell.lab.data.cycles import read_cycles
@@ -69,7 +69,7 @@ def learn(
     config: Path | str,
     *,
     product: str | None = None,
-    effects: Sequence[str] = (),
+    effects: Sequence[Path | str] = (),
     progress: Progress = no_progress,
 ) -> LearnResult:
     """Find the effect that the line's model lacks, from recorded cycles of many cables.
@@ -83,7 +83,7 @@ def learn(
     settings = load_product(Path(config), product)
     cable, options = cable_of(settings), identification_of(settings)
     cycles, left_out = read_cycles([Path(run) for run in several(runs)], cable, settings.product)
-    library = select_effects([], several(effects)).candidates
+    library = select_effects([], effect_names(effects)).candidates
     result = learn_from(cycles, cable, options, library, progress)
     return judged(result, settings, left_out)
 

@@ -8,7 +8,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from cell.api.lab import StudyOrFolder, Tell, examined, rules_with, set_up, several, silent
+from cell.api.lab import (
+    StudyOrFolder,
+    Tell,
+    check_given,
+    effect_names,
+    examined,
+    rules_with,
+    set_up,
+    several,
+    silent,
+)
 from cell.api.results import Row, Shown
 from cell.cable.solver import threads
 from cell.files.table import TableData
@@ -52,8 +62,8 @@ class TogetherResult(Shown):
 def diagnose_together(
     studies: Sequence[StudyOrFolder],
     *,
-    effects: Sequence[str] = (),
-    known: Sequence[str] = (),
+    effects: Sequence[Path | str] = (),
+    known: Sequence[Path | str] = (),
     checks: Sequence[Path | str] = (),
     config: Path | str | None = None,
     progress: Progress = no_progress,
@@ -63,7 +73,7 @@ def diagnose_together(
     studies  two or more, of different names
     other arguments and errors as of `diagnose`
     """
-    selection = select_for_diagnosis(several(effects), several(known))
+    selection = select_for_diagnosis(effect_names(effects), effect_names(known, "known"))
     rules = rules_with(several(checks))
     return found_together(several(studies), selection, config, progress, rules=rules)
 
@@ -82,6 +92,8 @@ def found_together(
     executor  who diagnoses; None = all cores of this computer
     """
     names = _names(studies)
+    if not names:
+        raise ValueError("studies: there is none; give two or more")
     check_names(names)
     made_ready = [set_up(study, selection, None, config, tell=tell) for study in studies]
     executor = this_computer(min(threads(), len(names))) if executor is None else executor
@@ -111,6 +123,8 @@ class _Diagnosed:
 
 def _names(studies: Sequence[StudyOrFolder]) -> list[str]:
     """Names of studies or of their folders; with the folder above where that is needed."""
+    for study in studies:
+        check_given(study)
     places = [Path(s.name) if isinstance(s, Study) else Path(s).resolve() for s in studies]
     short = [p.name for p in places]
     names = [p.name if short.count(p.name) == 1 else f"{p.parent.name}/{p.name}" for p in places]

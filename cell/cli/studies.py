@@ -127,6 +127,7 @@ def look_at_study(
 def _look(folder: Path) -> StudyOverview:
     """A study as it is, with all that is known to be wrong and odd.  Raises InputError."""
     from cell.files.input_error import InputError
+    from cell.lab.data.opened_study import open_study
     from cell.lab.data.rest_drift import rest_drifts
     from cell.lab.report.look_page import StudyOverview
     from cell.study.facts import facts_of
@@ -141,6 +142,7 @@ def _look(folder: Path) -> StudyOverview:
     if not wrong:
         try:
             notes += slips(study)
+            open_study(folder)
         except InputError as error:
             wrong = [str(p) for p in error.problems]
     facts = facts_of(study.trials, study.arc_length_m)

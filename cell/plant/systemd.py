@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 import sys
 from collections.abc import Mapping
@@ -18,8 +19,12 @@ def unit_of(config: Path, runs: Path, folder: Path, user: str) -> str:
     """The unit of a service.
 
     config, runs, folder  the settings, the records, and where the service works; absolute
-    raises  ValueError: a path that systemd does not take; the message says what to do
+    raises  ValueError: a path or a user that systemd does not take; the message says what to do
     """
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*\$?|[0-9]+", user):
+        raise ValueError(
+            f"--user {user!r}: is no name of a user; give letters, digits, `_`, `.` and `-`"
+        )
     for path in (config, runs, folder, Path(sys.executable)):
         if "\n" in str(path):
             raise ValueError(f"{str(path)!r}: systemd takes no path with a line break; rename it")

@@ -182,10 +182,14 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
 
 
 def study_folder(folder: Path) -> Path:
-    """The folder of a study, given it or that of the recorded cycle that holds it in `study/`.
+    """The folder of a study: it, its `study.yaml`, or the recorded cycle that has it in `study/`.
 
-    raises  InputError: it holds several cycles instead
+    raises  InputError: it is another file, or holds several cycles
     """
+    if folder.is_file():
+        if folder.name == "study.yaml":
+            return folder.parent
+        raise InputError.at(folder, "is a file; give the folder that holds study.yaml")
     if (folder / "study.yaml").exists():
         return folder
     if (folder / "study" / "study.yaml").exists():

@@ -25,30 +25,30 @@ from cell.files.input_error import InputError
 SIGNATURES = {
     "read_study": "(folder: 'Path | str') -> 'Study'",
     "write_study": "(study: 'Study', folder: 'Path | str', *, recorded: 'bool' = False) -> 'None'",
-    "fit": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
+    "fit": "(study: 'StudyOrFolder', *, effects: 'Sequence[Path | str]' = (), "
     "prior: 'Path | str | None' = None, config: 'Path | str | None' = None, "
     "progress: 'Progress' = <function no_progress>) -> 'FitResult'",
     "compare": "(study: 'StudyOrFolder', "
     "models: 'Sequence[FitResult | Identified | Path | str]', *, "
     "names: 'Sequence[str] | None' = None) -> 'CompareResult'",
-    "diagnose": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
-    "candidates: 'Path | str | None' = None, known: 'Sequence[str]' = (), "
+    "diagnose": "(study: 'StudyOrFolder', *, effects: 'Sequence[Path | str]' = (), "
+    "candidates: 'Path | str | None' = None, known: 'Sequence[Path | str]' = (), "
     "checks: 'Sequence[Path | str]' = (), prior: 'Path | str | None' = None, "
     "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
     "-> 'DiagnoseResult'",
     "diagnose_together": "(studies: 'Sequence[StudyOrFolder]', *, "
-    "effects: 'Sequence[str]' = (), known: 'Sequence[str]' = (), "
+    "effects: 'Sequence[Path | str]' = (), known: 'Sequence[Path | str]' = (), "
     "checks: 'Sequence[Path | str]' = (), config: 'Path | str | None' = None, "
     "progress: 'Progress' = <function no_progress>) -> 'TogetherResult'",
     "learn": "(runs: 'Sequence[Path | str]', config: 'Path | str', *, "
-    "product: 'str | None' = None, effects: 'Sequence[str]' = (), "
+    "product: 'str | None' = None, effects: 'Sequence[Path | str]' = (), "
     "progress: 'Progress' = <function no_progress>) -> 'LearnResult'",
     "power": "(study: 'StudyOrFolder', effects: 'Sequence[str]', *, verify: 'int' = 0, "
-    "motions: 'Sequence[Path | str]' = (), known: 'Sequence[str]' = (), "
+    "motions: 'Sequence[Path | str]' = (), known: 'Sequence[Path | str]' = (), "
     "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
     "-> 'PowerResult'",
-    "suggest": "(study: 'StudyOrFolder', *, effects: 'Sequence[str]' = (), "
-    "known: 'Sequence[str]' = (), prior: 'Path | str | None' = None, "
+    "suggest": "(study: 'StudyOrFolder', *, effects: 'Sequence[Path | str]' = (), "
+    "known: 'Sequence[Path | str]' = (), prior: 'Path | str | None' = None, "
     "config: 'Path | str | None' = None, progress: 'Progress' = <function no_progress>) "
     "-> 'SuggestResult'",
 }
@@ -242,5 +242,18 @@ def test_what_is_of_another_kind_is_named(folder: Path) -> None:
         cell.power(folder, {"air_drag": 2.0})  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"models: 3 is none; give a result of `cell\.fit`"):
         cell.compare(folder, [3])  # type: ignore[list-item]
+    for work in (cell.fit, cell.diagnose, cell.suggest):
+        with pytest.raises(TypeError, match="effects: None is no effect; give a name, or a file"):
+            work(folder, effects=[None])  # type: ignore[list-item]
+        with pytest.raises(TypeError, match="study: None is none; give its folder, or a Study"):
+            work(None)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="known: 3 is no effect"):
+        cell.diagnose(folder, known=[3])  # type: ignore[list-item]
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.py: no such effect file"):
+        cell.fit(folder, effects=[Path("nowhere.py")])
+    with pytest.raises(TypeError, match="study: None is none"):
+        cell.diagnose_together([folder, None])  # type: ignore[list-item]
+    with pytest.raises(ValueError, match="studies: there is none; give two or more"):
+        cell.diagnose_together([])
     with pytest.raises(TypeError, match=r"cable\.free_length_m = '0\.1': must be a number"):
         cell.Cable("0.1", 0.0074, 0.016, 1e-4)  # type: ignore[arg-type]

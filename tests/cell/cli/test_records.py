@@ -74,6 +74,16 @@ def test_beside_the_root_there_is_no_place(command: tuple[object, ...]) -> None:
     )
 
 
+@pytest.mark.parametrize("command", ["status", "bundle", "serve"])
+def test_a_file_is_no_folder_of_records(command: str, tmp_path: Path) -> None:
+    """`cell status` said that no cell runs there."""
+    file = tmp_path / "runs.sqlite"
+    file.touch()
+    done = cell(command, "--runs", file)
+    assert done.exit_code == 2
+    assert "is a file; give a folder" in " ".join(done.stderr.replace("│", "").split())
+
+
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_an_export_takes_the_place_of_the_last_one(runs: Path, tmp_path: Path, kind: str) -> None:
     table = tmp_path / f"week.{kind}"

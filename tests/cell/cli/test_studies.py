@@ -87,6 +87,15 @@ def test_a_refused_study_is_shown_with_the_reason(study: Study, tmp_path: Path) 
     assert "exchange the columns" in page.read_text()
 
 
+def test_what_the_lab_refuses_is_to_be_mended(study: Study, tmp_path: Path) -> None:
+    checked = tuple(replace(t, role="validate") for t in study.trials)
+    write_study(replace(study, trials=checked), tmp_path / "s")
+    done = CliRunner().invoke(app, ["look", str(tmp_path / "s")])
+    assert done.exit_code == 1, done.output
+    assert "To be mended:" in done.output
+    assert "no trial has `role: fit`" in " ".join(done.output.split())
+
+
 def test_a_folder_without_a_study_is_refused(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["look", str(tmp_path)])
     assert done.exit_code == 2

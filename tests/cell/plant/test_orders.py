@@ -89,6 +89,9 @@ def test_a_unit_means_the_paths_that_it_was_made_of(
     assert unit["WorkingDirectory"].replace("%%", "%") == str(folder)
     with pytest.raises(ValueError, match="line break"):
         unit_of(Path("/a\nb"), runs, folder, "ada")
+    for user in ("no body", "", "ada\nUser=root", "%h"):
+        with pytest.raises(ValueError, match="is no name of a user"):
+            unit_of(config, runs, folder, user)
     monkeypatch.setattr("sys.executable", '/opt/q"q/python')
     with pytest.raises(ValueError, match="another folder"):
         unit_of(config, runs, folder, "ada")

@@ -382,6 +382,9 @@ def test_a_cycle_stands_for_its_study_and_a_folder_of_cycles_is_told_what_to_nam
     write_study(study(), tmp_path / "runs" / "one" / "study")
     assert study_folder(tmp_path / "runs" / "one") == tmp_path / "runs" / "one" / "study"
     assert study_folder(tmp_path / "runs" / "one" / "study").name == "study"
+    assert study_folder(tmp_path / "runs" / "one" / "study" / "study.yaml").name == "study"
+    with pytest.raises(InputError, match=r"is a file; give the folder that holds study\.yaml"):
+        study_folder(next((tmp_path / "runs" / "one" / "study").glob("*/markers.csv")))
     with pytest.raises(InputError, match=r"holds recorded cycles, not a study; name one of them"):
         study_folder(tmp_path / "runs")
 
