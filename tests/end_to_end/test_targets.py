@@ -74,7 +74,7 @@ TABLE: dict[str, Small | ByTest | OfCI] = {
     "discover": ByTest("end_to_end/test_success_paths.py::test_a_command_does_what_it_is_for"),
     "fault-trials": ByTest("end_to_end/test_fault_trials.py::"
                            "test_the_cell_stops_names_the_fault_keeps_the_cable_and_works_again"),
-    "handshake": Small("ARGS='--cycles 2 --carrier modbus'", "2"),
+    "handshake": Small("ARGS='--cycles 1 --carrier modbus'", "1"),
     "calibration-study": Small("ARGS='--setups 1 -o {out}/c.csv'", writes="c.csv"),
     "malformed": ByTest("end_to_end/test_malformed.py::"
                         "test_a_spoilt_file_is_refused_with_its_place_or_used"),
@@ -82,7 +82,7 @@ TABLE: dict[str, Small | ByTest | OfCI] = {
     "insertion": Small(
         "ARGS='{out}/i.csv --cables 1 --half-mm 2 --ways pace short_hold'", "complete", "i.csv"
     ),
-    "plant": Small("ARGS='--only mqtt --quick'", "mqtt"),
+    "plant": Small("ARGS='--only mqtt --steps lower execute --quick'", "2 of 2"),
     "pages": Small("ARGS='--hours 0.2 --speed 60'", "MiB"),
     "kills": Small("ARGS='{out}/k.csv --kills 1'", "1", "k.csv"),
     "clean": ByTest("end_to_end/test_targets.py::test_what_was_installed_is_removed"),

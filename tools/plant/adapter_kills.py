@@ -1,6 +1,6 @@
 """Every adapter, and the pages, killed in every step of a cycle: it ends as it would have.
 
-    python -m tools.plant.adapter_kills [--only mqtt] [--quick]
+    python -m tools.plant.adapter_kills [--only mqtt] [--steps lower execute] [--quick]
 
 The simulated cell runs as a service with OPC UA, MQTT, the handshake and `cell serve` beside it,
 whose live page somebody looks at: once untouched, and once with a kill (SIGKILL) in each cycle.
@@ -19,6 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -103,11 +104,8 @@ def made(
     raise RuntimeError("the client was closed")
 
 
-def kills(only: list[str]) -> list[tuple[str, str]]:
-    """Adapter and step of each kill."""
-    reset = set(INSERTING.resetting)
-    steps = [s.name for s in INSERTING.steps if s not in reset and not s.once]
-    return [(adapter, step) for adapter in ADAPTERS if adapter in only for step in steps]
+#: Steps in which adapters are killed: those that every cycle has.
+STEPS = [s.name for s in INSERTING.steps if s not in INSERTING.resetting and not s.once]
 
 
 def assigned(planned: list[tuple[str, str]], cycles: list[Made]) -> list[tuple[str, str] | None]:
@@ -126,9 +124,11 @@ def assigned(planned: list[tuple[str, str]], cycles: list[Made]) -> list[tuple[s
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--only", nargs="*", default=list(ADAPTERS), help="these adapters")
+    parser.add_argument("--steps", nargs="*", default=STEPS, choices=STEPS, help="in these steps")
     parser.add_argument("--quick", action="store_true", help="fewer and smaller pictures")
     given = parser.parse_args()
-    planned, done, wrong = kills(given.only), 0, 0
+    adapters = [adapter for adapter in ADAPTERS if adapter in given.only]
+    planned, done, wrong = list(product(adapters, given.steps)), 0, 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config = quick(folder / "quick.yaml") if given.quick else CONFIG
