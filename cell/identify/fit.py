@@ -15,7 +15,7 @@ from cell.cable.solver import DivergedError, Solver
 from cell.cable.statics import UnsettledError
 from cell.cable.wrench import Gauge, RowMeans
 from cell.identify import gauss_newton
-from cell.identify.hand import HandErrors, likely_motions
+from cell.identify.hand import GripperLogErrors, sampled_motions
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise, across, estimate_noise, still_frames
 from cell.identify.parameters import ParameterSpace
@@ -27,7 +27,7 @@ from cell.study.data import Markers, Trial
 _MATTERS = 1.3
 #: Where everything is predicted the last step is taken linearly if it is shorter than so many
 #: standard deviations.
-_ONE_STEP = gauss_newton.Options(tolerance=30.0, most_passes=1)
+_ONE_STEP = gauss_newton.Options(tolerance=30.0, max_iterations=1)
 #: What is tried when a fit does not converge, one after the other; then the nearest is taken.
 _CONTINUED, _RESTARTED = "continued", "restarted"
 
@@ -38,14 +38,14 @@ class FitOptions:
 
     solver           of the cable engine; its error should be well below the noise
     minimiser        see `gauss_newton`
-    hand             how far its motion may be wrong
+    gripper_errors   how far its motion may be wrong
     first_window_s   a cold start is first fitted to this much of the swing, so that no whole
                      period is lost between model and measurement
     starts           uniform cables tried for a cold start, over `start_range` in units of ρ g L³
     """
 
     solver: Solver = Solver(segments=30)  # noqa: RUF009
-    hand: HandErrors = HandErrors()  # noqa: RUF009
+    gripper_errors: GripperLogErrors = GripperLogErrors()  # noqa: RUF009
     minimiser: gauss_newton.Options = gauss_newton.Options(tolerance=1.5)  # noqa: RUF009
     first_window_s: float = 0.4
     starts: int = 32
@@ -100,7 +100,7 @@ def fit(
             solution = gauss_newton.minimise(_problem(space, residuals), start, minimiser)
         except ValueError as error:
             raise FitError(str(error)) from error
-        passes += solution.passes
+        passes += solution.iterations
         if predicted is not None and not solution.converged:
             predicted = None
             continue
@@ -116,7 +116,7 @@ def fit(
         if further < _MATTERS or widened > 1.0:
             break
         widened, start = further, start if predicted is not None else solution.q
-    hand_covariance = _hand_covariance(
+    hand_covariance = _gripper_covariance(
         trials, arc_length_m, space.model(solution.q), whiteners, solution, options, predicted
     )
     return Identified(
@@ -128,11 +128,11 @@ def fit(
         model_error_m=tip_error_m(solution.residual, whiteners, arc_length_m, noise),
         converged=solution.converged,
         inflation=widened * further,
-        frames_used=sum(frames_seen(t) for t in trials),
+        frames_used=sum(frames_detected(t) for t in trials),
         frames_total=sum(len(t.markers.t_s) for t in trials),
-        passes=passes,
+        iterations=passes,
         method="map",
-        hand_covariance=hand_covariance,
+        gripper_covariance=hand_covariance,
     )
 
 
@@ -152,7 +152,7 @@ def tip_error_m(
     return float(np.sqrt(max(0.0, square / max(1, count) - noise.std_m**2)))
 
 
-def _hand_covariance(
+def _gripper_covariance(
     trials: Sequence[Trial],
     arc_length_m: FloatArray,
     model: CableModel,
@@ -165,8 +165,8 @@ def _hand_covariance(
 
     The linear answer of the fit to residuals that other, as likely, motions of the hand bring.
     """
-    answers = np.zeros((options.hand.samples, len(solution.q)))
-    if options.hand.samples == 0:
+    answers = np.zeros((options.gripper_errors.samples, len(solution.q)))
+    if options.gripper_errors.samples == 0:
         return np.zeros_like(solution.covariance)
     begin = 0
     for trial, whitener in zip(trials, whiteners, strict=True):
@@ -175,22 +175,22 @@ def _hand_covariance(
         if predicted is not None:
             nodes_m = np.concatenate([predicted.markers_m[:1], predicted.others_m])
         else:
-            nodes_m = _with_other_hands(trial, arc_length_m, model, options)
+            nodes_m = _with_sampled_grips(trial, arc_length_m, model, options)
         white = whitener(nodes_m)
         answers -= (white[1:] - white[0]) @ solution.jacobian[rows]
     answers = answers @ solution.covariance
-    covariance: FloatArray = answers.T @ answers / options.hand.samples
+    covariance: FloatArray = answers.T @ answers / options.gripper_errors.samples
     return covariance
 
 
-def _with_other_hands(
+def _with_sampled_grips(
     trial: Trial, arc_length_m: FloatArray, model: CableModel, options: FitOptions
 ) -> FloatArray:
     """(1 + samples, T, markers, 2) markers with the logged hand, and as it may have moved, too."""
     try:
         return simulate(
             model,
-            [trial.grip, *likely_motions(trial.grip, options.hand.of(trial))],
+            [trial.grip, *sampled_motions(trial.grip, options.gripper_errors.of(trial))],
             trial.markers.t_s,
             arc_length_m,
             solver=options.solver,
@@ -206,7 +206,7 @@ def whiteners_of(trials: Sequence[Trial], noise: Noise) -> list[Whitener]:
     return [Whitener(t.markers.xy_m, noise) for t in trials]
 
 
-def frames_seen(trial: Trial) -> int:
+def frames_detected(trial: Trial) -> int:
     """Number of frames in which at least one marker is seen."""
     return int(np.count_nonzero(np.isfinite(trial.markers.xy_m).any(axis=(1, 2))))
 

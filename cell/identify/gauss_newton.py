@@ -38,7 +38,7 @@ class LeastSquaresProblem:
     mean, step, low, high  (p,); `step` is the largest of the finite differences, taken away from a
                            bound
     precision              (p, p) of the prior
-    slopes                 residuals that cost less and whose differences are as good, if there are
+    jacobian               residuals that cost less and whose differences are as good, if there are
                            any: the Jacobian is theirs
     affordable             whether there is time for another pass; a fit ends where it is if not
     """
@@ -49,7 +49,7 @@ class LeastSquaresProblem:
     step: FloatArray
     low: FloatArray
     high: FloatArray
-    slopes: Residuals | None = None
+    jacobian: Residuals | None = None
     affordable: Callable[[], bool] = lambda: True
 
 
@@ -70,7 +70,7 @@ class Options:
     """
 
     tolerance: float = 0.1
-    most_passes: int = 25
+    max_iterations: int = 25
     least_gain: float = 0.0
     updates: int = 0
     above: tuple[float, int] = (np.inf, 0)
@@ -86,9 +86,9 @@ class Solution:
     covariance  (p, p) of q if the residuals are white noise of unit size
     free        (p,) whether a parameter is inside its bounds
     objective   |r|² plus the prior's term
-    passes      places tried, the start included
+    iterations  places tried, the start included
     converged   whether the last step was within the tolerance
-    settled     whether it was, or nothing more was gained
+    converged_or_idle  whether it was, or nothing more was gained
     to_go       (p,) the step to the minimum if the model were linear; 0 if the last one was taken
     promised    by which the objective would fall on that step
     """
@@ -99,11 +99,11 @@ class Solution:
     covariance: FloatArray
     free: NDArray[np.bool_]
     objective: float
-    passes: int
+    iterations: int
     converged: bool
     to_go: FloatArray
     promised: float = 0.0
-    settled: bool = True
+    converged_or_idle: bool = True
 
     @property
     def unfinished(self) -> FloatArray:
@@ -128,7 +128,7 @@ def minimise(
     """Minimum near `start`.
 
     Every pass simulates a point and its finite differences together, so that an accepted step
-    costs one pass; with `options.updates` some cost one lane.  Where `problem.slopes` are to be had
+    costs one pass; with `options.updates` some cost one lane.  Where `problem.jacobian` is known
     only points that lie lower get their finite differences.  The last step, smaller than the
     tolerance, is taken without another pass: residuals and derivatives are then those of the
     linear model.
@@ -158,7 +158,7 @@ def minimise(
         settled = stuck >= (_STUCK_PASSES if promised <= scale else _ROUGH_PASSES)
         if passes >= options.above[1] and here.objective > options.above[0]:
             break
-        last = passes >= options.most_passes or not problem.affordable()
+        last = passes >= options.max_iterations or not problem.affordable()
         if near or settled or last or (idle == 2 and scale > _ERRS):
             computed = _computed(problem, here)
             if computed is not here:
@@ -171,7 +171,7 @@ def minimise(
         if damping > 0.0:
             step = _bounded_step(problem, here.q, normal, slope, damping)
         passes, stuck = passes + 1, stuck + 1
-        if here.updates < options.updates or problem.slopes is not None:
+        if here.updates < options.updates or problem.jacobian is not None:
             there = _updated(problem, here, step, np.diag(normal))
         else:
             there = _linearise(problem, here.q + step)
@@ -240,12 +240,12 @@ def _linearise(
     known  residual there, where the slopes come from elsewhere
     """
     step = one_sided_steps(q, problem.step, problem.high)
-    if problem.slopes is None:
+    if problem.jacobian is None:
         lanes = problem.residuals(difference_points(q, step))
         residual = lanes[0]
     else:
         residual = problem.residuals(q[None])[0] if known is None else known
-        lanes = problem.slopes(difference_points(q, step))
+        lanes = problem.jacobian(difference_points(q, step))
         if not np.all(np.isfinite(lanes)) and np.all(np.isfinite(residual)):
             lanes = problem.residuals(difference_points(q, step))
     jacobian = np.full((len(residual), len(q)), np.nan)

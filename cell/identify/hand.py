@@ -37,7 +37,7 @@ def align_motion(
 
 
 @dataclass(frozen=True)
-class HandErrors:
+class GripperLogErrors:
     """Uncertainty of the hand's motion beyond the noise found in its log.
 
     samples       motions drawn to see what it does to the parameters; 0 = taken as exact
@@ -51,12 +51,12 @@ class HandErrors:
     offset_rad: float = 0.0
     drift: HandDrift | None = None
 
-    def of(self, trial: Trial) -> HandErrors:
+    def of(self, trial: Trial) -> GripperLogErrors:
         """The same for a trial's hand, which may have a drift of its own."""
         return replace(self, drift=trial.hand_drift)
 
 
-def likely_motions(motion: Motion, errors: HandErrors, first: int = 0) -> list[Motion]:
+def sampled_motions(motion: Motion, errors: GripperLogErrors, first: int = 0) -> list[Motion]:
     """`errors.samples` motions as likely as the logged one.
 
     The noise is the same on the same samples of a log that goes on longer.

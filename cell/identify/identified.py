@@ -33,7 +33,7 @@ class Identified:
     residual_rms_m  measured − predicted, per coordinate, over all frames used, m
     inflation       variance factor for residuals larger or more coloured than the noise; ≥ 1
     frames_used, frames_total   frames with at least one marker seen, and all
-    passes          batches of simulations it took
+    iterations      batches of simulations it took
     method          "map" or "paper"; "imported" if nothing was measured
     hand_covariance (p, p) share of the hand's errors, and of the simulation's, in `covariance`
     model_error_m   what the model misses at the tip beyond the noise, root mean square, m
@@ -49,9 +49,9 @@ class Identified:
     inflation: float
     frames_used: int
     frames_total: int
-    passes: int
+    iterations: int
     method: Literal["map", "paper", "imported"]
-    hand_covariance: FloatArray
+    gripper_covariance: FloatArray
     model_error_m: float = 0.0
     converged: bool = True
     lacks: tuple[str, ...] = ()
@@ -110,7 +110,7 @@ class Identified:
                 )
             ],
             "covariance": self.covariance.tolist(),
-            "hand_covariance": self.hand_covariance.tolist(),
+            "hand_covariance": self.gripper_covariance.tolist(),
             "noise": dict(vars(self.noise)),
             "residual_rms_m": self.residual_rms_m,
             "model_error_m": self.model_error_m,
@@ -118,7 +118,7 @@ class Identified:
             "inflation": self.inflation,
             "frames_used": self.frames_used,
             "frames_total": self.frames_total,
-            "passes": self.passes,
+            "passes": self.iterations,
             **self._pull(),
             **({"lacks": list(self.lacks)} if self.lacks else {}),
         }

@@ -13,7 +13,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion, moves_from_s
 from cell.identify.fit import FitError, FitOptions, fit, still_noise
-from cell.identify.hand import HandErrors, align_motion
+from cell.identify.hand import GripperLogErrors, align_motion
 from cell.identify.identified import Identified
 from cell.identify.model_class import ModelClass
 from cell.identify.paper import fit_as_paper
@@ -42,14 +42,14 @@ class CableRejectedError(Exception):
 class Acceptance:
     """Conditions on the frames of a cable that is to be identified.
 
-    least_seen        share of the frames after the hand began to move in which it is seen
+    min_detected      share of the frames after the hand began to move in which it is seen
     least_swing_m     range of the tip's motion relative to the hand
 
     How well the model then fits is no condition: its error is a part of what the forecast does not
     know, and the probability of passing decides.
     """
 
-    least_seen: float = 0.7
+    min_detected: float = 0.7
     least_swing_m: float = 0.002
 
 
@@ -63,7 +63,7 @@ class IdentifyOptions:
 
     method: Literal["map", "paper"] = "map"
     kind: ModelClass = ModelClass()  # noqa: RUF009
-    fit: FitOptions = FitOptions(hand=HandErrors(offset_m=2e-6, offset_rad=2e-5))  # noqa: RUF009
+    fit: FitOptions = FitOptions(gripper_errors=GripperLogErrors(offset_m=2e-6, offset_rad=2e-5))  # noqa: RUF009
     acceptance: Acceptance = Acceptance()
     bias_m: float = 6e-6
 
@@ -179,7 +179,7 @@ def predict_frames(
         identified.space,
         identified.mean,
         solver=options.fit.solver,
-        hand=options.fit.hand,
+        hand=options.fit.gripper_errors,
     )
 
 
@@ -188,11 +188,11 @@ def _accept_frames(trial: Trial, acceptance: Acceptance) -> None:
     seen = np.asarray(np.isfinite(trial.markers.xy_m).all(axis=(1, 2)), dtype=np.bool_)
     moving = int(after.sum())
     share = float(seen[after].mean()) if moving else 0.0
-    if share < acceptance.least_seen:
+    if share < acceptance.min_detected:
         raise CableRejectedError(
             Reason.UNSEEN_FRAMES,
             f"the cable is seen in {int(seen[after].sum())} of {moving} frames of the swing "
-            f"({share:.0%}), needs {acceptance.least_seen:.0%}",
+            f"({share:.0%}), needs {acceptance.min_detected:.0%}",
         )
     tip = trial.markers.xy_m[after & seen, 0]
     t_s = trial.markers.t_s[after & seen]

@@ -16,7 +16,7 @@ _ROUNDS, _POINTS = 3, 4
 ENOUGH = 5
 
 
-def slopes_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
+def derivative_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
     """(T, markers, 2) change of markers' places by a metre of arc length, as measured.
 
     Of the cubic spline through the markers of a frame, not bent at the last one, as at the end of a
@@ -62,7 +62,7 @@ def carried_m(trial: Trial) -> FloatArray | None:
     """(shapes, T, markers, 2) what the drift of a hand's place does to markers; None = no drift.
 
     The hand carries the whole cable with it: a drift is slower than a swing.  What it makes the
-    cable swing beside that is found by simulation (`likely_motions`).
+    cable swing beside that is found by simulation (`sampled_motions`).
     """
     drift, markers, grip = trial.hand_drift, trial.markers, trial.grip
     if drift is None:

@@ -14,7 +14,7 @@ from cell.identify import gauss_newton
 from cell.identify.fit import (
     FitError,
     FitOptions,
-    frames_seen,
+    frames_detected,
     predict,
     rms_m,
     still_noise,
@@ -176,11 +176,11 @@ def fit_as_paper(
         noise=noise,
         residual_rms_m=rms_m(solution.residual, whiteners),
         inflation=inflation,
-        frames_used=frames_seen(trial),
+        frames_used=frames_detected(trial),
         frames_total=len(trial.markers.t_s),
-        passes=solution.passes,
+        iterations=solution.iterations,
         method="paper",
-        hand_covariance=np.zeros((n + 3, n + 3)),
+        gripper_covariance=np.zeros((n + 3, n + 3)),
         model_error_m=tip_error_m(solution.residual, whiteners, arc_length_m, noise),
         converged=solution.converged,
     )

@@ -11,7 +11,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import STILL, Motion
 from cell.cable.solver import Solver
-from cell.identify.hand import HandErrors, likely_motions
+from cell.identify.hand import GripperLogErrors, sampled_motions
 from cell.identify.parameters import ParameterSpace, difference_points
 from cell.study.data import Trial
 
@@ -123,7 +123,7 @@ def simulate_frames(
     mean: FloatArray,
     *,
     solver: Solver,
-    hand: HandErrors,
+    hand: GripperLogErrors,
 ) -> PredictedFrames:
     """Simulate a hold to its end, the hand staying where it is.
 
@@ -135,7 +135,7 @@ def simulate_frames(
     """
     grip = extended_at_rest(trial.grip, float(t_s[-1]))
     lanes = difference_points(mean, space.difference_steps(mean))
-    others = likely_motions(grip, hand)
+    others = sampled_motions(grip, hand)
     models = [space.model(q) for q in lanes]
     markers_m = simulate(
         models + models[:1] * len(others),

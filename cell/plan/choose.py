@@ -92,7 +92,7 @@ class Forecast:
         tip_m = self.tip_m + self.sensitivity @ (mean - self.mean)
         return replace(self, mean=mean, tip_m=tip_m)
 
-    def beside(self, more: Forecast) -> Forecast:
+    def joined_with(self, more: Forecast) -> Forecast:
         """These offsets and more, of the same cable at the same times."""
         joined = {
             name: np.concatenate([getattr(self, name), getattr(more, name)])

@@ -31,7 +31,7 @@ MOST = 6
 Spots = tuple[FloatArray, FloatArray, FloatArray]
 
 
-def closer_look(
+def refined_candidates(
     identified: Identified,
     at_once: Forecast,
     motion: Callable[[float, float], Motion],

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from cell.cable.arrays import FloatArray
 from cell.identify.identified import Identified
 from cell.plan.destination import Destination
-from cell.plan.response import INTERVAL_S, Answers, Deviation, deviation
+from cell.plan.response import INTERVAL_S, Deviation, Response, deviation
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 
@@ -65,8 +65,8 @@ class Tail:
 
 
 def best_tail(
-    answers: Answers,
-    beside: Deviation,
+    response: Response,
+    estimated: Deviation,
     destination: Destination,
     from_s: float,
     lag_s: float,
@@ -74,14 +74,14 @@ def best_tail(
 ) -> Tail | None:
     """The change from a moment on that makes the tip pass most probably; None = none is worth it.
 
-    beside  how the cable moves beside the answers' expected motion, earlier changes included
+    estimated  how the cable moves beside the answers' expected motion, earlier changes included
     from_s  from when the hand was told to move
     """
     first = max(0, int(from_s / INTERVAL_S) - 1)
-    likely_m = answers.nodes_m[:, 0] + beside.tip_m
-    tips_m = answers.nodes_m[first:, 0] + beside.tips_m[:, first:]
+    likely_m = response.nodes_m[:, 0] + estimated.tip_m
+    tips_m = response.nodes_m[first:, 0] + estimated.tips_m[:, first:]
     best: tuple[float, float, FloatArray] | None = None
-    made = {s: _tip_answers(answers, from_s, s, lag_s) for s in LASTS_S}
+    made = {s: _tip_responses(response, from_s, s, lag_s) for s in LASTS_S}
     for lasts_s, answer in made.items():
         asked = answer[:, first:], destination, repeatability_m
         _, rises_m = _widest(likely_m[None, first:], *asked, _pairs(np.zeros(2), MOST_M, COARSE_M))
@@ -117,7 +117,7 @@ def _pairs(about_m: FloatArray, reach_m: float, step_m: float) -> FloatArray:
 
 def _widest(
     tips_m: FloatArray,
-    answer: FloatArray,
+    response: FloatArray,
     destination: Destination,
     repeatability_m: float,
     pairs_m: FloatArray,
@@ -125,60 +125,60 @@ def _widest(
     """What the best of (pairs, 2) rises is worth, and its (2,) rises, m.
 
     tips_m  (samples, T, 2) as they are
-    answer  (2, T, 2) per metre of either rise
+    response  (2, T, 2) per metre of either rise
     """
-    led_m = np.tensordot(pairs_m, answer, axes=1)
+    led_m = np.tensordot(pairs_m, response, axes=1)
     chances, margins_m, _ = _judged(destination, tips_m + led_m[:, None], repeatability_m)
     worths = chances + margins_m - COST * np.abs(pairs_m).sum(axis=1)
     at = int(worths.argmax())
     return float(worths[at]), pairs_m[at]
 
 
-def chance(
-    answers: Answers, beside: Deviation, destination: Destination, repeatability_m: float
+def probability_of_passing(
+    response: Response, estimated: Deviation, destination: Destination, repeatability_m: float
 ) -> float:
     """Probability of passing if the path stays as it is."""
-    tips_m = answers.nodes_m[None, None, :, 0] + beside.tips_m
+    tips_m = response.nodes_m[None, None, :, 0] + estimated.tips_m
     return float(_judged(destination, tips_m, repeatability_m)[0][0])
 
 
-def decisions_s(answers: Answers, destination: Destination) -> tuple[float, ...]:
+def decisions_s(response: Response, destination: Destination) -> tuple[float, ...]:
     """When to decide on a change, from when the hand is told to move; none if no tip gets there."""
-    through = np.flatnonzero(answers.nodes_m[:, 0, 0] <= destination.x_max_m)
+    through = np.flatnonzero(response.nodes_m[:, 0, 0] <= destination.x_max_m)
     if not through.size:
         return ()
-    at_s = float(answers.t_s[through[0]])
+    at_s = float(response.t_s[through[0]])
     return tuple(at_s - ahead_s for ahead_s in AHEAD_S if at_s > ahead_s)
 
 
-def tail_answer(
-    answers: Answers, from_s: float, lasts_s: float, lag_s: float, nodes: slice = slice(None)
+def tail_response(
+    response: Response, from_s: float, lasts_s: float, lag_s: float, nodes: slice = slice(None)
 ) -> FloatArray:
     """(T, nodes, 2) per metre that the hand is led up from a moment on."""
     t_s = np.arange(0.0, lasts_s + INTERVAL_S, INTERVAL_S / 2.0)
     up = Trajectory(t_s, 0.0 * t_s, _smooth(t_s / lasts_s), 0.0 * t_s)
     led = servo_response(up, lag_s)
-    moved = np.diff(np.interp(answers.t_s - from_s, led.t_s, led.y_m), prepend=0.0)
-    rise = answers.rise[:, nodes]
+    moved = np.diff(np.interp(response.t_s - from_s, led.t_s, led.y_m), prepend=0.0)
+    rise = response.rise[:, nodes]
     each = [np.convolve(moved, column)[: len(rise)] for column in rise.reshape(len(rise), -1).T]
     return np.stack(each, axis=-1).reshape(rise.shape)
 
 
-def _tip_answers(answers: Answers, from_s: float, lasts_s: float, lag_s: float) -> FloatArray:
+def _tip_responses(response: Response, from_s: float, lasts_s: float, lag_s: float) -> FloatArray:
     """(2, T, 2) of the tip, per metre of either rise of a change."""
     both = [
-        tail_answer(answers, begin_s, lasts_s, lag_s, slice(1))[:, 0]
+        tail_response(response, begin_s, lasts_s, lag_s, slice(1))[:, 0]
         for begin_s in (from_s, from_s + lasts_s)
     ]
     return np.array(both)
 
 
-def moved_by(answers: Answers, tail: Tail, lag_s: float) -> Answers:
+def moved_by(response: Response, tail: Tail, lag_s: float) -> Response:
     """The expected motion once a change was told."""
-    led = tail.rise_m * tail_answer(answers, tail.from_s, tail.lasts_s, lag_s)
+    led = tail.rise_m * tail_response(response, tail.from_s, tail.lasts_s, lag_s)
     then_s = tail.from_s + tail.lasts_s
-    led += tail.then_m * tail_answer(answers, then_s, tail.lasts_s, lag_s)
-    return replace(answers, nodes_m=answers.nodes_m + led)
+    led += tail.then_m * tail_response(response, then_s, tail.lasts_s, lag_s)
+    return replace(response, nodes_m=response.nodes_m + led)
 
 
 def _judged(
@@ -232,7 +232,7 @@ class Flight:
     repeatability_m  standard deviation of the tip's height for reasons that are not the cable's
     """
 
-    answers: Answers
+    response: Response
     destination: Destination
     noise_m: float
     lag_s: float
@@ -249,26 +249,26 @@ class Flight:
         used = np.isfinite(nodes_m[:, 0, 0]) & (t_s >= 0.0)
         if used.sum() < LEAST_FRAMES:
             return Decision(withheld=f"the cable is seen in {used.sum()} frames")
-        beside = deviation(self.answers, t_s[used], nodes_m[used], self.noise_m)
+        beside = deviation(self.response, t_s[used], nodes_m[used], self.noise_m)
         if beside.misfit > MOST_MISFIT:
             return Decision(withheld=f"the frames are not explained: misfit {beside.misfit:.1f}")
-        asked = self.answers, beside, self.destination
+        asked = self.response, beside, self.destination
         return Decision(
-            self.answers.nodes_m[:, 0] + beside.tip_m,
+            self.response.nodes_m[:, 0] + beside.tip_m,
             best_tail(*asked, from_s, self.lag_s, self.repeatability_m),
-            chance(*asked, self.repeatability_m),
+            probability_of_passing(*asked, self.repeatability_m),
         )
 
     def changed(self, tail: Tail) -> Flight:
         """The same once a change was told: the expected motion is moved by linear answers."""
-        return replace(self, answers=moved_by(self.answers, tail, self.lag_s))
+        return replace(self, response=moved_by(self.response, tail, self.lag_s))
 
     def expecting(self, nodes_m: FloatArray) -> Flight:
         """The same with the expected motion (T, nodes, 2) simulated anew for a changed path."""
-        return replace(self, answers=replace(self.answers, nodes_m=nodes_m))
+        return replace(self, response=replace(self.response, nodes_m=nodes_m))
 
 
-def seen_within_m(identified: Identified) -> float:
+def detection_std_m(identified: Identified) -> float:
     """Standard deviation of nodes in flight, m: a moving cable is seen less well than at rest.
 
     As the hold's frames were explained.

@@ -35,7 +35,7 @@ class Passage:
         return self.reason is None
 
 
-def height_at_mouth_m(destination: Destination, tip_m: FloatArray) -> float:
+def height_at_opening_m(destination: Destination, tip_m: FloatArray) -> float:
     """Height of a tip path (T, 2) above the mouth's middle, m; nan if it never goes through."""
     x, y = tip_m[:, 0], tip_m[:, 1]
     through = (x[:-1] > destination.x_max_m) & (x[1:] <= destination.x_max_m)
@@ -65,7 +65,7 @@ def measured_passage(
         return Passage(nothing, nothing, nothing, "the tip was not seen during the execution")
     t, tip = t_s[seen], tip_m[seen]
     margin_m = float(destination.margin_m(tip))
-    miss_m = height_at_mouth_m(destination, tip)
+    miss_m = height_at_opening_m(destination, tip)
     predicted = np.column_stack(
         [np.interp(t, predicted_t_s, predicted_tip_m[:, axis]) for axis in (0, 1)]
     )

@@ -153,12 +153,12 @@ def _steepest(xy_m: FloatArray, rate_hz: float, order: int) -> FloatArray:
     return np.asarray(np.abs(xy_m).max(axis=0, initial=0.0))
 
 
-def path_to(goal: Pose, here: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory | None:
+def path_to(goal: Pose, start: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory | None:
     """`retreat_path` from here to a goal; None = the hand is there already."""
-    away_m = max(abs(here.x_m - goal.x_m), abs(here.y_m - goal.y_m))
-    if away_m < AT_GOAL_M and abs(here.angle_rad - goal.angle_rad) < SAME_ANGLE_RAD:
+    away_m = max(abs(start.x_m - goal.x_m), abs(start.y_m - goal.y_m))
+    if away_m < AT_GOAL_M and abs(start.angle_rad - goal.angle_rad) < SAME_ANGLE_RAD:
         return None
-    return retreat_path(here, goal, limits, rate_hz)
+    return retreat_path(start, goal, limits, rate_hz)
 
 
 def executed_motion(

@@ -37,7 +37,7 @@ _STEP_S = INTERVAL_S
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class Response:
     """A cable in a motion of the hand, and its answers to what is not expected.
 
     Nodes are those that the camera sees, the tip first; all linear, of one cable near rest.
@@ -61,14 +61,14 @@ class Answers:
     lasting: int
 
 
-def answers(
+def simulate_response(
     identified: Identified,
     motion: Motion,
     begin_s: float,
     end_s: float,
     arc_length_m: FloatArray,
     solver: Solver = Solver(),  # noqa: B008
-) -> Answers:
+) -> Response:
     """Simulate the expected motion, and every answer once.
 
     motion         of the hand, on the clock of the identification
@@ -85,9 +85,9 @@ def answers(
     near = simulate(models, motion, begin_s + t_s, arc_length_m, solver=coarse)
     by_step = (near[1:] - near[:1]) / np.diag(lanes[1:] - mean)[:, None, None, None]
     slopes = np.einsum("qtnx,qp->ptnx", by_step, identified.root)
-    forces, hand = _answers_at_rest(identified, motion, t_s, arc_length_m, coarse)
+    forces, hand = _responses_at_rest(identified, motion, t_s, arc_length_m, coarse)
     late = -LATE_S * np.gradient(expected[:, ::EVERY_NODE], INTERVAL_S, axis=0)
-    columns = [late, _end_seen_wrongly(expected, arc_length_m), *slopes[:, :, ::EVERY_NODE]]
+    columns = [late, _end_detection_error(expected, arc_length_m), *slopes[:, :, ::EVERY_NODE]]
     for knot in range(0, len(t_s), round(KNOTS_S / INTERVAL_S)):
         for answer in (*forces, *hand):
             later = np.zeros_like(columns[0])
@@ -96,7 +96,7 @@ def answers(
     basis = np.stack(columns, axis=-1)
     tip = basis[:, 0].copy()
     tip[..., :2] = 0.0
-    return Answers(t_s, expected, hand[1], basis, tip, 2 + len(slopes))
+    return Response(t_s, expected, hand[1], basis, tip, 2 + len(slopes))
 
 
 def expected_nodes(
@@ -111,7 +111,7 @@ def expected_nodes(
     return np.asarray(simulate(model, motion, at_s, arc_length_m, solver=solver)[0])
 
 
-def _end_seen_wrongly(nodes_m: FloatArray, arc_length_m: FloatArray) -> FloatArray:
+def _end_detection_error(nodes_m: FloatArray, arc_length_m: FloatArray) -> FloatArray:
     """(T, nodes', 2) by which nodes seem to be displaced."""
     along = np.gradient(nodes_m, axis=1)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
@@ -119,7 +119,7 @@ def _end_seen_wrongly(nodes_m: FloatArray, arc_length_m: FloatArray) -> FloatArr
     return np.asarray(END_M * share[::EVERY_NODE, None] * along[:, ::EVERY_NODE])
 
 
-def _answers_at_rest(
+def _responses_at_rest(
     identified: Identified,
     motion: Motion,
     t_s: FloatArray,
@@ -159,7 +159,7 @@ def _resting(motion: Motion, t_s: FloatArray) -> Motion:
 #: By so much at once, m: of the tip that a force bends, and of the hand.  Which of these fit best
 #: the frames tell.  The smallest add up to 0.01 mm at the tip in a flight: the engine's own error.
 FORCES_M = (1e-6, 3e-5, 2e-4, 1e-3)
-HAND_M = (1e-6, 3e-4)
+GRIPPER_M = (1e-6, 3e-4)
 #: Frames one after the other err alike: of so many one is used, and as many of these tell as much
 #: as one alone.
 EVERY, ALIKE = 2, 2.0
@@ -180,7 +180,7 @@ class Deviation:
 
 
 def deviation(
-    answers: Answers,
+    response: Response,
     t_s: FloatArray,
     nodes_m: FloatArray,
     std_m: float,
@@ -194,18 +194,18 @@ def deviation(
     source   Kalman & Bucy; batch form, as in Bar-Shalom, Li & Kirubarajan 2001, section 3.4
     """
     knots = 1 + int(t_s[-1] / KNOTS_S)  # of what is to come nothing is known
-    unknowns = answers.lasting + knots * (MODES + 2)
-    tip = answers.tip[..., :unknowns]
+    unknowns = response.lasting + knots * (MODES + 2)
+    tip = response.tip[..., :unknowns]
     t_s, nodes_m = t_s[::-EVERY], nodes_m[::-EVERY, ::EVERY_NODE]
-    expected = _at(answers.nodes_m[:, ::EVERY_NODE], t_s)
-    seen_by = _at(answers.basis[..., :unknowns], t_s)
+    expected = _at(response.nodes_m[:, ::EVERY_NODE], t_s)
+    seen_by = _at(response.basis[..., :unknowns], t_s)
     rows, known = (nodes_m - expected).ravel(), np.isfinite(nodes_m).ravel()
     weight = 1.0 / (std_m * np.sqrt(ALIKE))
     values = weight * rows[known]
     slopes = weight * seen_by.reshape(len(rows), -1)[known]
     normal, right = slopes.T @ slopes, slopes.T @ values
     best: tuple[float, FloatArray, FloatArray, FloatArray] | None = None
-    for prior in _priors(answers.lasting, knots):
+    for prior in _priors(response.lasting, knots):
         scaled = prior[:, None] * normal * prior
         factor = cho_factor(np.eye(len(prior)) + scaled, lower=True)
         z = cho_solve(factor, prior * right)
@@ -226,7 +226,7 @@ def deviation(
 
 def _priors(lasting: int, knots: int) -> Iterator[FloatArray]:
     """(unknowns,) standard deviations that may be true."""
-    for force_m, hand_m in product(FORCES_M, HAND_M):
+    for force_m, hand_m in product(FORCES_M, GRIPPER_M):
         knot = [force_m / (mode + 1.0) ** 2 for mode in range(MODES)] + [hand_m] * 2
         yield np.array([1.0] * lasting + knot * knots)
 

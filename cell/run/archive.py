@@ -30,7 +30,7 @@ from cell.study.plain import study_to_plain
 _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
 
 
-class TakesEvents(Protocol):
+class EventSink(Protocol):
     """What a cycle is handed over to: a `Recorder`, or whoever wants to hear of it.
 
     notes  what a person should know
@@ -84,7 +84,7 @@ class RecordingSetup:
     uploads    what brings recordings to a store; None = they stay
     """
 
-    recorder: TakesEvents
+    recorder: EventSink
     settings: Mapping[str, Any] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     keeping: Keeping = Keeping()
@@ -104,7 +104,7 @@ class RecordingSetup:
                 self.uploads.close()
 
 
-def begun(cycle: int, started: datetime) -> dict[str, str]:
+def recording_metadata(cycle: int, started: datetime) -> dict[str, str]:
     """What is said at the beginning of a recording."""
     return {
         "cycle": str(cycle),
@@ -135,7 +135,7 @@ class CycleRecording:
             return
         self._path = folder / form.FILE
         to = self._recording.recorder
-        to.begin(self._path, begun(cycle, started))
+        to.begin(self._path, recording_metadata(cycle, started))
         about = {"cycle": cycle, "started": started.isoformat(), "folder": str(folder)}
         to.event(form.CYCLE, {**about, **plan})
         settings, files = dict(self._recording.settings), dict(self._recording.files)
@@ -145,7 +145,7 @@ class CycleRecording:
         """A step begins, or the cell's state changes."""
         self._event(form.STATE, {"state": state, "step": step})
 
-    def found(self, findings: Findings, station: Station) -> None:
+    def record_findings(self, findings: Findings, station: Station) -> None:
         """What was found since the last time."""
         if self._recording is None:
             return
@@ -161,7 +161,7 @@ class CycleRecording:
             self._event(form.MODEL, findings.identified.to_dict())
         for filmed, known in ((findings.held, before.held), (findings.executed, before.executed)):
             if filmed is not None and filmed is not known:
-                self._seen(filmed, station)
+                self._record_sightings(filmed, station)
 
     def study(self, study: Study) -> None:
         """The trials so far."""
@@ -187,7 +187,7 @@ class CycleRecording:
         if self._recording is not None:
             self._recording.recorder.event(topic, data)
 
-    def _seen(self, filmed: FilmedMotion, station: Station) -> None:
+    def _record_sightings(self, filmed: FilmedMotion, station: Station) -> None:
         assert self._recording is not None
         nodes_m = np.array([sighting.nodes_m for sighting in filmed.sightings])
         points_px = station.task.view.to_pixels(nodes_m)
@@ -220,7 +220,7 @@ def decision_of(findings: Findings) -> dict[str, Any]:
     }
 
 
-class TakesEntries(Protocol):
+class EntrySink(Protocol):
     """Hands entries to a ledger, without making anybody wait.
 
     notes  what a person should know
@@ -244,7 +244,7 @@ class LedgerSetup:
     software     version of this program
     """
 
-    ledger: TakesEntries
+    ledger: EntrySink
     line: str
     calibration: str | None = None
     software: str | None = None

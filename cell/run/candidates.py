@@ -12,17 +12,17 @@ from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.plan.choose import ChoiceOptions, choose, forecast
-from cell.plan.closer import closer_look, widest_between
+from cell.plan.closer import refined_candidates, widest_between
 from cell.plan.paths import executed_motion, insertion_path
 from cell.run.findings import Candidates, FilmedMotion
 from cell.run.station import Task, Timing
-from cell.run.trials import hand_offset_m_rad, moved
+from cell.run.trials import camera_offset_m_rad, moved
 from cell.study.data import Trial
 from drivers.interfaces import Trajectory
 
 #: An offset whose margin is so many times its standard deviation passes surely: no other moment is
 #: looked at, and the offset is only refined.
-SURE = 4.0
+SURE_SIGMAS = 4.0
 
 
 class Simulated(TypedDict):
@@ -44,14 +44,14 @@ class Executing:
 
     begin_s  when it is told, on the clock of the identification
     history  of the hand until now, counted from then
-    beside   (3,) x, y, angle of the hand as the camera sees it, from where the arm says it is
+    camera_offset  (3,) x, y, angle of the hand as the camera sees it, from where the arm says it is
     """
 
     task: Task
     timing: Timing
     begin_s: float
     history: Motion
-    beside: FloatArray
+    camera_offset: FloatArray
 
     @staticmethod
     def of(
@@ -59,7 +59,7 @@ class Executing:
     ) -> Executing:
         """After a hold, from `start_s` on the cell's clock on."""
         begin_s = start_s - filmed.begin_s
-        beside = hand_offset_m_rad(filmed.hand, trial.grip)
+        beside = camera_offset_m_rad(filmed.gripper_log, trial.grip)
         return Executing(task, timing, begin_s, trial.grip.later(-begin_s), beside)
 
     def path(
@@ -73,7 +73,7 @@ class Executing:
     def motion(self, path: Trajectory) -> Motion:
         """Of the hand, on the clock of the identification, if the arm is told this."""
         hand = executed_motion(
-            moved(path, self.beside),
+            moved(path, self.camera_offset),
             self.timing.arm_lag_s,
             settle_s=self.task.settle_s,
             history=self.history,
@@ -113,12 +113,12 @@ def simulate_offsets(
     if freely.window_s == 0.0:
         return Candidates(start_s, tuple(paths), expected)
     at_once = choose(expected, identified, task.destination, choice).best
-    if at_once.margin_m > SURE * at_once.margin_std_m:
+    if at_once.margin_m > SURE_SIGMAS * at_once.margin_std_m:
         spots = np.array([widest_between(expected, task.destination)]), np.zeros(1), np.ones(1)
         further_m = 0.0
     else:
         further_m = freely.further_m
-        spots = closer_look(
+        spots = refined_candidates(
             identified,
             expected,
             lambda offset_m, pace: motion(path(offset_m, pace=pace, further_m=further_m)),
@@ -136,4 +136,4 @@ def simulate_offsets(
     closer = forecast(identified, offsets_m, motions, **how)
     beyond_m = np.full(len(new), further_m)
     closer = replace(closer, delays_s=delays_s, paces=paces, further_m=beyond_m)
-    return Candidates(start_s, (*paths, *new), expected.beside(closer))
+    return Candidates(start_s, (*paths, *new), expected.joined_with(closer))

@@ -16,7 +16,7 @@ _MOST_MISFIT_M = 0.0005
 
 
 @dataclass(frozen=True)
-class KnownDelays:
+class CalibratedDelays:
     """How well latency and lag are known, and what they may have changed by since.
 
     latency_95_s, lag_95_s  half widths of their 95 % intervals when they were calibrated
@@ -32,25 +32,25 @@ class KnownDelays:
 
 def delay_checks(
     stamps_s: FloatArray,
-    seen_m: FloatArray,
-    hand: Trajectory,
-    told: Trajectory,
+    detected_m: FloatArray,
+    gripper_log: Trajectory,
+    commanded: Trajectory,
     lag_s: float,
-    known: KnownDelays,
+    known: CalibratedDelays,
 ) -> tuple[AgreementCheck, ...]:
     """Latency and lag beside those in use; nothing if the motion does not show them.
 
     stamps_s  (N,) of frames, the latency taken off
-    seen_m    (N, 2) gripping point as seen, nan where it was not
-    hand      measured poses of the same time
-    told      the path, its times on the cell's clock
+    detected_m  (N, 2) gripping point as seen, nan where it was not
+    gripper_log  measured poses of the same time
+    commanded  the path, its times on the cell's clock
     lag_s     that is in use
     """
-    if np.count_nonzero(np.isfinite(seen_m[:, 0])) < LEAST_FRAMES:
+    if np.count_nonzero(np.isfinite(detected_m[:, 0])) < LEAST_FRAMES:
         return ()
     found = (
-        ("camera: stamps late by", latency_change(stamps_s, seen_m, hand)),
-        ("arm: lag changed by", lag_change(told, hand, lag_s)),
+        ("camera: stamps late by", latency_change(stamps_s, detected_m, gripper_log)),
+        ("arm: lag changed by", lag_change(commanded, gripper_log, lag_s)),
     )
     stored = (known.latency_95_s, known.lag_95_s)
     return tuple(

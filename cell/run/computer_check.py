@@ -22,7 +22,7 @@ USUAL_STALL_S, LONGEST_STALL_S = 2e-3, 20e-3
 
 _GIB = 2**30
 _FREE_BYTES = 1 * _GIB
-_LOOKS = 40
+_SAMPLES = 40
 _DIMMEST, _NOISE = 0.7, 1.5  # share of the light on the dark side; grey levels
 
 
@@ -31,14 +31,14 @@ class Condition:
     """One thing that a cell needs of its computer.
 
     name    what it is
-    found   what this computer has, with its unit
+    measured  what this computer has, with its unit
     needed  what it should have
     met     whether it has
     remedy  what to do if not; empty if it is met
     """
 
     name: str
-    found: str
+    measured: str
     needed: str
     met: bool
     remedy: str = ""
@@ -79,13 +79,13 @@ def vision_rates_hz(camera: CameraLoad) -> tuple[float, float]:
     image, view = _full_picture(camera)
     previous = detect(image, 0.0, view, camera.vision)  # loads the code
     begun_s = time.thread_time()
-    for number in range(1, _LOOKS + 1):
+    for number in range(1, _SAMPLES + 1):
         previous = detect(image, number / camera.frame_rate_hz, view, camera.vision, previous)
     tracked_s = time.thread_time() - begun_s
     begun_s = time.thread_time()
-    for _ in range(_LOOKS):
+    for _ in range(_SAMPLES):
         detect(image, 0.0, view, camera.vision)
-    return _LOOKS / tracked_s, _LOOKS / (time.thread_time() - begun_s)
+    return _SAMPLES / tracked_s, _SAMPLES / (time.thread_time() - begun_s)
 
 
 def _full_picture(camera: CameraLoad) -> tuple[NDArray[np.uint8], PlaneView]:

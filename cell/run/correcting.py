@@ -11,13 +11,13 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
-from cell.plan.correction import LEAST, Decision, Flight, Tail, decisions_s, seen_within_m
+from cell.plan.correction import LEAST, Decision, Flight, Tail, decisions_s, detection_std_m
 from cell.plan.paths import path_to_rest
-from cell.plan.response import Answers, answers, expected_nodes
+from cell.plan.response import Response, expected_nodes, simulate_response
 from cell.run.candidates import Executing
 from cell.run.findings import Findings, required
 from cell.run.station import Station
-from cell.run.waiting import found_by, hurried
+from cell.run.waiting import hurried, result_of
 from cell.vision.sighting import Sighting, steady_nodes
 from drivers.interfaces import LimitError, TooLateError, Trajectory
 
@@ -54,8 +54,8 @@ class Corrector:
         )
         self._solver = Solver(threads=max(1, threads() - 1))
         motion = self._executing.motion(path)
-        self._job: Future[Answers] = station.computer.submit(
-            answers,
+        self._job: Future[Response] = station.computer.submit(
+            simulate_response,
             self._identified,
             motion,
             self._executing.begin_s,
@@ -63,9 +63,9 @@ class Corrector:
             station.task.arc_length_m,
             self._solver,
         )
-        self._anew: Future[FloatArray] | None = None
+        self._resimulation: Future[FloatArray] | None = None
         self._flight: Flight | None = None
-        self._left: list[float] | None = None
+        self._decide_at_s: list[float] | None = None
         self.tails: tuple[Tail, ...] = ()
         self.stopped: str | None = None
         self._tip_m: FloatArray | None = None
@@ -75,21 +75,21 @@ class Corrector:
         """(T,) times from when the path began, and (T, 2) tip as last predicted."""
         if self._flight is None or self._tip_m is None:
             return None
-        return self._flight.answers.t_s, self._tip_m
+        return self._flight.response.t_s, self._tip_m
 
     def update(self, sightings: list[Sighting]) -> bool:
         """Decide, if it is time to; never ends the filming."""
         since_s = sightings[-1].t_s - self._start_s
-        if self._left is None and since_s >= NEEDED_S:
-            self._left = self._begin()
-        if self._flight is not None and self._left and since_s >= self._left[0]:
-            self._left.pop(0)
+        if self._decide_at_s is None and since_s >= NEEDED_S:
+            self._decide_at_s = self._begin()
+        if self._flight is not None and self._decide_at_s and since_s >= self._decide_at_s[0]:
+            self._decide_at_s.pop(0)
             self._decide(self._simulated(self._flight), sightings, since_s)
         return False
 
     def close(self) -> None:
         """Cancel what has not begun."""
-        for job in (self._job, self._anew):
+        for job in (self._job, self._resimulation):
             if job is not None:
                 job.cancel()
 
@@ -98,7 +98,7 @@ class Corrector:
         found, task = None, self._station.task
         try:
             with hurried(self._station.computer):
-                found = found_by(self._job, self._station.commands)
+                found = result_of(self._job, self._station.commands)
         except (DivergedError, UnsettledError) as error:
             _LOG.warning("no correction in flight: %s", error)
         if found is None:
@@ -106,7 +106,7 @@ class Corrector:
         self._flight = Flight(
             found,
             task.destination,
-            seen_within_m(self._identified),
+            detection_std_m(self._identified),
             self._station.timing.arm_lag_s,
             task.choice.repeatability_m,
         )
@@ -114,11 +114,11 @@ class Corrector:
 
     def _simulated(self, flight: Flight) -> Flight:
         """With the expected motion as simulated anew, if the path was changed since."""
-        job, self._anew = self._anew, None
+        job, self._resimulation = self._resimulation, None
         if job is None:
             return flight
         try:
-            nodes_m = found_by(job, self._station.commands)
+            nodes_m = result_of(job, self._station.commands)
         except (DivergedError, UnsettledError) as error:
             _LOG.warning("the changed path is not simulated: %s", error)
             return flight
@@ -142,7 +142,7 @@ class Corrector:
     def _act(self, flight: Flight, decision: Decision, since_s: float, from_s: float) -> None:
         """Raises TooLateError: the arm cannot do it any more."""
         tail, self._tip_m = decision.tail, decision.tip_m
-        if tail is not None and self._told(tail.of(self._path), tail.from_s):
+        if tail is not None and self._revise_path(tail.of(self._path), tail.from_s):
             _LOG.info(
                 "corrected at %.2f s: %+.1f, %+.1f mm, each in %.2f s; probability %.2f, was %.2f",
                 since_s, 1e3 * tail.rise_m, 1e3 * tail.then_m, tail.lasts_s, tail.probability,
@@ -150,16 +150,16 @@ class Corrector:
             )  # fmt: skip
             self._flight, self._tip_m = flight.changed(tail), tail.tip_m
             self.tails = (*self.tails, tail)
-            if self._left:
-                self._anew = self._station.computer.submit(
+            if self._decide_at_s:
+                self._resimulation = self._station.computer.submit(
                     expected_nodes,
                     self._identified,
                     self._executing.motion(self._path),
-                    self._executing.begin_s + flight.answers.t_s,
+                    self._executing.begin_s + flight.response.t_s,
                     self._station.task.arc_length_m,
                     self._solver,
                 )
-        elif decision.hopeless and not self._left:
+        elif decision.hopeless and not self._decide_at_s:
             self._stop(decision, since_s, from_s)
 
     def _stop(self, decision: Decision, since_s: float, from_s: float) -> None:
@@ -169,14 +169,14 @@ class Corrector:
         except ValueError as error:
             _LOG.warning("not stopped at %.2f s: %s", since_s, error)
             return
-        if self._told(path, from_s):
+        if self._revise_path(path, from_s):
             self.stopped = (
                 "stopped in front of the mouth: the tip would have passed with probability "
                 f"{decision.probability:.2f}, and no change of the path made it {LEAST:.2f}"
             )
             _LOG.info("%s", self.stopped)
 
-    def _told(self, path: Trajectory, from_s: float) -> bool:
+    def _revise_path(self, path: Trajectory, from_s: float) -> bool:
         """Whether the arm takes a change of its path.  Raises TooLateError."""
         try:
             self._revise(path, self._start_s + from_s)

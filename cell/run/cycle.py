@@ -19,7 +19,7 @@ from cell.run.archive import Archive, CycleListing, CycleRecording
 from cell.run.commands import INTERRUPTING, Commands
 from cell.run.machine import CellState, EventRefusedError, Machine, MachineEvent
 from cell.run.movements import slowed
-from cell.run.plans import AGAIN_WHEN_LOST, INSERTING, Plan, changing_over, rehearsing
+from cell.run.plans import INSERTING, REPEATED_AFTER_LOSS, Plan, changing_over, rehearsing
 from cell.run.progress import CycleProgress, OneCycle
 from cell.run.station import ProductTask, Station, Task
 from cell.run.step_runner import StepRunner
@@ -250,7 +250,13 @@ class Cell:
         record, recording = LaterRecord(self._runs, number), CycleRecording(None)
         first = plan.resetting[0].name
         progress = CycleProgress(
-            number, record, recording, station, plan.given, first, product=self._made.name
+            number,
+            record,
+            recording,
+            station,
+            plan.initial_findings,
+            first,
+            product=self._made.name,
         )
         return OneCycle(plan, self._made, progress, self.machine.seconds())
 
@@ -349,7 +355,7 @@ class Cell:
         cable = endings.whereabouts_of_cable(self._station.devices)
         _LOG.error("the arm is %s, %s", mode.value.replace("_", " "), cable)
         if endings.unreached(error) or mode is ArmMode.LOST:
-            self._steps.do_again(AGAIN_WHEN_LOST)
+            self._steps.repeat(REPEATED_AFTER_LOSS)
         rests = CellState.ABORTED if event is MachineEvent.ABORT else CellState.STOPPED
         if self.machine.can(event):
             self.machine.send(event)

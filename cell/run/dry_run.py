@@ -27,7 +27,7 @@ from drivers.servo import servo_response
 #: arm looks at all of it first.
 AHEAD_SHARE = 0.03
 #: The jaw is looked for in about so many frames of a motion.
-LOOKS = 300
+JAW_SAMPLES = 300
 
 
 def warm_up(station: Station, findings: Findings) -> Findings:
@@ -83,7 +83,7 @@ def follow(movement: Movement, station: Station, findings: Findings) -> Findings
         filmed_s = began_s - clock.now_s() + lasts_s + station.task.settle_s
         frame_count = int(np.ceil(filmed_s * camera.frame_rate_hz))
         camera.start(frame_count)
-        film = _watch(station, max(1, frame_count // LOOKS))
+        film = _watch(station, max(1, frame_count // JAW_SAMPLES))
     wait_until(station, began_s + lasts_s)
     await_rest(station)
     hand = arm.log(before_s, clock.now_s())
@@ -138,12 +138,12 @@ DELAY_TOLERANCE_S = 0.002
 #: reported once constants are: a forecast of the tip bears about this much, m.
 PATH_TOLERANCE_M = 0.0003
 #: A constant distance between the two: destination and limits are in the arm's plane, m.
-BESIDE_TOLERANCE_M = 0.002
+OFFSET_TOLERANCE_M = 0.002
 #: Scale and direction of the camera's plane: 0.25 mm over 50 mm.
 SCALE_TOLERANCE, DIRECTION_TOLERANCE_RAD = 0.005, 0.005
 RATE_TOLERANCE = 0.01
 #: Share of the pictures in which the jaw's marks must be found.
-LEAST_FOUND = 0.9
+MIN_DETECTED = 0.9
 #: Delays are looked for up to this, either way, s.
 LONGEST_DELAY_S = 0.3
 
@@ -160,7 +160,7 @@ def agreement(
     frame_rate_hz  as the camera says
     """
     filmed = [f for f in followed if f.film is not None]
-    speeds = [float(np.max(_speed_m_per_s(f.hand))) for f in followed]
+    speeds = [float(np.max(_speed_m_per_s(f.gripper_log))) for f in followed]
     return (
         AgreementCheck("hand: greatest speed", max(speeds, default=0.0), "m/s"),
         *_arm(filmed, lag_s),
@@ -175,9 +175,9 @@ def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[AgreementCheck
     def left_over(lag_s: float) -> FloatArray:
         parts = []
         for one in filmed:
-            hand, begun = one.hand, one.path
-            told = Trajectory(begun.t_s + one.began_s, begun.x_m, begun.y_m, begun.angle_rad)
-            meant = servo_response(told, lag_s, start=hand.at(one.began_s))
+            hand, begun = one.gripper_log, one.path
+            told = Trajectory(begun.t_s + one.start_s, begun.x_m, begun.y_m, begun.angle_rad)
+            meant = servo_response(told, lag_s, start=hand.at(one.start_s))
             x_m = np.interp(hand.t_s, meant.t_s, meant.x_m)
             y_m = np.interp(hand.t_s, meant.t_s, meant.y_m)
             parts.append(np.hypot(hand.x_m - x_m, hand.y_m - y_m))
@@ -222,7 +222,7 @@ def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[Agr
             "camera: jaw found in",
             float(np.mean(found)),
             "",
-            LEAST_FOUND,
+            MIN_DETECTED,
             remedy="look at the pictures: light, focus, marks, and whether the jaw is in view",
         ),
     ]
@@ -234,12 +234,12 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
     seen = shift + scale · turned(reported a delay earlier): for each delay the rest is linear in
     complex numbers.  The shift is that at the plane's origin, where cables are gripped.
     """
-    looks = [_seen_jaw(f) for f in filmed]
+    looks = [_detected_jaw(f) for f in filmed]
     if sum(len(t_s) for t_s, _, _ in looks) < 3:
         return []
 
     def fit(delay_s: float) -> tuple[FloatArray, complex, complex]:
-        said = np.concatenate([_said(hand, t_s - delay_s) for t_s, _, hand in looks])
+        said = np.concatenate([_reported(hand, t_s - delay_s) for t_s, _, hand in looks])
         seen = np.concatenate([z for _, z, _ in looks])
         middle = said.mean()
         columns = np.column_stack([said - middle, np.ones(len(said))])
@@ -261,7 +261,7 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
             "camera: jaw beside the arm",
             abs(shift_m),
             "m",
-            high=BESIDE_TOLERANCE_M,
+            high=OFFSET_TOLERANCE_M,
             remedy=f"by {shift_m.real * 1e3:.1f}, {shift_m.imag * 1e3:.1f} mm: {_VIEW}",
         ),
         AgreementCheck(
@@ -290,16 +290,18 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
     ]
 
 
-def _seen_jaw(followed: RehearsedMotion) -> tuple[FloatArray, NDArray[np.complex128], Trajectory]:
+def _detected_jaw(
+    followed: RehearsedMotion,
+) -> tuple[FloatArray, NDArray[np.complex128], Trajectory]:
     """Times and places, x + iy, at which the jaw was found; and the arm's own."""
     film = followed.film
     assert film is not None
     found = np.isfinite(film.jaw_m[:, 0])
     jaw_m = film.jaw_m[found]
-    return film.looked_s[found], jaw_m[:, 0] + 1j * jaw_m[:, 1], followed.hand
+    return film.sampled_s[found], jaw_m[:, 0] + 1j * jaw_m[:, 1], followed.gripper_log
 
 
-def _said(hand: Trajectory, t_s: FloatArray) -> NDArray[np.complex128]:
+def _reported(hand: Trajectory, t_s: FloatArray) -> NDArray[np.complex128]:
     return np.interp(t_s, hand.t_s, hand.x_m) + 1j * np.interp(t_s, hand.t_s, hand.y_m)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
-from cell.identify.hand import HandErrors
+from cell.identify.hand import GripperLogErrors
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify, predict_frames
 from cell.plan.choose import choose, enough_frames
@@ -19,7 +19,7 @@ from cell.run.filming import filmed_so_far
 from cell.run.findings import EarlyEstimate, FilmedMotion, Filming
 from cell.run.station import Station, Task, Timing
 from cell.run.trials import held_trial
-from cell.run.waiting import found_by, hurried
+from cell.run.waiting import hurried, result_of
 from cell.vision.sighting import Sighting
 
 #: Shares of a fixed hold after which the cable is identified from the frames so far: at first from
@@ -47,7 +47,7 @@ class ScheduledEstimate:
     filming: Filming | None
 
 
-Found = EarlyEstimate | Identified | None
+EstimateResult = EarlyEstimate | Identified | None
 
 
 class EarlyEstimator:
@@ -59,8 +59,8 @@ class EarlyEstimator:
 
     def __init__(self, station: Station, filming: Filming) -> None:
         self._station, self._filming = station, filming
-        self._coming = list(_looks(station.task, station.timing, filming))
-        self._running: list[tuple[ScheduledEstimate, Future[Found]]] = []
+        self._scheduled = list(_schedule(station.task, station.timing, filming))
+        self._running: list[tuple[ScheduledEstimate, Future[EstimateResult]]] = []
 
     def update(self, sightings: list[Sighting]) -> bool:
         """Start a computation if enough frames have come; each one waits for the one before it.
@@ -70,18 +70,18 @@ class EarlyEstimator:
         station, filming = self._station, self._filming
         ending = self._ending_with(len(sightings))
         if ending is not None and len(sightings) < filming.frame_count:
-            found = self._waited_for(ending)
+            found = self._result_of(ending)
             if isinstance(found, EarlyEstimate) and found.enough:
                 return True
         rested_s = sightings[-1].t_s - filming.rest_s
-        if self._coming and rested_s >= self._coming[0].after_s:
-            look = self._coming.pop(0)
-            before = found_by(self._running[-1][1], station.commands) if self._running else None
+        if self._scheduled and rested_s >= self._scheduled[0].after_s:
+            estimate = self._scheduled.pop(0)
+            before = result_of(self._running[-1][1], station.commands) if self._running else None
             so_far = filmed_so_far(station, filming, sightings)
             previous = before.identified if isinstance(before, EarlyEstimate) else before
-            unpictured = _without_pictures(look.filming)
+            unpictured = _without_pictures(estimate.filming)
             asked = station.task, station.timing, so_far, previous, unpictured
-            self._running.append((look, station.computer.submit(_look, *asked)))
+            self._running.append((estimate, station.computer.submit(_estimate, *asked)))
         return False
 
     def result(self, frame_count: int) -> EarlyEstimate | None:
@@ -90,7 +90,7 @@ class EarlyEstimator:
         No frame is looked at any more, so what computes it need not give way.
         """
         ending = self._ending_with(frame_count)
-        found = None if ending is None else self._waited_for(ending)
+        found = None if ending is None else self._result_of(ending)
         return found if isinstance(found, EarlyEstimate) else None
 
     def close(self) -> None:
@@ -98,18 +98,18 @@ class EarlyEstimator:
         for _, job in self._running:
             job.cancel()
 
-    def _ending_with(self, frame_count: int) -> Future[Found] | None:
-        for look, job in self._running:
-            if look.filming is not None and look.filming.frame_count == frame_count:
+    def _ending_with(self, frame_count: int) -> Future[EstimateResult] | None:
+        for estimate, job in self._running:
+            if estimate.filming is not None and estimate.filming.frame_count == frame_count:
                 return job
         return None
 
-    def _waited_for(self, job: Future[Found]) -> Found:
+    def _result_of(self, job: Future[EstimateResult]) -> EstimateResult:
         with hurried(self._station.computer):
-            return found_by(job, self._station.commands)
+            return result_of(job, self._station.commands)
 
 
-def _looks(task: Task, timing: Timing, filming: Filming) -> Iterator[ScheduledEstimate]:
+def _schedule(task: Task, timing: Timing, filming: Filming) -> Iterator[ScheduledEstimate]:
     """What to compute while a hold is filmed, in its order."""
     most_s = filming.end_s - filming.rest_s
     if task.least_hold_s is None:
@@ -136,7 +136,7 @@ def _identify_so_far(
     task: Task, so_far: FilmedMotion, previous: Identified | None = None
 ) -> Identified | None:
     """The cable as it seems from the frames so far; None if they are not enough."""
-    options = without_hand_errors(_leaving_a_core(task.identification))
+    options = without_gripper_errors(_leaving_a_core(task.identification))
     try:
         return identify(
             held_trial(so_far), task.arc_length_m, task.cable, previous=previous, options=options
@@ -149,13 +149,13 @@ def _without_pictures(filming: Filming | None) -> Filming | None:
     return None if filming is None else replace(filming, sightings=(), pictures=())
 
 
-def _look(
+def _estimate(
     task: Task,
     timing: Timing,
     so_far: FilmedMotion,
     previous: Identified | None,
     filming: Filming | None,
-) -> Found:
+) -> EstimateResult:
     identified = _identify_so_far(task, so_far, previous)
     if identified is None or filming is None:
         return identified
@@ -176,9 +176,9 @@ def _look(
     return EarlyEstimate(identified, predicted, candidates, enough)
 
 
-def without_hand_errors(options: IdentifyOptions) -> IdentifyOptions:
+def without_gripper_errors(options: IdentifyOptions) -> IdentifyOptions:
     """How sure a cable is does not matter yet."""
-    return replace(options, fit=replace(options.fit, hand=HandErrors(samples=0)))
+    return replace(options, fit=replace(options.fit, gripper_errors=GripperLogErrors(samples=0)))
 
 
 def _leaving_a_core(options: IdentifyOptions) -> IdentifyOptions:

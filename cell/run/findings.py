@@ -72,17 +72,17 @@ class FilmedMotion:
 
     begin_s     when filming began
     sightings   one per frame
-    hand        measured poses, from before the first frame to after the last
+    gripper_log  measured poses, from before the first frame to after the last
     pictures    a few of the frames, to look at later
-    seen_at_s   when the last frame was taken, by the computer's own clock
+    last_frame_at_s  when the last frame was taken, by the computer's own clock
     early       what was computed while the filming went on, if anything
     """
 
     begin_s: float
     sightings: tuple[Sighting, ...]
-    hand: Trajectory
+    gripper_log: Trajectory
     pictures: tuple[Frame, ...] = field(repr=False)
-    seen_at_s: float
+    last_frame_at_s: float
     early: EarlyEstimate | None = None
 
 
@@ -91,13 +91,13 @@ class JawFilm:
     """The jaw as the camera saw it during a motion.
 
     frame_s     (n,) times of all frames
-    looked_s    (m,) times of those in which the jaw was looked for
+    sampled_s   (m,) times of those in which the jaw was looked for
     jaw_m       (m, 2) where its marks were seen, nan = not found
     pictures    the first and the last frame
     """
 
     frame_s: FloatArray
-    looked_s: FloatArray
+    sampled_s: FloatArray
     jaw_m: FloatArray
     pictures: tuple[Frame, Frame]
 
@@ -106,15 +106,15 @@ class JawFilm:
 class RehearsedMotion:
     """A motion that was made, on the cell's clock.
 
-    began_s  when the arm was told to start
-    hand     measured poses, from before the motion to after it
+    start_s  when the arm was told to start
+    gripper_log  measured poses, from before the motion to after it
     film     None = not filmed
     """
 
     name: str
     path: Trajectory
-    began_s: float
-    hand: Trajectory
+    start_s: float
+    gripper_log: Trajectory
     film: JawFilm | None
 
 
@@ -177,7 +177,7 @@ class Findings:
         return self.outcome is Outcome.REJECTED
 
     @property
-    def foretold(self) -> Choice:
+    def predicted_choice(self) -> Choice:
         """The choice, with the tip's path as it was last predicted."""
         choice = required(self.choice)
         if self.predicted is None:
@@ -193,7 +193,7 @@ class Findings:
         """The same with the cable rejected."""
         return replace(self, outcome=Outcome.REJECTED, reason=reason)
 
-    def again(self) -> Findings:
+    def for_retry(self) -> Findings:
         """For another try with the same cable: what was measured, seen and checked stays."""
         name = f"try_{len(self.stops) + 1}"
         trials = (replace(t, name=f"{t.name}_{name}", role="validate") for t in self.trials)

@@ -16,7 +16,7 @@ from cell.run.waiting import wait_until
 from cell.vision.sighting import why_unseen
 
 #: Share of a measuring motion's frames in which the cable must be seen.
-LEAST_SEEN = 0.8
+MIN_DETECTED = 0.8
 
 
 def approach(motion: Measuring, station: Station, findings: Findings) -> Findings:
@@ -34,12 +34,12 @@ def measure(motion: Measuring, station: Station, findings: Findings) -> Findings
     trial = replace(held_trial(held), name=motion.name)
     findings = replace(findings, held=held, trials=(trial,), outcome=Outcome.MEASURED)
     seen = sum(s.seen for s in held.sightings)
-    if seen >= LEAST_SEEN * len(held.sightings):
+    if seen >= MIN_DETECTED * len(held.sightings):
         return findings
     why = why_unseen(held.sightings, station.task.vision.free_length_m)
     return findings.reject(
         f"the cable is seen in {seen} of {len(held.sightings)} frames, needs "
-        f"{LEAST_SEEN:.0%}; keep the motion inside the picture; {why}"
+        f"{MIN_DETECTED:.0%}; keep the motion inside the picture; {why}"
     )
 
 
@@ -49,7 +49,7 @@ def begin_film(filming: Filming, station: Station, findings: Findings) -> Findin
     return replace(findings, filming=filming)
 
 
-def look_at_film(station: Station, findings: Findings) -> Findings:
+def detect_in_film(station: Station, findings: Findings) -> Findings:
     """Find the cable in every frame of a film after which nothing is to be decided."""
     held = capture(station, required(findings.filming), KEEP_EVERY_HELD)
     return replace(findings, held=held, trials=(held_trial(held),))

@@ -27,12 +27,12 @@ class Movement:
     limits: MotionLimits | None = None
     path: Trajectory | None = None
 
-    def path_from(self, here: Pose, rate_hz: float) -> Trajectory | None:
+    def path_from(self, start: Pose, rate_hz: float) -> Trajectory | None:
         """From where the hand is; None = it is at the goal already."""
         if self.path is not None:
             return self.path
         assert self.limits is not None
-        return path_to(self.goal, here, self.limits, rate_hz)
+        return path_to(self.goal, start, self.limits, rate_hz)
 
 
 #: The movements of a plan: task, the arm's rate in Hz, factor of the speed → movements.
@@ -101,15 +101,15 @@ def measuring_movements(
 
 
 def paths_from(
-    here: Pose, task: Task, movements: Sequence[Movement], rate_hz: float
+    start: Pose, task: Task, movements: Sequence[Movement], rate_hz: float
 ) -> tuple[tuple[str, Trajectory], ...]:
-    """What the hand will do from `here` on, and could do in a cycle: movements, every offset."""
+    """What the hand will do from `start` on, and could do in a cycle: movements, every offset."""
     paths = []
     for movement in movements:
-        path = movement.path_from(here, rate_hz)
+        path = movement.path_from(start, rate_hz)
         if path is not None:
             paths.append((movement.name, path))
-        here = movement.goal
+        start = movement.goal
     if any(movement.name == IN for movement in movements):
         for offset_m in task.offsets_m[1:-1]:
             left = insertion_path(

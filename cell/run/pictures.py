@@ -47,7 +47,7 @@ def after_insertion(station: Station, findings: Findings) -> Findings:
     passage = passage_pictures(
         required(findings.executed),
         required(findings.candidates),
-        findings.foretold,
+        findings.predicted_choice,
         required(findings.passage),
         task,
     )
@@ -177,8 +177,10 @@ def dry_run_pictures(followed: Sequence[RehearsedMotion], task: Task) -> dict[st
         for name, frame, at in zip(("begin", "end"), one.film.pictures, (0, -1), strict=True):
             image = np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
             _draw(image, task, _corners_m(task.destination), DESTINATION, closed=True)
-            _draw(image, task, np.column_stack([one.hand.x_m, one.hand.y_m]), PREDICTED)
-            by_arm = one.hand.at(frame.t_s)
+            _draw(
+                image, task, np.column_stack([one.gripper_log.x_m, one.gripper_log.y_m]), PREDICTED
+            )
+            by_arm = one.gripper_log.at(frame.t_s)
             _cross(image, task, np.array([by_arm.x_m, by_arm.y_m]), PREDICTED, upright=True)
             _cross(image, task, one.film.jaw_m[at], SEEN)
             lines = (

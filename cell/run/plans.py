@@ -37,11 +37,11 @@ class Step:
     computes       its time is the computer's, not that of the cell's clock
     holding        it begins with a cable between the jaws and ends with it there
     may_pause      the cell can be held or suspended before it
-    hand_waits     the hand waits for what comes next: the record is written later
+    time_critical  the hand waits for what comes next: the record is written later
     with_rejected  it is done with a rejected cable too
-    once           it is done in the first cycle only; those of `AGAIN_WHEN_LOST` also after devices
-                   were lost
-    settled        whether it has found what it is done once for; else the next cycle does it, too
+    once           it is done in the first cycle only; those of `REPEATED_AFTER_LOSS` also after
+                   devices were lost
+    completed      whether it has found what it is done once for; else the next cycle does it, too
     every          it is done in cycles whose number is a multiple of this
     """
 
@@ -51,10 +51,10 @@ class Step:
     computes: bool = False
     holding: bool = False
     may_pause: bool = False
-    hand_waits: bool = False
+    time_critical: bool = False
     with_rejected: bool = False
     once: bool = False
-    settled: Callable[[Station, Findings], bool] = always
+    completed: Callable[[Station, Findings], bool] = always
     every: int = 1
 
 
@@ -65,13 +65,13 @@ class Repeat:
     A pause is possible after them.
     review  what is known after them: station, findings, whether there was a pause
     until   whether they are done
-    before_again  done before they are done again
+    before_repeat  done before they are done again
     """
 
     steps: tuple[Step | Repeat, ...]
     review: Callable[[Station, Findings, bool], Findings]
     until: Callable[[Findings], bool]
-    before_again: tuple[Step, ...] = ()
+    before_repeat: tuple[Step, ...] = ()
 
     @property
     def flat(self) -> tuple[Step, ...]:
@@ -92,7 +92,7 @@ class Plan:
     aim        outcome of a cycle in which all goes well
     movements  those of the hand, for a rehearsal: task, the arm's rate in Hz, factor of the speed
     speed      share of the task's speed at which the plan is carried out
-    given      what is known before the first step
+    initial_findings  what is known before the first step
     """
 
     aim: Outcome
@@ -102,7 +102,7 @@ class Plan:
     execute: tuple[Step | Repeat, ...]
     completing: tuple[Step, ...]
     speed: float = 1.0
-    given: Findings = field(default_factory=Findings)
+    initial_findings: Findings = field(default_factory=Findings)
 
     @property
     def steps(self) -> tuple[Step, ...]:
@@ -126,19 +126,19 @@ GRASP = Step("grasp", steps.grasp, may_pause=True)
 GO_HOME = Step(movements.HOME, steps.go_home, with_rejected=True)
 
 LOWER = Step("lower", steps.lower, holding=True, may_pause=True)
-HOLD = Step("hold_and_capture", steps.hold_and_capture, holding=True, hand_waits=True)
+HOLD = Step("hold_and_capture", steps.hold_and_capture, holding=True, time_critical=True)
 CHECK_CLOCKS = Step(
     "check_clocks",
     steps.check_clocks,
     computes=True,
     holding=True,
-    hand_waits=True,
+    time_critical=True,
     once=True,
-    settled=steps.clocks_were_told,
+    completed=steps.delays_were_determined,
 )
-IDENTIFY = Step("identify", steps.identify, computes=True, holding=True, hand_waits=True)
-SIMULATE = Step("simulate", steps.simulate, computes=True, holding=True, hand_waits=True)
-CHOOSE = Step("choose", steps.choose, computes=True, holding=True, hand_waits=True)
+IDENTIFY = Step("identify", steps.identify, computes=True, holding=True, time_critical=True)
+SIMULATE = Step("simulate", steps.simulate, computes=True, holding=True, time_critical=True)
+CHOOSE = Step("choose", steps.choose, computes=True, holding=True, time_critical=True)
 EXECUTE = Step("execute", steps.execute, holding=True)
 VERIFY = Step("verify", steps.verify, after=after_insertion, computes=True, holding=True)
 BRING_BACK = Step("bring_back", steps.bring_back, holding=True, may_pause=True)
@@ -148,9 +148,9 @@ RELEASE = Step("release", steps.release, after=after_release, may_pause=True, wi
 FILM, LOOK = "film", "look_at_film"
 
 #: What is done once is done again when devices were connected anew: their clocks may have been set.
-AGAIN_WHEN_LOST = frozenset({CONNECT.name, CHECK_CLOCKS.name})
+REPEATED_AFTER_LOSS = frozenset({CONNECT.name, CHECK_CLOCKS.name})
 #: And these once for every product.
-AGAIN_FOR_PRODUCT = frozenset({CHECK_PATHS.name})
+REPEATED_PER_PRODUCT = frozenset({CHECK_PATHS.name})
 
 CHOOSING = Repeat((SIMULATE, CHOOSE), steps.review_choice, until=lambda f: f.decided)
 
@@ -167,7 +167,7 @@ INSERTING = Plan(
             (LOWER, HOLD, CHECK_CLOCKS, IDENTIFY, CHOOSING, EXECUTE, VERIFY),
             steps.review_insertion,
             until=lambda f: f.outcome is not None,
-            before_again=(BRING_BACK,),
+            before_repeat=(BRING_BACK,),
         ),
         RELEASE,
     ),
@@ -219,7 +219,7 @@ def filmed(filming: Filming, *, decides: bool) -> Plan:
     """
     film = Step(FILM, partial(measuring_steps.begin_film, filming), holding=True)
     conclude = Step("conclude", measuring_steps.conclude, after=after_measurement, holding=True)
-    looking = (HOLD,) if decides else (Step(LOOK, measuring_steps.look_at_film, holding=True),)
+    looking = (HOLD,) if decides else (Step(LOOK, measuring_steps.detect_in_film, holding=True),)
     return replace(
         INSERTING,
         aim=Outcome.MEASURED,
@@ -251,5 +251,5 @@ def rehearsing(plan: Plan, task: Task, rate_hz: float, speed: float) -> Plan:
             *follow,
         ),
         speed=speed,
-        given=Findings(speed=speed),
+        initial_findings=Findings(speed=speed),
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from cell.identify.identified import Identified
 from cell.plan.correction import Tail
-from cell.plan.passage import height_at_mouth_m
+from cell.plan.passage import height_at_opening_m
 from cell.records.folder import Record, RecordError
 from cell.records.result import Correction, Fault, Outcome, Result
 from cell.run.archive import CycleListing, CycleRecording
@@ -59,7 +59,7 @@ class CycleProgress:
         self.record.pictures(new)
         if now.identified is not None and now.identified is not before.identified:
             self.record.model(now.identified.to_dict())
-        self.recording.found(now, self.station)
+        self.recording.record_findings(now, self.station)
 
     @contextmanager
     def written_after(self) -> Iterator[None]:
@@ -82,7 +82,7 @@ class CycleProgress:
         predicted_miss_m = (
             None
             if f.choice is None
-            else height_at_mouth_m(self.station.task.destination, f.foretold.tip_m)
+            else height_at_opening_m(self.station.task.destination, f.predicted_choice.tip_m)
         )
         passage = f.passage
         return Result(

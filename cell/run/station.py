@@ -14,7 +14,7 @@ from cell.identify.individual import IdentifyOptions
 from cell.plan.choose import ChoiceOptions
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits
-from cell.run.clocks import KnownDelays
+from cell.run.clocks import CalibratedDelays
 from cell.run.commands import Commands
 from cell.vision.detect import VisionOptions
 from drivers.interfaces import Devices, Pose
@@ -53,7 +53,7 @@ class Task:
     """Whether an insertion is corrected while it is made."""
     retries: int = 0
     """So often a cable that was stopped in front of the mouth is measured and inserted again."""
-    delays: KnownDelays | None = None
+    delays: CalibratedDelays | None = None
     """None = latency and lag are typed: nothing says how well they are known."""
 
     @property

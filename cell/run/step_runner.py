@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 
 from cell.run.commands import RESUMING, Commands
 from cell.run.machine import Machine, MachineEvent
-from cell.run.plans import AGAIN_FOR_PRODUCT, Repeat, Step
+from cell.run.plans import REPEATED_PER_PRODUCT, Repeat, Step
 from cell.run.progress import CycleProgress
 from drivers.interfaces import DeviceError
 
@@ -29,7 +29,7 @@ class StepRunner:
         self._on_step = on_step
         self._done_once: set[tuple[str, str | None]] = set()
 
-    def do_again(self, names: Iterable[str]) -> None:
+    def repeat(self, names: Iterable[str]) -> None:
         """What is done once is done once more, of these names."""
         again = set(names)
         self._done_once = {done for done in self._done_once if done[0] not in again}
@@ -51,7 +51,7 @@ class StepRunner:
                     again = False
                     while not element.until(progress.findings):
                         if again:
-                            self.carry_out(progress, element.before_again)
+                            self.carry_out(progress, element.before_repeat)
                         self.carry_out(progress, element.steps)
                         again = True
                         paused = self._pause(progress)
@@ -77,8 +77,8 @@ class StepRunner:
         progress.step = step.name
         progress.record.state(step=step.name, state=self._machine.state.value)
         progress.recording.state(self._machine.state.value, step.name)
-        if not step.hand_waits:
-            progress.recording.found(progress.findings, progress.station)
+        if not step.time_critical:
+            progress.recording.record_findings(progress.findings, progress.station)
         self._on_step(progress.number, step.name)
         now_s = time.perf_counter if step.computes else progress.station.devices.clock.now_s
         begun_s = now_s()
@@ -96,9 +96,9 @@ class StepRunner:
             _LOG.info("cycle %d: step %s took %.3f s", progress.number, step.name, passed_s)
             progress.record.note(seconds=progress.seconds)
         progress.findings = findings
-        if step.once and step.settled(progress.station, findings):
+        if step.once and step.completed(progress.station, findings):
             self._done_once.add(_once(progress, step))
-        if findings.rejected or not step.hand_waits:
+        if findings.rejected or not step.time_critical:
             progress.record.state()
             progress.write()
         progress.findings = step.after(progress.station, findings)
@@ -121,4 +121,4 @@ class StepRunner:
 
 def _once(progress: CycleProgress, step: Step) -> tuple[str, str | None]:
     """As what a step counts that is done once."""
-    return step.name, progress.product if step.name in AGAIN_FOR_PRODUCT else None
+    return step.name, progress.product if step.name in REPEATED_PER_PRODUCT else None

@@ -215,7 +215,7 @@ def hold_and_capture(station: Station, findings: Findings) -> Findings:
         trials=(held_trial(held),),
         hold_saved_s=(filming.frame_count - len(held.sightings)) / station.timing.frame_rate_hz,
         lead_s=station.task.decide_s,
-        waiting_since_s=held.seen_at_s,
+        waiting_since_s=held.last_frame_at_s,
     )
 
 
@@ -232,7 +232,7 @@ def check_clocks(station: Station, findings: Findings) -> Findings:
     checks = delay_checks(
         np.array([s.t_s for s in held.sightings]),
         np.array([s.grip_m for s in held.sightings]),
-        held.hand,
+        held.gripper_log,
         told,
         station.devices.arm.lag_s,
         task.delays,
@@ -249,7 +249,7 @@ def check_clocks(station: Station, findings: Findings) -> Findings:
     return replace(findings, checks=checks)
 
 
-def clocks_were_told(station: Station, findings: Findings) -> bool:
+def delays_were_determined(station: Station, findings: Findings) -> bool:
     """Whether the motion has told both delays, if they are known; a hidden jaw tells none."""
     told = [check.high is not None for check in findings.checks]
     return station.task.delays is None or (bool(told) and all(told))
@@ -375,7 +375,7 @@ def execute(station: Station, findings: Findings) -> Findings:
 
 def verify(station: Station, findings: Findings) -> Findings:
     """Whether the tip was seen to pass the destination, and how far the forecast was off."""
-    executed, foretold = required(findings.executed), findings.foretold
+    executed, foretold = required(findings.executed), findings.predicted_choice
     passage = measured_passage(
         station.task.destination,
         np.array([s.t_s for s in executed.sightings]),
@@ -412,7 +412,7 @@ def bring_back(station: Station, findings: Findings) -> Findings:
     swings_s = time_to_rest_s(identified, moved, rest_m, LONGEST_SWING_S)
     _LOG.info("the cable rests %.1f s after the hand", swings_s)
     wait_until(station, now_s + max(swings_s, task.calm_s))
-    return findings.again()
+    return findings.for_retry()
 
 
 def release(station: Station, findings: Findings) -> Findings:

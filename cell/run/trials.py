@@ -24,7 +24,7 @@ NODE_ERROR_PX = 0.1
 
 def held_trial(filmed: FilmedMotion) -> Trial:
     """The hold as a trial, time counted from the first frame; the hand where the camera saw it."""
-    sightings, hand, zero_s = filmed.sightings, filmed.hand, filmed.begin_s
+    sightings, hand, zero_s = filmed.sightings, filmed.gripper_log, filmed.begin_s
     return hold_trial(
         Motion(hand.t_s - zero_s, hand.x_m, hand.y_m, hand.angle_rad),
         np.array([s.t_s - zero_s for s in sightings]),
@@ -36,10 +36,10 @@ def held_trial(filmed: FilmedMotion) -> Trial:
 
 def executed_trial(held: Trial, before: FilmedMotion, after: FilmedMotion) -> Trial:
     """The execution as a trial: it begins in equilibrium, hence with the hand's motion before."""
-    beside = hand_offset_m_rad(before.hand, held.grip)
+    beside = camera_offset_m_rad(before.gripper_log, held.grip)
     zero_s = before.begin_s
-    later = after.hand.t_s > before.hand.t_s[-1]
-    hands = [moved(before.hand, beside), moved(after.hand, beside)]
+    later = after.gripper_log.t_s > before.gripper_log.t_s[-1]
+    hands = [moved(before.gripper_log, beside), moved(after.gripper_log, beside)]
     grip = [
         np.concatenate([getattr(hands[0], name), getattr(hands[1], name)[later]])
         for name in ("t_s", "x_m", "y_m", "angle_rad")
@@ -70,7 +70,7 @@ def study_of(name: str, task: Task, trials: Sequence[Trial]) -> Study:
     return Study(name, task.cable, task.arc_length_m, tuple(trials), noise_std_m=noise_m)
 
 
-def hand_offset_m_rad(logged: Trajectory, seen: Motion) -> FloatArray:
+def camera_offset_m_rad(logged: Trajectory, seen: Motion) -> FloatArray:
     """(3,) x, y, angle by which the camera sees the hand beside where the arm says it is."""
     return np.array(
         [

@@ -74,7 +74,7 @@ Value = TypeVar("Value")
 LONGEST_S = 5.0
 
 
-def found_by(job: Future[Value], commands: Commands) -> Value | None:
+def result_of(job: Future[Value], commands: Commands) -> Value | None:
     """What a job found; None if its process was killed or hangs, which only costs time.
 
     raises  InterruptedByCommandError

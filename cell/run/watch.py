@@ -36,9 +36,9 @@ class SafetyWatch:
         devices = station.devices
         arm, camera, gripper = devices.arm, devices.camera, devices.gripper
         looks = (
-            (arm.name, self._look_at_arm, ARM_EVERY_S),
+            (arm.name, self._check_arm, ARM_EVERY_S),
             (camera.name, camera.check, CAMERA_EVERY_S),
-            (gripper.name, self._look_at_gripper, GRIPPER_EVERY_S),
+            (gripper.name, self._check_gripper, GRIPPER_EVERY_S),
         )
         self._threads = [
             GuardedThread(
@@ -87,10 +87,10 @@ class SafetyWatch:
             self._station.commands.fail(error)
             self._station.devices.arm.stop(error.cause)
 
-    def _look_at_arm(self) -> None:
+    def _check_arm(self) -> None:
         check_arm(self._station)
 
-    def _look_at_gripper(self) -> None:
+    def _check_gripper(self) -> None:
         if self.holding:
             try:
                 check_grip(self._station)

@@ -175,7 +175,7 @@ def conditions_table(conditions: Sequence[Condition]) -> Table:
     """What a cell needs of its computer, beside what is there."""
     table = Table("condition", "here", "needed", "", box=SIMPLE_HEAD)
     for c in conditions:
-        table.add_row(c.name, c.found, c.needed, "[green]met[/]" if c.met else "[red]not met[/]")
+        table.add_row(c.name, c.measured, c.needed, "[green]met[/]" if c.met else "[red]not met[/]")
     return table
 
 

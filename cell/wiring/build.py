@@ -24,7 +24,7 @@ from cell.records.recording.store import Store
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Outcome
 from cell.run.archive import Archive, Keeping, LedgerSetup, RecordingSetup
-from cell.run.clocks import KnownDelays
+from cell.run.clocks import CalibratedDelays
 from cell.run.cycle import Cell
 from cell.run.station import ProductTask, Task
 from cell.settings import InputError, Settings
@@ -353,11 +353,11 @@ def corrects_in_flight(settings: Settings, known: Calibrated) -> bool:
     return known.delays_95_s is not None and max(known.delays_95_s) <= FEEDBACK_TIME_S
 
 
-def _delays(settings: Settings, known: Calibrated) -> KnownDelays | None:
+def _delays(settings: Settings, known: Calibrated) -> CalibratedDelays | None:
     """How well the delays are known, and what they may change by; None = not known."""
     if known.delays_95_s is None or settings.calibration is None:
         return None
-    return KnownDelays(*known.delays_95_s, settings.calibration.max_time_error_s, known.remedy)
+    return CalibratedDelays(*known.delays_95_s, settings.calibration.max_time_error_s, known.remedy)
 
 
 def _choice(settings: Settings, known: Calibrated) -> ChoiceOptions:

@@ -153,7 +153,7 @@ def hopeless(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
             return 0.03 if len(begun) <= tries else 1.0
 
         monkeypatch.setattr(correction, "best_tail", lambda *asked: None)
-        monkeypatch.setattr(correction, "chance", chance)
+        monkeypatch.setattr(correction, "probability_of_passing", chance)
 
     return until
 

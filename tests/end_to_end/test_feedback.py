@@ -131,7 +131,7 @@ def test_what_needs_a_change_that_the_arm_refuses_stops_in_front_of_the_mouth(
 ) -> None:
     """At the last decision; a rest within the limits is taken."""
     monkeypatch.setattr(correction, "best_tail", lambda *asked: replace(FAR, from_s=asked[3]))
-    monkeypatch.setattr(correction, "chance", lambda *asked: 0.2)
+    monkeypatch.setattr(correction, "probability_of_passing", lambda *asked: 0.2)
     result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.outcome is Outcome.REJECTED and result.corrections == ()
     assert result.reason is not None and result.reason.startswith("stopped in front of the mouth")
@@ -149,7 +149,7 @@ def test_what_cannot_be_explained_is_not_corrected(
 def test_without_the_second_process_it_goes_on_as_it_was(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(correcting, "found_by", lambda job, commands: None)
+    monkeypatch.setattr(correcting, "result_of", lambda job, commands: None)
     result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.outcome is Outcome.INSERTED and result.corrections == ()
 
@@ -176,7 +176,7 @@ def test_what_nothing_brings_through_stops_in_front_of_the_mouth(
 ) -> None:
     """The cable is put aside, and the next one is inserted."""
     monkeypatch.setattr(correction, "best_tail", lambda *asked: None)
-    monkeypatch.setattr(correction, "chance", lambda *asked: 0.03)
+    monkeypatch.setattr(correction, "probability_of_passing", lambda *asked: 0.03)
     it = live(settings=seeing(quick), cycles=2)
     result = it.cell.run_cycle(1)
     assert result.outcome is Outcome.REJECTED

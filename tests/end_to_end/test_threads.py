@@ -41,7 +41,7 @@ from cell.records.recording.uploads import Uploads
 from cell.records.recording.writer import RecordingWriter
 from cell.run.commands import Commands
 from cell.run.machine import MachineEvent
-from cell.run.waiting import found_by
+from cell.run.waiting import result_of
 from cell.settings.plant import OpcUa
 from cell.settings.plant.handshake import Handshake
 from cell.terminal.keyboard import Keyboard
@@ -142,7 +142,7 @@ def test_a_thread_on_which_nothing_depends_is_logged(caplog: pytest.LogCaptureFi
 
 def test_a_computations_exception_is_raised_where_taken() -> None:
     with ThreadPoolExecutor(1) as pool, pytest.raises(ValueError, match="boom"):
-        found_by(pool.submit(boom), Commands())
+        result_of(pool.submit(boom), Commands())
     with pytest.raises((TypeError, AttributeError, PicklingError)):  # what no pipe can carry
         list(stream(boom, [lambda: None], 1))
 

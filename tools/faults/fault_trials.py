@@ -32,7 +32,7 @@ from cell.cli.making import MadeCell, Products
 from cell.cli.plant_end import PlantEnd
 from cell.plan import correction
 from cell.plan.correction import Tail
-from cell.plan.response import Answers, Deviation
+from cell.plan.response import Deviation, Response
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.cycle import Cell
@@ -218,7 +218,7 @@ def run_trial(bench: FaultRig, trial: Trial) -> None:
     trial.begin()
     if trial.step == "connect":
         bench.cell.close()
-    bench.cell._steps.do_again([trial.step])  # what is done in the first cycle only, too
+    bench.cell._steps.repeat([trial.step])  # what is done in the first cycle only, too
     bench.trial = trial
     bench.stopped_s.clear()
     bench.be_patient(bench.patience_s, trial.kind.device)
@@ -276,7 +276,7 @@ def judge(bench: FaultRig, trial: Trial, result: Result) -> None:
 
 
 def small_change(
-    answers: Answers, beside: Deviation, destination: object, from_s: float, *asked: object
+    answers: Response, beside: Deviation, destination: object, from_s: float, *asked: object
 ) -> Tail:
     """Up by 0.3 mm, at every decision."""
     return Tail(from_s, 3e-4, 0.0, 0.2, 1.0, 0.0, 1.0, answers.nodes_m[:, 0] + beside.tip_m)

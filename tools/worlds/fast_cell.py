@@ -19,11 +19,11 @@ from cell.cable.model import CableModel
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, identify
 from cell.plan.choose import Choice, choose, enough_frames
-from cell.plan.correction import Flight, Tail, seen_within_m
+from cell.plan.correction import Flight, Tail, detection_std_m
 from cell.plan.passage import Passage, measured_passage
-from cell.plan.response import answers
+from cell.plan.response import simulate_response
 from cell.run.candidates import Executing, simulate_offsets
-from cell.run.early_estimate import possible_ends_s, without_hand_errors
+from cell.run.early_estimate import possible_ends_s, without_gripper_errors
 from cell.run.findings import Candidates
 from cell.run.station import Task, Timing
 from cell.settings import Settings
@@ -213,7 +213,7 @@ def _flown(
     assert coming is not None and identified is not None and cycle.choice is not None
     path = coming.paths[cycle.choice.table.index(cycle.choice.best)]
     executing = view.executing
-    ahead = answers(
+    ahead = simulate_response(
         identified,
         executing.motion(path),
         executing.begin_s,
@@ -223,7 +223,7 @@ def _flown(
     flight = Flight(
         ahead,
         task.destination,
-        seen_within_m(identified),
+        detection_std_m(identified),
         view.timing.arm_lag_s,
         task.choice.repeatability_m,
     )
@@ -249,7 +249,7 @@ def _end_of_hold_s(task: Task, timing: Timing, held: Trial) -> float:
                 task.arc_length_m,
                 task.cable,
                 previous=previous,
-                options=without_hand_errors(task.identification),
+                options=without_gripper_errors(task.identification),
             )
         except CableRejectedError:
             continue

@@ -123,8 +123,8 @@ def inserted(
     view: View, path: Trajectory, flight: Flight, flown: Flown, rng: np.random.Generator
 ) -> Inserted:
     """As `Corrector` does it."""
-    done = Inserted(view.motion(path, flown), (), flight.answers.nodes_m[:, 0])
-    left = list(decisions_s(flight.answers, flight.destination)) if flown.feedback else []
+    done = Inserted(view.motion(path, flown), (), flight.response.nodes_m[:, 0])
+    left = list(decisions_s(flight.response, flight.destination)) if flown.feedback else []
     while left:
         decide_s = left.pop(0)
         t_s = np.arange(0.001, decide_s - flown.late_s, 0.005)
@@ -134,7 +134,7 @@ def inserted(
         done = replace(done, looks=looks)
         if decision.tail is not None:
             path = decision.tail.of(path)
-            flight = flight.expecting(view.expected_nodes(path, flight.answers.t_s))
+            flight = flight.expecting(view.expected_nodes(path, flight.response.t_s))
             tails = (*done.tails, decision.tail)
             done = Inserted(view.motion(path, flown), tails, decision.tail.tip_m, looks)
         elif decision.hopeless and not left:

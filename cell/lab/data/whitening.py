@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.identify.marker_shift import carried_m, slopes_along
+from cell.identify.marker_shift import carried_m, derivative_along
 from cell.identify.noise import Noise
 from cell.identify.whitener import Whitener
 from cell.lab.data.gauges import Gauges
@@ -50,7 +50,7 @@ def whiteners_of(
         if std_m is not None and arcs_are_uncertain(study):
             each_m = np.sqrt(len(study.trials)) * std_m[:, None]
             slopes = lines.get(t.name)
-            slopes = slopes_along(places, study.arc_length_m) if slopes is None else slopes
+            slopes = derivative_along(places, study.arc_length_m) if slopes is None else slopes
             shift_m = np.pad(each_m * slopes, ((0, 0), *beside))
         if carried is not None:
             carried = np.pad(carried, ((0, 0), (0, 0), *beside))

@@ -17,7 +17,7 @@ from cell.lab.fit.sensitivity import Sensitivity, prior_root, sensitivities
 from cell.lab.fit.systematic_error import SystematicError, systematic_error
 
 #: What a pass gains below that share, of a model that errs, is far below what it could be wrong by.
-CONVERGED = Options(tolerance=0.03, most_passes=40, least_gain=1e-3, updates=3)
+CONVERGED = Options(tolerance=0.03, max_iterations=40, least_gain=1e-3, updates=3)
 
 
 @dataclass(frozen=True, eq=False)

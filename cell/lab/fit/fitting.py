@@ -50,7 +50,7 @@ class Fit:
     @property
     def promised_objective(self) -> float:
         """Where the objective would end, were the model linear where the fit was left."""
-        return self.objective - (0.0 if self.solution.settled else self.solution.promised)
+        return self.objective - (0.0 if self.solution.converged_or_idle else self.solution.promised)
 
     @property
     def arrived(self) -> bool:
@@ -135,12 +135,12 @@ def _minimised_in_two(
     """
     try:
         near = gauss_newton.minimise(coarse, begin, options)
-        left = options.most_passes - near.passes if near.settled else 0
-        few = replace(options, most_passes=1 + max(0, left))
+        left = options.max_iterations - near.iterations if near.converged_or_idle else 0
+        few = replace(options, max_iterations=1 + max(0, left))
         found = gauss_newton.minimise(problem, near.q, few, near.jacobian)
     except gauss_newton.UnsimulatedError:
         return None
-    return replace(found, passes=near.passes + found.passes - 1)
+    return replace(found, iterations=near.iterations + found.iterations - 1)
 
 
 def problem_of(
@@ -168,7 +168,7 @@ def problem_of(
 
     return gauss_newton.LeastSquaresProblem(
         residuals=lambda q: residuals(prepared, space, trials, q) / residual_scale,
-        slopes=slopes,
+        jacobian=slopes,
         mean=np.concatenate([space.mean, np.zeros(len(std))]),
         precision=precision,
         step=np.concatenate([space.step, _joined([b.step for b in unknown])]),

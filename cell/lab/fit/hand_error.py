@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.identify.hand import HandErrors, likely_motions
+from cell.identify.hand import GripperLogErrors, sampled_motions
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit
 from cell.study.data import Trial
@@ -73,7 +73,7 @@ def by_other_hands(prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatA
     """(motions, rows) change from `here`, a trial's whitened residual, by other hands' motions."""
     if trial.hand_drift is None and all(s.noise_std == 0.0 for s in trial.grip.splines):
         return np.zeros((MOTIONS, len(here)))
-    motions = likely_motions(trial.grip, HandErrors(MOTIONS).of(trial))
+    motions = sampled_motions(trial.grip, GripperLogErrors(MOTIONS).of(trial))
     others = [replace(trial, name=f"{trial.name}/{i}", grip=m) for i, m in enumerate(motions)]
     initial_states = fit.initial_states.get(trial.name)
     known = {} if initial_states is None else {t.name: initial_states[None] for t in others}

@@ -30,7 +30,7 @@ from cell.study.data import Study, Trial
 BIAS_M = 5e-5
 #: Within 0.02 mm of a converged cable, as a bias is; half the cost of the lab's.
 SOLVER = Solver(segments=24, step_s=1.5e-3)
-PASSES = gauss_newton.Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
+PASSES = gauss_newton.Options(tolerance=0.3, max_iterations=10, least_gain=1e-3, updates=3)
 
 
 def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:

@@ -13,7 +13,7 @@ from cell.lab.data.work import Budget, Work
 from cell.lab.fit.shared import PASSES, SharedFit
 
 #: Fits whose χ² is within this factor of the best are taken to convergence.
-NEAR, ALL_PASSES = 2.0, replace(PASSES, most_passes=30)
+NEAR, ALL_PASSES = 2.0, replace(PASSES, max_iterations=30)
 #: Share of what an effect does that `shared.SOLVER` may err by: of two that are the same physics, a
 #: late arm and a late camera, the one that was there explained less by 0.4 % of it.
 SIMULATED = 0.005
@@ -56,10 +56,10 @@ class LearningBudget:
         each_s  seconds simulated in a pass
         """
         affordable = max(LEAST_PASSES, int((self.most_s - self.work.simulated_s) / each_s))
-        if affordable >= options.most_passes:
+        if affordable >= options.max_iterations:
             return options
         self._leave_out(f"{what} after {affordable} passes")
-        return replace(options, most_passes=affordable)
+        return replace(options, max_iterations=affordable)
 
     def _leave_out(self, what: str) -> None:
         said = f"{what}, for the limit of {self.most_s:.0f} s of simulated motion"

@@ -22,7 +22,7 @@ from cell.lab.fit.shared import BIAS_M, along_end
 from cell.lab.line.effect_fit import EffectFit
 from cell.lab.line.learn import LearningResult
 from cell.plan.destination import Destination
-from cell.plan.passage import height_at_mouth_m, measured_passage
+from cell.plan.passage import height_at_opening_m, measured_passage
 from cell.study.data import Markers, Trial
 
 #: Share of a hold from which the rest is forecast, where there is no execution.
@@ -169,7 +169,7 @@ def _forecast(
         largest_m = float(np.nanmax(away_m)) if np.isfinite(rms_m) else rms_m
         return _Forecast(largest_m, rms_m, spent_s)
     passage = measured_passage(destination, markers.t_s, seen, markers.t_s, tip)
-    above_m = passage.miss_m - height_at_mouth_m(destination, tip)
+    above_m = passage.miss_m - height_at_opening_m(destination, tip)
     return _Forecast(passage.error_m, rms_m, spent_s, above_m)
 
 

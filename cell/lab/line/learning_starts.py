@@ -20,7 +20,7 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect
 
 #: Starts of a fit are compared on so many cables, with so many passes.
-START_ON, FIRST_PASSES = 1, replace(PASSES, tolerance=1.0, most_passes=6)
+START_ON, FIRST_PASSES = 1, replace(PASSES, tolerance=1.0, max_iterations=6)
 #: Of an effect with more shapes than this a refit begins with several, the likeliest of the cable
 #: that shows it best: the middle of what cables show is none of them.
 SEVERAL, PLACES = 12, 3

@@ -16,7 +16,7 @@ from cell.cable.model import CableModel
 from cell.cable.wrench import AS_POINTS
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.gaussian import covariance_root
-from cell.identify.hand import HandErrors, likely_motions
+from cell.identify.hand import GripperLogErrors, sampled_motions
 from cell.lab.data.gauges import with_gauges, without_gauges
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.whitening import whiteners_of
@@ -182,7 +182,7 @@ def _with(model: CableModel, hidden: ActiveEffect | None) -> CableModel:
 
 def _logged(trial: Trial, number: int) -> Motion:
     """A log of the same motion with its noise drawn anew, another than a diagnosis draws."""
-    return likely_motions(trial.grip, HandErrors(1).of(trial), first=MOTIONS + number)[0]
+    return sampled_motions(trial.grip, GripperLogErrors(1).of(trial), first=MOTIONS + number)[0]
 
 
 def _together(prepared: PreparedStudy, fit: Fit) -> FloatArray | None:

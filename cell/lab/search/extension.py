@@ -38,7 +38,7 @@ KEPT = 0.5
 #: Passes after which a fit is given up that is still above what it has to be below.
 ENOUGH_PASSES = 5
 #: Passes of a fit that looks for a place.
-SEARCH = Options(tolerance=0.3, most_passes=10, least_gain=1e-3, updates=3)
+SEARCH = Options(tolerance=0.3, max_iterations=10, least_gain=1e-3, updates=3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from cell.lab.fit.heldout import Heldout, heldout
 from cell.lab.search.criterion import bic_penalty, p_value_of_fall
 
 #: Passes of a first refit; the best few are then taken to convergence.
-REFIT = Options(tolerance=0.3, most_passes=12, least_gain=1e-3, updates=3)
-POLISH = Options(tolerance=0.1, most_passes=40, least_gain=1e-3, updates=3)
+REFIT = Options(tolerance=0.3, max_iterations=12, least_gain=1e-3, updates=3)
+POLISH = Options(tolerance=0.1, max_iterations=40, least_gain=1e-3, updates=3)
 
 
 @dataclass(frozen=True, eq=False)

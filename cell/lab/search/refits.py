@@ -88,7 +88,7 @@ class Refits:
 
         def was_taken_on(_: FittedModel, model: FittedModel) -> None:
             models[model.names] = model
-            if model.fit.solution.passes < POLISH.most_passes:  # it gained no more
+            if model.fit.solution.iterations < POLISH.max_iterations:  # it gained no more
                 self.polished.add(model.names)
 
         self.progress("refitting with one effect more", 0, len(effects))
@@ -140,6 +140,6 @@ class Refits:
 
     def _unpolished(self, model: FittedModel, far: float) -> bool:
         """Whether a model is worth to be taken to convergence, and never was."""
-        if model.fit.solution.settled or model.names in self.polished:
+        if model.fit.solution.converged_or_idle or model.names in self.polished:
             return False
         return model.fit.objective <= far

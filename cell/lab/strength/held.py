@@ -19,7 +19,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, by_trial, extended, fit_model, fit_trials, space_with
 from cell.lab.fit.sensitivity import prior_root
 
-_REFIT = Options(tolerance=0.1, most_passes=15, least_gain=1e-3, updates=3)
+_REFIT = Options(tolerance=0.1, max_iterations=15, least_gain=1e-3, updates=3)
 
 
 @dataclass(frozen=True, eq=False)

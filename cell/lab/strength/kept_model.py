@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from cell.cable.effects import Effect
-from cell.identify.fit import frames_seen, variance_inflation
+from cell.identify.fit import frames_detected, variance_inflation
 from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.all_trials_fit import AllTrialsFit
@@ -44,10 +44,10 @@ def identified(
         residual_rms_m=fit.rms_m,
         converged=fit.arrived,
         inflation=inflation,
-        frames_used=sum(frames_seen(t) for t in trials),
+        frames_used=sum(frames_detected(t) for t in trials),
         frames_total=sum(len(t.markers.t_s) for t in trials),
-        passes=fit.solution.passes,
+        iterations=fit.solution.iterations,
         method="map",
-        hand_covariance=by_hand,
+        gripper_covariance=by_hand,
         lacks=missed.effects,
     )

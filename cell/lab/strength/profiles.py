@@ -19,7 +19,7 @@ from cell.lab.data.progress import Progress, no_progress
 from cell.lab.fit.fitting import Fit, fit_trials, problem_of
 
 #: Each point is a fit of its own, near the one before.
-_POINT = Options(tolerance=0.1, most_passes=12, least_gain=1e-3, updates=3)
+_POINT = Options(tolerance=0.1, max_iterations=12, least_gain=1e-3, updates=3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from cell.study.data import Trial
 #: Precision with which what trials have in common is held, in fit coordinates (of order 1).
 HELD = 1e10
 #: Fits to one trial; what a pass gains below this share is far below what a trial is wrong by.
-ALONE = Options(tolerance=0.1, most_passes=20, least_gain=1e-3, updates=3)
+ALONE = Options(tolerance=0.1, max_iterations=20, least_gain=1e-3, updates=3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from cell.identify.fit import (
     still_noise,
     variance_inflation,
 )
-from cell.identify.hand import HandErrors
+from cell.identify.hand import GripperLogErrors
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.identify.whitener import Whitener
@@ -24,7 +24,7 @@ from cell.study.folder import read_study
 
 PRACTICE = Path(__file__).parents[4] / "shared/data/practice"
 NODES_M = node_arc_lengths(0.1)
-EXACT_HAND = FitOptions(hand=HandErrors(samples=0))
+EXACT_HAND = FitOptions(gripper_errors=GripperLogErrors(samples=0))
 
 
 def varied(flat_cable: Cable) -> CableModel:
@@ -111,7 +111,7 @@ def test_more_frames_from_a_previous_fit_take_few_passes_and_agree(
     space = ParameterSpace.of(flat_cable)
     cold = fit([world.trial], NODES_M, space)
     warm = fit([world.trial], NODES_M, space, previous=fit([early], NODES_M, space))
-    assert warm.passes <= 2
+    assert warm.iterations <= 2
     std = np.sqrt(np.diag(cold.covariance))
     np.testing.assert_allclose((warm.mean - cold.mean) / std, 0.0, atol=0.2)
 
@@ -127,11 +127,11 @@ def test_uncertain_hand_widens_the_intervals(measure, flat_cable: Cable) -> None
     world = measure(varied(flat_cable), seed=7)
     space = ParameterSpace.of(flat_cable)
     exact = fit([world.trial], NODES_M, space, options=EXACT_HAND)
-    tilted = FitOptions(hand=HandErrors(samples=15, offset_rad=2e-3))
+    tilted = FitOptions(gripper_errors=GripperLogErrors(samples=15, offset_rad=2e-3))
     wide = fit([world.trial], NODES_M, space, options=tilted)
-    assert not exact.hand_covariance.any()
+    assert not exact.gripper_covariance.any()
     np.testing.assert_array_equal(exact.mean, wide.mean)
-    np.testing.assert_allclose(wide.covariance - exact.covariance, wide.hand_covariance)
+    np.testing.assert_allclose(wide.covariance - exact.covariance, wide.gripper_covariance)
     assert np.sqrt(wide.covariance[0, 0] / exact.covariance[0, 0]) > 1.2
 
 

@@ -62,7 +62,7 @@ def test_nist_certified_values_and_standard_deviations(
 
 
 def test_a_fit_left_early_knows_how_far_the_minimum_still_is() -> None:
-    early = minimise(misra(), np.log((260.0, 5e-4)), Options(tolerance=1e-4, most_passes=1))
+    early = minimise(misra(), np.log((260.0, 5e-4)), Options(tolerance=1e-4, max_iterations=1))
     assert not early.converged
     assert early.promised > 1.0
     np.testing.assert_allclose(np.exp(early.q + early.to_go), CERTIFIED, rtol=0.02)
@@ -127,7 +127,7 @@ def test_lanes_that_cannot_be_computed_are_stepped_back_from() -> None:
 
 
 def test_too_few_passes_is_said() -> None:
-    solution = minimise(misra(), np.log([500.0, 1e-4]), Options(most_passes=1))
+    solution = minimise(misra(), np.log([500.0, 1e-4]), Options(max_iterations=1))
     assert not solution.converged
 
 
@@ -143,7 +143,9 @@ def test_far_along_a_narrow_valley_is_not_called_converged(updates: int) -> None
     problem = LeastSquaresProblem(
         residuals, np.zeros(2), np.zeros((2, 2)), np.full(2, 1e-6), -wide, wide
     )
-    solution = minimise(problem, np.array([-1.2, 1.44]), Options(most_passes=100, updates=updates))
+    solution = minimise(
+        problem, np.array([-1.2, 1.44]), Options(max_iterations=100, updates=updates)
+    )
     assert solution.converged
     assert solution.q == pytest.approx([1.0, 1.0], abs=1e-4)
 
@@ -157,7 +159,7 @@ def test_slopes_may_come_from_residuals_that_are_all_wrong_by_as_much(updates: i
         asked.append(len(lanes))
         return exact.residuals(lanes)
 
-    near = replace(exact, residuals=residuals, slopes=lambda q: exact.residuals(q) + 3.0)
+    near = replace(exact, residuals=residuals, jacobian=lambda q: exact.residuals(q) + 3.0)
     solution = minimise(near, np.log((250.0, 5e-4)), Options(tolerance=1e-4, updates=updates))
     assert solution.converged
     np.testing.assert_allclose(np.exp(solution.q), CERTIFIED, rtol=1e-5)
@@ -183,7 +185,7 @@ def test_a_known_jacobian_at_the_start_is_not_computed_again() -> None:
 
 
 def test_slopes_that_cannot_be_had_are_taken_from_the_residuals() -> None:
-    near = replace(misra(), slopes=lambda q: np.full((len(q), len(MISRA1A)), np.nan))
+    near = replace(misra(), jacobian=lambda q: np.full((len(q), len(MISRA1A)), np.nan))
     solution = minimise(near, np.log((250.0, 5e-4)), Options(tolerance=1e-4))
     np.testing.assert_allclose(np.exp(solution.q), CERTIFIED, rtol=1e-5)
 
@@ -199,9 +201,9 @@ def test_a_rough_objective_is_left_once_passes_gain_nothing() -> None:
     rough = LeastSquaresProblem(
         residuals, none, 1e-9 * np.eye(2), np.full(2, 1e-4), -bounds, bounds
     )
-    solution = minimise(rough, np.array([3.0, -2.0]), Options(most_passes=40, updates=3))
-    assert solution.settled
-    assert solution.passes <= 12
+    solution = minimise(rough, np.array([3.0, -2.0]), Options(max_iterations=40, updates=3))
+    assert solution.converged_or_idle
+    assert solution.iterations <= 12
     np.testing.assert_allclose(solution.q, 1.0, atol=1.0 / 300.0)
 
 
@@ -210,8 +212,8 @@ def test_a_fit_that_stays_far_above_another_is_given_up() -> None:
     whole = minimise(misra(), begin, Options(tolerance=1e-4))
     hurried = Options(tolerance=1e-4, above=(1e2 * whole.objective, 3))
     given_up = minimise(misra(), begin, hurried)
-    assert given_up.passes == 3 < whole.passes
-    assert not given_up.converged and not given_up.settled
+    assert given_up.iterations == 3 < whole.iterations
+    assert not given_up.converged and not given_up.converged_or_idle
     assert given_up.objective > 1e2 * whole.objective
     kept = minimise(misra(), begin, replace(hurried, above=(1e9 * whole.objective, 3)))
     np.testing.assert_array_equal(kept.q, whole.q)
@@ -251,7 +253,7 @@ def test_where_slopes_grow_as_fast_as_steps_shrink_differences_are_not_taken_on_
     wide = np.full(size, 10.0)
     start, step = np.zeros(size), np.full(size, 1e-2)
     rough = LeastSquaresProblem(residuals, start, 1e-4 * np.eye(size), step, -wide, wide)
-    minimise(rough, start, Options(most_passes=1))
+    minimise(rough, start, Options(max_iterations=1))
     assert batches[0] <= 5
 
 
@@ -265,6 +267,6 @@ def test_a_fit_ends_where_it_is_when_no_more_work_is_afforded() -> None:
 
     problem = replace(misra(), affordable=affordable)
     ended = minimise(problem, np.log([500.0, 1e-4]), Options(tolerance=1e-4))
-    assert ended.passes == 3 < whole.passes
-    assert not ended.converged and not ended.settled
+    assert ended.iterations == 3 < whole.iterations
+    assert not ended.converged and not ended.converged_or_idle
     assert whole.objective < ended.objective

@@ -125,7 +125,7 @@ def test_identified_survives_json(world, flat_cable: Cable) -> None:
     assert back.noise == found.noise
     assert back.space.names == found.space.names
     again = identify(world.trial, NODES_M, flat_cable, previous=back)
-    assert again.passes <= 2
+    assert again.iterations <= 2
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
-from cell.identify.marker_shift import carried_m, slopes_along
+from cell.identify.marker_shift import carried_m, derivative_along
 from cell.identify.noise import Noise
 from cell.identify.whitener import Whitener
 from cell.study.data import Markers, Trial
@@ -44,7 +44,7 @@ def test_slopes_are_those_of_the_cable(trial, lost):
     if lost == "laser":
         seen[..., 0] = np.nan
     shown = Trial("swing", "fit", "equilibrium", trial.grip, Markers(trial.markers.t_s, seen))
-    found = slopes_along(shown, ARCS_M)
+    found = derivative_along(shown, ARCS_M)
     axes = [1] if lost == "laser" else [0, 1]
     assert np.sqrt(np.mean((found - true)[..., axes] ** 2)) < 0.02
     assert np.max(np.abs((found - true)[..., axes])) < 0.15
@@ -55,7 +55,7 @@ def test_slopes_are_those_of_the_cable(trial, lost):
 def test_arc_lengths_that_are_wrong_do_not_spoil_the_slopes(trial):
     """The spline through misplaced markers is stretched; no cable is."""
     wrong_m = ARCS_M + np.array([-1e-3, 1e-3, -1e-3, 0.0])
-    right, found = slopes_along(trial, ARCS_M), slopes_along(trial, wrong_m)
+    right, found = derivative_along(trial, ARCS_M), derivative_along(trial, wrong_m)
     assert np.linalg.norm(found, axis=2) == pytest.approx(1.0)
     assert np.sqrt(np.mean((found - right) ** 2)) < 0.003
 
@@ -67,12 +67,12 @@ def test_many_markers_show_the_slopes_though_the_hand_is_wrong(trial):
     right = Trial("swing", "fit", "equilibrium", trial.grip, Markers(trial.markers.t_s, markers))
     turned = replace(trial.grip, angle_rad=trial.grip.angle_rad + 0.1)
     wrong = replace(right, grip=turned, markers=replace(right.markers, xy_m=1.02 * markers))
-    found = slopes_along(wrong, arcs_m)
-    assert np.max(np.abs(found - slopes_along(right, arcs_m))) < 1e-3
+    found = derivative_along(wrong, arcs_m)
+    assert np.max(np.abs(found - derivative_along(right, arcs_m))) < 1e-3
 
 
 def whitener(trial: Trial, noise: Noise, std_m: float) -> Whitener:
-    return Whitener(trial.markers.xy_m, noise, std_m * slopes_along(trial, ARCS_M))
+    return Whitener(trial.markers.xy_m, noise, std_m * derivative_along(trial, ARCS_M))
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def whitener(trial: Trial, noise: Noise, std_m: float) -> Whitener:
 def test_noise_and_shifts_of_markers_are_white_together(trial, noise):
     """As by the inverse root of their covariance."""
     plain, shifted = Whitener(trial.markers.xy_m, noise), whitener(trial, noise, STD_M)
-    slopes = STD_M * slopes_along(trial, ARCS_M)
+    slopes = STD_M * derivative_along(trial, ARCS_M)
     error_m = 1e-4 * np.random.default_rng(0).normal(size=slopes.shape)
     predicted_m = (trial.markers.xy_m - error_m)[None]
     found = shifted(predicted_m)[0].reshape(4, -1)
@@ -93,7 +93,7 @@ def test_noise_and_shifts_of_markers_are_white_together(trial, noise):
 
 
 def test_a_shift_is_hardly_a_misfit_and_a_jump_is(trial):
-    noise, slopes = Noise(1e-5), slopes_along(trial, ARCS_M)
+    noise, slopes = Noise(1e-5), derivative_along(trial, ARCS_M)
     shift_m = STD_M * np.array([1.0, -1.5, 0.5, 1.0])[:, None] * slopes
     free = whitener(trial, noise, STD_M)
     along = free((trial.markers.xy_m + shift_m)[None])[0]
@@ -105,7 +105,7 @@ def test_a_shift_is_hardly_a_misfit_and_a_jump_is(trial):
 
 def test_errors_are_told_beside_the_likeliest_shift(trial):
     noise, rng = Noise(1e-5), np.random.default_rng(1)
-    slopes = slopes_along(trial, ARCS_M)
+    slopes = derivative_along(trial, ARCS_M)
     error_m = noise.std_m * rng.normal(size=slopes.shape)
     predicted_m = trial.markers.xy_m - error_m - 1.3 * STD_M * slopes
     free = whitener(trial, noise, STD_M)
@@ -121,7 +121,7 @@ def carried(trial: Trial, noise: Noise, std_m: float) -> tuple[Whitener, np.ndar
     """What whitens for drift and shifts, and the shapes of the drift."""
     shapes_m = carried_m(replace(trial, hand_drift=DRIFT))
     assert shapes_m is not None
-    slopes = std_m * slopes_along(trial, ARCS_M)
+    slopes = std_m * derivative_along(trial, ARCS_M)
     return Whitener(trial.markers.xy_m, noise, slopes, shapes_m), shapes_m
 
 

@@ -68,7 +68,7 @@ def in_deviations(found: Identified, expected: Identified) -> float:
 @pytest.mark.usefixtures("no_simulation")
 def test_nothing_is_simulated_after_the_last_frame(world, before, flat_cable: Cable) -> None:
     found = identify(world.trial, NODES_M, flat_cable, previous=before[0], predicted=before[1])
-    assert found.passes == 1
+    assert found.iterations == 1
     assert found.frames_used == len(world.trial.markers.t_s)
 
 
@@ -136,7 +136,7 @@ def test_a_cable_that_turns_out_quite_different_is_simulated_anew(
     mistaken = replace(before[0], mean=before[0].mean + 0.2)
     predicted = predict_frames(world.trial, world.trial.markers.t_s, NODES_M, mistaken)
     found = identify(world.trial, NODES_M, flat_cable, previous=mistaken, predicted=predicted)
-    assert found.passes > 2
+    assert found.iterations > 2
     assert in_deviations(found, identify(world.trial, NODES_M, flat_cable)) < 0.1
 
 
@@ -147,7 +147,7 @@ def test_a_long_last_step_is_still_good_to_a_tenth_of_a_pixel(
     grip = before[1].grip  # without what the log's last samples say
     trial = replace(world.trial, grip=grip)
     cold = identify(trial, NODES_M, flat_cable)
-    of_frames = cold.covariance - cold.hand_covariance
+    of_frames = cold.covariance - cold.gripper_covariance
     away = np.sqrt(np.diag(of_frames))
     deviations = np.linalg.norm(np.linalg.solve(np.linalg.cholesky(of_frames), away))
     mistaken = replace(cold, mean=cold.mean + sign * 25.0 / deviations * away)
@@ -157,7 +157,7 @@ def test_a_long_last_step_is_still_good_to_a_tenth_of_a_pixel(
         simulate(c.space.model(c.mean), grip, trial.markers.t_s, NODES_M[:1])[0, :, 0]
         for c in (found, cold, mistaken)
     ]
-    assert found.passes == 1
+    assert found.iterations == 1
     assert np.abs(tips[2] - tips[1]).max() > 1e-4
     assert np.abs(tips[0] - tips[1]).max() < 2e-6
 

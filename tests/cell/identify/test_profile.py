@@ -6,7 +6,7 @@ import pytest
 from cell.identify.gauss_newton import LeastSquaresProblem, Options, minimise
 from cell.identify.profile import profile
 
-CLOSE = Options(tolerance=1e-3, most_passes=60)
+CLOSE = Options(tolerance=1e-3, max_iterations=60)
 TARGET = 1.959964
 
 

@@ -13,7 +13,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.plan.correction import LEAST, LEAST_FRAMES, Flight
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, insertion_path
-from cell.plan.response import answers
+from cell.plan.response import simulate_response
 from drivers.interfaces import Pose
 
 SPACE = ParameterSpace.of(Cable(0.1, 0.0074, 0.016, 0.0001))
@@ -30,7 +30,7 @@ def flight() -> Flight:
     covariance = 0.01**2 * np.eye(len(MEAN))
     none = np.zeros_like(covariance)
     cable = Identified(SPACE, MEAN, covariance, Noise(3e-5), 3e-5, 1.0, 9, 9, 1, "map", none)
-    ahead = answers(cable, HAND, 0.0, float(HAND.t_s[-1]), ARC_M)
+    ahead = simulate_response(cable, HAND, 0.0, float(HAND.t_s[-1]), ARC_M)
     tip_m = ahead.nodes_m[:, 0]
     at = int(np.argmax(tip_m[:, 0] <= -0.13))
     y_m = float(tip_m[at : at + 8, 1].mean())

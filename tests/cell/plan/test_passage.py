@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell.plan.destination import Destination
-from cell.plan.passage import height_at_mouth_m, measured_passage
+from cell.plan.passage import height_at_opening_m, measured_passage
 
 HOLE = Destination(-0.13, -0.12, -0.105, -0.095)
 T_S = np.arange(0.0, 0.5, 0.005)
@@ -27,8 +27,8 @@ def test_a_level_passage_has_the_margin_and_miss_of_its_height() -> None:
 
 def test_the_height_is_taken_between_the_samples_around_the_mouth() -> None:
     tip = np.array([[-0.119, -0.100], [-0.121, -0.102]])
-    assert height_at_mouth_m(HOLE, tip) == pytest.approx(-0.001)
-    assert np.isnan(height_at_mouth_m(HOLE, tip[::-1]))
+    assert height_at_opening_m(HOLE, tip) == pytest.approx(-0.001)
+    assert np.isnan(height_at_opening_m(HOLE, tip[::-1]))
 
 
 def test_a_miss_says_by_how_much() -> None:

@@ -12,10 +12,10 @@ from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
-from cell.plan.correction import Tail, best_tail, decisions_s, moved_by, tail_answer
+from cell.plan.correction import Tail, best_tail, decisions_s, moved_by, tail_response
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, insertion_path
-from cell.plan.response import Answers, answers, deviation, time_to_rest_s
+from cell.plan.response import Response, deviation, simulate_response, time_to_rest_s
 from drivers.interfaces import Pose, Trajectory
 
 SPACE = ParameterSpace.of(Cable(0.1, 0.0074, 0.016, 0.0001))
@@ -39,15 +39,15 @@ def swung(model, hand: Motion, t_s) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def ahead() -> Answers:
+def ahead() -> Response:
     covariance = 0.02**2 * np.eye(len(MEAN))
     none = np.zeros_like(covariance)
     cable = Identified(SPACE, MEAN, covariance, Noise(3e-5), 3e-5, 1.0, 9, 9, 1, "map", none)
-    return answers(cable, motion(PATH), 0.0, END_S, ARC_M)
+    return simulate_response(cable, motion(PATH), 0.0, END_S, ARC_M)
 
 
 @pytest.fixture(scope="module")
-def hole(ahead: Answers) -> Destination:
+def hole(ahead: Response) -> Destination:
     """Narrow, and the expected tip comes through its middle."""
     tip_m = ahead.nodes_m[:, 0]
     at = int(np.argmax(tip_m[:, 0] <= -0.13))
@@ -65,7 +65,7 @@ def seen(model, hand: Motion, late_s: float = 0.0) -> np.ndarray:
     return swung(model, hand, LOOKED_S - late_s) + noise
 
 
-def test_an_end_that_is_seen_elsewhere_is_no_motion(ahead: Answers) -> None:
+def test_an_end_that_is_seen_elsewhere_is_no_motion(ahead: Response) -> None:
     """All pictures show the cable's end 0.1 mm too far along it."""
     nodes_m = seen(SPACE.model(MEAN), motion(PATH))
     along = np.gradient(nodes_m, axis=1)
@@ -84,7 +84,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_tip_is_foretold_to_its_end(ahead: Answers, case: str) -> None:
+def test_the_tip_is_foretold_to_its_end(ahead: Response, case: str) -> None:
     """From the frames of the first 0.6 s, whatever has moved it, and how surely."""
     q, up_m, late_s, within_m = CASES[case]
     hand = knocked(motion(PATH), 0.4, up_m)
@@ -97,7 +97,7 @@ def test_the_tip_is_foretold_to_its_end(ahead: Answers, case: str) -> None:
     assert spread > 0.2 * np.sqrt(np.mean(error**2))
 
 
-def test_frames_in_which_nothing_is_seen_do_not_matter(ahead: Answers) -> None:
+def test_frames_in_which_nothing_is_seen_do_not_matter(ahead: Response) -> None:
     nodes_m = seen(SPACE.model(MEAN + 0.02), motion(PATH))
     some = nodes_m.copy()
     some[np.random.default_rng(1).random(len(some)) < 0.1] = np.nan
@@ -105,24 +105,24 @@ def test_frames_in_which_nothing_is_seen_do_not_matter(ahead: Answers) -> None:
     assert np.abs(whole.tip_m - part.tip_m).max() < 3e-5
 
 
-def test_what_no_answer_explains_shows_as_misfit(ahead: Answers) -> None:
+def test_what_no_answer_explains_shows_as_misfit(ahead: Response) -> None:
     wild = seen(SPACE.model(MEAN), motion(PATH))
     wild[:, ::2] += np.random.default_rng(2).normal(0.0, 5e-4, wild[:, ::2].shape)
     assert deviation(ahead, LOOKED_S, wild, NOISE_M).misfit > 5.0
 
 
 @pytest.mark.parametrize("lasts_s", [0.12, 0.3])
-def test_a_change_moves_the_tip_as_foretold(ahead: Answers, lasts_s: float) -> None:
+def test_a_change_moves_the_tip_as_foretold(ahead: Response, lasts_s: float) -> None:
     tail = Tail(0.55, 0.003, -0.001, lasts_s, 1.0, 0.0, 0.0, ahead.nodes_m[:, 0])
     real = swung(SPACE.model(MEAN), motion(tail.of(PATH)), ahead.t_s)
     expected = moved_by(ahead, tail, LAG_S).nodes_m
     assert np.abs(real - expected).max() < 0.07 * (0.003 + 0.001)
-    assert np.abs(tail_answer(ahead, 0.55, lasts_s, LAG_S)[: int(0.55 / 0.005)]).max() == 0.0
+    assert np.abs(tail_response(ahead, 0.55, lasts_s, LAG_S)[: int(0.55 / 0.005)]).max() == 0.0
 
 
 @pytest.mark.parametrize(("then_m", "end_s"), [(0.0, 1.3), (-0.003, 1.6)])
 def test_a_changed_path_is_the_same_until_then_and_smooth(
-    ahead: Answers, then_m: float, end_s: float
+    ahead: Response, then_m: float, end_s: float
 ) -> None:
     tail = Tail(1.0, 0.004, then_m, 0.3, 1.0, 0.0, 0.0, ahead.nodes_m[:, 0])
     changed = tail.of(PATH)
@@ -133,7 +133,7 @@ def test_a_changed_path_is_the_same_until_then_and_smooth(
     assert np.abs(np.diff(changed.y_m, 2)).max() < 0.002**2 * 2.0  # less than 2 m/s²
 
 
-def test_a_knocked_cable_is_brought_through(ahead: Answers, hole: Destination) -> None:
+def test_a_knocked_cable_is_brought_through(ahead: Response, hole: Destination) -> None:
     hand, until = knocked(motion(PATH), 0.35, 0.003), LOOKED_S < 0.46
     model = SPACE.model(MEAN)
     beside = deviation(ahead, LOOKED_S[until], seen(model, hand)[until], NOISE_M)
@@ -145,14 +145,14 @@ def test_a_knocked_cable_is_brought_through(ahead: Answers, hole: Destination) -
         assert (float(hole.margin_m(tip_m[None])[0]) > 0.0) is passes
 
 
-def test_what_goes_well_is_left_alone(ahead: Answers, hole: Destination) -> None:
+def test_what_goes_well_is_left_alone(ahead: Response, hole: Destination) -> None:
     wide = replace(hole, y_min_m=hole.y_min_m - 0.01, y_max_m=hole.y_max_m + 0.01)
     beside = deviation(ahead, LOOKED_S, seen(SPACE.model(MEAN), motion(PATH)), NOISE_M)
     tail = best_tail(ahead, beside, wide, 0.64, LAG_S, 1e-4)
     assert tail is None or abs(tail.rise_m) < 1e-3
 
 
-def test_decisions_come_before_the_mouth_or_not_at_all(ahead: Answers, hole: Destination) -> None:
+def test_decisions_come_before_the_mouth_or_not_at_all(ahead: Response, hole: Destination) -> None:
     at_s = decisions_s(ahead, hole)
     through_s = float(ahead.t_s[np.argmax(ahead.nodes_m[:, 0, 0] <= hole.x_max_m)])
     assert 1 <= len(at_s) <= 3 and list(at_s) == sorted(at_s) and at_s[-1] < through_s - 0.1

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cell.run.clocks import KnownDelays, delay_checks
+from cell.run.clocks import CalibratedDelays, delay_checks
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 
-KNOWN = KnownDelays(1e-4, 2e-4, 1e-3, "run `cell calibrate time`")
+KNOWN = CalibratedDelays(1e-4, 2e-4, 1e-3, "run `cell calibrate time`")
 LAG_S = 0.03
 
 

@@ -58,7 +58,7 @@ def test_whatever_is_not_met_has_a_remedy(here) -> None:
         *("stalls while awake", "vision"),
     ]
     assert all(c.remedy for c in poor)
-    assert "50.0 ms" in poor[-2].found and "camera.frame_rate_hz to 200 Hz" in poor[-1].remedy
+    assert "50.0 ms" in poor[-2].measured and "camera.frame_rate_hz to 200 Hz" in poor[-1].remedy
 
 
 def test_vision_is_measured_with_pictures_of_the_cameras_size() -> None:

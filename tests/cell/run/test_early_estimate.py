@@ -23,7 +23,7 @@ from cell.plan.choose import Freedom
 from cell.plan.paths import executed_motion, insertion_path
 from cell.run.candidates import simulate_offsets
 from cell.run.commands import Commands
-from cell.run.early_estimate import EarlyEstimator, ScheduledEstimate, _looks
+from cell.run.early_estimate import EarlyEstimator, ScheduledEstimate, _schedule
 from cell.run.findings import EarlyEstimate, FilmedMotion, Filming
 from cell.run.station import Timing
 from cell.settings import load_settings
@@ -85,7 +85,7 @@ def holds(least_s: float | None, most_s: float, window_s: float = 0.0) -> list[S
     task = replace(cell_task(load_settings(CONFIG)), least_hold_s=least_s, hold_s=most_s)
     task = replace(task, choice=replace(task.choice, freely=Freedom(window_s)))
     filming = Filming(2.0, 2.5, 2.5 + most_s, 100 + round(200 * most_s))
-    return list(_looks(task, Timing(500.0, 0.03, 200.0), filming))
+    return list(_schedule(task, Timing(500.0, 0.03, 200.0), filming))
 
 
 def test_a_fixed_hold_is_looked_at_twice_and_ends_once() -> None:

@@ -66,7 +66,7 @@ def test_steps_that_are_repeated_are_in_the_table_where_they_are_done_first() ->
         assert list(INSERTING.names[at : at + len(names)]) == names
     at = INSERTING.names.index("simulate")
     assert INSERTING.names[at - 1 : at + 3 : 3] == ("identify", "execute")
-    assert [s.name for s in whole.before_again] == ["bring_back"]
+    assert [s.name for s in whole.before_repeat] == ["bring_back"]
     assert "bring_back" not in INSERTING.names, "most cables never come to it"
 
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 from unittest.mock import MagicMock
 
 from cell.records.result import AgreementCheck
-from cell.run.clocks import KnownDelays
+from cell.run.clocks import CalibratedDelays
 from cell.run.commands import Commands
 from cell.run.findings import Findings
 from cell.run.machine import Machine
@@ -19,11 +19,11 @@ LATE, LAG = (
     AgreementCheck("camera: stamps late by", 0.0, "s", -1e-3, 1e-3),
     AgreementCheck("arm: lag", 0.0, "s"),
 )
-KNOWN = KnownDelays(1e-4, 2e-4, 1e-3, "run `cell calibrate time`")
+KNOWN = CalibratedDelays(1e-4, 2e-4, 1e-3, "run `cell calibrate time`")
 
 
 def cycles_with_a_check(
-    found: list[tuple[AgreementCheck, ...]], delays: KnownDelays | None
+    found: list[tuple[AgreementCheck, ...]], delays: CalibratedDelays | None
 ) -> list[int]:
     """Numbers of the cycles in which the clocks are checked, and find this one after another."""
     left, done = list(found), list[int]()

@@ -63,17 +63,17 @@ def test_a_coarse_fit_that_gains_no_more_is_gone_on_with_or_said_to_be_unfinishe
     study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=8, **LONG)
     prepared, space = PreparedStudy.of(study), ParameterSpace.of(study.cable)
     start = cold_start(prepared, space)
-    options = gauss_newton.Options(most_passes=12)
+    options = gauss_newton.Options(max_iterations=12)
     fine = fit_model(prepared, space, start, options=options)
     prepared = replace(prepared, slopes=replace(prepared.solver, step_s=3e-3))
     minimise, stages = gauss_newton.minimise, []
 
     def stuck_at_first(problem, begin, options, *jacobian):
-        stages.append(options.most_passes)
+        stages.append(options.max_iterations)
         if len(stages) > 1:
             return minimise(problem, begin, options, *jacobian)
-        early = minimise(problem, begin, replace(options, most_passes=3))
-        return replace(early, passes=passes, settled=True, converged=False)
+        early = minimise(problem, begin, replace(options, max_iterations=3))
+        return replace(early, iterations=passes, converged_or_idle=True, converged=False)
 
     monkeypatch.setattr(gauss_newton, "minimise", stuck_at_first)
     found = fit_model(prepared, space, start, options=options, from_far=True)

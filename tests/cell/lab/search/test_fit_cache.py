@@ -49,7 +49,7 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     judged = []
 
     def fit_model(*args, **options):
-        objective, solution = next(objectives), SimpleNamespace(settled=True)
+        objective, solution = next(objectives), SimpleNamespace(converged_or_idle=True)
         return SimpleNamespace(objective=objective, promised_objective=objective, solution=solution)
 
     def weigh(prepared, effects, fit):
@@ -107,7 +107,7 @@ def test_refits_are_taken_on_in_the_order_of_what_they_promise(make_study, monke
     def by(self, effect, screens, options):
         on_its_way = effect is effects["grip_angle"]
         away, promised = (50.0, 100.0) if on_its_way else (-1.0, 0.0)
-        solution = replace(base.fit.solution, settled=not on_its_way, promised=promised)
+        solution = replace(base.fit.solution, converged_or_idle=not on_its_way, promised=promised)
         fit = replace(base.fit, objective=base.fit.objective + away, solution=solution)
         return FittedModel((*base.effects, effect), fit, None, base.evidence - 0.5 * away)
 
@@ -138,7 +138,7 @@ def test_what_models_are_selected_by_does_not_depend_on_held_out_trials(make_stu
     assert again.evidence == pytest.approx(base.evidence, rel=1e-9)
 
 
-@pytest.mark.parametrize(("passes", "count"), [(5, 1), (fit_cache.POLISH.most_passes, 3)])
+@pytest.mark.parametrize(("passes", "count"), [(5, 1), (fit_cache.POLISH.max_iterations, 3)])
 def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
     make_study, monkeypatch, passes, count
 ):
@@ -161,7 +161,7 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
             initial_states={},
             space=None,
             q=None,
-            solution=SimpleNamespace(settled=False, passes=passes),
+            solution=SimpleNamespace(converged_or_idle=False, iterations=passes),
         )
 
     monkeypatch.setattr(extension, "fit_model", fit_model)
@@ -284,7 +284,7 @@ def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_
     fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {load.name: load})
     base = fits.baseline()
     (model,) = fits.fit_extended(base, [load])
-    on_its_way = replace(model.fit.solution, settled=False)
+    on_its_way = replace(model.fit.solution, converged_or_idle=False)
     model = replace(model, fit=replace(model.fit, solution=on_its_way))
     fits._memory.models[model.names] = model
 

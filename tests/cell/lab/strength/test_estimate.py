@@ -60,10 +60,10 @@ def test_a_fit_left_before_its_minimum_allows_for_the_way_that_is_left(make_stud
     at = fit.space.names.index("tip_mass.mass_kg")
     q = fit.q.copy()
     q[at] *= 1.5
-    left = fit_model(prepared, fit.space, q, options=Options(most_passes=1))
+    left = fit_model(prepared, fit.space, q, options=Options(max_iterations=1))
     assert not left.arrived
     assert fit.arrived
-    monkeypatch.setattr(all_trials_fit, "CONVERGED", Options(most_passes=1))
+    monkeypatch.setattr(all_trials_fit, "CONVERGED", Options(max_iterations=1))
     mass = estimate(prepared, left).intervals(library()["tip_mass"])["mass_kg"]
     assert mass.low < 2e-5 < mass.high
     assert abs(mass.value - 2e-5) > 10.0 * np.sqrt(left.covariance[at, at])

@@ -117,7 +117,7 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     base = whole.baseline()
     initial_states = base.fit.q + 0.6 * np.eye(len(base.fit.q))[0]
     stuck = fit_model(
-        whole.prepared, base.fit.space, initial_states, options=Options(most_passes=1)
+        whole.prepared, base.fit.space, initial_states, options=Options(max_iterations=1)
     )
     stuck = weighed(whole.prepared, base.effects, stuck)
     assert stuck.fit.rms_m > 1.2 * base.fit.rms_m

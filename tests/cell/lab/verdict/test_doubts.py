@@ -168,8 +168,8 @@ def test_a_fit_of_too_few_passes_warns_and_writes_that_it_did_not_converge(
 ):
     write_study(loaded, tmp_path / "loaded")
     for name in ("REFIT", "POLISH"):
-        monkeypatch.setattr(f"cell.lab.search.baseline.{name}", Options(most_passes=1))
-        monkeypatch.setattr(f"cell.lab.search.fit_cache.{name}", Options(most_passes=1))
+        monkeypatch.setattr(f"cell.lab.search.baseline.{name}", Options(max_iterations=1))
+        monkeypatch.setattr(f"cell.lab.search.fit_cache.{name}", Options(max_iterations=1))
     model, said = fitted(tmp_path / "loaded", tmp_path, "--effect", "tip_mass")
     assert model["converged"] is False
     assert "not_converged" in {w["code"] for w in model["warnings"]}
