@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResult, SuggestResult
 from cell.cable.model import CableModel
@@ -22,61 +22,30 @@ from cell.lab.data.named_effects import (
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.own_check import read_own_checks
 from cell.lab.data.prepared import ERRS, PreparedStudy, as_measured
-from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.data.work import DIAGNOSIS, SpentError, Work, WorkStoppedError
+from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
+from cell.lab.diagnosis import diagnose as examine
+from cell.lab.diagnosis import with_strength
 from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.asked import select_asked
 from cell.lab.next.study_power import power_of
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.outliers import without_outliers
 from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
-from cell.lab.search.wrong_samples import without_wrong_samples
 from cell.lab.strength.compare import Comparison, compare_model, model_names
 from cell.lab.strength.kept_model import identified
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import CHECKS
-from cell.lab.verdict.diagnose import diagnose as examine
+from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.doubts import lacking_doubt
 from cell.lab.verdict.fit_doubts import fit_doubts
-from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
 from cell.study.data import Study
 from cell.study.folder import check_study
 
 _LOG = logging.getLogger(__name__)
 
-
-def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
-    """The best model of a study with the effects of the fit cache's space; the study as fitted to.
-
-    Where the model errs by more than the camera, its own error is taken for noise and the fit
-    repeated, so that the prior keeps a part in what the data then cannot tell.  Its correlation
-    widens the intervals and leaves the weight of the frames as it is.
-    """
-    candidate = fits.baseline()
-    prepared = fits.prepared
-    _LOG.info("fitted %s: %.4f mm", prepared.study.name, candidate.fit.rms_m * 1e3)
-    if candidate.fit.rms_m <= ERRS * prepared.expected_m("fit"):
-        return identified(prepared, candidate.fit, fits.library.values()), candidate, prepared
-    left = Noise(candidate.fit.rms_m)
-    coarser = FitCache(
-        PreparedStudy.of(
-            as_measured(prepared), misfit=left, solver=prepared.solver, work=prepared.work
-        ),
-        fits.space,
-        fits.library,
-        fits.progress,
-        begin=candidate.fit.q if fits.sought else None,
-    )
-    candidate = coarser.baseline()
-    model = identified(coarser.prepared, candidate.fit, fits.library.values())
-    return model, candidate, coarser.prepared
-
-
-if TYPE_CHECKING:
-    from cell.lab.search.fit_cache import FitCache
-    from cell.lab.verdict.diagnose import Examination
 
 #: A study, or the folder of one or of a recorded cycle.
 StudyOrFolder = Study | Path | str
@@ -261,7 +230,7 @@ def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:
 
     if not motions:
         return fits
-    first = fits.given.study.trials[0].grip
+    first = fits.prepared.study.trials[0].grip
     home = float(first.x_m[0]), float(first.y_m[0])
     return with_motions(fits, [hand_motion(Path(file), home) for file in motions])
 
@@ -315,7 +284,32 @@ def _made_ready(
         work,
     )
     with work.stage("prepare"):
-        return without_wrong_samples(fits)
+        return without_outliers(fits)
+
+
+def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
+    """The best model of a study with the effects of the search's space; the study as fitted to.
+
+    Where the model errs by more than the camera, its own error is taken for noise and the fit
+    repeated, so that the prior keeps a part in what the data then cannot tell.  Its correlation
+    widens the intervals and leaves the weight of the frames as it is.
+    """
+    model, prepared = fits.base, fits.prepared
+    _LOG.info("fitted %s: %.4f mm", prepared.study.name, model.fit.rms_m * 1e3)
+    if model.fit.rms_m <= ERRS * prepared.expected_m("fit"):
+        return identified(prepared, model.fit, fits.library.values()), model, prepared
+    again = PreparedStudy.of(
+        as_measured(prepared),
+        misfit=Noise(model.fit.rms_m),
+        solver=prepared.solver,
+        work=prepared.work,
+    )
+    start_q = model.fit.q if fits.setup.unknown_effects else None
+    coarser = FitCache.of(
+        SearchSetup(again, fits.space, fits.library, fits.progress, start_q=start_q)
+    )
+    of_all = identified(coarser.prepared, coarser.base.fit, fits.library.values())
+    return of_all, coarser.base, coarser.prepared
 
 
 def fitted(fits: FitCache) -> FitResult:
@@ -337,7 +331,7 @@ def rules_with(checks: Sequence[Path | str]) -> Rules:
 
 def examined(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
     """A study that was made ready, with all that is asked of it; stopped, what is known by then."""
-    return with_agreement(with_limits(examine(fits, rules)))
+    return with_strength(examine(fits, rules))
 
 
 def diagnosed(examination: Examination, folder: Path, *, every_step: bool = True) -> DiagnoseResult:
@@ -347,7 +341,7 @@ def diagnosed(examination: Examination, folder: Path, *, every_step: bool = True
     every_step  compare the models with each effect added too, not only the first and the last
     """
     fits = examination.fits
-    steps = [fits.prior_candidate(), *examination.steps[1:]]
+    steps = [fits.prior_candidate(), *examination.path[1:]]
     shown = steps if every_step else [steps[0], *steps[1:][-1:]]
     in_model = fits.space.effects
     todo = advice(

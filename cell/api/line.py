@@ -11,7 +11,7 @@ from cell.api.results import Row, Shown
 from cell.files.table import TableData
 from cell.lab.data.cycles import read_cycles
 from cell.lab.data.named_effects import select_effects
-from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.work import Progress, no_progress
 from cell.lab.line.candidate import lines_of, write_candidate
 from cell.lab.line.gates import Judgement, best_judged
 from cell.lab.line.learn import LearningResult

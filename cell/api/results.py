@@ -92,7 +92,7 @@ if TYPE_CHECKING:
     from cell.lab.next.study_power import StudyPower
     from cell.lab.next.suggestion import Suggestion
     from cell.lab.search.fitted_model import FittedModel
-    from cell.lab.verdict.diagnose import Examination
+    from cell.lab.verdict.conclusion import Examination
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -250,7 +250,7 @@ class DiagnoseResult(Shown):
     def model(self) -> Identified:
         """The model with everything found, and its parameters' intervals."""
         fits = self.examination.fits
-        return identified(fits.prepared, self.examination.steps[-1].fit, fits.library.values())
+        return identified(fits.prepared, self.examination.path[-1].fit, fits.library.values())
 
     def parts(self) -> Sequence[str | TableData]:
         """The answer, then what it rests on."""

@@ -23,8 +23,8 @@ from cell.api.results import Row, Shown
 from cell.cable.solver import threads
 from cell.files.table import TableData
 from cell.lab.data.named_effects import EffectSelection, select_for_diagnosis
-from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.data.work import Progress, no_progress
 from cell.lab.line.together import Examined, check_names, together
 from cell.lab.line.together_results import Together
 from cell.lab.report.together_tables import together_page, together_parts

@@ -24,7 +24,7 @@ from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
     from cell.files.table import TableData
-    from cell.lab.data.progress import Progress
+    from cell.lab.data.work import Progress
     from cell.lab.strength.compare import Comparison
     from cell.terminal.progress import ProgressLine
 
@@ -426,11 +426,11 @@ def suggest(given: _Suggest) -> None:
     from cell.api.results import SuggestResult
     from cell.lab.data.named_effects import select_for_diagnosis
     from cell.lab.data.work import DIAGNOSIS, Work
+    from cell.lab.diagnosis import diagnose as diagnose_study
     from cell.lab.next.asked import select_asked
     from cell.lab.next.showing import asked_and_tried, showing_motion
     from cell.lab.next.suggest import suggest_motion
     from cell.lab.report.tables import verdict_line, warning_lines
-    from cell.lab.verdict.diagnose import diagnose as diagnose_study
     from cell.settings.surroundings import Surroundings
 
     with refusing(given.out, given.as_json, force=given.force), working("suggest") as progress:

@@ -32,7 +32,7 @@ from cell.cli.workers import Workers, workers
 
 if TYPE_CHECKING:
     from cell.api.line import LearnResult
-    from cell.lab.data.progress import Progress
+    from cell.lab.data.work import Progress
     from cell.lab.line.learn import LearningResult
     from cell.settings.model import Settings
 

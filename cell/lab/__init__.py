@@ -1,5 +1,4 @@
 """The model lab: which physical effect is missing?
 
-A diagnosis is four questions, each with a room: what could it be (`search`), what does the best
-model leave (`statistics`), may we say so (`verdict`), how much, and what next (`strength`, `next`).
+`diagnosis` is the page to begin with: its stages, in order, are the rooms of the lab.
 """

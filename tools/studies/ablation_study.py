@@ -36,14 +36,15 @@ from cell.files.input_error import InputError
 from cell.lab.data.check import COMPARE, Check, CheckOutcome, worst_verdict
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.statistics.score import holm
 from cell.lab.verdict.checks import CHECKS
-from cell.lab.verdict.diagnose import Examination, diagnose
+from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.forward_search import with_ties
+from cell.lab.verdict.ties import with_ties
 from tools.studies.diagnosis_study import BREADTH, MADE, Case, cases, kinds, made
 from tools.worlds.known_truth import SHOWS, class_of
 
@@ -87,16 +88,13 @@ def judged(case: Case) -> Row:
 
 def _row(case: Case, there: str, power: float, examination: Examination) -> Row:
     fits = examination.fits
-    base, rules = fits.baseline(), DEFAULT_RULES
-    current, tied = examination.accepted, {}
-    if current is not base:
-        current, tied = with_ties(fits, base, current, rules)
-    asked = Evidence(fits, base, current, rules, tied)
+    base = fits.base
+    evidence = with_ties(Evidence(fits, examination.accepted, DEFAULT_RULES))
     statistics = {}
     for check in CHECKS:
-        reading = check.ask(asked).reading
+        reading = check.ask(evidence).reading
         statistics[check.name] = np.nan if reading is None else float(reading.value)
-    named = "+".join("|".join((e.name, *tied.get(e.name, ()))) for e in asked.added)
+    named = "+".join("|".join((e.name, *evidence.tied.get(e.name, ()))) for e in evidence.added)
     return Row(case.kind, case.number, there, round(power, 3), examination.diagnosis.verdict, named,
                *_plain(fits, base), statistics)  # fmt: skip
 

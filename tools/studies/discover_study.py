@@ -19,7 +19,7 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.discover import NothingFoundError, discover
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Study
 from tools.worlds.made_studies import hidden, make_study
 from tools.worlds.outside_laws import LATER, LAWS
@@ -42,7 +42,9 @@ NOISE_M = 1e-4
 
 def fits_of(study: Study) -> FitCache:
     """The study made ready."""
-    return FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), library())
+    return FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), library())
+    )
 
 
 def is_right(name: str, seed: int, size: float) -> bool:

@@ -93,7 +93,7 @@ def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]
 def held_by_all(fits: FitCache, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
     """The same of the effect's parameters from all trials, as in a diagnosis."""
     present: ActiveEffect = truth.effects[0]
-    found = estimate(fits.prepared, fits.baseline().fit, fits.library.values())
+    found = estimate(fits.prepared, fits.base.fit, fits.library.values())
     true = dict(zip((p.name for p in present.effect.parameters), present.values, strict=True))
     amplitudes = {p.name for p in present.effect.parameters if p.amplitude}
     for name, interval in found.intervals(present.effect).items():

@@ -28,8 +28,8 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.asked import select_asked
 from cell.lab.next.forecast import forecast, resized
 from cell.lab.next.linear_study import LinearStudy
-from cell.lab.next.recovery import recover
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.next.study_power import recover
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Study
 from tools.worlds.made_studies import make_study
 
@@ -96,8 +96,10 @@ def one(case: int, before: Row | None, copies: int) -> Row:
     name, share, motions = CASES[case]
     (asked,), selection = select_asked([name], [])
     study = study_of(case)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), selection.candidates)
-    linear = LinearStudy.of(fits.prepared, fits.baseline().fit)
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), selection.candidates)
+    )
+    linear = LinearStudy.of(fits.prepared, fits.base.fit)
     if before is None:
         smallest = forecast(fits, asked, linear).smallest
         if smallest is None:

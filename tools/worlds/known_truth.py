@@ -15,10 +15,9 @@ from scipy import stats
 from cell.cable.effects import ActiveEffect, Effect
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.renoised import with_noise_model
+from cell.lab.data.prepared import PreparedStudy, with_noise_model
 from cell.lab.fit.fitting import fit_trials
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Study
 from tools.worlds.made_studies import hidden
 from tools.worlds.rigs import Rig, rig_study
@@ -47,7 +46,7 @@ def without_noise(quiet: Study, noise: Noise) -> PreparedStudy:
 
 def evidence(quiet: PreparedStudy, space: ParameterSpace) -> float:
     """χ² of independent values that a study without noise leaves when `space` is fitted to it."""
-    return FitCache(quiet, space, {}).baseline().fit.chi2
+    return FitCache.of(SearchSetup(quiet, space, {})).base.fit.chi2
 
 
 def least_evidence(quiet: PreparedStudy, tests: int) -> float:

@@ -11,7 +11,7 @@ from cell.cable.effects import Effect, library
 from cell.cable.effects.remote import confine_effects
 from cell.cable.effects.untrusted import check_untrusted
 from cell.identify.model_class import effect_from, known_effects
-from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.work import Progress, no_progress
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.identify.innovations import frames_since
 from cell.identify.noise import Noise, still_frames
-from cell.lab.data.noise_in_motion import Remainder
 from cell.lab.data.noise_likelihood import (
     ALLOWED,
     AR1_GRID,
@@ -20,6 +19,7 @@ from cell.lab.data.noise_likelihood import (
     DRIFT_DEGREE,
     MAX_AR1,
     NoiseBlock,
+    Remainder,
     RestFrames,
     alike,
     dof_of,

@@ -15,16 +15,40 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.cable.wrench import AS_POINTS, Gauge
 from cell.identify.fit import Lane, predict_lanes
-from cell.identify.noise import Noise
+from cell.identify.noise import Noise, still_frames
 from cell.identify.whitener import Whitener
-from cell.lab.data.gauges import Gauges, with_gauges, without_gauges
-from cell.lab.data.held_straight import placed
+from cell.lab.data.gauges import Gauges, scaled, with_gauges, without_gauges
 from cell.lab.data.noise_levels import rms_level, with_levels
-from cell.lab.data.noise_model import Level, NoiseModel, noise_model_of
+from cell.lab.data.noise_model import Level, NoiseModel, noise_model_of, noise_model_of_residuals
 from cell.lab.data.unknown_start import InitialState, initial_state_of
 from cell.lab.data.whitening import whiteners_of
 from cell.lab.data.work import SOLVER, Work
 from cell.study.data import Study, Trial
+
+
+def placed(study: Study) -> Study:
+    """The study with markers where they are on cables that are held straight before release.
+
+    There every point's place is known without a model: what the still frames show beside it is how
+    the marker was put on, and is taken off all frames of the trial.
+    """
+    return replace(study, trials=tuple(_placed(t, study.arc_length_m) for t in study.trials))
+
+
+def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
+    t_s, grip = trial.markers.t_s, trial.grip
+    still = still_frames(t_s, grip, trial.release_s)
+    if trial.start != "straight" or still.stop == 0:
+        return trial
+    x, y, angle = (np.interp(t_s[still], grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad))
+    along = np.stack([-np.cos(angle), -np.sin(angle)], axis=-1)
+    straight = np.stack([x, y], axis=-1)[:, None] + arc_length_m[:, None] * along[:, None]
+    beside = trial.markers.xy_m[still] - straight
+    seen = np.isfinite(beside).any(axis=0)
+    offset = np.where(seen, np.nanmean(np.where(seen, beside, 0.0), axis=0), 0.0)
+    at_place = replace(trial.markers, xy_m=trial.markers.xy_m - offset)
+    return replace(trial, markers=at_place)
+
 
 Number = TypeVar("Number", bound=np.generic)
 Given = ParamSpec("Given")
@@ -327,3 +351,53 @@ def _begins(lane: Lane) -> object:
     if trial.start == "moving":
         return trial.start, float(lane.times_s[0])
     return trial.start, min(float(lane.times_s[0]), float(trial.grip.t_s[0]))
+
+
+def judged_by(prepared: PreparedStudy, errors: Sequence[FloatArray]) -> PreparedStudy:
+    """The same with the correlations of a stated error as a model's residuals have them.
+
+    errors  per trial to be fitted (times, channels), m, nan where not seen
+    """
+    if not prepared.noise_is_measured:
+        return prepared
+    fitted, columns = prepared.study.role("fit"), 2 * len(prepared.study.arc_length_m)
+    places = [of_frames(prepared, t, e)[:, :columns] for t, e in zip(fitted, errors, strict=True)]
+    noise_model = noise_model_of_residuals(prepared.noise_model, places)
+    unchanged = noise_model == prepared.noise_model
+    return prepared if unchanged else with_noise_model(prepared, noise_model)
+
+
+def with_noise_model(
+    prepared: PreparedStudy,
+    noise_model: NoiseModel,
+    of_gauges: tuple[NoiseModel, NoiseModel] | None = None,
+) -> PreparedStudy:
+    """The same, whitened for another noise of the measurement.
+
+    of_gauges  noise of force and moment, if there are gauges and it is another, too
+    """
+    weighed = noise_model.weighed
+    same = noise_model.levels == prepared.noise_model.levels
+    if weighed == prepared.noise and same and of_gauges is None:
+        return replace(prepared, noise_model=noise_model)
+    levelled = _levelled(prepared, noise_model.noise.std_m, of_gauges)
+    whiteners = whiteners_of(
+        levelled.study, weighed, levelled.gauges, levelled.lines, noise_model.levels
+    )
+    return replace(levelled, noise_model=noise_model, noise=weighed, whiteners=whiteners)
+
+
+def _levelled(
+    prepared: PreparedStudy, std_m: float, of_gauges: tuple[NoiseModel, NoiseModel] | None
+) -> PreparedStudy:
+    """The same with gauges in the unit of such a noise."""
+    if prepared.gauges is None:
+        return prepared
+    force, moment = of_gauges or (prepared.gauges.force, prepared.gauges.moment)
+    gauges = replace(prepared.gauges, std_m=std_m, force=force, moment=moment)
+    factors = gauges.scale / prepared.gauges.scale
+    mesh_m = {name: error_m.copy() for name, error_m in prepared.mesh_m.items()}
+    for error_m in mesh_m.values():
+        error_m[:, gauges.markers :] *= factors
+    study = scaled(prepared.study, gauges, factors)
+    return replace(prepared, study=study, gauges=gauges, mesh_m=mesh_m)

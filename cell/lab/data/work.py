@@ -5,10 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from cell.cable.solver import Solver
 from cell.computer.compiling import computing_s
+
+
+class Progress(Protocol):
+    """Receives what is being done: `done` of `total` pieces are finished; 0 of 0 = not counted.
+
+    Any thread may tell it.
+    """
+
+    def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
+        """Must return at once."""
+
+
+def no_progress(text: str, done: int = 0, total: int = 0) -> None:
+    """A `Progress` that shows nothing."""
+
 
 #: Within 4 µm (rms over the markers of a swing) of a converged cable.
 SOLVER = Solver(segments=32, step_s=1e-3)

@@ -11,12 +11,72 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.identify import gauss_newton
-from cell.identify.gauss_newton import UNSIMULATED, Solution
+from cell.identify.gauss_newton import UNSIMULATED, Solution, jacobian_at
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.initial_state import estimate_initial_states
 from cell.lab.statistics.series import overall
-from cell.study.data import Trial
+from cell.study.data import Markers, Trial
+
+#: First frames, of a cable in motion: for this share of the time that a hanging one needs to swing
+#: to and fro, and so many at least.
+SHARE_OF_SWING = 0.1
+FEWEST_FRAMES = 6
+#: Markers are believed to this share of the free length: the model is not fitted yet.
+BELIEVED = 1e-3
+_PASSES = 3
+
+
+def estimate_initial_states(
+    prepared: PreparedStudy, trials: Sequence[Trial], models: Sequence[CableModel]
+) -> dict[str, FloatArray]:
+    """By trial the likeliest unknowns of its initial state, (models, unknowns); delays stay at 0.
+
+    Of trials that do not begin bent, 0.  Gauss–Newton on the first frames; what cannot be simulated
+    is left at 0.
+    """
+    return {t.name: _looked(prepared, t, models) for t in trials}
+
+
+def _looked(prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel]) -> FloatArray:
+    state, lanes = prepared.initial_state(trial), len(models)
+    initial_states = np.zeros((lanes, state.count))
+    if not state.bent:
+        return initial_states
+    early = _early(prepared, trial)
+    seen = np.isfinite(early.markers.xy_m)
+    seen[:, len(prepared.study.arc_length_m) :] = False  # what a sensor shows has a tare
+    noise_m = max(prepared.noise.std_m, BELIEVED * prepared.study.cable.free_length_m)
+    first = int(state.delayed)
+    free = np.arange(first, state.count)
+    prior = np.diag(1.0 / state.std[free] ** 2)
+    every = [m for m in models for _ in range(len(free) + 1)]
+    for _ in range(_PASSES):
+        tried = np.repeat(initial_states, len(free) + 1, axis=0).reshape(lanes, len(free) + 1, -1)
+        for row, i in enumerate(free, 1):
+            tried[:, row, i] += state.step[i]
+        points = prepared.predict(early, every, tried.reshape(-1, state.count))
+        points = points.reshape(lanes, len(free) + 1, *seen.shape)[:, :, seen] / noise_m
+        slopes = (points[:, 1:] - points[:, :1]) / state.step[free][:, None]
+        missed = early.markers.xy_m[seen] / noise_m - points[:, 0]
+        for lane in np.flatnonzero(np.isfinite(points).all(axis=(1, 2))):
+            s, here = slopes[lane], initial_states[lane, free]
+            step = np.linalg.solve(s @ s.T + prior, s @ missed[lane] - prior @ here)
+            initial_states[lane, free] = here + step
+        initial_states = np.clip(initial_states, -state.limit, state.limit)
+    return initial_states
+
+
+def _early(prepared: PreparedStudy, trial: Trial) -> Trial:
+    """The first frames of a trial, before a held cable is let go if there are any."""
+    t_s, study = trial.markers.t_s, prepared.study
+    if trial.release_s is not None:
+        count = int(np.searchsorted(t_s, trial.release_s, "right"))
+        keep = slice(0, count) if count else slice(0, 1)
+    else:
+        swing_s = 2.0 * np.pi * np.sqrt(study.cable.free_length_m / study.scale_m_per_s2)
+        count = int(np.searchsorted(t_s, t_s[0] + SHARE_OF_SWING * swing_s))
+        keep = slice(0, max(count, FEWEST_FRAMES))
+    return replace(trial, markers=Markers(t_s[keep], trial.markers.xy_m[keep]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,3 +412,29 @@ def best_initial_states(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArr
         t.name: fit.initial_states.get(t.name, best_initial_state(prepared, fit.model, t))[None]
         for t in prepared.study.trials
     }
+
+
+#: Steps tried, in units of the solver's.
+LONGER = (3.0, 2.0)
+#: Largest error of a parameter's slopes, as a share of them and of what the prior knows.
+HARMLESS = 0.02
+
+
+def with_slopes(prepared: PreparedStudy, fit: Fit) -> tuple[PreparedStudy, Fit]:
+    """The study with the longest step of time that leaves the slopes of a fit as they are.
+
+    And the fit with slopes by that step: what is compared with them will be simulated so too.
+    """
+    if prepared.slopes is not None:
+        return prepared, fit
+    trials, jacobian = fit_trials(prepared), fit.solution.jacobian
+    known = np.diag(problem_of(prepared, fit.space, trials).precision)
+    size = np.sqrt(np.sum(jacobian**2, axis=0) + known)
+    for longer in LONGER:
+        solver = replace(prepared.solver, step_s=longer * prepared.solver.step_s)
+        problem = problem_of(replace(prepared, solver=solver), fit.space, trials)
+        near = jacobian_at(problem, fit.solution.q, fit.solution.covariance)
+        if np.all(np.linalg.norm(near - jacobian, axis=0) <= HARMLESS * size):
+            solution = replace(fit.solution, jacobian=near)
+            return replace(prepared, slopes=solver), replace(fit, solution=solution)
+    return prepared, fit

@@ -9,11 +9,10 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.noise import still_frames
-from cell.lab.data.noise_in_motion import Remainder
 from cell.lab.data.noise_levels import seen_in
+from cell.lab.data.noise_likelihood import Remainder
 from cell.lab.data.noise_model import noise_model_of_all_frames
-from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.renoised import with_noise_model
+from cell.lab.data.prepared import PreparedStudy, with_noise_model
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
 from cell.lab.statistics.score import score_test

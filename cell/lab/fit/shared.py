@@ -22,8 +22,8 @@ from cell.lab.data.noise_model import noise_model_of
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.whitening import arcs_are_uncertain, whiteners_of
 from cell.lab.data.work import Work
+from cell.lab.fit.corrections import lines_of
 from cell.lab.fit.fitting import space_with
-from cell.lab.fit.mesh import lines_of
 from cell.study.data import Study, Trial
 
 #: What is constant in a marker throughout a cable's pictures: how far along the tip is seen, m.

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.corrections import LEFT, finer
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.hand_error import MOTIONS, by_other_hands
-from cell.lab.fit.mesh import LEFT, finer
 from cell.study.data import Trial
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.work import Progress, no_progress
 from cell.lab.line.identified_again import IdentifiedAgain, identified_again
 from cell.lab.line.identified_table import IdentifiedTable
 from cell.lab.line.recordings import Packed

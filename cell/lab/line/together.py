@@ -13,12 +13,13 @@ from typing import Literal
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
+from scipy.special import stdtrit as t_quantile
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.results import Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.line.pooling import pool
+from cell.lab.fit.shared import Spread
 from cell.lab.line.together_results import (
     Consistency,
     Hypothesis,
@@ -30,8 +31,48 @@ from cell.lab.line.together_results import (
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.checks import explains
-from cell.lab.verdict.diagnose import Examination
+from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence
+
+
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """The mean of values with known standard deviations, all in a fit's coordinates.
+
+    reach    half of its 95 % interval
+    spread   between the values beyond what each is uncertain by; Cochran's Q and its p-value
+    without  (n,) the mean without each of them
+    """
+
+    mean: float
+    reach: float
+    spread: Spread
+    without: FloatArray
+
+
+def pool(values: FloatArray, std: FloatArray) -> Pooled:
+    """Random-effects mean of (n,) values.
+
+    source  variance between them by restricted maximum likelihood, see `Spread`; interval:
+            Knapp & Hartung 2003, Statistics in Medicine 22, 2693, never narrower than by the
+            standard deviations alone
+    """
+    spread = Spread.of(values, std)
+    weights = 1.0 / (std**2 + spread.tau**2)
+    mean = float(np.average(values, weights=weights))
+    by_std = 1.0 / float(weights.sum())
+    n = len(values)
+    reach = 1.959964 * np.sqrt(by_std)
+    if n > 1:
+        seen = float(np.sum(weights * (values - mean) ** 2)) / (n - 1)
+        knapp = float(t_quantile(n - 1, 0.975)) * np.sqrt(by_std * seen)
+        reach = max(reach, knapp)
+    others = [
+        float(np.average(np.delete(values, i), weights=np.delete(weights, i))) if n > 1 else mean
+        for i in range(n)
+    ]
+    return Pooled(mean, float(reach), spread, np.array(others))
+
 
 #: Sets of effects that are fitted to all studies, and how many of them by the sum of the screens.
 MOST_SETS, BY_SCREENS = 8, 2
@@ -56,7 +97,7 @@ class Examined:
     @property
     def base(self) -> FittedModel:
         """Its model without further effects."""
-        return self.fits.baseline()
+        return self.fits.base
 
     def with_effects(self, names: Names) -> FittedModel | None:
         """Its model with these effects; None if that cannot be simulated."""
@@ -179,7 +220,7 @@ def _parts(
     rules: Rules,
 ) -> tuple[tuple[StudyPart, ...], tuple[Consistency, ...]]:
     """Each study's part, and the parameters over those that do not exclude the effects."""
-    evidence = [Evidence(s.fits, s.base, m, rules) for s, m in zip(studies, models, strict=True)]
+    evidence = [Evidence(s.fits, m, rules) for s, m in zip(studies, models, strict=True)]
     shows = [_shows(s, m, best, rules) for s, m in zip(studies, models, strict=True)]
     says: list[Says | Literal[""]] = ["" for _ in studies]
     if best.effects:
@@ -205,7 +246,7 @@ def _parts(
 
 def _explained(study: Examined, with_effects: Evidence, said: str) -> bool:
     """Whether a study's model leaves noise; without the effects where it does not show them."""
-    without = Evidence(study.fits, study.base, study.base, with_effects.rules)
+    without = Evidence(study.fits, study.base, with_effects.rules)
     return any(explains(e) for e in ([] if said == "shows" else [without]) + [with_effects])
 
 

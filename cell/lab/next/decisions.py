@@ -15,7 +15,7 @@ from cell.identify.gaussian import covariance_root
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.sensitivity import one_sided
 from cell.lab.next.linear_study import LinearStudy, Slopes
-from cell.lab.search.criterion import bic_penalty, p_value_of_fall
+from cell.lab.search.fitted_model import bic_penalty, p_value_of_fall
 
 BoolArray = NDArray[np.bool_]
 

@@ -4,22 +4,72 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cell.cable.effects import Effect, library, load_effect, unscreened
+from cell.cable.effects.base import Parameter
 from cell.files.atomic import write_whole
 from cell.lab.data.thresholds import Rules
-from cell.lab.next.term_source import effect_source
+from cell.lab.diagnosis import diagnose
 from cell.lab.next.terms import NAMESPACE, Term, admissible
-from cell.lab.search.fit_cache import FitCache, another_search, with_joined
+from cell.lab.search.fit_cache import FitCache, with_joined
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.verdict.diagnose import Examination, diagnose
+from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence
 from cell.study.data import Study, Trial
+
+
+def effect_source(
+    name: str, terms: Sequence[Term], about: str, values: Mapping[str, float] | None = None
+) -> str:
+    """Python file with one effect made of terms.
+
+    values  found: amplitudes start there, other parameters have them as defaults
+    """
+    known = values or {}
+    numbers = [_at(n, known) for term in terms for n in term.numbers]
+    laws = "\n".join(f"    {t.law[0].upper()}{t.law[1:]}." for t in terms)
+    parameters = "\n".join(
+        f"        Parameter({n.name!r}, {n.unit!r}, {n.low:.6g}, {n.high:.6g}, {n.default:.8g}, "
+        f"({', '.join(f'{s:.8g}' for s in n.starts)},), amplitude={n.amplitude}),"
+        for n in numbers
+    )
+    hooks = "".join(
+        _hook(kind, [t for t in terms if t.hook == kind])
+        for kind in ("force", "moment")
+        if any(t.hook == kind for t in terms)
+    )
+    title = "".join(part.title() for part in name.split("_"))
+    return (
+        f'"""{about}"""\n\n'
+        "from cell.cable.effects import Effect, Parameter\n\n\n"
+        f'class {title}(Effect):\n    """{about}\n\n{laws}\n    """\n\n'
+        f"    name = {name!r}\n"
+        f"    parameters = (\n{parameters}\n    )\n"
+        f"    dissipative = {all(t.dissipative for t in terms)}\n{hooks}"
+    )
+
+
+def _hook(kind: str, terms: Sequence[Term]) -> str:
+    head, start, end = {
+        "force": ("force(cable, at, p)", "fx, fy = 0.0, 0.0", "return fx, fy"),
+        "moment": ("moment(cable, at, m, p)", "moment = 0.0", "return moment"),
+    }[kind]
+    body = [start, *(line for t in terms for line in t.lines), end]
+    return f"\n    @staticmethod\n    def {head}:\n" + "".join(f"        {b}\n" for b in body)
+
+
+def _at(number: Parameter, values: Mapping[str, float]) -> Parameter:
+    if number.name not in values:
+        return number
+    value = min(max(values[number.name], number.low), number.high)
+    if number.amplitude:
+        return replace(number, starts=(value if value != 0.0 else number.starts[0],))
+    return replace(number, default=value, starts=(value,))
 
 
 @dataclass(frozen=True)
@@ -109,9 +159,11 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
     terms = {t.effect: t for t in admissible(box_m) if t.effect not in known}
     with tempfile.TemporaryDirectory() as folder:
         tried = _each(terms.values(), Path(folder))
-        examination = diagnose(another_search(fits, tried), rules)
+        with fits.work.stage("prepare"):
+            search = FitCache.of(replace(fits.setup, library=tried))
+        examination = diagnose(search, rules)
     fits.work.renew()
-    base, found = examination.fits.baseline(), examination.accepted
+    base, found = examination.fits.base, examination.accepted
     if found is base:
         study = fits.prepared.study.name
         raise NothingFoundError(f"study {study}: {_why_nothing(examination, base)}")
@@ -122,7 +174,7 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
     with tempfile.TemporaryDirectory() as folder:
         effect = _loaded(Path(folder) / out.name, source)
         joined, final = with_joined(examination.fits, found, effect, names)
-        estimate = Evidence(joined, base, final, rules).estimate
+        estimate = Evidence(joined, final, rules).estimate
     return Discovery(
         effect=name,
         source=source,

@@ -142,7 +142,7 @@ class _At:
 
     def _left(self, size: float) -> FloatArray | None:
         try:
-            return left_of(self.fits.prepared, self.fits.baseline().fit, self.asked.at(size))
+            return left_of(self.fits.prepared, self.fits.base.fit, self.asked.at(size))
         except UNSIMULATED:
             return None
 
@@ -150,14 +150,14 @@ class _At:
         prepared, linear = self.fits.prepared, self.linear
         hand, names = self.fits.hand(), [t.name for t in prepared.study.trials]
         errs = linear.whole.systematic_error
-        slow = smooth_part(prepared, self.fits.baseline().fit)
+        slow = smooth_part(prepared, self.fits.base.fit)
 
         def inflated(change: FloatArray) -> float:
             by_trial = errs.by_trial(change)
             return hand.inflation(dict(zip(names, by_trial, strict=True)))
 
         return Circumstances(
-            library=len(self.fits.screened(self.fits.baseline())),
+            library=len(self.fits.screened(self.fits.base)),
             fitted=prepared.count(fit_trials(prepared)),
             heldout=prepared.count(prepared.study.role("validate")),
             independent=prepared.noise_model.effective_fraction,

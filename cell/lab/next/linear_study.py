@@ -21,8 +21,8 @@ from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.hand_error import MOTIONS
 from cell.lab.fit.sensitivity import one_sided, prior_root
+from cell.lab.verdict.check_statistics import directions_of_trials
 from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual, noise_was_seen
-from cell.lab.verdict.specification import directions_of_trials
 
 #: Less of a change than this share is not told from what the fitted parameters do.
 LEAST_LEFT = 1e-4

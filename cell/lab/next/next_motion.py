@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.rival import Rival
+from cell.lab.data.work import Progress, no_progress
 from cell.lab.next.suggest import MOST_CANDIDATES, distinguishing_motions
 from cell.lab.next.suggestion import Option, Suggestion
 from cell.settings.surroundings import Surroundings

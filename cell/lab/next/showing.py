@@ -8,12 +8,12 @@ from dataclasses import replace
 from cell.cable.effects.base import after_number
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.rival import Rival
+from cell.lab.fit.plausibility import is_no_model
 from cell.lab.next.asked import AskedEffect
 from cell.lab.next.suggest import distinguishing_motions, worth_a_cable
 from cell.lab.next.suggestion import Suggestion
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.doubts import no_model_doubt
-from cell.lab.verdict.fit_doubts import is_no_model
 from cell.settings.surroundings import Surroundings
 
 
@@ -41,8 +41,8 @@ def showing_motion(
     An effect of which no size is given has its typical one.
     raises  ValueError: the study cannot be fitted, no motion keeps the limits, or none shows them
     """
-    base = fits.baseline()
-    if is_no_model(fits, base.fit):
+    base = fits.base
+    if is_no_model(fits.prepared, base.fit):
         raise ValueError(f"study {fits.prepared.study.name}: {no_model_doubt().message}")
     fit, name = base.fit, " + ".join(e.name for e in base.effects) or "baseline"
     without = Rival(name, fit.space, fit.q, fit.covariance)

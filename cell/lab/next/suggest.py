@@ -20,16 +20,16 @@ from cell.files.words import counted
 from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.parameters import difference_points
 from cell.identify.whitener import Whitener
-from cell.lab.data.planned_trials import planned_trials
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.rival import Rival
 from cell.lab.data.whitening import whiteners_of
-from cell.lab.fit.everywhere import everywhere
+from cell.lab.data.work import Progress, no_progress
+from cell.lab.fit.whole_cable import predict_whole_cable
+from cell.lab.next.planned import planned_trials
 from cell.lab.next.strokes import TURN_RAD, Stroke, strokes
 from cell.lab.next.suggestion import Option, Suggestion
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.verdict.diagnose import Examination
+from cell.lab.verdict.conclusion import Examination
 from cell.settings.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial
 
@@ -152,13 +152,13 @@ def rivals(examination: Examination) -> list[FittedModel]:
     nothing could be confirmed on held-out trials.
     raises  ValueError: there is nothing to tell apart
     """
-    diagnosis, fits, final = examination.diagnosis, examination.fits, examination.steps[-1]
+    diagnosis, fits, final = examination.diagnosis, examination.fits, examination.path[-1]
     if diagnosis.verdict == "complete":
         raise ValueError(
             f"study {fits.prepared.study.name}: the model explains these trials to their "
             "noise, use it as it is; nothing to tell apart"
         )
-    known = {c.names: c for c in (*fits.known(), *examination.singles, *examination.steps)}
+    known = {c.names: c for c in (*fits.known(), *examination.singles, *examination.path)}
     tied = [
         known[names]
         for found in diagnosis.missing
@@ -251,7 +251,7 @@ def _rest_low_m(
         blank = Markers(t_s, np.zeros((len(t_s), len(prepared.study.arc_length_m), 2)))
         trial = Trial("rest", "validate", "equilibrium", motion, blank)
         for model in models:
-            rest_m = everywhere(prepared, trial, [model])[1][..., 0]
+            rest_m = predict_whole_cable(prepared, trial, [model])[1][..., 0]
             if not np.isfinite(rest_m).all():  # where it rests is not known: as far as it reaches
                 return -prepared.study.cable.length_m
             low = min(low, float(rest_m.min()))
@@ -275,7 +275,7 @@ def _looked_at(
 
     returns  (models, times, markers, 2) and (models, more times, points, 2), m
     """
-    shown, cable = everywhere(prepared, trial, models)
+    shown, cable = predict_whole_cable(prepared, trial, models)
     t_s, hand_s = trial.markers.t_s, trial.grip.t_s
     if np.diff(t_s).max(initial=0.0) <= LOOK_S * (1.0 + 1e-9):
         return shown, cable
@@ -283,7 +283,7 @@ def _looked_at(
     often_s = np.union1d(t_s, np.linspace(hand_s[0], hand_s[-1], count))
     blank = Markers(often_s, np.zeros((len(often_s), len(prepared.study.arc_length_m), 2)))
     often = replace(trial, markers=blank, row_means=None)
-    return shown, everywhere(prepared, often, models)[1]
+    return shown, predict_whole_cable(prepared, often, models)[1]
 
 
 def _whitener(prepared: PreparedStudy, trial: Trial, shown_m: FloatArray) -> Whitener:

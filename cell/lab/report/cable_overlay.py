@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 
 from cell.cable.arrays import FloatArray
 from cell.files.figure_style import NOISE, SEEN, laid_out, listed
-from cell.lab.report.series import Series
+from cell.lab.report.figures import Series
 from cell.lab.strength.trial_residual import across_tip, displacement, distance, largest
 
 #: Frames that the time slider of an overlay offers.

@@ -8,15 +8,156 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
+from cell.cable.arrays import FloatArray
+from cell.files.figure_style import ADDED, MODEL, NOISE, QUIET, SEEN, in_mm, laid_out, listed
 from cell.files.page import Plot, page
 from cell.files.table import TableData
 from cell.files.words import counted
-from cell.lab.report.look_figures import courses, film_strip, swing_figure
 from cell.lab.report.wrench_report import wrench_facts_table, wrench_figure
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts
 from cell.study.wrench_facts import WrenchFacts
+
+#: Shapes of a film strip, and of a line of it.
+STRIP, IN_LINE = 10, 5
+#: Room between two shapes, as a share of the largest one.
+_BETWEEN = 0.2
+#: Pixels between the lines of the strip's time labels and its shapes.
+_LINE_PX, _AROUND_PX = 190, 70
+#: A spectrum is drawn to so many times the highest frequency that is told.
+_SHOWN_HZ = 8.0
+#: Points of a line that are drawn: more are not seen.
+_MOST_POINTS = 1500
+
+
+def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
+    """Shapes of the cable at times from the rest before the motion to the end, beside each other.
+
+    All are drawn to one scale, in mm, and where they are; the hand's path and the tip's are grey.
+    """
+    rows = _moments(trial, facts)
+    hand = _hand_at(trial)
+    both = np.concatenate([trial.markers.xy_m.reshape(-1, 2), hand]) * 1e3
+    low, high = np.nanmin(both, axis=0), np.nanmax(both, axis=0)
+    size = np.maximum(high - low, 1e-6) * (1.0 + _BETWEEN)
+    size = np.maximum(size, 0.25 * size.max())
+    figure = go.Figure()
+    for number, row in enumerate(rows):
+        at = np.array([number % IN_LINE, -(number // IN_LINE)]) * size - low
+        shape = _in_order(trial.markers.xy_m[row], hand[row]) * 1e3 + at
+        paths = np.concatenate([hand * 1e3 + at, [[np.nan] * 2], _tip(trial, facts) * 1e3 + at])
+        _line(figure, _thinned(paths), QUIET, 1.0, "paths of hand and tip", number == 0)
+        _line(figure, shape, SEEN, 2.0, "cable", number == 0, markers=True)
+        place = {"x": [float(shape[0, 0])], "y": [float(shape[0, 1])]}
+        figure.add_scatter(**place, mode="markers", name="gripping point", showlegend=number == 0,
+            marker={"color": MODEL, "size": 9, "symbol": "square"})  # fmt: skip
+        middle = at + low + [0.5 * size[0] / (1.0 + _BETWEEN), size[1]]
+        label = f"{trial.markers.t_s[row]:.2f} s"
+        figure.add_annotation(
+            x=middle[0], y=middle[1] - 0.08 * size[1], text=label, showarrow=False
+        )
+    figure.update_xaxes(visible=False)
+    figure.update_yaxes(visible=False, scaleanchor="x")
+    lines = -(-len(rows) // IN_LINE)
+    return laid_out(figure, _AROUND_PX + 60 + _LINE_PX * lines).update_layout(legend_y=-0.02)
+
+
+def courses(trial: Trial, facts: TrialFacts) -> go.Figure:
+    """Tip, hand and clamp angle against time; the hand moves between the dotted lines."""
+    titles = ("tip, mm", "hand, mm", "clamp angle, degrees")
+    figure = make_subplots(3, 1, shared_xaxes=True, subplot_titles=titles, vertical_spacing=0.08)
+    markers, grip = trial.markers, trial.grip
+    tip = _thinned(np.column_stack([markers.t_s, _tip(trial, facts) * 1e3]))
+    hand = _thinned(np.column_stack([grip.t_s, grip.x_m * 1e3, grip.y_m * 1e3]))
+    for row, course in ((1, tip), (2, hand)):
+        for axis, name, colour in ((1, "x (right)", ADDED), (2, "y (up)", MODEL)):
+            figure.add_scatter(
+                x=listed(course[:, 0], 4), y=listed(course[:, axis], 3), mode="lines+markers",
+                line={"color": colour, "width": 1}, marker={"size": 2.5}, name=name,
+                legendgroup=name, showlegend=row == 1, row=row, col=1,
+            )  # fmt: skip
+    angle = _thinned(np.column_stack([grip.t_s, np.degrees(grip.angle_rad)]))
+    figure.add_scatter(x=listed(angle[:, 0], 4), y=listed(angle[:, 1], 3), mode="lines",
+        line={"color": NOISE}, showlegend=False, row=3, col=1)  # fmt: skip
+    if np.ptp(angle[:, 1]) < 1.0:
+        middle = float(np.mean(angle[:, 1]))
+        figure.update_yaxes(range=[middle - 1.0, middle + 1.0], row=3, col=1)
+    for edge in facts.moves_s or ():
+        figure.add_vline(x=edge, line_dash="dot", line_color="#222")
+    figure.update_xaxes(title="s", row=3, col=1)
+    return laid_out(figure, 560).update_layout(legend_y=-0.1)
+
+
+def swing_figure(facts: TrialFacts) -> go.Figure | None:
+    """Amplitude of the tip by frequency after the hand has stopped; None if that was too short."""
+    spectrum = facts.spectrum
+    if spectrum is None or not spectrum.peaks_hz:
+        return None
+    some = spectrum.frequency_hz > 0.0
+    amplitude = np.maximum(spectrum.amplitude_m[some], 1e-4 * spectrum.amplitude_m.max())
+    shown = _thinned(np.column_stack([spectrum.frequency_hz[some], amplitude]))
+    figure = go.Figure()
+    figure.add_scatter(x=listed(shown[:, 0], 4), y=in_mm(shown[:, 1]), mode="lines",
+        line={"color": SEEN, "width": 1.5}, showlegend=False)  # fmt: skip
+    for peak in spectrum.peaks_hz:
+        figure.add_vline(x=peak, line_dash="dot", line_color=ADDED)
+        figure.add_annotation(x=peak, y=1.0, yref="paper", yanchor="bottom", text=f"{peak:.3g} Hz",
+            showarrow=False)  # fmt: skip
+    highest = min(float(shown[-1, 0]), _SHOWN_HZ * max(spectrum.peaks_hz))
+    figure.update_xaxes(title="Hz", range=[0.0, highest])
+    figure.update_yaxes(title="tip, mm", type="log", dtick=1, tickformat="~g")
+    return laid_out(figure, 300)
+
+
+def _moments(trial: Trial, facts: TrialFacts) -> list[int]:
+    """Rows of a strip: one at rest, the others evenly over the motion and the swing after it."""
+    t_s = trial.markers.t_s
+    begins = t_s[0] if facts.moves_s is None else min(max(facts.moves_s[0], t_s[0]), t_s[-1])
+    wanted = np.linspace(begins, t_s[-1], STRIP)
+    shown = np.flatnonzero(np.isfinite(trial.markers.xy_m).any(axis=(1, 2)))
+    rows = [int(shown[np.argmin(np.abs(t_s[shown] - t))]) for t in wanted]
+    return list(dict.fromkeys(rows))
+
+
+def _hand_at(trial: Trial) -> FloatArray:
+    """(T, 2) places of the gripping point at the times of the markers."""
+    grip, t_s = trial.grip, trial.markers.t_s
+    return np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
+
+
+def _in_order(markers_m: FloatArray, hand_m: FloatArray) -> FloatArray:
+    """From the gripping point to the tip, those not seen left out."""
+    shape = np.concatenate([hand_m[None], markers_m[::-1]])
+    return np.asarray(shape[np.isfinite(shape).all(axis=1)])
+
+
+def _tip(trial: Trial, facts: TrialFacts) -> FloatArray:
+    return np.asarray(trial.markers.xy_m[:, facts.tip])
+
+
+def _thinned(rows: FloatArray) -> FloatArray:
+    """As many rows as can be seen."""
+    return np.asarray(rows[:: max(1, len(rows) // _MOST_POINTS)])
+
+
+def _line(
+    figure: go.Figure,
+    xy: FloatArray,
+    colour: str,
+    width: float,
+    name: str,
+    named: bool,
+    markers: bool = False,
+) -> None:
+    figure.add_scatter(
+        x=listed(xy[:, 0], 2), y=listed(xy[:, 1], 2), name=name, showlegend=named,
+        mode="lines+markers" if markers else "lines", marker={"size": 4},
+        line={"color": colour, "width": width}, hoverinfo="skip",
+    )  # fmt: skip
+
 
 FACT_HEADS = (
     "trial", "role, start, sensors", "frames", "per s", "still", "hand, mm", "hand, °", "tip, mm",

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from cell.files.table import TableData
 from cell.lab.next.decisions import Chances
 from cell.lab.next.forecast import POWER
-from cell.lab.next.recovery import Recovery
-from cell.lab.next.study_power import EffectPower, StudyPower
+from cell.lab.next.study_power import EffectPower, Recovery, StudyPower
 from cell.lab.report.wording import parameter_in_words, size_in_digits
 
 #: Why a diagnosis does not claim an effect, by what has to hold for it.

@@ -17,10 +17,17 @@ from cell.identify.identified import Identified
 from cell.lab.data.results import Diagnosis
 from cell.lab.next.advice import NextStep, meaning
 from cell.lab.report.cable_overlay import overlay
-from cell.lab.report.curves import profile_curves
-from cell.lab.report.figures import by_trial, history, profiles, ranking, residual_maps, waterfall
+from cell.lab.report.figures import (
+    Series,
+    by_trial,
+    history,
+    profile_curves,
+    profiles,
+    ranking,
+    residual_maps,
+    waterfall,
+)
 from cell.lab.report.model_tables import comparison_sentence, model_table
-from cell.lab.report.series import Series
 from cell.lab.report.tables import (
     agreement_table,
     checks_table,

@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 from cell.cable.arrays import FloatArray
 from cell.files.figure_style import NOISE, SEEN, laid_out, listed
 from cell.files.table import TableData
-from cell.lab.report.series import Series
+from cell.lab.report.figures import Series
 from cell.lab.report.wording import chance
 from cell.lab.strength.compare import Comparison
 from cell.lab.strength.wrench_residual import WrenchResidual

@@ -13,15 +13,12 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import ERRS, PreparedStudy
-from cell.lab.data.progress import Progress, no_progress
-from cell.lab.data.renoised import judged_by
-from cell.lab.fit.corrected import corrected
-from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with
-from cell.lab.fit.gain import with_gain_of
+from cell.lab.data.prepared import ERRS, PreparedStudy, judged_by
+from cell.lab.data.work import Progress, no_progress
+from cell.lab.fit.corrections import corrected, with_gain_of
+from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with, with_slopes
 from cell.lab.fit.remainder import with_noise_beside
 from cell.lab.fit.sensitivity import is_shape
-from cell.lab.fit.slopes import with_slopes
 from cell.lab.fit.starts import MOST_GUESSES, cold_start
 from cell.lab.search.extension import TEMPER
 from cell.lab.search.fitted_model import POLISH, REFIT

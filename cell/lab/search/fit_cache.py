@@ -1,9 +1,9 @@
-"""Sets of effects fitted to one study, each set once."""
+"""Sets of effects fitted to one study, each set once; the baseline first."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -14,18 +14,15 @@ from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy
-from cell.lab.data.progress import Progress, no_progress
 from cell.lab.data.whitening import arcs_are_uncertain
-from cell.lab.data.work import Work
-from cell.lab.fit.corrected import corrected, moved_m
+from cell.lab.data.work import Progress, Work, no_progress
+from cell.lab.fit.corrections import corrected, gain_is_uncertain, matters, moved_m
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
-from cell.lab.fit.gain import gain_is_uncertain
 from cell.lab.fit.hand_error import HandError, hand_error
 from cell.lab.fit.heldout import heldout_log_lr
-from cell.lab.fit.mesh import matters
 from cell.lab.fit.remainder import with_noise_beside
 from cell.lab.fit.starts import cold_start, taken_from
-from cell.lab.search.baseline import Baseline, BaselineFit
+from cell.lab.search.baseline import Baseline
 from cell.lab.search.extension import Extension, by_effect, continued
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, Gain, gained, weighed
 from cell.lab.search.refits import Refits
@@ -39,14 +36,39 @@ LIKELIER = 0.1
 BY_CHANCE = 0.1
 
 
-@dataclass(eq=False)
-class _FittedModels:
-    """What has been fitted so far."""
+@dataclass(frozen=True, eq=False)
+class SearchSetup:
+    """What a search for effects starts from; `FitCache.of` fits its baseline.
 
-    baseline: BaselineFit | None = None
+    prepared         the study with the noise that its frames at rest show
+    space            parameters of the baseline, with those of its effects
+    library          effects that may be added, by name
+    prior_q          (p,) coordinates of an earlier individual's model; None = there is none
+    start_q          (p,) where the baseline's fit starts; None = a start is searched
+    unknown_effects  effects of `space` without start values: they are added one by one, as if the
+                     model lacked them, where a fit from their typical size leaves more than noise
+    reference        model given which noise and mesh error were re-estimated; None = they were not
+    earlier          models of an earlier search by their effects: where fits start
+    """
+
+    prepared: PreparedStudy
+    space: ParameterSpace
+    library: Mapping[str, type[Effect]]
+    progress: Progress = no_progress
+    prior_q: FloatArray | None = None
+    start_q: FloatArray | None = None
+    unknown_effects: tuple[type[Effect], ...] = ()
+    reference: FittedModel | None = None
+    earlier: Mapping[frozenset[str], FittedModel] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class _Memory:
+    """What has been fitted beyond the baseline."""
+
+    models: dict[frozenset[str], FittedModel]
     second: Fit | None = None
     prior: FittedModel | None = None
-    models: dict[frozenset[str], FittedModel] = field(default_factory=dict)
     screens: dict[frozenset[str], list[ScreenedEffect]] = field(default_factory=dict)
     heldout_log_lr: dict[tuple[frozenset[str], str], float] = field(default_factory=dict)
     polished: set[frozenset[str]] = field(default_factory=set)
@@ -55,74 +77,70 @@ class _FittedModels:
 
 @dataclass(frozen=True, eq=False)
 class FitCache:
-    """Remembers every set of effects that it has fitted to one study.
+    """Models fitted to one study, each set of effects once.
 
-    given     the study as it was made ready
-    prior_q   an earlier individual's coordinates: an effect may be all that sets this one apart
-    begin     where the baseline's fit begins; None = it is looked for
-    sought    effects of `space` of which nothing is known: they are looked for as if the model
-              lacked them where a fit from their typical size leaves more than the noise
-    found     a model beside which noise and the mesh's error are known already
-    earlier   models of the search that ended there, by their effects: where fits begin
+    prepared  the study with the noise and without the mesh error estimated given the baseline
+    base      the baseline: the model with no effects beyond those of the setup's space
+    tempered  the baseline's fit with residuals divided, where the baseline cannot fit
     """
 
-    given: PreparedStudy
-    space: ParameterSpace
-    library: Mapping[str, type[Effect]]
-    progress: Progress = no_progress
-    prior_q: FloatArray | None = None
-    begin: FloatArray | None = None
-    sought: tuple[type[Effect], ...] = ()
-    found: FittedModel | None = None
-    earlier: Mapping[frozenset[str], FittedModel] = field(default_factory=dict)
-    _memory: _FittedModels = field(default_factory=_FittedModels)
+    setup: SearchSetup
+    prepared: PreparedStudy
+    base: FittedModel
+    tempered: Fit | None
+    _memory: _Memory
+
+    @staticmethod
+    def of(setup: SearchSetup) -> FitCache:
+        """Fit the baseline of a study, and the reference model again.
+
+        raises  UnsimulatedError, WorkStoppedError
+        """
+        known = {e.name for e in setup.space.effects}
+        baseline = Baseline(
+            setup.space,
+            [e for name, e in setup.library.items() if name not in known],
+            setup.start_q,
+            setup.prior_q is not None,
+            partial(_fit_by_adding, setup) if setup.unknown_effects else None,
+            setup.reference is not None,
+            setup.progress,
+        ).fitted_to(setup.prepared)
+        prepared = baseline.prepared
+        base = weighed(prepared, setup.space.effects, baseline.fit)
+        models = {base.names: base}
+        if setup.reference is not None:
+            with contextlib.suppress(*UNSIMULATED):
+                again = continued(prepared, setup.reference, POLISH)
+                models[again.names] = again
+        return FitCache(
+            setup, prepared, base, baseline.tempered, _Memory(models, second=baseline.second)
+        )
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the baseline."""
+        return self.setup.space
+
+    @property
+    def library(self) -> Mapping[str, type[Effect]]:
+        """Effects that may be added, by name."""
+        return self.setup.library
+
+    @property
+    def progress(self) -> Progress:
+        """Told what is fitted."""
+        return self.setup.progress
+
+    @property
+    def prior_q(self) -> FloatArray | None:
+        """Coordinates of an earlier individual's model."""
+        return self.setup.prior_q
 
     @property
     def work(self) -> Work:
         """What is simulated of the study; whoever waits may stop it."""
-        return self.given.work
-
-    @property
-    def prepared(self) -> PreparedStudy:
-        """The study with the noise that shows beside the baseline, and without its mesh's error.
-
-        The baseline is fitted when it is first asked for.
-        """
-        return self._baseline_fit().prepared
-
-    def _baseline_fit(self) -> BaselineFit:
-        memory = self._memory
-        if memory.baseline is None:
-            known = {e.name for e in self.space.effects}
-            others = [e for name, e in self.library.items() if name not in known]
-            added = partial(_found_by_adding, self) if self.sought else None
-            memory.baseline = Baseline(
-                self.space,
-                others,
-                self.begin,
-                self.prior_q is not None,
-                added,
-                self.found is not None,
-                self.progress,
-            ).fitted_to(self.given)
-            memory.second = memory.baseline.second
-        return memory.baseline
-
-    def baseline(self) -> FittedModel:
-        """The model with no effects beyond those that `space` brings along."""
-        key, models = frozenset(e.name for e in self.space.effects), self._memory.models
-        if key not in models:
-            found = self._baseline_fit()
-            models[key] = weighed(found.prepared, self.space.effects, found.fit)
-            self._fit_found_again()
-        return models[key]
-
-    def _fit_found_again(self) -> None:
-        """The model that was found, fitted to the study as it shows beside it."""
-        if self.found is not None:
-            with contextlib.suppress(*UNSIMULATED):
-                found = continued(self.prepared, self.found, POLISH)
-                self._memory.models[found.names] = found
+        return self.setup.prepared.work
 
     def explained_by(self, model: FittedModel) -> bool:
         """Whether a model leaves so little that the rest may be noise and the mesh's error."""
@@ -138,32 +156,22 @@ class FitCache:
 
         The second is the tempered fit; of two that were compared it is the worse.
         """
-        base, tempered = self.baseline(), self._tempered
-        if self._memory.second is None and tempered is not None and not self.work.spent:
+        if self._memory.second is None and self.tempered is not None and not self.work.spent:
             with contextlib.suppress(*UNSIMULATED):
                 self._memory.second = fit_model(
-                    self.prepared, base.fit.space, tempered.q, options=POLISH
+                    self.prepared, self.base.fit.space, self.tempered.q, options=POLISH
                 )
         return self._memory.second
-
-    @property
-    def _tempered(self) -> Fit | None:
-        """The baseline's fit with residuals divided, where it cannot fit."""
-        return None if self._memory.baseline is None else self._memory.baseline.tempered
 
     def prior_candidate(self) -> FittedModel:
         """The earlier individual's model as it is; the baseline if there is none."""
         if self.prior_q is None:
-            return self.baseline()
+            return self.base
         if self._memory.prior is None:
             space = pinned(self.space, self.prior_q)
             fit = fit_model(self.prepared, space, self.prior_q, options=REFIT)
             self._memory.prior = weighed(self.prepared, self.space.effects, fit)
         return self._memory.prior
-
-    def baseline_is_fitted(self) -> bool:
-        """Whether the baseline has been fitted."""
-        return frozenset(e.name for e in self.space.effects) in self._memory.models
 
     def known(self) -> tuple[FittedModel, ...]:
         """Every model so far."""
@@ -179,7 +187,7 @@ class FitCache:
 
     def hand(self) -> HandError:
         """What the log of the hand may be wrong by, near the baseline."""
-        return hand_error(self.prepared, self.baseline().fit)
+        return hand_error(self.prepared, self.base.fit)
 
     def screened(self, base: FittedModel) -> list[ScreenedEffect]:
         """Score tests of the whole library against a model, likeliest first.
@@ -203,7 +211,8 @@ class FitCache:
         explained = self.prepared.noise_is_measured and self.explained_by(base)
         most = BY_CHANCE if explained else 1.0
         likely = [s.effect for s in ranked if s.score.p_value <= most][:best]
-        known = () if self.found is None else self.found.names
+        reference = self.setup.reference
+        known = () if reference is None else reference.names
         more = [
             s.effect
             for s in ranked
@@ -217,14 +226,14 @@ class FitCache:
         An effect with which the cable cannot be simulated from any start is left out.
         """
         memory = self._memory
-        unknown = [e for e in effects if frozenset({*base.names, e.name}) not in self.earlier]
+        unknown = [e for e in effects if frozenset({*base.names, e.name}) not in self.setup.earlier]
         screens = by_effect([*self.screened(base), *_screened_from_other_fits(self, base, unknown)])
         offered = (*self.library.values(), *base.effects, *effects)
         return Refits(
             _extension(self, base),
             screens,
             offered,
-            self.earlier,
+            self.setup.earlier,
             memory.models,
             memory.polished,
             self.progress,
@@ -264,47 +273,46 @@ class FitCache:
             return fit_model(self.prepared, space, q, options=REFIT)
 
 
-def settled_beside(fits: FitCache, found: FittedModel) -> FitCache | None:
-    """A cache of the study with the noise and mesh error beside a found model, nothing fitted yet.
+def noise_reestimated(fits: FitCache, model: FittedModel) -> SearchSetup | None:
+    """The setup of a repeated search: noise and mesh error re-estimated given a model.
 
-    Those beside the baseline, which could not fit, were others.  So were the lines of markers of
+    Those given the baseline, which could not fit, were others.  So were the lines of markers of
     uncertain arc length, the wrench of an uncertain gain, and the mean errors of rounded values.
-    returns  None if that was done, if nothing changes noticeably, or if no model explains the study
+    returns  None if that was done, if nothing changes noticeably, or if the model does not explain
+             the study
     """
     before = fits.prepared
-    if fits.found is not None or not (fits.explained_by(found) or before.mesh_m):
+    if fits.setup.reference is not None or not (fits.explained_by(model) or before.mesh_m):
         return None
-    others = [e for name, e in fits.library.items() if name not in found.names]
-    prepared = with_noise_beside(before, found.fit, others)
-    settled = corrected(prepared, found.fit)
+    others = [e for name, e in fits.library.items() if name not in model.names]
+    prepared = with_noise_beside(before, model.fit, others)
+    refined = corrected(prepared, model.fit)
     another = prepared.noise_model.differs_from(before.noise_model)
     of_model = arcs_are_uncertain(prepared.study) or gain_is_uncertain(prepared)
-    if not (another or of_model or matters(prepared, moved_m(prepared, settled))):
+    if not (another or of_model or matters(prepared, moved_m(prepared, refined))):
         return None
-    begin, earlier = fits.baseline().fit.q, {m.names: m for m in fits.known()}
     return replace(
-        fits, given=settled, begin=begin, found=found, earlier=earlier, _memory=_FittedModels()
+        fits.setup,
+        prepared=refined,
+        start_q=fits.base.fit.q,
+        reference=model,
+        earlier={m.names: m for m in fits.known()},
     )
 
 
 def rebased(fits: FitCache, start: FloatArray, least: float) -> FitCache:
     """A cache with the baseline fitted from another start too, if χ² ends so much lower.
 
-    It is the baseline then, and nothing is fitted beside it yet; else this cache itself.
+    It is the baseline then, and nothing is fitted beyond it yet; else this cache itself.
     """
-    base, memory = fits.baseline(), fits._memory
+    base, memory = fits.base, fits._memory
     with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
         fit = fit_model(fits.prepared, base.fit.space, start, options=POLISH)
         if fit.objective < base.fit.objective - least:
-            known = {base.names: weighed(fits.prepared, base.effects, fit)}
-            others = _FittedModels(memory.baseline, memory.second, memory.prior, models=known)
-            return replace(fits, _memory=others)
+            lower = weighed(fits.prepared, base.effects, fit)
+            others = _Memory({lower.names: lower}, memory.second, memory.prior)
+            return replace(fits, base=lower, _memory=others)
     return fits
-
-
-def another_search(fits: FitCache, library: Mapping[str, type[Effect]]) -> FitCache:
-    """A cache of the same study with other effects to try, nothing fitted yet."""
-    return replace(fits, library=library, _memory=_FittedModels())
 
 
 def with_joined(
@@ -323,9 +331,10 @@ def with_joined(
         natural[space.names.index(names.get(name, name))] = value
     q = np.clip(space.coordinates(natural), space.low, space.high)
     fit = fit_model(fits.prepared, space, q, model.fit.initial_states, options=POLISH)
-    joined, base = weighed(fits.prepared, effects, fit), fits.baseline()
-    memory = _FittedModels(fits._memory.baseline, models={base.names: base, joined.names: joined})
-    return replace(fits, library={effect.name: effect}, _memory=memory), joined
+    joined = weighed(fits.prepared, effects, fit)
+    memory = _Memory({m.names: m for m in (fits.base, joined)})
+    setup = replace(fits.setup, library={effect.name: effect})
+    return replace(fits, setup=setup, _memory=memory), joined
 
 
 def _screened_from_other_fits(
@@ -335,9 +344,9 @@ def _screened_from_other_fits(
 
     Where the best baseline has been bent to imitate an effect, its slopes mislead.
     """
-    if base is not fits.baseline() or not effects:
+    if base is not fits.base or not effects:
         return []
-    found = [] if fits._tempered is None else screen(fits.prepared, fits._tempered, effects)
+    found = [] if fits.tempered is None else screen(fits.prepared, fits.tempered, effects)
     if fits.prior_q is not None:
         found += screen(fits.prepared, fits.prior_candidate().fit, effects)
     return found
@@ -346,42 +355,62 @@ def _screened_from_other_fits(
 def _extension(fits: FitCache, base: FittedModel) -> Extension:
     """Where fits with one effect more begin."""
     origins = [base.fit.q]
-    if fits._tempered is not None and base is fits.baseline():
-        origins.append(fits._tempered.q)
+    if fits.tempered is not None and base is fits.base:
+        origins.append(fits.tempered.q)
     if fits.prior_q is not None:
         # An earlier individual is far from one with, say, a load: there slopes say little.
         origins.append(np.concatenate([fits.prior_q, base.fit.q[len(fits.prior_q) :]]))
     # Weighed by a model's own error, as a partial explanation is, no cable is bent to imitate.
-    measured = base is fits.baseline() and fits.prepared.noise_is_measured
+    measured = base is fits.base and fits.prepared.noise_is_measured
     misfit = measured and not fits.explained_by(base)
     far = fits.prior_q is not None
     return Extension(fits.prepared, base, tuple(origins), far, misfit)
 
 
-def _found_by_adding(fits: FitCache, prepared: PreparedStudy) -> Fit | None:
-    """The baseline's fit from where a search comes that adds the effects sought, one by one.
+def _fit_by_adding(setup: SearchSetup, prepared: PreparedStudy) -> Fit | None:
+    """The baseline's fit from the end of a search that adds the unknown effects one by one.
 
     None if the cable cannot be simulated so.
     """
-    rest = [e for e in fits.space.effects if e not in fits.sought]
-    space, library = space_with(fits.space, rest), {e.name: e for e in fits.sought}
-    known = [i for i, name in enumerate(fits.space.names) if name in space.names]
-    prior_q = None if fits.prior_q is None else fits.prior_q[known]
-    search = FitCache(prepared, space, library, fits.progress, prior_q)
-
-    def extended(model: FittedModel) -> list[FittedModel]:
-        left = [e for e in fits.sought if e not in model.effects]
-        return search.fit_extended(model, left) if left else []
-
-    def likeliest(_: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
-        return sorted(options, key=lambda c: c.fit.objective)[:1]
-
+    unknown = setup.unknown_effects
+    rest = [e for e in setup.space.effects if e not in unknown]
+    space = space_with(setup.space, rest)
+    known = [i for i, name in enumerate(setup.space.names) if name in space.names]
+    prior_q = None if setup.prior_q is None else setup.prior_q[known]
+    library = {e.name: e for e in unknown}
     with contextlib.suppress(*UNSIMULATED):
-        *_, (found,) = levels(search.baseline(), extended, likeliest)
-        if len(found.effects) < len(fits.space.effects):
+        search = FitCache.of(SearchSetup(prepared, space, library, setup.progress, prior_q))
+
+        def extended(model: FittedModel) -> list[FittedModel]:
+            others = [e for e in unknown if e not in model.effects]
+            return search.fit_extended(model, others) if others else []
+
+        def likeliest(_: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
+            return sorted(options, key=lambda c: c.fit.objective)[:1]
+
+        *_, (model,) = levels(search.base, extended, likeliest)
+        if len(model.effects) < len(setup.space.effects):
             return None
-        q = taken_from(found.fit, fits.space)
-        inside = np.clip(q, fits.space.low, fits.space.high)
-        states = found.fit.initial_states
-        return fit_model(prepared, fits.space, inside, states, options=POLISH)
+        q = np.clip(taken_from(model.fit, setup.space), setup.space.low, setup.space.high)
+        states = model.fit.initial_states
+        return fit_model(prepared, setup.space, q, states, options=POLISH)
     return None
+
+
+@dataclass(frozen=True, eq=False)
+class StudySpace:
+    """Sets of effects fitted to the trials of one study.
+
+    most  effects of the screen that are refitted, besides all that are not smooth
+    """
+
+    fits: FitCache
+    most: int
+
+    def extended(self, model: FittedModel) -> list[FittedModel]:
+        """With one effect more: the likeliest of the screen."""
+        return self.fits.fit_extended(model, self.fits.shortlist(model, self.most))
+
+    def reduced(self, model: FittedModel) -> Iterator[FittedModel]:
+        """Without one of the effects that the baseline lacks, refitted one after another."""
+        return (self.fits.fit_reduced(model, e) for e in self.fits.added(model))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,21 @@ from cell.lab.data.results import Errors
 from cell.lab.fit.fitting import Fit, errors_m, fit_trials
 from cell.lab.fit.hand_error import HandError
 from cell.lab.fit.heldout import Heldout, heldout
-from cell.lab.search.criterion import bic_penalty, p_value_of_fall
+from cell.lab.fit.sensitivity import chances_of, one_sided
+from cell.lab.statistics.score import boundary_p_value, delta_bic
+
+
+def p_value_of_fall(effect: type[Effect], delta_chi2: float) -> float:
+    """p of such a fall of χ² by a refit with an effect, when the effect is absent."""
+    amplitudes = sum(p.amplitude for p in effect.parameters)
+    return boundary_p_value(delta_chi2, amplitudes, int(one_sided(effect)), chances_of(effect))
+
+
+def bic_penalty(effects: Iterable[type[Effect]], values: int, effective_fraction: float) -> float:
+    """Fall of χ² from which effects pay by BIC; coloured values count as a fraction of them."""
+    fitted = sum(p.fitted for e in effects for p in e.parameters)
+    return -delta_bic(0.0, fitted, values, effective_fraction)
+
 
 #: Passes of a first refit; the best few are then taken to convergence.
 REFIT = Options(tolerance=0.3, max_iterations=12, least_gain=1e-3, updates=3)
@@ -72,6 +86,17 @@ def weighed(prepared: PreparedStudy, effects: tuple[type[Effect], ...], fit: Fit
     held = heldout(prepared.on_one_core(), fit)
     penalty = penalty_of(prepared, effects)
     return FittedModel(effects, fit, held, evidence=-0.5 * (fit.objective + penalty))
+
+
+def error_over_noise(prepared: PreparedStudy, model: FittedModel) -> float:
+    """Larger of the fitted and the held-out error of a model over the measurement's noise."""
+    over, held = model.fit.rms_m / prepared.noise_m("fit"), model.heldout
+    return over if held is None else max(over, held.rms_m / prepared.noise_m("validate"))
+
+
+def is_below_stated(prepared: PreparedStudy, model: FittedModel, share: float) -> bool:
+    """Whether a model errs by less than a share of the measurement's stated error."""
+    return prepared.noise_model.stated and error_over_noise(prepared, model) < share
 
 
 def penalty_of(prepared: PreparedStudy, effects: Sequence[type[Effect]]) -> float:

@@ -13,11 +13,10 @@ from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.named_effects import EffectSelection, select_effects
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.progress import Progress, no_progress
-from cell.lab.data.work import DIAGNOSIS, Work
+from cell.lab.data.work import DIAGNOSIS, Progress, Work, no_progress
 from cell.lab.fit.fitting import pinned, space_with
 from cell.lab.fit.individual_model import check_same_kind, misfit, prior_space, read_model
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Study
 
 
@@ -52,7 +51,11 @@ def fit_cache_of(
     work.known = f"no model is fitted yet; noise of study {study.name}: {level_mm:.3g} mm"
     full = space_with(space, [*space.effects, *sought])
     prior_q = None if prior is None else full.mean
-    return FitCache(prepared, full, selection.candidates, progress, prior_q=prior_q, sought=sought)
+    return FitCache.of(
+        SearchSetup(
+            prepared, full, selection.candidates, progress, prior_q=prior_q, unknown_effects=sought
+        )
+    )
 
 
 def read_kind(config: Path | None) -> ModelClass:
@@ -81,8 +84,8 @@ def _least_rms_m(
     the cable's parameters would be bent to remove it.
     """
     prepared = PreparedStudy.of(study, misfit=misfit(model), work=work)
-    pilot = FitCache(prepared, pinned(space, space.mean), candidates)
-    base = pilot.baseline()
+    pilot = FitCache.of(SearchSetup(prepared, pinned(space, space.mean), candidates))
+    base = pilot.base
     smooth = [e for e in candidates.values() if e.smooth and e not in space.effects]
     tried = pilot.fit_extended(base, smooth)
     return min([base.fit.rms_m, *(c.fit.rms_m for c in tried)])

@@ -13,8 +13,8 @@ from cell.cable.arrays import FloatArray
 from cell.identify.noise import Noise, rms
 
 LAGS = 10
-
-
+#: Equal spans of a trial's time over which a residual is shown.
+TIME_BINS = 24
 #: Wider than the gaps of a lost marker, narrower than the slowest swing.
 MAX_FREQUENCIES = 200
 

@@ -15,8 +15,8 @@ from cell.files.plain import plain
 from cell.lab.data.noise_model import NoiseUnknownError, noise_model_of
 from cell.lab.data.prepared import PreparedStudy, of_frames
 from cell.lab.data.work import SpentError, Work
-from cell.lab.fit.everywhere import everywhere
 from cell.lab.fit.fitting import best_initial_state
+from cell.lab.fit.whole_cable import predict_whole_cable
 from cell.lab.statistics.series import overall
 from cell.lab.strength.trial_residual import TrialResidual, trial_residual, unsimulated_trial
 from cell.lab.strength.wrench_residual import WrenchResidual, wrench_residual
@@ -144,7 +144,7 @@ def _compared(prepared: PreparedStudy, model: CableModel, name: str) -> Comparis
     found, wrenches = [], []
     for trial, joined in zip(study.trials, prepared.study.trials, strict=True):
         initial_states = best_initial_state(prepared, model, joined)
-        points, shapes = everywhere(prepared, joined, [model], initial_states)
+        points, shapes = predict_whole_cable(prepared, joined, [model], initial_states)
         places = prepared.of_markers(joined, points[0])
         predicted[trial.name] = places
         cable[trial.name] = of_frames(prepared, joined, shapes[0])

@@ -15,7 +15,7 @@ from cell.identify.gauss_newton import Options, minimise
 from cell.identify.identified import Identified
 from cell.identify.profile import LikelihoodProfile, profile
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.progress import Progress, no_progress
+from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.fitting import Fit, fit_trials, problem_of
 
 #: Each point is a fit of its own, near the one before.

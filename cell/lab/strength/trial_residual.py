@@ -12,6 +12,7 @@ from cell.cable.geometry import Motion, moves_from_s
 from cell.identify.noise import Noise, rms, still_frames
 from cell.lab.statistics.series import (
     LAGS,
+    TIME_BINS,
     PowerSpectrum,
     correlation,
     ljung_box,
@@ -20,7 +21,6 @@ from cell.lab.statistics.series import (
 )
 from cell.study.data import Trial
 
-TIME_BINS = 24
 #: The swing is `early` for this long after the hand has stopped, then `late`.
 EARLY_SWING_S = 0.3
 PHASES = ("still", "moving", "early swing", "late swing")

@@ -1,1 +1,1 @@
-"""What may be claimed of a study: diagnosis, its checks, partial explanations, doubts."""
+"""What may be claimed of a study: evidence, checks, ties, doubts, conclusion."""

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from functools import partial
 
 from cell.lab.data.check import Check, CheckOutcome, Reading
-from cell.lab.verdict import doubts, questions
+from cell.lab.verdict import check_statistics, doubts
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.prior_check import prior_driven_effects
 
@@ -21,7 +21,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "stated_error",
         "Is the error within what the study states?",
         "p",
-        questions.within_stated,
+        check_statistics.within_stated,
         ">=",
         "residual_significance",
         "unexplained",
@@ -32,7 +32,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "fitted_error",
         "Is the error on the trials fitted to that of noise?",
         "error / noise",
-        questions.fitted_ratio,
+        check_statistics.fitted_ratio,
         "<=",
         "most_over_noise",
         "unexplained",
@@ -43,7 +43,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "heldout_smooth",
         "Is the slow error on held-out trials noise?",
         "p",
-        questions.heldout_smooth,
+        check_statistics.heldout_smooth,
         ">=",
         "residual_significance",
         "unexplained",
@@ -54,7 +54,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "parameter_constancy",
         "Do all trials agree on the parameters?",
         "p",
-        questions.parameter_constancy,
+        check_statistics.parameter_constancy,
         ">=",
         "residual_significance",
         "unexplained",
@@ -65,7 +65,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "wider_law",
         "Does the law of each effect hold?",
         "p",
-        questions.wider_law,
+        check_statistics.wider_law,
         ">=",
         "residual_significance",
         "unexplained",
@@ -77,7 +77,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "residual_level",
         "Is the error on held-out trials that of noise?",
         "p",
-        questions.residual_level,
+        check_statistics.residual_level,
         ">=",
         "residual_significance",
         "unexplained",
@@ -88,7 +88,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
         "earlier_model",
         "Is most of the earlier model's error explained?",
         "share",
-        questions.explained_of_earlier,
+        check_statistics.explained_of_earlier,
         ">",
         "most_share",
         "unexplained",
@@ -141,7 +141,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "confirmation",
         "How many effects were found without a held-out trial?",
         "effects",
-        questions.without_heldout_trial,
+        check_statistics.without_heldout_trial,
         "<=",
         "max_unconfirmed",
         "cannot_tell",
@@ -152,7 +152,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "heldout_insensitive",
         "Do the held-out trials see each effect found?",
         "ln LR",
-        questions.least_visible,
+        check_statistics.least_visible,
         ">=",
         "heldout_gain",
         "cannot_tell",
@@ -164,7 +164,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "ties",
         "How many effects explain as much?",
         "effects",
-        questions.most_tied,
+        check_statistics.most_tied,
         "<=",
         "most_named",
         "cannot_tell",
@@ -175,7 +175,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "weakly_identified",
         "Would half of the effect be detected?",
         "p",
-        questions.half_seen,
+        check_statistics.half_seen,
         "<",
         "significance",
         "cannot_tell",
@@ -199,7 +199,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "possibly_omitted",
         "Do all trials together show another effect?",
         "p",
-        questions.possibly_omitted,
+        check_statistics.possibly_omitted,
         ">=",
         "significance",
         "cannot_tell",
@@ -211,7 +211,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "noise_unknown",
         "Is the noise known well enough?",
         "mean square ratio",
-        questions.noise_range,
+        check_statistics.noise_range,
         "<",
         "noise_known_within",
         "cannot_tell",
@@ -223,7 +223,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
 CHECKS = (*LEAVES_NOISE, *MAY_BE_CLAIMED)
 
 
-def answers(evidence: Evidence) -> Iterator[CheckOutcome[Evidence]]:
+def evaluate(evidence: Evidence) -> Iterator[CheckOutcome[Evidence]]:
     """Of every check that is needed for the verdict, in order.
 
     Where a model is far above the noise, nothing is asked after the first check that fails; what

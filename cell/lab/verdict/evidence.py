@@ -2,31 +2,104 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
+
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.noise_model import NoiseModel
+from cell.lab.data.own_check import OwnCheck, Residual
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import Rules
+from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.fitted_model import FittedModel, error_over_noise, is_below_stated
+from cell.lab.statistics.score import holm
 from cell.lab.strength.estimate import ParameterEstimate, estimate
-from cell.lab.verdict.own_checks import p_values
-from cell.lab.verdict.smooth_part import SmoothPart, smooth_part
+from cell.lab.verdict.smooth_part import (
+    AllTrialsResidual,
+    SmoothPart,
+    all_trials_residual,
+    smooth_part,
+)
+
+#: Draws end when so many exceed what was measured: p is then known to a third …
+EXCEEDING = 10
+#: … or when the smallest p that they can show is so small a share of the limit.
+FINEST = 0.5
+
+
+def p_values(
+    prepared: PreparedStudy, fit: Fit, checks: Sequence[OwnCheck], limit: float
+) -> dict[str, float] | None:
+    """Of each check by name, Holm-corrected; None where a trial cannot be simulated.
+
+    A draw is white noise, and what mesh and hand may be wrong by, less what the parameters imitate.
+
+    limit   below which they will be said to fail
+    raises  InputError: a statistic fails
+    source  posterior predictive checks: Gelman, Meng & Stern 1996, Statistica Sinica 6, 733; the
+            number of draws: Besag & Clifford 1991, Biometrika 78, 301
+    """
+    left = all_trials_residual(prepared, fit)
+    if left is None:
+        return None
+    most = round(len(checks) / (FINEST * limit))
+    found = [_p_value(left, check, most) for check in checks]
+    return dict(zip((c.name for c in checks), holm(found), strict=True))
+
+
+def _p_value(left: AllTrialsResidual, check: OwnCheck, most: int) -> float:
+    measured = check.of(_residuals(left, left.every[0]))
+    exceeding = 0
+    for number, drawn in enumerate(_draws(left, most), 1):
+        exceeding += check.of(_residuals(left, drawn)) >= measured
+        if exceeding == EXCEEDING:
+            return exceeding / number
+    return (exceeding + 1.0) / (most + 1.0)
+
+
+def _draws(left: AllTrialsResidual, count: int) -> Iterator[FloatArray]:
+    """(rows,) residuals of a complete model, always the same ones."""
+    rng = np.random.default_rng(20261125)
+    linear, errors = left.whole.linear, left.every[1 : 1 + left.errors]
+    seen = np.concatenate([w.seen.transpose(1, 2, 0).ravel() for w in left.whiteners])
+    seen = np.append(seen, np.zeros(left.every.shape[1] - len(seen), dtype=bool))
+    for _ in range(count):
+        noise = np.where(seen, rng.standard_normal(len(seen)), 0.0)
+        yield linear.seen(noise[None])[0] + rng.standard_normal(left.errors) @ errors
+
+
+def _residuals(left: AllTrialsResidual, rows: FloatArray) -> list[Residual]:
+    """Rows, by marker, channel and frame, as a check sees them; of unit size."""
+    prepared = left.whole.prepared
+    parts = left.whole.systematic_error.by_trial(rows)
+    seen = [np.moveaxis(w.seen, 0, -1) for w in left.whiteners]
+    white = [
+        np.where(s, part.reshape(s.shape), np.nan) for part, s in zip(parts, seen, strict=True)
+    ]
+    size = float(np.sqrt(np.nanmean(np.concatenate([w.ravel() for w in white]) ** 2)))
+    arcs = prepared.study.arc_length_m
+    beside = {t.name: t for t in prepared.unjoined.trials}
+    trials = zip(fit_trials(prepared), white, strict=True)
+    return [
+        Residual(beside[t.name], arcs, prepared.of_markers(t, np.moveaxis(w, -1, 0)) / size)
+        for t, w in trials
+    ]
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A fitted model, the baseline, and the study they are held against.
+    """A fitted model and the study that it is tested against.
 
     final  the model that may explain the study; the baseline itself if nothing was added
     tied   of each effect that was added, those that explain as much in its place
     """
 
     fits: FitCache
-    base: FittedModel
     final: FittedModel
     rules: Rules
     tied: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -40,6 +113,11 @@ class Evidence:
     def noise_model(self) -> NoiseModel:
         """Noise of the measurement."""
         return self.prepared.noise_model
+
+    @property
+    def base(self) -> FittedModel:
+        """The model without added effects."""
+        return self.fits.base
 
     @property
     def is_base(self) -> bool:
@@ -59,7 +137,7 @@ class Evidence:
     @cached_property
     def over_noise(self) -> float:
         """Larger of the fitted and the held-out error, over the measurement's noise."""
-        return above_noise(self.fits, self.final)
+        return error_over_noise(self.prepared, self.final)
 
     @cached_property
     def estimate(self) -> ParameterEstimate:
@@ -75,12 +153,4 @@ class Evidence:
     @property
     def below_stated(self) -> bool:
         """Whether the model errs by much less than the measurement is said to."""
-        noise_model = self.noise_model
-        return noise_model.stated and self.over_noise < self.rules.below_stated
-
-
-def above_noise(fits: FitCache, candidate: FittedModel) -> float:
-    """Larger of a candidate's fitted and held-out error over the measurement's noise."""
-    prepared, held = fits.prepared, candidate.heldout
-    over = candidate.fit.rms_m / prepared.noise_m("fit")
-    return over if held is None else max(over, held.rms_m / prepared.noise_m("validate"))
+        return is_below_stated(self.prepared, self.final, self.rules.below_stated)

@@ -7,16 +7,11 @@ import numpy as np
 from cell.cable.effects.base import after_number
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import Doubt
-from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.fit.fitting import Fit
+from cell.lab.fit.plausibility import at_bound, is_hopeless, marker_motion_m
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 
-#: A model that leaves this share of what the markers move (rms) is no model of the cable.
-HOPELESS_SHARE = 0.5
-#: One that leaves more than this many times as much is not of this cable in this frame; an effect
-#: beside it is not looked for.  Cables in need of an effect have left 1.2 times as much, mirrored
-#: ones 3 to 12.
-NO_MODEL = 2.0
 #: Error over noise from which a fit's intervals rest on the model's own error.
 BEYOND_NOISE = 3.0
 #: A cable of which EI differs by more than this factor from place to place is none, if its model
@@ -26,10 +21,6 @@ UNLIKE_ANY = 20.0
 APART = 2.0
 #: Or if a parameter of an effect differs by more than so many standard deviations.
 APART_STD = 3.0
-#: An amplitude is at its bound within this share of the way there from none of the effect.
-NEAR_BOUND = 0.01
-
-
 #: Warnings of a fit whose parameters mean nothing; beside it no effect is called absent.
 MEANINGLESS = frozenset({"hopeless", "implausible", "starts_disagree"})
 
@@ -44,9 +35,9 @@ def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
     fit, noise_model = candidate.fit, fits.prepared.noise_model
     to_all = "" if fits.prepared.study.role("validate") else " to all trials"
     found = []
-    moved_m = _moved_m(fits)
+    moved_m = marker_motion_m(fits.prepared)
     worst_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
-    if is_hopeless(fits, fit):
+    if is_hopeless(fits.prepared, fit):
         found.append(
             Doubt(
                 "hopeless",
@@ -127,7 +118,7 @@ def not_converged(fit: Fit) -> list[Doubt]:
 
 def starts_disagree(fits: FitCache) -> list[Doubt]:
     """Of a baseline that a second start leads to another minimum, in EI or in its effects."""
-    base, other = fits.baseline().fit, fits.second_start()
+    base, other = fits.base.fit, fits.second_start()
     if other is None:
         return []
     apart = np.log(other.model.rigidity_n_m2) - np.log(base.model.rigidity_n_m2)
@@ -157,47 +148,4 @@ def _effects_apart(base: Fit, other: Fit) -> list[str]:
         if abs(other.q[i] - base.q[i]) > APART_STD * np.sqrt(variance):
             unit = after_number(base.space.units[i])
             found.append(f"{name} {values[i]:.3g} and {others[i]:.3g}{unit}")
-    return found
-
-
-def is_hopeless(fits: FitCache, fit: Fit) -> bool:
-    """Whether the error of a fit is more than half of the markers' motion."""
-    return fit.rms_m > HOPELESS_SHARE * _moved_m(fits)
-
-
-def is_no_model(fits: FitCache, fit: Fit) -> bool:
-    """Whether the error is so much larger than the markers' motion that no effect explains it."""
-    return fit.rms_m > NO_MODEL * _moved_m(fits)
-
-
-def _moved_m(fits: FitCache) -> float:
-    """rms distance of the fit trials' markers from their own means, per coordinate, m."""
-    square, count = 0.0, 0
-    for trial in fit_trials(fits.prepared):
-        for series in trial.markers.xy_m.reshape(len(trial.markers.t_s), -1).T:
-            seen = series[np.isfinite(series)]
-            if seen.size:
-                square += float(np.sum((seen - seen.mean()) ** 2))
-                count += seen.size
-    return float(np.sqrt(square / max(count, 1)))
-
-
-def at_bound(fit: Fit) -> list[tuple[str, float, str]]:
-    """Fitted parameters that lie at a bound, except amplitudes that are absent there.
-
-    An amplitude that is all but there is there: the last of the way costs a search nothing.
-    """
-    space, q = fit.space, fit.q
-    absent = {
-        f"{e.name}.{p.name}": p.default for e in space.effects for p in e.parameters if p.amplitude
-    }
-    values = space.natural(q)
-    found = []
-    for i, name in enumerate(space.names):
-        default = absent.get(name)
-        ends = space.natural(space.low)[i], space.natural(space.high)[i]
-        near = [0.0 if default is None else NEAR_BOUND * abs(end - default) for end in ends]
-        outside = values[i] <= ends[0] + near[0] or values[i] >= ends[1] - near[1]
-        if space.low[i] < space.high[i] and outside and default != values[i]:
-            found.append((name, float(values[i]), space.units[i]))
     return found

@@ -12,12 +12,11 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import space_with
-from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.fit_cache import FitCache, SearchSetup, StudySpace
+from cell.lab.search.fitted_model import FittedModel, error_over_noise
+from cell.lab.search.rivals import close_rivals
 from cell.lab.search.stepwise import levels
-from cell.lab.search.study_space import StudySpace
-from cell.lab.verdict.evidence import Evidence, above_noise
-from cell.lab.verdict.rivals import close_rivals
+from cell.lab.verdict.evidence import Evidence
 
 Explains = Callable[[Evidence], bool]
 
@@ -51,11 +50,13 @@ def _without_prior(fits: FitCache) -> FitCache:
         gravity_m_per_s2=space.gravity_m_per_s2,
         pull_m_per_s2=space.pull_m_per_s2,
     )
-    return FitCache(
-        PreparedStudy.of(as_measured(prepared), solver=prepared.solver, work=prepared.work),
-        space_with(free, space.effects),
-        fits.library,
-        fits.progress,
+    return FitCache.of(
+        SearchSetup(
+            PreparedStudy.of(as_measured(prepared), solver=prepared.solver, work=prepared.work),
+            space_with(free, space.effects),
+            fits.library,
+            fits.progress,
+        )
     )
 
 
@@ -67,14 +68,14 @@ def unconfirmed_without_prior(
     explains: Explains,
 ) -> tuple[str, ...]:
     """Those of some effects that a study without a prior does not need or explain."""
-    base = alone.baseline()
+    base = alone.base
 
     def extended(model: FittedModel) -> Sequence[FittedModel]:
         others = [e for e in effects if e.name not in model.names]
         return alone.fit_extended(model, others) if others else ()
 
     for level in levels(base, extended, lambda _, options: options):
-        fewest = [c for c in level if explains(Evidence(alone, base, c, rules))]
+        fewest = [c for c in level if explains(Evidence(alone, c, rules))]
         if fewest:
             needed = max(fewest, key=lambda c: c.evidence)
             return tuple(
@@ -98,7 +99,7 @@ def _in_place(
 
 def _of_this_cable(fits: FitCache, final: FittedModel, rules: Rules) -> bool:
     """Whether a model explains the study to the measurement's noise, and agrees with the prior."""
-    if above_noise(fits, final) > rules.most_over_noise:
+    if error_over_noise(fits.prepared, final) > rules.most_over_noise:
         return False
     space = fits.space
     own = [final.fit.space.names.index(n) for n in space.names]

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from cell.cable.geometry import Cable, Motion
 from cell.cli import app
-from cell.lab.report.look_figures import courses, film_strip, swing_figure
+from cell.lab.report.look_page import courses, film_strip, swing_figure
 from cell.study.data import Markers, Study, Trial, Wrench
 from cell.study.facts import trial_facts
 from cell.study.folder import write_study

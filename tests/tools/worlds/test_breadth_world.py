@@ -10,7 +10,7 @@ import pytest
 from cell.api.lab import set_up
 from cell.cable.effects import library
 from cell.lab.data.named_effects import EffectSelection
-from cell.lab.verdict.diagnose import diagnose
+from cell.lab.diagnosis import diagnose
 from cell.study.folder import write_study
 from tools.worlds.breadth_world import World, hypercube
 

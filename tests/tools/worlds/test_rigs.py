@@ -11,10 +11,10 @@ from cell.cable.effects import library
 from cell.cable.geometry import Cable
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.diagnosis import diagnose
 from cell.lab.report.tables import sentence
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.verdict.checks import CHECKS
-from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import read_study, write_study
 from tools.worlds import made_studies, rigs
 from tools.worlds.rig_kinds import KINDS
@@ -64,7 +64,7 @@ def test_a_complete_model_of_a_rig_with_erring_shapes_is_called_complete(seed):
         for n in ("air_drag", "natural_curvature")
         if n not in {e.name for e in space.effects}
     }
-    fits = FitCache(PreparedStudy.of(study), space, tried)
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), space, tried))
     assert diagnose(fits).diagnosis.verdict == "complete"
 
 
@@ -76,7 +76,7 @@ def test_a_complete_model_of_a_rig_whose_hand_is_sensed_is_called_complete(kind,
     unsaid = tuple(replace(t, hand_drift=None) for t in study.trials)
     for trials, verdict in ((study.trials, "complete"), (unsaid, "unexplained")):
         prepared = PreparedStudy.of(replace(study, trials=trials))
-        fits = FitCache(prepared, ParameterSpace.of(study.cable), tried)
+        fits = FitCache.of(SearchSetup(prepared, ParameterSpace.of(study.cable), tried))
         assert diagnose(fits).diagnosis.verdict == verdict
 
 
@@ -93,7 +93,7 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
     rig = rigs.Rig.drawn(seed, name)
     study = rigs.rig_study(rig, known[name].active(**values))
     tried = {n: known[n] for n in (name, "air_drag", "camera_roll")}
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), tried)
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), tried))
     found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["possibly_omitted"]
@@ -109,5 +109,5 @@ def test_a_known_ringing_is_fitted_at_its_own_frequency_by_a_slow_camera():
     hidden = ringing.active(amplitude_m=-4.01e-4, frequency_hz=10.21)
     study = rigs.rig_study(rig, hidden)
     space = ParameterSpace.of(study.cable, effects=(ringing,))
-    fit = FitCache(PreparedStudy.of(study), space, {}).baseline().fit
+    fit = FitCache.of(SearchSetup(PreparedStudy.of(study), space, {})).base.fit
     assert fit.model.effects[0].named["frequency_hz"] == pytest.approx(10.21, abs=0.3)

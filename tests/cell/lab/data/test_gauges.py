@@ -7,10 +7,9 @@ import pytest
 
 from cell.cable.model import CableModel
 from cell.identify.fit import variance_inflation
+from cell.lab.data.gauges import joined, row_means
 from cell.lab.data.noise_model import NoiseUnknownError
-from cell.lab.data.prepared import PreparedStudy, as_measured
-from cell.lab.data.renoised import with_noise_model
-from cell.lab.data.wrench_rows import joined, row_means
+from cell.lab.data.prepared import PreparedStudy, as_measured, with_noise_model
 from cell.lab.verdict.smooth_part import _Fast
 from cell.study.data import Markers, Trial, Wrench, WrenchSensor
 from tools.worlds.made_studies import WORLD, random_model, stroke

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from cell.identify.noise import Noise
-from cell.lab.data import noise_in_motion
-from cell.lab.data.noise_in_motion import Remainder
-from cell.lab.data.noise_likelihood import AR1_GRID, WHITE_SHARES
+from cell.lab.data import noise_likelihood
+from cell.lab.data.noise_likelihood import AR1_GRID, WHITE_SHARES, Remainder
 
 NOISES = [(float(ar1), 0.0) for ar1 in AR1_GRID]
 
@@ -64,7 +63,7 @@ def test_slow_noise_is_not_underestimated_for_what_was_taken_out(lost):
 def test_between_the_correlations_that_are_worked_out_little_is_lost(monkeypatch):
     remainder = taken_out(0, frames=60, channels=2, directions=20)
     _, cost = likeliest(remainder)
-    monkeypatch.setattr(noise_in_motion, "NODES", len(NOISES))
+    monkeypatch.setattr(noise_likelihood, "NODES", len(NOISES))
     _, exact = likeliest(remainder)
     near = exact < exact.min() + 16.0
     assert near.sum() > 20

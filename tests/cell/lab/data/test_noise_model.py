@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cell.identify.noise import Noise
-from cell.lab.data.noise_in_motion import Remainder
-from cell.lab.data.noise_likelihood import rounding_ar1
+from cell.lab.data.noise_likelihood import Remainder, rounding_ar1
 from cell.lab.data.noise_model import (
     KNOWN_WITHIN,
     NoiseModel,

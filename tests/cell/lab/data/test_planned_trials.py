@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cell.lab.data.planned_trials import planned_trials
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.next.planned import planned_trials
 from cell.lab.next.strokes import Stroke
 from cell.lab.next.suggest import _whitener
 from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor

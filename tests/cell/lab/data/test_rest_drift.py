@@ -15,8 +15,8 @@ from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.noise_model import noise_model_of
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.rest_drift import VALUES, rest_drifts
+from cell.lab.diagnosis import diagnose
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
 

@@ -10,10 +10,10 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.diagnosis import diagnose
 from cell.lab.fit.hand_error import MOTIONS, HandError, hand_error
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.verdict.diagnose import diagnose
 from cell.study.folder import write_study
 from tools.worlds.breadth_world import World, hypercube
 
@@ -56,8 +56,8 @@ def test_what_the_parameters_imitate_is_not_left(error):
 
 def test_an_exact_log_changes_nothing(make_study):
     study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
-    found = hand_error(fits.prepared, fits.baseline().fit)
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {}))
+    found = hand_error(fits.prepared, fits.base.fit)
     assert found.square(study.trials) < 1e-3
 
 

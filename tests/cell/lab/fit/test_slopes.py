@@ -11,11 +11,10 @@ from cell.identify.gauss_newton import jacobian_at
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit import sensitivity
-from cell.lab.fit.fitting import fit_model, fit_trials, problem_of
+from cell.lab.fit.fitting import HARMLESS, fit_model, fit_trials, problem_of, with_slopes
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.sensitivity import sensitivities
-from cell.lab.fit.slopes import HARMLESS, with_slopes
-from cell.lab.verdict.specification import of_effects
+from cell.lab.verdict.check_statistics import of_effects
 
 
 @pytest.fixture(scope="module")

@@ -283,7 +283,7 @@ def test_the_lab_starts_from_the_lines_model(result: LearningResult, tmp_path: P
     config.write_text((ROOT / "config/fake.yaml").read_text("utf-8") + section_text, "utf-8")
     study = result.cycles[0].study
     rms_m = [
-        fit_cache_of(study, select_effects([]), kind=read_kind(given)).baseline().fit.rms_m
+        fit_cache_of(study, select_effects([]), kind=read_kind(given)).base.fit.rms_m
         for given in (None, config)
     ]
     assert rms_m[1] < 0.8 * rms_m[0]
@@ -450,7 +450,7 @@ def test_learning_ends_at_its_limit_of_work_and_says_what_it_left_out(
             raise CableRejectedError(Reason.UNSEEN_FRAMES, "it left the picture")
         return identify(trial, *args, options=options)
 
-    monkeypatch.setattr("cell.lab.line.learned_cables.identify", but_one)
+    monkeypatch.setattr("cell.lab.line.learn.identify", but_one)
     task, budget = cell_task(SETTINGS), LearningBudget(most_s=1.0)
     result = learn(dragged, task.cable, task.identification, TRIED, budget=budget)
     assert [c.name for c in result.cycles if c.name == dragged[1].name] == []

@@ -10,8 +10,7 @@ import pytest
 from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason
 from cell.lab.data.check import Check
 from cell.lab.line.effect_fit import LearningBudget
-from cell.lab.line.learn import LearningResult
-from cell.lab.line.learned_cables import FITTED_TO, identified_cables, learned_from
+from cell.lab.line.learn import FITTED_TO, LearningResult, identified_cables, learned_from
 from cell.lab.line.learning_checks import GATES, LEARNING, learning_answers, learning_verdict
 from cell.lab.line.learning_questions import LineEvidence, LineRules
 from cell.lab.report.learning_tables import learning_lines, learning_parts
@@ -97,8 +96,8 @@ def test_a_cable_that_the_model_does_not_fit_leaves_a_doubt_of_it(
     def rejected(*_: Any, **__: Any) -> None:
         raise CableRejectedError(reason, "…")
 
-    monkeypatch.setattr("cell.lab.line.learned_cables.identify", rejected)
-    monkeypatch.setattr("cell.lab.line.learned_cables._unfit", lambda _: None)
+    monkeypatch.setattr("cell.lab.line.learn.identify", rejected)
+    monkeypatch.setattr("cell.lab.line.learn._unfit", lambda _: None)
     cycle: Any = SimpleNamespace(
         name="c1", held=1, study=SimpleNamespace(arc_length_m=1, trials=()), cable=None
     )

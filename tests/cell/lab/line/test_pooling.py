@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cell.lab.line.pooling import pool
+from cell.lab.line.together import pool
 
 
 def test_values_that_agree_are_weighed_by_their_precision() -> None:

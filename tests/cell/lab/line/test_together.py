@@ -18,8 +18,8 @@ from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.data import named_effects
 from cell.lab.data.named_effects import EffectSelection
-from cell.lab.data.progress import no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.data.work import no_progress
 from cell.lab.line.together import _verdict
 from cell.lab.line.together_results import Hypothesis, StudyPart
 from cell.study.data import Markers, Study

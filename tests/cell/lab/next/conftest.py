@@ -10,7 +10,7 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.linear_study import LinearStudy
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 
 #: Few effects, so that a diagnosis is quick: alike, unlike and not smooth.
 NAMES = ("air_drag", "linear_air_drag", "tip_mass", "natural_curvature", "grip_angle")
@@ -24,11 +24,11 @@ def fitted(make_study):
     first = replace(study.trials[0], markers=replace(study.trials[0].markers, xy_m=lost))
     study = replace(study, trials=(first, *study.trials[1:]))
     effects = {name: library()[name] for name in NAMES}
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
-    fits.baseline()
-    return fits
+    return FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    )
 
 
 @pytest.fixture(scope="session")
 def linear(fitted):
-    return LinearStudy.of(fitted.prepared, fitted.baseline().fit)
+    return LinearStudy.of(fitted.prepared, fitted.base.fit)

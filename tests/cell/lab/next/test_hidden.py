@@ -20,7 +20,7 @@ MASS_KG = 2.5e-5
 @pytest.fixture(scope="module")
 def world(fitted):
     hidden = library()["tip_mass"].active(mass_kg=MASS_KG)
-    return HiddenEffectWorld.of(fitted.prepared, fitted.baseline().fit, hidden)
+    return HiddenEffectWorld.of(fitted.prepared, fitted.base.fit, hidden)
 
 
 def test_a_copy_has_the_frames_markers_and_gaps_of_the_study(world):
@@ -67,14 +67,14 @@ def test_rounded_values_stay_rounded(world):
 
 
 def test_the_effect_is_in_it(fitted, world):
-    without = HiddenEffectWorld.of(fitted.prepared, fitted.baseline().fit, None)
+    without = HiddenEffectWorld.of(fitted.prepared, fitted.base.fit, None)
     moved = world.clean_m["deep"] - without.clean_m["deep"]
     assert np.abs(moved).max() > 1e-4
 
 
 def test_without_noise_a_refit_leaves_what_its_parameters_cannot_imitate(fitted, linear):
     """A weak effect: as slopes say.  None at all: nothing."""
-    drag, fit = library()["air_drag"], fitted.baseline().fit
+    drag, fit = library()["air_drag"], fitted.base.fit
     left = left_of(fitted.prepared, fit, drag.active(drag_coefficient=0.05))
     hidden = changes(linear.whole.prepared, linear.whole.fit, [drag.active(drag_coefficient=0.05)])
     expected = linear.unlike_fitted(hidden)[0] + linear.heldout(hidden)[0]
@@ -86,6 +86,6 @@ def test_without_noise_a_refit_leaves_what_its_parameters_cannot_imitate(fitted,
 def test_an_effect_with_which_nothing_can_be_simulated_is_told(fitted):
     heavy = library()["tip_mass"].active(mass_kg=10.0)
     with pytest.raises(UnsimulatedError):
-        HiddenEffectWorld.of(fitted.prepared, fitted.baseline().fit, heavy)
+        HiddenEffectWorld.of(fitted.prepared, fitted.base.fit, heavy)
     with pytest.raises(UnsimulatedError):
-        left_of(fitted.prepared, fitted.baseline().fit, heavy)
+        left_of(fitted.prepared, fitted.base.fit, heavy)

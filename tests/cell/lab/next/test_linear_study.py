@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from cell.cable.effects import library
-from cell.lab.data.prepared import PreparedStudy, pooled
-from cell.lab.data.renoised import with_noise_model
+from cell.lab.data.prepared import PreparedStudy, pooled, with_noise_model
 from cell.lab.fit.fitting import fit_model, fit_trials
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.sensitivity import changes, nuisance_of, sensitivities
@@ -29,7 +28,7 @@ def hidden(linear):
 @pytest.fixture(scope="module")
 def noiseless(fitted):
     """The study without noise, the drag in it; weighed as the study was."""
-    base, prepared = fitted.baseline(), fitted.prepared
+    base, prepared = fitted.base, fitted.prepared
     active = library()["air_drag"].active(drag_coefficient=DRAG)
     world = HiddenEffectWorld.of(prepared, base.fit, active)
     clean = HiddenEffectWorld.of(prepared, base.fit, None)
@@ -45,7 +44,7 @@ def noiseless(fitted):
 
 
 def test_what_is_left_of_all_trials_is_what_a_fit_to_them_leaves(fitted, linear, noiseless, hidden):
-    base, together = fitted.baseline().fit, pooled(noiseless)
+    base, together = fitted.base.fit, pooled(noiseless)
     weak = replace(base.space, mean=base.q)  # so that the prior asks for nothing else
     fit = fit_model(together, weak, base.q, options=POLISH)
     left = linear.unlike_all(hidden[None])[0]
@@ -55,7 +54,7 @@ def test_what_is_left_of_all_trials_is_what_a_fit_to_them_leaves(fitted, linear,
 def test_what_is_left_of_the_fitted_and_the_held_out_trials_is_what_a_fit_leaves(
     fitted, linear, noiseless, hidden
 ):
-    base = fitted.baseline().fit
+    base = fitted.base.fit
     weak = replace(base.space, mean=base.q)
     fit = fit_model(noiseless, weak, base.q, options=POLISH)
     left = linear.unlike_fitted(hidden[None])[0]
@@ -74,7 +73,7 @@ def test_scores_of_held_out_trials_are_functions_of_the_whole_residual(linear, h
 
 def test_what_parameters_imitate_is_what_the_screen_takes_out(fitted, linear):
     """Of the fitted trials, by the screen's own slopes."""
-    base, prepared = fitted.baseline().fit, fitted.prepared
+    base, prepared = fitted.base.fit, fitted.prepared
     (slopes,) = sensitivities(prepared, base, [library()["tip_mass"]])
     kept = nuisance_of(base).remove(slopes.rows[0])
     expected = float(np.sum(kept**2))

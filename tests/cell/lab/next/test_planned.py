@@ -15,7 +15,7 @@ from cell.lab.next.asked import select_asked
 from cell.lab.next.planned import with_motions
 from cell.lab.next.strokes import Stroke
 from cell.lab.next.study_power import power_of
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study
 
@@ -32,18 +32,20 @@ def study():
 def of(study):
     effects = {name: library()[name] for name in ("tip_mass", "air_drag")}
     prepared = PreparedStudy.of(study, solver=COARSE)
-    return with_motions(FitCache(prepared, ParameterSpace.of(study.cable), effects), [MOTION])
+    return with_motions(
+        FitCache.of(SearchSetup(prepared, ParameterSpace.of(study.cable), effects)), [MOTION]
+    )
 
 
 def test_the_wrench_of_a_motion_to_come_counts(study):
     fits = of(study)
-    (planned,) = (t for t in fits.given.unjoined.trials if t.name == "later")
-    (first, *_) = fits.given.unjoined.trials
+    (planned,) = (t for t in fits.prepared.unjoined.trials if t.name == "later")
+    (first, *_) = fits.prepared.unjoined.trials
     assert np.isfinite(planned.wrench.values).all()
     steps_s = [np.median(np.diff(t.wrench.t_s)) for t in (planned, first)]
     assert steps_s[0] == pytest.approx(steps_s[1], rel=1e-3)
     still = planned.wrench.t_s < 0.19
-    noise_n = fits.given.gauges.force.noise.std_m
+    noise_n = fits.prepared.gauges.force.noise.std_m
     assert np.std(planned.wrench.values[still, 1]) == pytest.approx(noise_n, rel=0.4)
     asked = select_asked(["tip_mass=0.001"], [])[0]
     bare = replace(study, trials=tuple(replace(t, wrench=None) for t in study.trials))
@@ -53,7 +55,7 @@ def test_the_wrench_of_a_motion_to_come_counts(study):
 
 def test_the_hand_of_a_motion_to_come_is_logged_as_in_the_study(study):
     bare = replace(study, trials=tuple(replace(t, wrench=None) for t in study.trials))
-    (first, planned) = of(bare).given.study.trials
+    (first, planned) = of(bare).prepared.study.trials
     assert np.median(np.diff(planned.grip.t_s)) == pytest.approx(np.median(np.diff(first.grip.t_s)))
     for logged, recorded in zip(planned.grip.splines, first.grip.splines, strict=True):
         assert logged.noise_std == pytest.approx(recorded.noise_std, rel=0.4)

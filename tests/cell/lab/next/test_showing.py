@@ -19,7 +19,7 @@ from cell.lab.next.motion_file import hand_motion
 from cell.lab.next.planned import with_motions
 from cell.lab.next.showing import asked_and_tried, showing_motion
 from cell.lab.next.suggestion import Suggestion, write_motion
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study
 
@@ -33,7 +33,9 @@ AROUND = Surroundings(angle_rad=(-0.1, 0.1))
 def fits(make_study) -> FitCache:
     study = make_study(seed=21)
     effects = {name: library()[name] for name in NAMES}
-    return FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    return FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,7 @@ def test_a_study_with_the_best_motion_shows_more_than_with_the_worst(
         one = Suggestion(shown.candidates, (shown.options[number],), AROUND, {})
         write_motion(one, file)
         more = with_motions(fits, [hand_motion(file, (0.0, 0.0))])
-        linear = LinearStudy.of(more.prepared, more.baseline().fit)
+        linear = LinearStudy.of(more.prepared, more.base.fit)
         found.append(forecast(more, draught, linear).noncentrality)
     assert found[0] > 1.2 * found[1]
 
@@ -80,7 +82,7 @@ def test_names_are_shown_and_files_tried_but_not_both() -> None:
 
 
 def test_the_command_writes_the_motion_for_the_cell(fits: FitCache, tmp_path: Path) -> None:
-    write_study(fits.given.study, tmp_path / "study")
+    write_study(fits.prepared.study, tmp_path / "study")
     out = tmp_path / "motion.yaml"
     config, text = tmp_path / "cell.yaml", FAKE.read_text("utf-8")
     assert "angle_rad: [-0.6, 1.1]" in text

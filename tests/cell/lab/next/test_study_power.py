@@ -10,12 +10,12 @@ import pytest
 
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import Diagnosis, Errors, MissingEffect
+from cell.lab.next import study_power
 from cell.lab.next.asked import select_asked
 from cell.lab.next.forecast import POWER, forecast
-from cell.lab.next.recovery import CopyOutcome, Recovery, judged, recover
-from cell.lab.next.study_power import power_of
+from cell.lab.next.study_power import CopyOutcome, Recovery, judged, power_of, recover
 from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 
 
 def asked(given):
@@ -47,8 +47,10 @@ def test_a_larger_effect_is_likelier_found_and_hardly_any_is_not(fitted, linear,
 
 
 def test_with_less_noise_a_smaller_one_is_found(fitted, linear, smallest, make_study):
-    quiet = FitCache(
-        PreparedStudy.of(make_study(seed=21, noise_m=3e-5)), fitted.space, fitted.library
+    quiet = FitCache.of(
+        SearchSetup(
+            PreparedStudy.of(make_study(seed=21, noise_m=3e-5)), fitted.space, fitted.library
+        )
     )
     (effect,) = power_of(quiet, [asked("air_drag")]).effects
     assert effect.forecast.smallest == pytest.approx(0.3 * smallest, rel=0.25)
@@ -64,12 +66,11 @@ def test_copies_bear_out_what_is_surely_found_and_what_is_surely_missed(fitted, 
 
 
 def test_of_a_copy_that_cannot_be_diagnosed_that_is_said(fitted, smallest, monkeypatch):
-    from cell.lab.next import recovery
 
     def refused(*_):
-        raise recovery.NoiseUnknownError("no frames")
+        raise study_power.NoiseUnknownError("no frames")
 
-    monkeypatch.setattr(recovery, "diagnose", refused)
+    monkeypatch.setattr(study_power, "diagnose", refused)
     found = recover(fitted, asked("air_drag").at(smallest), 1)
     assert [o.said for o in found.outcomes] == ["failed"]
 
@@ -122,7 +123,7 @@ def test_the_result_is_json_and_tables_of_it_tell_the_same(fitted, smallest):
 
 def test_without_a_held_out_trial_nothing_is_found_and_why_is_said(fitted):
     study = all_fitted(fitted.prepared.study)
-    fits = FitCache(PreparedStudy.of(study), fitted.space, fitted.library)
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), fitted.space, fitted.library))
     found = power_of(fits, [asked("air_drag=0.5")])
     assert found.effects[0].forecast.chances.found == 0.0
     assert found.effects[0].forecast.smallest is None

@@ -16,6 +16,7 @@ from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rival import Rival
+from cell.lab.diagnosis import diagnose
 from cell.lab.next.motion_file import load_motion
 from cell.lab.next.strokes import Stroke, strokes
 from cell.lab.next.suggest import (
@@ -29,9 +30,8 @@ from cell.lab.next.suggest import (
     suggest_motion,
 )
 from cell.lab.next.suggestion import Option, Suggestion, write_motion
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.compare import everywhere
-from cell.lab.verdict.diagnose import diagnose
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings
 from cell.settings.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m
@@ -63,7 +63,7 @@ def tied(make_study):
     study = make_study([known["added_mass"].active(kg_per_m=3e-4)], seed=3)
     study = replace(study, trials=tuple(t for t in study.trials if t.name != "up"))
     rivals = {n: known[n] for n in ("added_mass", "natural_curvature")}
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals))
     return fits, diagnose(fits)
 
 
@@ -170,7 +170,7 @@ def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(t
 def test_a_complete_model_leaves_nothing_to_tell(make_study):
     study = make_study(seed=5)
     rivals = {n: library()[n] for n in ("tip_mass", "grip_angle")}
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals)
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals))
     with pytest.raises(ValueError, match="nothing to tell apart"):
         suggest_motion(diagnose(fits), Surroundings())
 

@@ -12,7 +12,7 @@ from cell.cable.effects.check import check
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.lab.next import discover
-from cell.lab.next.term_source import effect_source
+from cell.lab.next.discover import effect_source
 from cell.lab.next.terms import NAMESPACE, admissible
 
 BOX = (-0.1, 0.0, -0.09, 0.0)

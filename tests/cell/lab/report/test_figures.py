@@ -17,8 +17,7 @@ from cell.lab.data.results import (
     RemainingError,
 )
 from cell.lab.report.cable_overlay import BELOW, HEIGHT, overlay
-from cell.lab.report.curves import profile_curves
-from cell.lab.report.figures import by_trial, history, profiles, ranking, waterfall
+from cell.lab.report.figures import by_trial, history, profile_curves, profiles, ranking, waterfall
 from cell.lab.report.report import _series, comparison_page
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.profiles import ParameterProfile

@@ -11,12 +11,12 @@ from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.check import Reading
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.diagnosis import diagnose
 from cell.lab.next.advice import advice
 from cell.lab.report.report import comparison_page, diagnosis_page
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.kept_model import identified
-from cell.lab.verdict.diagnose import diagnose
 from cell.lab.verdict.doubts import omitted_doubts
 from cell.study.data import Markers
 
@@ -54,14 +54,16 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def diagnosed(make_study):
     study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=12)
-    fits = FitCache(
-        PreparedStudy.of(study),
-        ParameterSpace.of(study.cable),
-        {n: library()[n] for n in ("tip_mass", "linear_air_drag")},
+    fits = FitCache.of(
+        SearchSetup(
+            PreparedStudy.of(study),
+            ParameterSpace.of(study.cable),
+            {n: library()[n] for n in ("tip_mass", "linear_air_drag")},
+        )
     )
     examination = diagnose(fits)
-    comparisons = [compare_model(study, c.fit.model) for c in examination.steps]
-    model = identified(fits.prepared, examination.steps[-1].fit)
+    comparisons = [compare_model(study, c.fit.model) for c in examination.path]
+    model = identified(fits.prepared, examination.path[-1].fit)
     asked = omitted_doubts(None, Reading(0.0, ("air_drag",)))
     warned = replace(examination.diagnosis, warnings=asked)
     text = diagnosis_page(warned, comparisons, model, advice(warned))

@@ -13,18 +13,18 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data import side_by_side
 from cell.lab.data.named_effects import select_effects
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.progress import no_progress
 from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.data.work import no_progress
 from cell.lab.fit.fitting import space_with
-from cell.lab.next.term_source import effect_source
+from cell.lab.next.discover import effect_source
 from cell.lab.next.terms import admissible
 from cell.lab.search import extension, fit_cache
 from cell.lab.search.extension import Extension
-from cell.lab.search.fit_cache import FitCache, rebased
+from cell.lab.search.fit_cache import FitCache, SearchSetup, rebased
 from cell.lab.search.fitted_model import FittedModel, weighed
 from cell.lab.search.refits import Refits
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.verdict import diagnose as diagnosing
+from cell.lab.verdict.conclusion import ranked, sound
 from cell.lab.verdict.fit_doubts import fit_doubts
 
 DOCS = Path(__file__).parents[4] / "docs"
@@ -42,8 +42,10 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     path.write_text(effect_source("point", [term], "A law."), encoding="utf-8")
     effect = load_effect(path, trusted=True) if name == "point" else library()[name]
     study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {name: effect})
-    base = fits.baseline()
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {name: effect})
+    )
+    base = fits.base
     fits.screened(base)
     objectives = iter([*HELD_OUT, *[400.0] * 100])
     judged = []
@@ -73,8 +75,10 @@ def test_a_fit_on_its_way_is_taken_on_before_it_is_compared_with_one_that_has_ar
     """A giving grip was lost so: its fit was near the noise, and another had arrived far above."""
     effect = library()["tip_mass"]
     study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
-    base = fits.baseline()
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    )
+    base = fits.base
     fits.screened(base)
 
     def fit_model(_, space, start, *args, **options):
@@ -99,8 +103,10 @@ def test_refits_are_taken_on_in_the_order_of_what_they_promise(make_study, monke
     names = ("tip_mass", "air_drag", "added_mass", "grip_angle")
     effects = {name: library()[name] for name in names}
     study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
-    base = fits.baseline()
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    )
+    base = fits.base
     fits.screened(base)
     taken = []
 
@@ -124,8 +130,8 @@ def test_refits_are_taken_on_in_the_order_of_what_they_promise(make_study, monke
 
 def test_what_models_are_selected_by_does_not_depend_on_held_out_trials(make_study):
     study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
-    base = fits.baseline()
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {}))
+    base = fits.base
     other = [
         replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + 1e-3))
         if t.role == "validate"
@@ -148,8 +154,10 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
     """
     effect = library()["tip_mass"]
     study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
-    base = fits.baseline()
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    )
+    base = fits.base
     fits.screened(base)
     made = []
 
@@ -179,8 +187,10 @@ def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_
     """A diagnosis ended there with "the model cannot be simulated at the start of the fit"."""
     effect = library()["tip_mass"]
     study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
-    space = space_with(fits.space, [effect])
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {"x": effect})
+    )
+    space = space_with(fits.space, [effect, library()["air_drag"]])
     q = space.mean - 100.0
     fit = SimpleNamespace(space=space, q=q, initial_states={})
     initial_states = []
@@ -194,7 +204,8 @@ def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_
     monkeypatch.setattr(fit_cache, "fit_model", fit_model)
     monkeypatch.setattr(fit_cache, "cold_start", lambda *args: "cold")
     monkeypatch.setattr(fit_cache, "weighed", lambda prepared, effects, fit: fit)
-    assert fits.fit_reduced(FittedModel((effect,), fit, None, 0.0), effect) == "found"
+    both = FittedModel((effect, library()["air_drag"]), fit, None, 0.0)
+    assert fits.fit_reduced(both, library()["air_drag"]) == "found"
     assert np.array_equal(initial_states[0], q[:-1])
     assert initial_states[1] == "cold"
 
@@ -204,11 +215,13 @@ def test_jaws_whose_pads_creep_are_found_from_where_softer_bending_imitates_stif
     effect = library()["grip_compliance"]
     study = make_study([effect.active(rad_per_n_m=160.0, time_s=0.06)], seed=3)
     prepared = PreparedStudy.of(study)
-    fits = FitCache(prepared, ParameterSpace.of(study.cable), {effect.name: effect})
-    (found,) = fits.fit_extended(fits.baseline(), [effect])
+    fits = FitCache.of(SearchSetup(prepared, ParameterSpace.of(study.cable), {effect.name: effect}))
+    (found,) = fits.fit_extended(fits.base, [effect])
     values = found.fit.space.natural(found.fit.q)[-2:]
     assert values == pytest.approx([160.0, 0.06], rel=0.1)
-    given = FitCache(prepared, ParameterSpace.of(study.cable, effects=(effect,)), {}).baseline()
+    given = FitCache.of(
+        SearchSetup(prepared, ParameterSpace.of(study.cable, effects=(effect,)), {})
+    ).base
     assert given.fit.rms_m == pytest.approx(found.fit.rms_m, rel=1e-3)
 
 
@@ -216,7 +229,7 @@ def test_of_two_minima_without_an_effect_the_likelier_is_kept(make_study, monkey
     """A poor fit of the right effect made any second one look necessary."""
     first, second = library()["tip_mass"], library()["air_drag"]
     study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {}))
     poor = FittedModel((first,), None, None, -2000.0)
     none = FittedModel((), None, None, -3000.0)
     fits._memory.models = {frozenset(): none, frozenset({"tip_mass"}): poor}
@@ -242,12 +255,16 @@ def one_and_two(make_study):
     names = ("air_drag", "tip_mass", "grip_angle", "bending_hysteresis", "draught")
     found = []
     for cores in (1, 2):
-        fits = FitCache(
-            PreparedStudy.of(study), ParameterSpace.of(study.cable), {n: known[n] for n in names}
+        fits = FitCache.of(
+            SearchSetup(
+                PreparedStudy.of(study),
+                ParameterSpace.of(study.cable),
+                {n: known[n] for n in names},
+            )
         )
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(side_by_side, "threads", lambda cores=cores: cores)
-            base = fits.baseline()
+            base = fits.base
             added = fits.fit_extended(base, fits.shortlist(base, 5))
         found.append((added, fits.prepared.work.simulated_s))
     return found
@@ -272,8 +289,10 @@ def test_candidates_of_another_process_have_the_effects_of_this_one(make_study, 
         path.write_text(effect_source(f"own_{term.name}", [term], "A law."), encoding="utf-8")
         effects[f"own_{term.name}"] = load_effect(path, trusted=True)
     study = make_study(seed=2)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
-    found = fits.fit_extended(fits.baseline(), list(effects.values()))
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    )
+    found = fits.fit_extended(fits.base, list(effects.values()))
     assert [c.effects[-1] for c in found] == list(effects.values())
     assert all(c.fit.space.effects == c.effects for c in found)
 
@@ -281,8 +300,10 @@ def test_candidates_of_another_process_have_the_effects_of_this_one(make_study, 
 def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_study, monkeypatch):
     """Taken on from there it could not begin, and the whole search ended."""
     study, load = make_study(seed=2), library()["tip_mass"]
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {load.name: load})
-    base = fits.baseline()
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {load.name: load})
+    )
+    base = fits.base
     (model,) = fits.fit_extended(base, [load])
     on_its_way = replace(model.fit.solution, converged_or_idle=False)
     model = replace(model, fit=replace(model.fit, solution=on_its_way))
@@ -302,13 +323,15 @@ def test_an_effect_explains_no_less_than_nothing(make_study):
     study = make_study(seed=2)
     names = ("tip_mass", "air_drag")
     space = ParameterSpace.of(study.cable)
-    fits = FitCache(PreparedStudy.of(study), space, {n: library()[n] for n in names})
-    base = fits.baseline()
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), space, {n: library()[n] for n in names})
+    )
+    base = fits.base
     (stuck,) = fits.fit_extended(base, [library()["tip_mass"]])
     stuck = replace(stuck, fit=replace(stuck.fit, solution=replace(
         stuck.fit.solution, objective=base.fit.objective + 1e6)))  # fmt: skip
-    assert diagnosing.sound([stuck], base) == []
-    rows = diagnosing.ranked(fits, base, base, [stuck], set(), DEFAULT_RULES)
+    assert sound([stuck], base) == []
+    rows = ranked(fits, base, [stuck], set(), DEFAULT_RULES)
     assert min(r.score for r in rows) >= 0.0
 
 
@@ -324,13 +347,13 @@ def test_a_fit_with_an_effect_looks_as_hard_for_it_as_a_diagnosis(make_study, tm
     there = {"strength_n_m": 2.3e-5, "x_m": -0.11, "y_m": -0.09}
     study = make_study([magnet.active(**there)], seed=1, noise_m=5e-5, hold_s=0.8)
     fits = fit_cache_of(replace(study, trials=study.trials[:2]), selection)
-    fit = fits.baseline().fit
+    fit = fits.base.fit
     found = dict(zip(fit.space.names, fit.space.natural(fit.q), strict=True))
     assert fit.rms_m < 6e-5
     assert {n: found[f"magnet.{n}"] for n in there} == pytest.approx(there, rel=0.02)
     assert fits.second is not None
     assert fits.second.rms_m > 2e-4, "where it ended from its typical place"
-    assert not any(w.code == "starts_disagree" for w in fit_doubts(fits, fits.baseline()))
+    assert not any(w.code == "starts_disagree" for w in fit_doubts(fits, fits.base))
 
 
 @pytest.mark.parametrize(("before", "far"), [(1e6, 1e3 + 0.1 * 999e3), (2e3, 1e4)])
@@ -381,19 +404,21 @@ def beside_a_magnet(make_study, magnet):
     """A baseline that has been bent to imitate a magnet, and misses 80 times the noise."""
     study = make_study([magnet.active(**MAGNET_IS)], seed=3)
     effects = {magnet.name: magnet, "tip_mass": library()["tip_mass"]}
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
-    assert fits.baseline().fit.rms_m > 5e-3
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    )
+    assert fits.base.fit.rms_m > 5e-3
     return fits
 
 
 def test_a_users_own_effect_is_always_refitted(beside_a_magnet, magnet):
     """The right law was called absent: its score beside such a baseline was 0."""
-    assert magnet in beside_a_magnet.shortlist(beside_a_magnet.baseline(), 0)
+    assert magnet in beside_a_magnet.shortlist(beside_a_magnet.base, 0)
 
 
 def test_a_users_own_effect_is_fitted_from_a_plausible_cable_to_the_noise(beside_a_magnet, magnet):
     """From the baseline alone its fit ended at 1.3 mm, of 0.1 mm of noise."""
-    (model,) = beside_a_magnet.fit_extended(beside_a_magnet.baseline(), [magnet])
+    (model,) = beside_a_magnet.fit_extended(beside_a_magnet.base, [magnet])
     assert model.fit.rms_m == pytest.approx(1e-4, rel=0.1)
     space = model.fit.space
     values = dict(zip(space.names, space.natural(model.fit.q), strict=True))
@@ -403,7 +428,7 @@ def test_a_users_own_effect_is_fitted_from_a_plausible_cable_to_the_noise(beside
 
 def test_one_effect_more_leaves_no_more_than_the_model_without_it(beside_a_magnet, monkeypatch):
     """Told: "0.21 mm, 2.96 mm with natural curvature"."""
-    base, load = beside_a_magnet.baseline(), library()["tip_mass"]
+    base, load = beside_a_magnet.base, library()["tip_mass"]
     lowest = Extension._lowest
 
     def stuck(self, fits, effect, options):
@@ -419,11 +444,13 @@ def test_one_effect_more_leaves_no_more_than_the_model_without_it(beside_a_magne
 def test_no_effect_is_absent_beside_parameters_that_mean_nothing(make_study):
     study = make_study(seed=2)
     effects = {name: library()[name] for name in ("tip_mass", "air_drag", "natural_curvature")}
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
-    base = fits.baseline()
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
+    )
+    base = fits.base
 
     def absent(final):
-        rows = diagnosing.ranked(fits, base, final, [], set(), DEFAULT_RULES)
+        rows = ranked(fits, final, [], set(), DEFAULT_RULES)
         return [row.effect for row in rows if row.status == "absent"]
 
     assert absent(base)

@@ -10,17 +10,14 @@ import pytest
 from cell.cable.effects import library
 from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured
-from cell.lab.data.renoised import with_noise_model
+from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured, with_noise_model
 from cell.lab.data.results import to_json
+from cell.lab.diagnosis import diagnose, with_limits
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import extended, fit_model, space_with
 from cell.lab.report.wording import limit_rows
-from cell.lab.search.fit_cache import FitCache
-from cell.lab.strength.limit_search import LimitSearch
-from cell.lab.strength.limits import limits
-from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.limits_and_agreement import with_limits
+from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.strength.limits import LimitSearch, limits
 from cell.study.data import Markers
 from tests.cell.lab.conftest import LONG, STROKES
 from tools.worlds import made_studies
@@ -30,8 +27,8 @@ KNOWN = library()
 
 def baseline(study):
     prepared = PreparedStudy.of(all_fitted(study))
-    fits = FitCache(prepared, ParameterSpace.of(study.cable), {})
-    fit = fits.baseline().fit
+    fits = FitCache.of(SearchSetup(prepared, ParameterSpace.of(study.cable), {}))
+    fit = fits.base.fit
     return fits.prepared, fit
 
 
@@ -147,7 +144,7 @@ def test_a_diagnosis_tells_them_for_what_is_neither_named_nor_tied(make_study):
     study = make_study([KNOWN["tip_mass"].active(mass_kg=3e-5)], seed=8)
     names = ("tip_mass", "air_drag", "camera_scale")
     space = ParameterSpace.of(study.cable)
-    fits = FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names})
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
     examination = with_limits(diagnose(fits))
     found = examination.diagnosis
     assert [f.effect for f in found.missing] == ["tip_mass"]

@@ -12,7 +12,7 @@ from cell.cli import app
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.report.wording import agreement_heads, agreement_rows, agreement_sentence
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.trial_agreement import agreement
 from cell.study.data import Markers
 from cell.study.folder import write_study
@@ -24,7 +24,7 @@ LATENCY = library()["camera_latency"]
 def agreement_of(study):
     prepared = PreparedStudy.of(study)
     space = ParameterSpace.of(study.cable, effects=(LATENCY,))
-    return agreement(prepared, FitCache(prepared, space, {}).baseline().fit)
+    return agreement(prepared, FitCache.of(SearchSetup(prepared, space, {})).base.fit)
 
 
 @pytest.fixture(scope="module")

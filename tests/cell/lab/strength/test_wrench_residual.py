@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from cell.api.results import CompareResult
-from cell.lab.report.figures import history
+from cell.lab.report.figures import Series, history
 from cell.lab.report.report import comparison_page
-from cell.lab.report.series import Series
 from cell.lab.report.wrench_report import wrench_overlay, wrenches_table
 from cell.lab.strength.compare import compare_model
 from tools.worlds.made_studies import random_model

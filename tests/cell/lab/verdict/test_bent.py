@@ -16,9 +16,9 @@ from cell.cable.solver import Solver
 from cell.cable.swing import mode_curvature
 from cell.cli import app
 from cell.lab.data.named_effects import EffectSelection
+from cell.lab.diagnosis import diagnose
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.compare import compare_model
-from cell.lab.verdict.diagnose import diagnose
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study, write_study
 
@@ -95,7 +95,7 @@ def test_a_release_noted_30_ms_early_is_found():
     seen = simulate(truth(), still, t_s, ARCS_M, solver=WORLD, start="straight", release_s=0.13)[0]
     seen = seen + NOISE_M * np.random.default_rng(6).normal(size=seen.shape)
     trial = Trial("let_go", "fit", "straight", still, Markers(t_s, seen), 0.1)
-    fit = fit_cache_of(Study("s", CABLE, ARCS_M, (trial,)), EffectSelection((), {})).baseline().fit
+    fit = fit_cache_of(Study("s", CABLE, ARCS_M, (trial,)), EffectSelection((), {})).base.fit
     assert fit.initial_states["let_go"][0] == pytest.approx(0.03, abs=5e-4)
     assert fit.rms_m == pytest.approx(NOISE_M, rel=0.05)
 

@@ -7,9 +7,9 @@ import pytest
 from cell.cable.effects import library
 from cell.lab.data import side_by_side
 from cell.lab.data.named_effects import EffectSelection
+from cell.lab.diagnosis import diagnose
 from cell.lab.search.extension import Extension
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.verdict.diagnose import diagnose
 from tools.worlds.breadth_world import World, hypercube
 
 pytestmark = pytest.mark.usefixtures("own_mesh")

@@ -8,8 +8,8 @@ import pytest
 
 from cell.lab.data.check import Check, CheckOutcome, Reading, worst_verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
-from cell.lab.verdict import questions
-from cell.lab.verdict.checks import CHECKS, LEAVES_NOISE, MAY_BE_CLAIMED, answers, explains
+from cell.lab.verdict import check_statistics
+from cell.lab.verdict.checks import CHECKS, LEAVES_NOISE, MAY_BE_CLAIMED, evaluate, explains
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.smooth_part import SmoothPart
 
@@ -89,8 +89,9 @@ def fake(**given):
         fit = SimpleNamespace(rms_m=rms_m, chi2=chi2, q=np.zeros(5))
         return SimpleNamespace(fit=fit, heldout=heldout, effects=effects)
 
-    base, final = candidate(2e-4, 4000.0), candidate(*given.pop("final", (1e-4, 1000.0)))
-    return Evidence(fits, base, final, DEFAULT_RULES, given.pop("tied", {}))
+    fits.base = candidate(2e-4, 4000.0)
+    final = candidate(*given.pop("final", (1e-4, 1000.0)))
+    return Evidence(fits, final, DEFAULT_RULES, given.pop("tied", {}))
 
 
 @pytest.mark.parametrize(
@@ -110,7 +111,7 @@ def test_the_whole_error_must_be_noise_or_close_to_it(rms_m, chi2, passed):
 def test_a_fit_of_more_than_noise_explains_nothing_and_ends_the_questions():
     evidence = fake(final=(1.2e-4, 1440.0))
     assert not explains(evidence)
-    asked = list(answers(evidence))
+    asked = list(evaluate(evidence))
     assert [a.check.name for a in asked] == ["stated_error", "fitted_error"]
     assert worst_verdict(asked, is_base=False) == "unexplained"
 
@@ -120,9 +121,9 @@ def test_a_negligible_smooth_part_passes_whatever_its_chance(monkeypatch):
     before = SmoothPart(chi2=90_000.0, count=200.0, rows=100_000, dof=np.inf)
     evidence = fake()
     vars(evidence)["smooth_before"] = before
-    monkeypatch.setattr(questions, "of_a_finer_model", lambda *_: part)
+    monkeypatch.setattr(check_statistics, "of_a_finer_model", lambda *_: part)
     assert part.p_value < 1e-6
-    assert questions.heldout_smooth(evidence).value == 1.0
+    assert check_statistics.heldout_smooth(evidence).value == 1.0
     vars(evidence)["smooth_before"] = SmoothPart(500.0, 200.0, 100_000, np.inf)
     assert by_name("heldout_smooth").ask(evidence).passed is False
 
@@ -137,15 +138,15 @@ def test_what_no_trial_is_held_out_for_is_not_confirmed():
 
 def test_ties_count_the_effect_itself():
     tied = {"a": ("b", "c"), "d": ()}
-    assert questions.most_tied(fake(tied=tied)).value == 3.0
+    assert check_statistics.most_tied(fake(tied=tied)).value == 3.0
     assert by_name("ties").ask(fake(tied=tied)).passed is True
     assert by_name("ties").ask(fake(tied={"a": ("b", "c", "d")})).passed is False
 
 
 def test_every_row_of_what_may_be_claimed_is_asked_of_a_model_at_the_noise(monkeypatch):
     for name in ("of_a_finer_model", "parameter_constancy_of"):
-        monkeypatch.setattr(questions, name, lambda *_: None)
-    monkeypatch.setattr(questions, "of_effects", lambda *_: {})
+        monkeypatch.setattr(check_statistics, name, lambda *_: None)
+    monkeypatch.setattr(check_statistics, "of_effects", lambda *_: {})
     evidence = fake()
     vars(evidence)["smooth_before"] = None
     object.__setattr__(evidence, "final", evidence.base)
@@ -153,5 +154,5 @@ def test_every_row_of_what_may_be_claimed_is_asked_of_a_model_at_the_noise(monke
     evidence.base.heldout.chi2 = 1000.0
     evidence.fits.library, evidence.base.names = {}, frozenset()
     evidence.base.chi2 = 0.0
-    asked = [a.check.name for a in answers(evidence)]
+    asked = [a.check.name for a in evaluate(evidence)]
     assert asked == [*(c.name for c in LEAVES_NOISE), *(c.name for c in MAY_BE_CLAIMED)]

@@ -18,15 +18,14 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import RankedEffect, to_json
 from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.diagnosis import diagnose, with_agreement
 from cell.lab.fit.fitting import fit_model
 from cell.lab.next.advice import MEND, Paths, advice
 from cell.lab.report.tables import diagnosis_parts
-from cell.lab.search.fit_cache import FitCache, rebased
+from cell.lab.search import partial
+from cell.lab.search.fit_cache import FitCache, SearchSetup, rebased
 from cell.lab.search.fitted_model import weighed
 from cell.lab.strength.compare import compare_model
-from cell.lab.verdict import partial
-from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.limits_and_agreement import with_agreement
 from cell.study.data import Markers
 from cell.terminal.fitting import show
 from tools.studies.contradictions import contradictions
@@ -36,14 +35,14 @@ KNOWN = library()
 
 def fit_cache_of(study, names):
     space = ParameterSpace.of(study.cable)
-    return FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names})
+    return FitCache.of(SearchSetup(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
 
 
 def told(study, names):
     """A diagnosis as the command ends with it: JSON and text."""
     fits = fit_cache_of(study, names)
     examination = with_agreement(diagnose(fits))
-    ends = (examination.fits.baseline(), examination.steps[-1])
+    ends = (examination.fits.base, examination.path[-1])
     comparisons = [compare_model(study, c.fit.model) for c in ends]
     todo = advice(examination.diagnosis, Paths(Path("STUDY")))
     return examination, printed(examination.diagnosis, comparisons, todo)
@@ -114,7 +113,7 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     """
     study = all_fitted(make_study(seed=5))
     whole = fit_cache_of(study, ("tip_mass", "air_drag"))
-    base = whole.baseline()
+    base = whole.base
     initial_states = base.fit.q + 0.6 * np.eye(len(base.fit.q))[0]
     stuck = fit_model(
         whole.prepared, base.fit.space, initial_states, options=Options(max_iterations=1)
@@ -123,9 +122,9 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     assert stuck.fit.rms_m > 1.2 * base.fit.rms_m
     monkeypatch.setitem(whole._memory.models, base.names, stuck)
     whole, singles = partial._singles(whole, 2, DEFAULT_RULES)
-    assert whole.baseline().fit.rms_m == pytest.approx(base.fit.rms_m, rel=0.01)
-    assert partial.largest_step(whole, whole.baseline(), singles, 2, DEFAULT_RULES) is None
-    assert rebased(whole, whole.baseline().fit.q, DEFAULT_RULES.tie_delta_chi2) is whole
+    assert whole.base.fit.rms_m == pytest.approx(base.fit.rms_m, rel=0.01)
+    assert partial.largest_step(whole, whole.base, singles, 2, DEFAULT_RULES) is None
+    assert rebased(whole, whole.base.fit.q, DEFAULT_RULES.tie_delta_chi2) is whole
 
 
 @pytest.fixture(scope="module")

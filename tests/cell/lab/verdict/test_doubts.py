@@ -14,9 +14,10 @@ from cell.cli import app
 from cell.identify.gauss_newton import Options, UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.search.fit_cache import FitCache
-from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.fit_doubts import at_bound, fit_doubts
+from cell.lab.diagnosis import diagnose
+from cell.lab.fit.plausibility import at_bound
+from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.verdict.fit_doubts import fit_doubts
 from cell.study.data import Markers
 from cell.study.folder import write_study
 
@@ -108,7 +109,7 @@ def test_a_wrong_minimum_far_above_the_noise_says_so(
     candidate = SimpleNamespace(fit=fit(rigidity_n_m2), heldout=None)
     fits = SimpleNamespace(
         prepared=PreparedStudy.of(replace(loaded, noise_std_m=1e-4)),
-        baseline=lambda: candidate,
+        base=candidate,
         second_start=lambda: None if elsewhere_n_m2 is None else fit(elsewhere_n_m2),
         second=None,
     )
@@ -136,7 +137,7 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
         first = SimpleNamespace(fit=fit(1e-5, rms_m), heldout=None)
         fits = SimpleNamespace(
             prepared=PreparedStudy.of(replace(loaded, noise_std_m=1e-4)),
-            baseline=lambda: first,
+            base=first,
             second_start=lambda: second,
             second=second,
         )
@@ -153,8 +154,8 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
 @pytest.mark.parametrize(("promised", "said"), [(1.9, None), (18.0, "about 3 standard deviations")])
 def test_a_fit_left_before_its_minimum_says_how_far_it_is(loaded, promised, said):
     prepared = PreparedStudy.of(loaded)
-    fits = FitCache(prepared, ParameterSpace.of(loaded.cable), {})
-    base = fits.baseline()
+    fits = FitCache.of(SearchSetup(prepared, ParameterSpace.of(loaded.cable), {}))
+    base = fits.base
     fit = replace(base.fit, solution=replace(base.fit.solution, promised=promised))
     count = int(np.count_nonzero(fit.solution.residual))
     fit = replace(fit, chi2=2.0 * count)
@@ -178,9 +179,13 @@ def test_a_fit_of_too_few_passes_warns_and_writes_that_it_did_not_converge(
 
 def test_of_a_baseline_that_cannot_fit_a_second_start_is_looked_at(make_study, loaded):
     late = library()["camera_latency"].active(delay_s=0.03)
-    poor = FitCache(PreparedStudy.of(make_study([late])), ParameterSpace.of(loaded.cable), {})
-    assert poor.second_start().objective >= 0.999 * poor.baseline().fit.objective
-    good = FitCache(PreparedStudy.of(make_study()), ParameterSpace.of(loaded.cable), {})
+    poor = FitCache.of(
+        SearchSetup(PreparedStudy.of(make_study([late])), ParameterSpace.of(loaded.cable), {})
+    )
+    assert poor.second_start().objective >= 0.999 * poor.base.fit.objective
+    good = FitCache.of(
+        SearchSetup(PreparedStudy.of(make_study()), ParameterSpace.of(loaded.cable), {})
+    )
     assert good.second_start() is None
 
 
@@ -221,10 +226,12 @@ def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, 
         replace(t, markers=Markers(t.markers.t_s, t.markers.xy_m * [1.0, -1.0]))
         for t in study.trials
     ]
-    fits = FitCache(
-        PreparedStudy.of(replace(study, trials=tuple(flipped))),
-        ParameterSpace.of(study.cable),
-        {"tip_mass": library()["tip_mass"]},
+    fits = FitCache.of(
+        SearchSetup(
+            PreparedStudy.of(replace(study, trials=tuple(flipped))),
+            ParameterSpace.of(study.cable),
+            {"tip_mass": library()["tip_mass"]},
+        )
     )
     monkeypatch.setattr(FitCache, "fit_extended", None)
     found = diagnose(fits).diagnosis
@@ -236,7 +243,9 @@ def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, 
 def test_a_search_that_cannot_go_on_tells_what_it_knew(make_study, monkeypatch):
     study = make_study(seed=2)
     tip_mass = {"tip_mass": library()["tip_mass"]}
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), tip_mass)
+    fits = FitCache.of(
+        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), tip_mass)
+    )
 
     def impossible(*args):
         raise UnsimulatedError

@@ -17,14 +17,13 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rival import Rival
 from cell.lab.data.work import Work, WorkStoppedError
+from cell.lab.diagnosis import diagnose, with_limits
 from cell.lab.next.suggest import distinguishing_motions
 from cell.lab.next.suggestion import Option
 from cell.lab.next.terms import admissible
 from cell.lab.report.tables import sentence, verdict_line
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.compare import compare_model
-from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.limits_and_agreement import with_limits
 from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study
 
@@ -38,16 +37,16 @@ def study(make_study):
 
 
 def stopped_when(study, text, done=0):
-    """The fits that is stopped when it says so."""
+    """The fits of a study, stopped when it says so."""
+    work = Work()
 
     def progress(said, count=0, total=0):
         if text in said and count >= done:
-            fits.work.stop()
+            work.stop()
 
     space = ParameterSpace.of(study.cable)
     chosen = {n: KNOWN[n] for n in NAMES}
-    fits = FitCache(PreparedStudy.of(study), space, chosen, progress)
-    return fits
+    return FitCache.of(SearchSetup(PreparedStudy.of(study, work=work), space, chosen, progress))
 
 
 def test_what_was_fitted_until_then_is_told_and_nothing_claimed(study):
@@ -68,28 +67,27 @@ def test_what_was_fitted_until_then_is_told_and_nothing_claimed(study):
 def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, monkeypatch):
     """After an effect is found, the mesh's error is that of another model: all is fitted again."""
     before = stopped_when(study, "never")
-    before.screened(before.baseline())
-    memory = before._memory
+    before.screened(before.base)
     meshed = replace(before.prepared, mesh_m={study.trials[0].name: 0.0})
-    memory.baseline = replace(memory.baseline, prepared=meshed)
 
     def progress(said, count=0, total=0):
         if "looking where to begin" in said:
             before.work.stop()
 
-    fits = replace(before, progress=progress)
+    setup = replace(before.setup, progress=progress)
+    fits = replace(before, prepared=meshed, setup=setup)
     fit_cache = "cell.lab.search.fit_cache"
     monkeypatch.setattr(f"{fit_cache}.corrected", lambda prepared, fit: prepared)
     monkeypatch.setattr(f"{fit_cache}.matters", lambda prepared, moved: True)
     found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
     assert found.warnings[0].code == "interrupted"
-    assert found.baseline.fit_rms_m == pytest.approx(before.baseline().fit.rms_m)
+    assert found.baseline.fit_rms_m == pytest.approx(before.base.fit.rms_m)
 
 
 def test_before_the_baseline_there_is_nothing_to_tell(study):
     with pytest.raises(WorkStoppedError):
-        diagnose(stopped_when(study, "looking where to begin"))
+        stopped_when(study, "looking where to begin")
 
 
 def test_a_verdict_that_is_known_stays_when_its_limits_are_stopped(study):

@@ -9,8 +9,8 @@ from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.search.fit_cache import FitCache
-from cell.lab.verdict.diagnose import diagnose
+from cell.lab.diagnosis import diagnose
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.folder import read_study
 
 pytest.importorskip("mujoco")
@@ -40,7 +40,7 @@ def explored(peer, tmp_path):
         study = read_study(folder)
         names = {n: library()[n] for n in RIVALS}
         return diagnose(
-            FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), names)
+            FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), names))
         ).diagnosis
 
     return explore

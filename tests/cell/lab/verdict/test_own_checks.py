@@ -15,7 +15,7 @@ from cell.cli import app
 from cell.lab.data.named_effects import candidates_in, select_effects
 from cell.lab.data.own_check import read_own_checks
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.verdict.own_checks import p_values
+from cell.lab.verdict.evidence import p_values
 from cell.study.data import Markers
 from cell.study.folder import write_study
 
@@ -53,7 +53,7 @@ def test_of_a_complete_model_small_p_values_are_as_rare_as_they_should_be(
     found = []
     for seed in range(12):
         fits = fit_cache_of(make_study(seed=300 + seed), select_effects([]))
-        fit = fits.baseline().fit
+        fit = fits.base.fit
         found += [p_values(fits.prepared, fit, [c], 1e-2)[c.name] for c in asked]
     p = np.array(found)
     assert np.mean(p < 0.05) <= 0.2  # of 24 with one in 20 more than 4 have a chance of 0.3 %
@@ -63,7 +63,7 @@ def test_of_a_complete_model_small_p_values_are_as_rare_as_they_should_be(
 
 def test_two_checks_are_corrected_for_being_two(make_study, checks: list[Path]) -> None:
     fits = fit_cache_of(make_study(seed=3), select_effects([]))
-    asked, fit = read_own_checks(checks), fits.baseline().fit
+    asked, fit = read_own_checks(checks), fits.base.fit
     alone = [p_values(fits.prepared, fit, [c], 1e-2)[c.name] for c in asked]
     both = p_values(fits.prepared, fit, asked, 1e-2)
     assert min(both.values()) == pytest.approx(min(1.0, 2.0 * min(alone)), rel=0.5)

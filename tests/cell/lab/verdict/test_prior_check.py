@@ -33,9 +33,8 @@ def model(make_study):
 
 def asked(study, model, effect):
     fits = fit_cache_of(study, FEW, (Path("model.json"), model))
-    base = fits.baseline()
-    (final,) = fits.fit_extended(base, [KNOWN[effect]])
-    return prior_driven_effects(Evidence(fits, base, final, DEFAULT_RULES), explains)
+    (final,) = fits.fit_extended(fits.base, [KNOWN[effect]])
+    return prior_driven_effects(Evidence(fits, final, DEFAULT_RULES), explains)
 
 
 def test_an_effect_that_only_another_cables_model_asks_for_is_told(make_study, model):
@@ -64,9 +63,9 @@ def test_of_several_effects_a_prior_may_ask_for_one_alone(monkeypatch, named, no
     monkeypatch.setattr(prior_check, "_of_this_cable", lambda *_: True)
     monkeypatch.setattr(prior_check, "_without_prior", lambda fits: fits)
     monkeypatch.setattr(prior_check, "unconfirmed_without_prior", lambda *_: not_borne)
-    fits = SimpleNamespace(prior_q=[0.0], added=lambda found: found.effects)
-    base, final = (SimpleNamespace(effects=tuple(KNOWN[n] for n in e)) for e in ((), named))
-    assert prior_driven_effects(Evidence(fits, base, final, DEFAULT_RULES), explains) == told
+    final = SimpleNamespace(effects=tuple(KNOWN[n] for n in named))
+    fits = SimpleNamespace(prior_q=[0.0], added=lambda found: found.effects, base=None)
+    assert prior_driven_effects(Evidence(fits, final, DEFAULT_RULES), explains) == told
 
 
 def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_told(monkeypatch):
@@ -88,7 +87,7 @@ def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_tol
     )
     alone = SimpleNamespace(
         prepared=prepared,
-        baseline=lambda: base,
+        base=base,
         fit_reduced=lambda *_: base,
         shortlist=lambda *_: [KNOWN[n] for n in ("grip_angle", "camera_roll")],
         fit_extended=lambda _, effects: [grip] if len(effects) == 1 else [grip, angle, roll],

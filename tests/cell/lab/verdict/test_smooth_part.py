@@ -15,7 +15,8 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.starts import cold_start
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.verdict.check_statistics import parameter_constancy_of
 from cell.lab.verdict.smooth_part import (
     SmoothPart,
     _Fast,
@@ -24,7 +25,6 @@ from cell.lab.verdict.smooth_part import (
     of_a_finer_model,
     smooth_part,
 )
-from cell.lab.verdict.specification import parameter_constancy_of
 from cell.study.data import Markers
 from tests.cell.lab.conftest import LONG
 from tools.worlds.breadth_world import World, hypercube
@@ -159,8 +159,8 @@ def test_a_noisy_log_of_the_hand_makes_no_misfit_of_few_large_errors():
     conditions = hypercube(300, 1600)[40]  # log_m 37 µm, a third of what the camera errs by
     world = World.of(conditions, 16)
     study = world.study(world.clean(), 16)
-    fits = FitCache(PreparedStudy.of(study), ParameterSpace.of(study.cable), {})
-    part = parameter_constancy_of(fits.prepared, fits.baseline().fit)
+    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {}))
+    part = parameter_constancy_of(fits.prepared, fits.base.fit)
     assert part is not None and part.effective_dof is not None
     assert part.effective_dof < 0.3 * part.count
     assert part.p_value > 0.01

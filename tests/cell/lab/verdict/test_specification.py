@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.lab.verdict.specification import directions_of_trials
+from cell.lab.verdict.check_statistics import directions_of_trials
 
 
 def information(slopes):

@@ -8,9 +8,9 @@ import pytest
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.diagnosis import diagnose
 from cell.lab.report.tables import sentence
-from cell.lab.search.fit_cache import FitCache
-from cell.lab.verdict.diagnose import diagnose
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Markers
 
 KNOWN = library()
@@ -18,7 +18,9 @@ KNOWN = library()
 
 def diagnosed(study, names):
     space = ParameterSpace.of(study.cable)
-    return diagnose(FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
+    return diagnose(
+        FitCache.of(SearchSetup(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
+    )
 
 
 def at_rest(trial):

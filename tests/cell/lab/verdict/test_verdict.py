@@ -12,18 +12,18 @@ from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
+from cell.lab.diagnosis import diagnose
 from cell.lab.next.advice import advice
 from cell.lab.report.tables import sentence, steps_text
-from cell.lab.search.fit_cache import FitCache
-from cell.lab.strength.estimate import estimate
-from cell.lab.verdict.checks import CHECKS
-from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.residual_summary import (
+from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.residual_summary import (
     ResidualSummary,
     independent_values,
     log_variance_ratio,
     removed_share,
 )
+from cell.lab.strength.estimate import estimate
+from cell.lab.verdict.checks import CHECKS
 from cell.study.data import Markers
 
 
@@ -31,7 +31,7 @@ def explore(study, names, misfit=None):
     known = library()
     space = ParameterSpace.of(study.cable)
     prepared = PreparedStudy.of(study, misfit=misfit)
-    return FitCache(prepared, space, {n: known[n] for n in names})
+    return FitCache.of(SearchSetup(prepared, space, {n: known[n] for n in names}))
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def test_drag_of_a_power_between_is_not_claimed_as_two_laws_together(make_study)
     assert {f.effect for f in found.partial} == {"air_drag", "linear_air_drag"}
     assert any("--effect power_drag" in w.message for w in found.warnings if w.code == "wider_law")
     space = ParameterSpace.of(study.cable, effects=[drag])
-    known = FitCache(PreparedStudy.of(study), space, {})
+    known = FitCache.of(SearchSetup(PreparedStudy.of(study), space, {}))
     right = diagnose(known)
     assert right.diagnosis.verdict == "complete"
     power = estimate(known.prepared, right.final.fit).intervals(drag)["power"]

@@ -10,15 +10,21 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.data.work import Work
+from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import space_with
-from cell.lab.search.fit_cache import FitCache
-from cell.lab.verdict import nearest, partial, rivals
-from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.nearest import tied_so_far
-from cell.lab.verdict.partial import largest_step
-from cell.lab.verdict.residual_summary import ResidualSummary, log_variance_ratio
+from cell.lab.search import partial, rivals
+from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.partial import largest_step
+from cell.lab.search.residual_summary import ResidualSummary, log_variance_ratio
+from cell.lab.verdict import conclusion, ties
+from cell.lab.verdict.ties import tied_so_far
 
 KNOWN = library()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_studies(small: None) -> None:
+    """Before the studies are made."""
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +38,9 @@ def partly(make_study):
     study = make_study(hidden, seed=31, hold_s=0.8)
     names = ("camera_latency", "robot_lag", "tip_mass")
     space = ParameterSpace.of(study.cable)
-    return diagnose(FitCache(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
+    return diagnose(
+        FitCache.of(SearchSetup(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
+    )
 
 
 def test_an_effect_found_first_keeps_its_ties_when_a_second_is_in(partly):
@@ -50,7 +58,7 @@ def test_an_answer_that_a_bound_gave_explains_nothing(partly):
     """The first step is taken as it is, and not with its effect at the parameter's bound."""
     base, first, *_ = partly.partial
     space = first.fit.space
-    fits = FitCache(partly.weighed, space_with(space, ()), {})
+    fits = FitCache.of(SearchSetup(partly.final_prepared, space_with(space, ()), {}))
     assert largest_step(fits, base, [first], 1, DEFAULT_RULES) is first
     q = first.fit.q.copy()
     q[-1] = space.high[-1]
@@ -79,12 +87,12 @@ def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missin
     noise = SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))
     fits = SimpleNamespace(
         known=lambda: tuple(models.values()),
-        baseline=lambda: None,
+        base=None,
         prepared=SimpleNamespace(noise_model=noise),
     )
-    monkeypatch.setattr(nearest, "_as_good", lambda *args: [])
-    monkeypatch.setattr(nearest, "any_at_bound", lambda *args: False)
-    for module in (nearest, rivals):
+    monkeypatch.setattr(ties, "_as_good", lambda *args: [])
+    monkeypatch.setattr(ties, "any_at_bound", lambda *args: False)
+    for module in (ties, rivals):
         monkeypatch.setattr(
             module,
             "residual_summary",
@@ -126,16 +134,16 @@ def test_ties_are_what_models_that_are_all_wrong_cannot_tell(monkeypatch):
     ]
     fits = SimpleNamespace(
         known=lambda: (base, final, *rivals),
-        baseline=lambda: base,
+        base=base,
         library=KNOWN,
         prepared=SimpleNamespace(noise_model=SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))),
     )
-    monkeypatch.setattr(nearest, "near_singles", lambda *args: [])
-    monkeypatch.setattr(nearest, "is_at_bound", lambda small, large: large.at_bound)
-    monkeypatch.setattr(nearest, "residual_summary", lambda _, c: c.left)
-    monkeypatch.setattr(nearest, "vuong_z", lambda _, better, worse: worse.ahead)
+    monkeypatch.setattr(ties, "near_singles", lambda *args: [])
+    monkeypatch.setattr(ties, "is_at_bound", lambda small, large: large.at_bound)
+    monkeypatch.setattr(ties, "residual_summary", lambda _, c: c.left)
+    monkeypatch.setattr(ties, "vuong_z", lambda _, better, worse: worse.ahead)
     monkeypatch.setattr(
-        nearest,
+        ties,
         "close_rivals",
         lambda *args: [
             c
@@ -185,12 +193,12 @@ def test_of_effects_put_in_order_each_must_be_worth_something_beside_those_befor
 def test_what_was_not_fitted_to_the_fit_trials_alone_has_no_error_of_them(partly):
     """The error of all trials stood below "fitted"."""
     found = replace(partly.diagnosis.nearest[0])
-    whole = partial.Partial(
-        FitCache(partly.weighed, space_with(partly.final.fit.space, ()), {}),
+    whole = partial.PartialExplanation(
+        FitCache.of(SearchSetup(partly.final_prepared, space_with(partly.final.fit.space, ()), {})),
         tuple(c for c in partly.partial if len(c.names) == 1),
         partly.partial,
     )
-    (near,) = nearest.nearest(whole, (), DEFAULT_RULES)
+    (near,) = conclusion.nearest(whole, (), DEFAULT_RULES)
     assert near.left_rms_m > 0.0
-    assert near.errors == nearest.NOT_FITTED
+    assert near.errors == conclusion.NOT_FITTED
     assert found.errors.heldout_rms_m > 0.0

@@ -1,34 +1,50 @@
-"""Effects that come nearest to explaining a study, and what they leave."""
+"""Effects that explain as much as one that was found, in its place."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from cell.cable.effects.base import Effect
-from cell.lab.data.results import Errors, Nearest, RemainingError
 from cell.lab.data.thresholds import Rules
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fit_cache import FitCache, StudySpace
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.verdict.fit_doubts import at_bound
-from cell.lab.verdict.partial import Partial
-from cell.lab.verdict.residual_summary import (
+from cell.lab.search.residual_summary import (
     log_variance_ratio,
-    peak,
     removed_share,
     residual_summary,
     vuong_z,
 )
-from cell.lab.verdict.rivals import (
-    added_effect,
-    any_at_bound,
-    chance,
-    close_rivals,
-    is_at_bound,
-    near_singles,
-)
+from cell.lab.search.rivals import any_at_bound, chance, close_rivals, is_at_bound, near_singles
+from cell.lab.verdict.checks import explains
+from cell.lab.verdict.evidence import Evidence
 
-#: Errors of what was not fitted to the fit trials alone.
-NOT_FITTED = Errors(float("nan"), float("nan"))
+
+def with_ties(evidence: Evidence) -> Evidence:
+    """The evidence with the ties of each effect, without one that too many others could be.
+
+    Not the only one, and only if what was found explains the study without it too: what any of
+    many effects does as well is none of them in particular.
+    """
+    fits, added = evidence.fits, evidence.added
+    tied = {e.name: _tied(fits, evidence.final, e, evidence.rules) for e in added}
+    for effect in added if len(added) > 1 else ():
+        if len(tied[effect.name]) + 1 > evidence.rules.most_named:
+            rest = replace(evidence, final=fits.fit_reduced(evidence.final, effect))
+            if explains(rest):
+                return with_ties(rest)
+    return replace(evidence, tied=tied)
+
+
+def _tied(
+    fits: FitCache, final: FittedModel, effect: type[Effect], rules: Rules
+) -> tuple[str, ...]:
+    """Effects that explain as much in place of `effect`, all trials together."""
+    rest = fits.fit_reduced(final, effect)
+    rivals = StudySpace(fits, rules.max_refits).extended(rest)
+    close = close_rivals(fits, final, rivals, rules)
+    names = [next(iter(c.names - rest.names)) for c in close]
+    return tuple(name for name in names if name not in final.names)
 
 
 def tied_so_far(
@@ -45,7 +61,7 @@ def tied_so_far(
         for c in fits.known()
         if rest < c.names and len(c.names) == len(final.names) and c.names != final.names
     ]
-    small = next((c for c in fits.known() if c.names == rest), fits.baseline())
+    small = next((c for c in fits.known() if c.names == rest), fits.base)
     close = _as_good(fits, small, final, rivals, rules)
     tied = [next(iter(c.names - rest)) for c in close]
     near = [] if rest else near_singles(fits, final, [final, *rivals], rules)
@@ -91,52 +107,3 @@ def _as_good(
         if rival.names in close or vuong_z(prepared, final, rival) < rules.vuong_z:
             found.append(rival)
     return sorted(found, key=lambda c: c.chi2)
-
-
-def nearest(partial: Partial, tried: Sequence[FittedModel], rules: Rules) -> tuple[Nearest, ...]:
-    """The single effects that leave least of all trials together, how much, and where.
-
-    tried  the same fitted to the fit trials alone: their errors are what a forecast would have
-    """
-    prepared = partial.fits.prepared
-    base = partial.steps[0]
-    before = residual_summary(prepared, base)
-    best = sorted(
-        ((residual_summary(prepared, c), c) for c in partial.singles),
-        key=lambda pair: pair[0].mean_square_m2,
-    )
-    strict = {c.names: c for c in tried}
-    return tuple(
-        Nearest(
-            effect=added_effect(base, candidate).name,
-            explained_share=removed_share(prepared.noise_model.noise.std_m, before, after),
-            left_rms_m=after.rms_m,
-            errors=strict[candidate.names].errors if candidate.names in strict else NOT_FITTED,
-            peak=peak(prepared, candidate),
-            at_bound=_at_bound(candidate, added_effect(base, candidate).name),
-        )
-        for after, candidate in best[: rules.most_named]
-    )
-
-
-def _at_bound(candidate: FittedModel, effect: str) -> tuple[str, ...]:
-    """Parameters of an effect that are at a bound, with their values."""
-    return tuple(
-        f"{name} {value:.3g} {unit}"
-        for name, value, unit in at_bound(candidate.fit)
-        if name.startswith(f"{effect}.")
-    )
-
-
-def what_is_left(fits: FitCache, base: FittedModel, final: FittedModel) -> RemainingError:
-    """How much a candidate leaves, of what the baseline missed, and where."""
-    prepared = fits.prepared
-    noise_m = prepared.noise_model.noise.std_m
-    before, after = residual_summary(prepared, base), residual_summary(prepared, final)
-    return RemainingError(
-        rms_m=after.rms_m,
-        before_rms_m=before.rms_m,
-        over_noise=after.rms_m / noise_m,
-        explained_share=removed_share(noise_m, before, after),
-        peak=peak(prepared, final),
-    )

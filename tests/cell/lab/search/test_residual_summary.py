@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cell.lab.verdict import residual_summary
-from cell.lab.verdict.residual_summary import vuong_z
+from cell.lab.search import residual_summary
+from cell.lab.search.residual_summary import vuong_z
 
 RNG = np.random.default_rng(5)
 

@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import fdtrc as f_sf
 
+from cell.cable.arrays import FloatArray
+from cell.cable.effects.base import Effect
+from cell.identify.gauss_newton import UNSIMULATED
+from cell.identify.gaussian import parameters_root
 from cell.lab.data.check import Reading
-from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.data.prepared import PreparedStudy, once_per_study
+from cell.lab.fit.all_trials_fit import of_all_trials
+from cell.lab.fit.fitting import Fit, errors_m, fit_trials
+from cell.lab.fit.heldout import heldout_rows
+from cell.lab.search.fitted_model import FittedModel, residuals_m
+from cell.lab.search.residual_summary import removed_share, residual_summary
 from cell.lab.statistics.score import holm
-from cell.lab.strength.estimate import MODEL_ERROR
+from cell.lab.strength.estimate import LEAST_KNOWN, MODEL_ERROR
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.residual_summary import removed_share, residual_summary
-from cell.lab.verdict.smooth_part import SmoothPart, of_a_finer_model
-from cell.lab.verdict.specification import of_effects, parameter_constancy_of, wider_law_of
-from cell.lab.verdict.stated import chance_of_stated
+from cell.lab.verdict.smooth_part import (
+    AllTrialsResidual,
+    SmoothPart,
+    all_trials_residual,
+    noise_was_seen,
+    of_a_finer_model,
+)
 
 
 def within_stated(evidence: Evidence) -> Reading | None:
@@ -218,3 +231,140 @@ def _p_value(chi2: float, count: int, dof: float) -> float:
     if np.isfinite(dof):
         return float(f_sf(count, dof, chi2 / count))
     return float(chi2_sf(count, chi2))
+
+
+def chance_of_stated(prepared: PreparedStudy, final: FittedModel, negligible: float) -> float:
+    """p-value of the residual under the error of the markers that the study states.
+
+    Fitted, held out (allowing for what the fit leaves uncertain there), and fitted to all trials
+    together: a right model can do that.  A mean square of them is worth as many values as their
+    correlation leaves independent, along the frames ((1 − ρ²) / (1 + ρ²), of a mean square) and
+    between the markers.
+
+    negligible  error over the stated one up to which the p-value is 1: a model errs by as much
+    """
+    noise_model = prepared.noise_model
+    square_m2, again = noise_model.noise.std_m**2, noise_model.noise.ar1**2
+    share = (1.0 - again) / (1.0 + again) / noise_model.correlated_channels
+    left = [(errors_m(prepared, final.fit), 0.0)]
+    if final.heldout is not None:
+        if not np.isfinite(final.heldout.rms_m):
+            return 0.0
+        errors = residuals_m(prepared, final)
+        held = [errors[t.name] for t in prepared.study.role("validate")]
+        left.append((held, _uncertain_m2(prepared, final.fit)))
+        try:
+            whole = of_all_trials(prepared, final.fit)
+        except UNSIMULATED:
+            return 0.0
+        left.append((errors_m(whole.prepared, whole.fit), 0.0))
+    least = 1.0
+    for some, uncertain_m2 in left:
+        seen = np.concatenate([e[np.isfinite(e)] for e in some])
+        ratio = float(np.mean(seen**2)) / (square_m2 + uncertain_m2)
+        independent = share * len(seen)
+        chance = float(chi2_sf(independent, independent * ratio))
+        if ratio > negligible**2:
+            least = min(least, chance)
+    return least
+
+
+def _uncertain_m2(prepared: PreparedStudy, fit: Fit) -> float:
+    """Mean square of what a fit leaves uncertain of the held-out trials' markers; 0 if unknown."""
+    rows = heldout_rows(prepared, fit)
+    if not np.all(np.isfinite(rows.spread)):
+        return 0.0
+    square, count = 0.0, 0
+    parts = np.split(rows.spread, rows.ends[:-1])
+    for trial, part in zip(prepared.study.role("validate"), parts, strict=True):
+        whitener = prepared.whiteners[trial.name]
+        count += whitener.count
+        square += sum(float(np.nansum(whitener.error_m(column) ** 2)) for column in part.T)
+    return square / max(count, 1)
+
+
+#: Nothing is asked for in directions of an effect that change less than by this share.
+LEAST_ASKED = 1e-6
+
+
+@once_per_study
+def parameter_constancy_of(
+    prepared: PreparedStudy, fit: Fit, parameters: Fit | None = None
+) -> SmoothPart | None:
+    """Test of the changes of the model's parameters if each trial had parameters of its own.
+
+    A right model is the same in every trial.  A wrong one must bend for each motion, and does so
+    in these few directions: far from noise where all that is smooth still looks like it.
+
+    parameters  the model whose parameters are asked, if it is another: one with an effect more
+    """
+    if not noise_was_seen(prepared):
+        return None
+    left, asked = (
+        all_trials_residual(prepared, fit),
+        all_trials_residual(prepared, parameters or fit),
+    )
+    if left is None or asked is None:
+        return None
+    solution = asked.whole.fit.solution
+    free = solution.free
+    slopes = solution.jacobian[:, free]
+    parts = directions_of_trials(
+        slopes, solution.covariance[np.ix_(free, free)], left.whole.systematic_error.ends
+    )
+    bases = dict(zip(left.whiteners, parts, strict=True))
+    return left.part(lambda whitener, rows: np.asarray(bases[whitener].T @ rows))
+
+
+def directions_of_trials(
+    slopes: FloatArray, covariance: FloatArray, ends: NDArray[np.intp]
+) -> list[FloatArray]:
+    """Per trial (rows, directions) orthonormal: by what it shows of parameters of its own.
+
+    slopes      (rows, free) of all trials, which end at `ends`
+    covariance  (free, free) of what all trials and the prior leave open
+    """
+    found = []
+    for part in np.split(slopes @ parameters_root(covariance), ends[:-1]):
+        units, sizes, _ = np.linalg.svd(part, full_matrices=False)
+        found.append(units[:, sizes**2 > LEAST_KNOWN])
+    return found
+
+
+def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
+    """Of what an effect's wider law would explain beside it; None without one.
+
+    If an effect is present, its own law explains everything.  One in the place of another, which no
+    library has, leaves a little of it, the same in every trial, and in these few directions.
+    """
+    left = None if effect.wider is None else all_trials_residual(prepared, fit)
+    if effect.wider is None or left is None:
+        return None
+    directions = _directions(left, left.whole.sensitivities([effect.wider])[0].rows[0])
+    return left.judged(directions @ left.every.T) if len(directions) else None
+
+
+def of_effects(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> dict[str, tuple[SmoothPart, float]]:
+    """Of what each of some effects would explain beside the model: the plainest of its shapes.
+
+    returns  by name, with the p-value of the plainest of so many; without those that change nothing
+             that the parameters do not, and empty where a trial cannot be simulated
+    """
+    left = all_trials_residual(prepared, fit)
+    found: dict[str, tuple[SmoothPart, float]] = {}
+    for slopes in [] if left is None else left.whole.sensitivities(effects):
+        assert left is not None
+        ways = [d for rows in slopes.rows if len(d := _directions(left, rows))]
+        parts = [left.judged(directions @ left.every.T) for directions in ways]
+        if parts:
+            best = min(parts, key=lambda part: part.p_value)
+            found[slopes.effect.name] = best, min(1.0, len(parts) * best.p_value)
+    return found
+
+
+def _directions(left: AllTrialsResidual, rows: FloatArray) -> FloatArray:
+    """(directions, values) orthonormal, of what changes (n, values) do that nothing fitted does."""
+    units, sizes, _ = np.linalg.svd(left.whole.linear.seen(rows).T, full_matrices=False)
+    return np.asarray(units[:, sizes > LEAST_ASKED * float(np.linalg.norm(rows))].T)

@@ -1,4 +1,9 @@
-"""Effects added one after another while each is significant and confirmed on held-out trials."""
+"""The search for effects that a model lacks.
+
+Forward: the effect with the most evidence is added while it is significant and confirmed on
+held-out trials.  Then every effect added is exchanged for every other while that brings evidence,
+and each is tested again with all others in.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +11,12 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from cell.cable.effects.base import Effect
 from cell.lab.data.thresholds import Rules
-from cell.lab.search.fit_cache import FitCache, settled_beside
-from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.fit_cache import FitCache, SearchSetup, StudySpace, noise_reestimated
+from cell.lab.search.fitted_model import FittedModel, is_below_stated
+from cell.lab.search.residual_summary import removed_share, residual_summary
+from cell.lab.search.rivals import added_effect
 from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels, pruned
-from cell.lab.search.study_space import StudySpace
-from cell.lab.verdict.checks import explains
-from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.residual_summary import removed_share, residual_summary
-from cell.lab.verdict.rivals import added_effect, close_rivals
 
 _LOG = logging.getLogger(__name__)
 
@@ -100,7 +101,7 @@ class ConfirmedEffects:
     def _confirmation(self, small: FittedModel, large: FittedModel) -> Confirmation | None:
         """What held-out trials say of the last effect of `large`; None if there are none."""
         fits, rules = self.fits, self.rules
-        base = fits.baseline().heldout
+        base = fits.base.heldout
         if small.heldout is None or large.heldout is None or base is None:
             return None
         noise_m2, gain = fits.prepared.expected_m("validate") ** 2, fits.gain(small, large)
@@ -118,23 +119,43 @@ class ConfirmedEffects:
 
 
 @dataclass(frozen=True, eq=False)
-class Searched:
-    """Where a search ended.
+class SearchResult:
+    """Where a search ended, and what was fitted on the way.
 
-    model      the baseline with the effects that are believed
-    cut_short  its limit of work has ended it
-    again      the study as it shows beside that model, to be searched anew: what the mesh errs by
-               would be taken for another effect, and noise that is wrong for a misfit
+    fits       models by their effects
+    singles    the baseline with each effect that was worth a fit
+    model      the baseline with the effects accepted
+    all_tried  none of `singles` was left out because the budget was spent
+    refined    the setup of a repeated search: given the model, the study shows another noise or
+               mesh error, which would be taken for a misfit or for another effect; None = the same
     """
 
+    fits: FitCache
+    singles: tuple[FittedModel, ...]
     model: FittedModel
-    cut_short: bool = False
-    again: FitCache | None = None
+    all_tried: bool
+    refined: SearchSetup | None
+
+    @property
+    def is_base(self) -> bool:
+        """Whether no effect was accepted."""
+        return self.model is self.fits.base
 
 
-def searched(fits: FitCache, base: FittedModel, library: int, rules: Rules) -> Searched:
-    """The search for effects that are believed, until it ends or must begin anew."""
-    space, criterion = StudySpace(fits, rules.max_refits), ConfirmedEffects(fits, library, rules)
+def search_effects(fits: FitCache, rules: Rules) -> SearchResult:
+    """Search the effects that the baseline lacks, within the budget of the present stage."""
+    base = fits.base
+    library = len(fits.screened(base))
+    singles = fits.fit_extended(base, fits.shortlist(base, rules.max_refits))
+    all_tried = not fits.work.left_out
+    model, refined = _accepted(fits, library, rules)
+    return SearchResult(fits, tuple(singles), model, all_tried, refined)
+
+
+def _accepted(fits: FitCache, library: int, rules: Rules) -> tuple[FittedModel, SearchSetup | None]:
+    """The baseline with the effects accepted; the setup of a repeated search if one is needed."""
+    base, space = fits.base, StudySpace(fits, rules.max_refits)
+    criterion = ConfirmedEffects(fits, library, rules)
 
     def in_time() -> bool:
         return fits.work.affords("further effects")
@@ -151,16 +172,16 @@ def searched(fits: FitCache, base: FittedModel, library: int, rules: Rules) -> S
 
     for step, (current,) in enumerate(levels(base, space.extended, kept)):
         explained = current is not base and fits.explained_by(current)
-        if explained and (again := settled_beside(fits, current)) is not None:
-            return Searched(current, again=again)
-        if step == rules.most_named or Evidence(fits, base, current, rules).below_stated:
+        if explained and (refined := noise_reestimated(fits, current)) is not None:
+            return current, refined
+        if step == rules.most_named or is_below_stated(fits.prepared, current, rules.below_stated):
             break
         if _two_leave_most(fits, current, rules):
             break
-        if current is not base and not in_time():  # beside the baseline all were refitted already
-            return Searched(current, cut_short=True)
-    unasked = current is not base and not fits.explained_by(current)
-    return Searched(current, again=settled_beside(fits, current) if unasked else None)
+        if current is not base and not in_time():  # the baseline's were all refitted already
+            return current, None
+    unexplained = current is not base and not fits.explained_by(current)
+    return current, noise_reestimated(fits, current) if unexplained else None
 
 
 def _two_leave_most(fits: FitCache, current: FittedModel, rules: Rules) -> bool:
@@ -168,45 +189,10 @@ def _two_leave_most(fits: FitCache, current: FittedModel, rules: Rules) -> bool:
     if len(fits.added(current)) < 2:
         return False
     prepared = fits.prepared
-    before, after = (
-        residual_summary(prepared, fits.baseline()),
-        residual_summary(prepared, current),
-    )
+    before, after = residual_summary(prepared, fits.base), residual_summary(prepared, current)
     return 1.0 - removed_share(prepared.noise_model.noise.std_m, before, after) > rules.most_share
 
 
-def steps_to(fits: FitCache, final: FittedModel, rules: Rules) -> tuple[FittedModel, ...]:
+def path_to(fits: FitCache, final: FittedModel, rules: Rules) -> tuple[FittedModel, ...]:
     """From the baseline to `final`, the effect with the most evidence first."""
     return tuple(in_order(StudySpace(fits, rules.max_refits), final, lambda c: c.evidence))
-
-
-def _tied(
-    fits: FitCache,
-    final: FittedModel,
-    effect: type[Effect],
-    rules: Rules,
-) -> tuple[str, ...]:
-    """Effects that explain as much in place of `effect`, all trials together."""
-    rest = fits.fit_reduced(final, effect)
-    rivals = StudySpace(fits, rules.max_refits).extended(rest)
-    close = close_rivals(fits, final, rivals, rules)
-    names = [next(iter(c.names - rest.names)) for c in close]
-    return tuple(name for name in names if name not in final.names)
-
-
-def with_ties(
-    fits: FitCache, base: FittedModel, found: FittedModel, rules: Rules
-) -> tuple[FittedModel, dict[str, tuple[str, ...]]]:
-    """What was found, and the ties of each effect, without one that too many others could be.
-
-    Not the only one, and only if what was found explains the study without it too: what any of
-    many effects does as well is none of them in particular.
-    """
-    added = fits.added(found)
-    tied = {e.name: _tied(fits, found, e, rules) for e in added}
-    for effect in added if len(added) > 1 else ():
-        if len(tied[effect.name]) + 1 > rules.most_named:
-            rest = fits.fit_reduced(found, effect)
-            if explains(Evidence(fits, base, rest, rules)):
-                return with_ties(fits, base, rest, rules)
-    return found, tied

@@ -11,8 +11,8 @@ from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.lab.data.named_effects import EffectSelection
+from cell.lab.search.outliers import without_outliers
 from cell.lab.search.setup import fit_cache_of
-from cell.lab.search.wrong_samples import without_wrong_samples
 from cell.study import left_out
 from cell.study.data import Markers, Study, Trial
 
@@ -39,16 +39,15 @@ def test_it_is_left_out_and_told(study):
     xy_m[21, 0, 1] += 1.5e-3  # while it swings
     spoilt = replace(study, trials=(replace(trial, markers=replace(trial.markers, xy_m=xy_m)),))
     assert left_out.without_wrong_samples(spoilt).notes == ()
-    cleaned, told = without_wrong_samples(fit_cache_of(spoilt, EffectSelection((), {})))
+    cleaned, told = without_outliers(fit_cache_of(spoilt, EffectSelection((), {})))
     assert len(told) == 1 and "line 23, y0_m by +1." in told[0]
     expected = xy_m.copy()
     expected[21, 0, 1] = np.nan
     seen = cleaned.prepared.study.trials[0].markers.xy_m
     np.testing.assert_allclose(seen, expected, atol=2e-5)  # its mesh's error is taken out
-    assert cleaned.baseline().fit.rms_m < 1.3e-4
+    assert cleaned.base.fit.rms_m < 1.3e-4
 
 
 def test_where_nothing_is_wrong_the_explorer_stays_with_its_fit(study):
     fits = fit_cache_of(study, EffectSelection((), {}))
-    assert without_wrong_samples(fits) == (fits, ())
-    assert fits.baseline_is_fitted()
+    assert without_outliers(fits) == (fits, ())

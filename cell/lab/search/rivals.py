@@ -8,11 +8,10 @@ from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.effects.base import Effect
 from cell.lab.data.thresholds import Rules
+from cell.lab.fit.plausibility import at_bound
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel
-from cell.lab.verdict.evidence import above_noise
-from cell.lab.verdict.fit_doubts import at_bound
-from cell.lab.verdict.residual_summary import (
+from cell.lab.search.fitted_model import FittedModel, error_over_noise
+from cell.lab.search.residual_summary import (
     ResidualSummary,
     log_variance_ratio,
     residual_summary,
@@ -28,7 +27,7 @@ def close_rivals(
     correlation: it is what the answer could be wrong by.
     """
     close = {c.names for c in rivals if c.chi2 < final.chi2 + rules.tie_delta_chi2}
-    if above_noise(fits, final) > rules.most_over_noise:
+    if error_over_noise(fits.prepared, final) > rules.most_over_noise:
         mine = residual_summary(fits.prepared, final)
         close |= {
             c.names

@@ -16,7 +16,7 @@ from cell.study.data import Markers, Trial
 DRAWN = 21
 
 
-def everywhere(
+def predict_whole_cable(
     prepared: PreparedStudy,
     trial: Trial,
     models: Sequence[CableModel],

@@ -18,18 +18,17 @@ from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import fit_trials
+from cell.lab.fit.plausibility import is_hopeless
 from cell.lab.fit.starts import taken_from
-from cell.lab.search.fit_cache import FitCache, rebased
+from cell.lab.search.fit_cache import FitCache, SearchSetup, StudySpace, rebased
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.refits import POLISHED
-from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels
-from cell.lab.search.study_space import StudySpace
-from cell.lab.verdict.fit_doubts import is_hopeless
-from cell.lab.verdict.residual_summary import (
+from cell.lab.search.residual_summary import (
     removed_share,
     residual_summary,
 )
-from cell.lab.verdict.rivals import added_effect, chance, chance_of, is_at_bound, near_singles
+from cell.lab.search.rivals import added_effect, chance, chance_of, is_at_bound, near_singles
+from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels
 
 #: Its error is far below what a model errs by that explains a study in part; it saves time.
 COARSE = Solver(segments=20, step_s=1.5e-3)
@@ -41,36 +40,34 @@ MOST_WEIGHINGS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Partial:
+class PartialExplanation:
     """Fits to all trials, weighed by the model's own error.
 
     fits  with all trials to be fitted
     singles   each effect worth it alone beside the baseline
-    steps     the baseline, then with each effect that removes most of what is left
+    path      the baseline, then with each effect that removes most of what is left
     """
 
     fits: FitCache
     singles: tuple[FittedModel, ...]
-    steps: tuple[FittedModel, ...]
+    path: tuple[FittedModel, ...]
 
 
-def explain_partly(
-    fits: FitCache, tried: Sequence[FittedModel], library: int, rules: Rules
-) -> Partial:
+def explain_partly(fits: FitCache, rules: Rules) -> PartialExplanation:
     """Explain most of a study that nothing explains to its noise.
 
-    tried    candidates so far: what the best of them leaves is the model's own error
-    library  number of effects to choose from
+    What the best model so far leaves is the model's own error.
     """
-    error, lowest = _own_error(fits, tried), fits.baseline()
+    library = len(fits.screened(fits.base))
+    error, lowest = _own_error(fits, fits.known()), fits.base
     least_m = residual_summary(fits.prepared, lowest).rms_m
     for _ in range(MOST_WEIGHINGS):
         whole = _weighed_by(fits, error)
-        if least_m < residual_summary(whole.prepared, whole.baseline()).rms_m:
+        if least_m < residual_summary(whole.prepared, whole.base).rms_m:
             # fitted to all trials a model leaves no more of them
             whole = rebased(whole, lowest.fit.q, rules.tie_delta_chi2)
         whole, singles = _singles(whole, library, rules)
-        base = whole.baseline()
+        base = whole.base
         lowest, least_m = base, min(least_m, residual_summary(whole.prepared, base).rms_m)
         before, error = error, _own_error(whole, whole.known())
         # Fits that were stuck have an error that is no model's own; trials that weigh little are
@@ -83,9 +80,11 @@ def explain_partly(
         for rival in near_singles(whole, steps[1], singles, rules):
             StudySpace(whole, rules.max_refits).extended(rival)
     unfinished = not whole.work.affords("the search for effects that explain most")
-    if unfinished or is_hopeless(whole, steps[-1].fit):  # no model explains what the cable does
+    if unfinished or is_hopeless(
+        whole.prepared, steps[-1].fit
+    ):  # no model explains what the cable does
         steps = [base]
-    return Partial(whole, tuple(singles), tuple(steps))
+    return PartialExplanation(whole, tuple(singles), tuple(steps))
 
 
 def _added(
@@ -138,7 +137,7 @@ def _singles(whole: FitCache, library: int, rules: Rules) -> tuple[FitCache, lis
     """
     singles: list[FittedModel] = []
     for _ in range(MOST_WEIGHINGS):
-        base = whole.baseline()
+        base = whole.base
         singles = _finished(whole, base, StudySpace(whole, rules.max_refits).extended(base))
         best = largest_step(whole, base, singles, library, rules)
         if best is None:
@@ -197,7 +196,7 @@ def _weighed_by(fits: FitCache, error: Noise) -> FitCache:
         work=fits.prepared.work,
     )
     weighed = replace(weighed, noise_model=fits.prepared.noise_model)
-    return FitCache(weighed, fits.space, fits.library, fits.progress, fits.prior_q)
+    return FitCache.of(SearchSetup(weighed, fits.space, fits.library, fits.progress, fits.prior_q))
 
 
 def _own_error(fits: FitCache, tried: Sequence[FittedModel]) -> Noise:

@@ -6,6 +6,8 @@ noise, shows in what a model leaves of them.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cell.cable.arrays import FloatArray
@@ -20,7 +22,7 @@ from cell.study.wrong_samples import wrong_samples
 _MOST_ROUNDS = 3
 
 
-def without_wrong_samples(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
+def without_outliers(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
     """The fits of a study without samples that its baseline shows to be wrong; what is told.
 
     The baseline is fitted here; where nothing is wrong it is the one that the fits remembers.
@@ -43,7 +45,7 @@ def without_wrong_samples(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
 def _wrong(fits: FitCache) -> dict[str, FloatArray]:
     """Of every trial (times, channels) by how much samples are wrong, m; nan where right."""
     prepared = fits.prepared
-    study, left = prepared.unjoined, residuals_m(prepared, fits.baseline())
+    study, left = prepared.unjoined, residuals_m(prepared, fits.base)
     nothing = {t.name: np.full((len(t.markers.t_s), t.markers.xy_m[0].size), np.nan)
                for t in study.trials}  # fmt: skip
     found = {}
@@ -60,7 +62,4 @@ def _with_study(fits: FitCache, study: Study) -> FitCache:
     prepared = fits.prepared
     misfit = None if prepared.noise_is_measured else prepared.noise
     again = PreparedStudy.of(study, misfit=misfit, solver=prepared.solver, work=prepared.work)
-    e = fits
-    return FitCache(
-        again, e.space, e.library, e.progress, prior_q=e.prior_q, begin=e.begin, sought=e.sought
-    )
+    return FitCache.of(replace(fits.setup, prepared=again))

@@ -10,19 +10,19 @@ import pytest
 
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
+from cell.lab import diagnosis
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.progress import no_progress
 from cell.lab.data.results import to_json
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.data.work import STAGES, UNLIMITED, Budget, SpentError, Work
+from cell.lab.data.work import STAGES, UNLIMITED, Budget, SpentError, Work, no_progress
+from cell.lab.diagnosis import diagnose, with_agreement, with_limits
 from cell.lab.report.wording import nearest_note
-from cell.lab.search.fit_cache import FitCache
+from cell.lab.search import effect_search
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.screen import screen
-from cell.lab.verdict import diagnose as diagnosing
-from cell.lab.verdict import forward_search
-from cell.lab.verdict.diagnose import diagnose
-from cell.lab.verdict.forward_search import with_ties
-from cell.lab.verdict.limits_and_agreement import with_agreement, with_limits
+from cell.lab.verdict import ties
+from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.ties import with_ties
 from cell.study.folder import read_study
 from tests.cell.lab.conftest import LONG
 
@@ -87,7 +87,13 @@ SCHEMA = {
     },
 }  # fmt: skip
 
+
 #: Enough of the library to confuse, few enough to be quick.
+@pytest.fixture(scope="module", autouse=True)
+def small_studies(small: None) -> None:
+    """Before the studies are made."""
+
+
 RIVALS = ("air_drag", "linear_air_drag", "tip_mass", "grip_angle", "natural_curvature")
 
 
@@ -95,21 +101,21 @@ def explore(study, names=RIVALS, budget=UNLIMITED, progress=no_progress):
     known = library()
     space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
     prepared = PreparedStudy.of(study, work=Work(budget))
-    return FitCache(prepared, space, {n: known[n] for n in names}, progress)
+    return FitCache.of(SearchSetup(prepared, space, {n: known[n] for n in names}, progress))
 
 
 def test_an_effect_that_was_refitted_is_weighed_however_much_that_took(make_study, monkeypatch):
     """Of a long study nothing was accepted, because its first refits had taken all there was."""
     drag = library()["air_drag"].active(drag_coefficient=2.0)
-    searched, ends = diagnosing.searched, []
+    accepted, ends = effect_search._accepted, []
 
     def begun(fits, *given):
         if not ends:
             fits.work.budget = Budget(simulated_s=fits.work.simulated_s / STAGES["search"])
         ends.append(fits)
-        return searched(fits, *given)
+        return accepted(fits, *given)
 
-    monkeypatch.setattr(diagnosing, "searched", begun)
+    monkeypatch.setattr(effect_search, "_accepted", begun)
     found = diagnose(explore(make_study([drag], seed=6), ("air_drag", "tip_mass"))).diagnosis
     assert [f.effect for f in found.missing] == ["air_drag"]
 
@@ -118,14 +124,14 @@ def test_a_second_search_is_not_cut_short_by_the_work_of_the_first(make_study, m
     """Models that left noise were dropped so: the search anew ended at the first effect."""
     drag = library()["air_drag"].active(drag_coefficient=2.0)
     study, names, ends_s = make_study([drag], seed=6, **LONG), ("air_drag", "tip_mass"), []
-    searched = diagnosing.searched
+    searched = diagnosis.search_effects
 
     def noted(fits, *given):
         found = searched(fits, *given)
         ends_s.append(fits.work.simulated_s)
         return found
 
-    monkeypatch.setattr(diagnosing, "searched", noted)
+    monkeypatch.setattr(diagnosis, "search_effects", noted)
     diagnose(explore(study, names))
     first_s, _ = ends_s
     found = diagnose(explore(study, names, Budget(simulated_s=first_s / STAGES["search"])))
@@ -250,7 +256,7 @@ def test_without_held_out_trials_nothing_is_claimed(make_study):
 
 def test_screening_a_cable_that_its_typical_nudges_would_break(make_study):
     fits = explore(make_study(), ("grip_compliance",))
-    stiff = replace(fits.baseline().fit, q=fits.baseline().fit.q.copy())
+    stiff = replace(fits.base.fit, q=fits.base.fit.q.copy())
     (found,) = screen(fits.prepared, stiff, [library()["grip_compliance"]])
     assert np.isfinite(found.score.statistic)
 
@@ -275,21 +281,23 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     pair = SimpleNamespace(effects=[first, second])
     alone = SimpleNamespace(effects=[first])
     fits = SimpleNamespace(
+        base=None,
         added=lambda found: found.effects,
         fit_reduced=lambda found, effect: {second: alone}.get(effect),
     )
-    ties = {first: (), second: ("a", "b", "c", "d", "e", "f", "g")}
-    monkeypatch.setattr(forward_search, "_tied", lambda _, found, effect, rules: ties[effect])
+    tied = {first: (), second: ("a", "b", "c", "d", "e", "f", "g")}
+    monkeypatch.setattr(ties, "_tied", lambda _, found, effect, rules: tied[effect])
     enough = [True]
-    monkeypatch.setattr(forward_search, "explains", lambda *args: enough[0])
-    given = (fits, None, pair, DEFAULT_RULES)
-    assert with_ties(*given) == (alone, {first.name: ()})
+    monkeypatch.setattr(ties, "explains", lambda *args: enough[0])
+    given = Evidence(fits, pair, DEFAULT_RULES)
+    found = with_ties(given)
+    assert (found.final, found.tied) == (alone, {first.name: ()})
     enough[0] = False
-    assert with_ties(*given)[0] is pair
-    enough[0], ties[second] = True, ("a",)
-    assert with_ties(*given)[0] is pair
-    ties[first] = ties[second] = ("a", "b", "c")
-    assert with_ties(fits, None, alone, DEFAULT_RULES)[0] is alone
+    assert with_ties(given).final is pair
+    enough[0], tied[second] = True, ("a",)
+    assert with_ties(given).final is pair
+    tied[first] = tied[second] = ("a", "b", "c")
+    assert with_ties(Evidence(fits, alone, DEFAULT_RULES)).final is alone
 
 
 def test_a_right_model_is_complete_though_a_trial_held_out_is_noisier(make_study):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.verdict.forward_search import Confirmation
+from cell.lab.search.effect_search import Confirmation
 
 RULES = DEFAULT_RULES
 GIVEN = Confirmation(

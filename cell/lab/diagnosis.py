@@ -1,0 +1,152 @@
+"""A diagnosis from top to bottom: which physical effects the model of a cable lacks.
+
+    prepare     outliers, clocks, initial states, noise; the baseline fitted     `search.setup`
+    search      effects added while they are significant and confirmed           `search`
+    noise       re-estimated given the model found; the search is repeated once  `search.fit_cache`
+    explain     effects tied with those found, or else what explains most        `verdict.ties`
+    check       the table of checks on the evidence                              `verdict.checks`
+    conclude    verdict, claims, doubts                                          `conclusion`
+    strength    limits of the other effects, agreement of the trials             `strength`
+
+Each stage has its share of the budget of work.  What is left out because of it is named, and then
+nothing is claimed that it could have changed.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from cell.identify.gauss_newton import UNSIMULATED, UnsimulatedError
+from cell.lab.data.results import Limit
+from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.data.work import SpentError, WorkStoppedError
+from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
+from cell.lab.fit.plausibility import is_no_model
+from cell.lab.search.effect_search import SearchResult, errors_in_words, path_to, search_effects
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.partial import explain_partly
+from cell.lab.strength.limits import limits
+from cell.lab.strength.trial_agreement import agreement
+from cell.lab.verdict.checks import evaluate, explains
+from cell.lab.verdict.conclusion import Examination, conclude, interrupted, unconfirmed
+from cell.lab.verdict.doubts import ended_doubt, no_model_doubt, unsimulated_doubt
+from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.fit_doubts import MEANINGLESS
+from cell.lab.verdict.ties import with_ties
+
+_LOG = logging.getLogger(__name__)
+
+#: Stages of the work: the search is repeated once, given the noise that the first one leaves.
+_SEARCHES = ("search", "repeated search")
+
+
+def diagnose(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
+    """Which effects the model of a prepared study lacks.
+
+    Stopped, or where nothing more can be simulated, it returns what is known by then.
+    """
+    work = fits.work
+    try:
+        for stage in _SEARCHES:
+            _LOG.info(
+                "study %s, baseline: %s", fits.prepared.study.name, errors_in_words(fits.base)
+            )
+            if is_no_model(fits.prepared, fits.base.fit):
+                return unconfirmed(fits, rules, "unexplained", no_model_doubt())
+            with work.stage(stage):
+                search = search_effects(fits, rules)
+            if search.refined is None:
+                break
+            with work.stage(_SEARCHES[-1]):
+                fits = FitCache.of(search.refined)
+        with work.stage("conclude"):
+            return _concluded(search, rules)
+    except WorkStoppedError as error:
+        work.conclude()
+        return interrupted(fits, rules, error)
+    except UnsimulatedError:
+        return unconfirmed(fits, rules, "cannot_tell", unsimulated_doubt())
+
+
+def _concluded(search: SearchResult, rules: Rules) -> Examination:
+    """The conclusion from a search: effects that explain the study, or what comes nearest."""
+    fits, left_out = search.fits, search.fits.work.left_out
+    evidence = Evidence(fits, search.model, rules)
+    if not explains(evidence):
+        partial = explain_partly(fits, rules)
+        checks, alone = tuple(evaluate(evidence)), (fits.base,)
+        return conclude(search, evidence, checks, alone, partial, all_tried=search.all_tried)
+    before = len(left_out)
+    evidence = with_ties(evidence)
+    all_tried = search.all_tried and len(left_out) == before
+    path = path_to(fits, evidence.final, rules)
+    checks = tuple(evaluate(evidence))
+    return conclude(search, evidence, checks, path, None, all_tried=all_tried)
+
+
+def with_strength(examination: Examination) -> Examination:
+    """The examination with limits of effects that were not found, and agreement of the trials."""
+    return with_agreement(with_limits(examination))
+
+
+def with_limits(examination: Examination) -> Examination:
+    """The examination with limits of every effect that was tried and is neither named nor tied.
+
+    None of an unexplained study, because given a wrong model the true effect would be excluded; nor
+    where the parameters mean nothing.
+    """
+    diagnosis = examination.diagnosis
+    if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", *MEANINGLESS}:
+        return examination
+    return _measured(
+        examination,
+        "how strong other effects could be was not computed",
+        lambda: {"limits": _limits(examination)},
+    )
+
+
+def with_agreement(examination: Examination) -> Examination:
+    """The examination with estimates per trial of the final model's parameters.
+
+    None where no model's parameters mean anything.
+    """
+    if examination.diagnosis.codes & {"interrupted", "not_searched", "hopeless"}:
+        return examination
+    fits, fit = examination.fits, examination.final.fit
+    return _measured(
+        examination,
+        "whether the trials agree was not computed",
+        lambda: {"agreement": agreement(fits.prepared, fit, fits.progress)},
+    )
+
+
+def _measured(
+    examination: Examination, missing: str, measure: Callable[[], dict[str, Any]]
+) -> Examination:
+    """The examination with more in its diagnosis; a warning of what is missing if it is stopped."""
+    diagnosis, work = examination.diagnosis, examination.fits.work
+    try:
+        with work.stage("strength"):
+            spent = work.spent
+            if not spent:
+                return replace(examination, diagnosis=replace(diagnosis, **measure()))
+    except WorkStoppedError as error:
+        work.conclude()
+        spent = isinstance(error, SpentError)
+    warnings = (*diagnosis.warnings, ended_doubt(spent, missing))
+    return replace(examination, diagnosis=replace(diagnosis, warnings=warnings))
+
+
+def _limits(examination: Examination) -> tuple[Limit, ...]:
+    """Limits of what the examination has neither named nor tied."""
+    diagnosis, fits, final = examination.diagnosis, examination.fits, examination.final
+    named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
+    absent = [e for name, e in fits.library.items() if name not in named | final.names]
+    try:
+        joint = of_all_trials(examination.final_prepared, final.fit)
+    except UNSIMULATED:  # as far as the fitted trials tell
+        joint = AllTrialsFit(examination.final_prepared, final.fit)
+    return limits(joint, absent, fits.progress)
