@@ -17,6 +17,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rival import Rival
 from cell.lab.diagnosis import diagnose
+from cell.lab.fit.whole_cable import predict_whole_cable
 from cell.lab.next.motion_file import load_motion
 from cell.lab.next.strokes import Stroke, strokes
 from cell.lab.next.suggest import (
@@ -31,7 +32,6 @@ from cell.lab.next.suggest import (
 )
 from cell.lab.next.suggestion import Option, Suggestion, write_motion
 from cell.lab.search.fit_cache import FitCache, SearchSetup
-from cell.lab.strength.compare import everywhere
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings
 from cell.settings.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m
@@ -260,7 +260,7 @@ def test_a_motion_counts_with_the_wrench_that_the_study_has():
     def apart(measured, stroke):
         prepared = PreparedStudy.of(measured, solver=coarse)
         known, trial = _trial(prepared, stroke, box)
-        (shown,), _ = everywhere(known, trial, [rivals[0].model])
+        (shown,), _ = predict_whole_cable(known, trial, [rivals[0].model])
         white = _whitener(known, trial, shown)
         return _separation(*(_open(known, rival, trial, white)[0] for rival in rivals))
 
@@ -299,6 +299,6 @@ def test_a_slow_camera_does_not_hide_where_the_cable_turns_back(soft):
 def test_a_cable_that_rests_nobody_knows_where_may_be_as_far_as_it_reaches(soft, monkeypatch):
     prepared, rivals = soft
     lost = np.full((1, 3, 21, 2), np.nan)
-    monkeypatch.setattr("cell.lab.next.suggest.everywhere", lambda *_: (lost, lost))
+    monkeypatch.setattr("cell.lab.next.suggest.predict_whole_cable", lambda *_: (lost, lost))
     low_m = _rest_low_m(prepared, [rivals[0].model], Surroundings(), 0.0)
     assert low_m == -prepared.study.cable.length_m
