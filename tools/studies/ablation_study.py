@@ -38,9 +38,9 @@ from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import fit_trials
+from cell.lab.fit.score_test import holm
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.statistics.score import holm
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence

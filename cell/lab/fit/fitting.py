@@ -14,7 +14,7 @@ from cell.identify import gauss_newton
 from cell.identify.gauss_newton import UNSIMULATED, Solution, jacobian_at
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.statistics.series import overall
+from cell.lab.fit.series import overall
 from cell.study.data import Markers, Trial
 
 #: First frames, of a cable in motion: for this share of the time that a hanging one needs to swing

@@ -16,7 +16,7 @@ from cell.identify.gaussian import marginal_chi2, parameters_root
 from cell.identify.parameters import difference_points
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit, best_initial_state, extended
-from cell.lab.statistics.series import overall
+from cell.lab.fit.series import overall
 from cell.study.data import Trial
 
 

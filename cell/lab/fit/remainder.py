@@ -14,8 +14,8 @@ from cell.lab.data.noise_likelihood import Remainder
 from cell.lab.data.noise_model import noise_model_of_all_frames
 from cell.lab.data.prepared import PreparedStudy, with_noise_model
 from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.fit.score_test import score_test
 from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
-from cell.lab.statistics.score import score_test
 from cell.study.data import Trial
 
 

@@ -14,7 +14,7 @@ from cell.cable.model import CableModel
 from cell.identify.gaussian import covariance_root
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, fit_trials
-from cell.lab.statistics.score import Nuisance
+from cell.lab.fit.score_test import Nuisance
 
 #: Amplitudes are perturbed by this share of their typical size: a slope may vanish at zero.
 PERTURBATION = 0.05

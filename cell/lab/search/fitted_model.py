@@ -15,8 +15,8 @@ from cell.lab.data.results import Errors
 from cell.lab.fit.fitting import Fit, errors_m, fit_trials
 from cell.lab.fit.hand_error import HandError
 from cell.lab.fit.heldout import Heldout, heldout
+from cell.lab.fit.score_test import boundary_p_value, delta_bic
 from cell.lab.fit.sensitivity import chances_of, one_sided
-from cell.lab.statistics.score import boundary_p_value, delta_bic
 
 
 def p_value_of_fall(effect: type[Effect], delta_chi2: float) -> float:

@@ -11,8 +11,8 @@ from cell.cable.arrays import FloatArray
 from cell.identify.noise import rms
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.data.results import Peak
+from cell.lab.fit.series import TIME_BINS, spectrum
 from cell.lab.search.fitted_model import FittedModel, residuals_m
-from cell.lab.statistics.series import TIME_BINS, spectrum
 from cell.study.data import Study
 
 #: Frames of a trial over this many are the largest lag at which a residual is compared with itself.

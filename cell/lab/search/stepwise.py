@@ -13,8 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Protocol, TypeVar
 
+from cell.lab.fit.score_test import holm
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.statistics.score import holm
 
 State = TypeVar("State")
 Option = TypeVar("Option")

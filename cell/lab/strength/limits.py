@@ -21,9 +21,9 @@ from cell.lab.data.side_by_side import side_by_side
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import fit_trials
+from cell.lab.fit.score_test import Nuisance
 from cell.lab.fit.sensitivity import Sensitivity, changes, nuisance_of, one_sided
 from cell.lab.fit.systematic_error import SystematicError
-from cell.lab.statistics.score import Nuisance
 from cell.lab.strength.estimate import LEAST_KNOWN, MIN_FREEDOM
 from cell.lab.strength.held import HeldEffect, all_changes
 

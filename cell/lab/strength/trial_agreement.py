@@ -21,7 +21,7 @@ from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit, fit_model
-from cell.lab.statistics.score import holm
+from cell.lab.fit.score_test import holm
 from cell.lab.strength.estimate import MODEL_ERROR
 from cell.study.data import Trial
 

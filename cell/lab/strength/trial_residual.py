@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion, moves_from_s
 from cell.identify.noise import Noise, rms, still_frames
-from cell.lab.statistics.series import (
+from cell.lab.fit.series import (
     LAGS,
     TIME_BINS,
     PowerSpectrum,

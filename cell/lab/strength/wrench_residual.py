@@ -11,7 +11,7 @@ from cell.cable.arrays import FloatArray
 from cell.identify.noise import rms
 from cell.lab.data.gauges import Gauges
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.statistics.series import ljung_box
+from cell.lab.fit.series import ljung_box
 from cell.study.data import Trial
 from cell.study.wrench_file import COLUMNS
 

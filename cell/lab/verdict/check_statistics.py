@@ -19,9 +19,9 @@ from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit, errors_m, fit_trials
 from cell.lab.fit.heldout import heldout_rows
+from cell.lab.fit.score_test import holm
 from cell.lab.search.fitted_model import FittedModel, residuals_m
 from cell.lab.search.residual_summary import removed_share, residual_summary
-from cell.lab.statistics.score import holm
 from cell.lab.strength.estimate import LEAST_KNOWN, MODEL_ERROR
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.smooth_part import (

@@ -26,6 +26,7 @@ from cell.lab.data.results import (
 from cell.lab.data.thresholds import Rules
 from cell.lab.data.work import SpentError, WorkStoppedError
 from cell.lab.fit.plausibility import at_bound
+from cell.lab.fit.score_test import holm
 from cell.lab.search.effect_search import SearchResult
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel, error_over_noise
@@ -33,7 +34,6 @@ from cell.lab.search.partial import PartialExplanation
 from cell.lab.search.residual_summary import peak, removed_share, residual_summary
 from cell.lab.search.rivals import added_effect, chance_of
 from cell.lab.search.screen import ScreenedEffect
-from cell.lab.statistics.score import holm
 from cell.lab.strength.estimate import ParameterEstimate, estimate
 from cell.lab.verdict.doubts import doubts, ended_doubt
 from cell.lab.verdict.evidence import Evidence

@@ -15,9 +15,9 @@ from cell.lab.data.own_check import OwnCheck, Residual
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.fit.score_test import holm
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel, error_over_noise, is_below_stated
-from cell.lab.statistics.score import holm
 from cell.lab.strength.estimate import ParameterEstimate, estimate
 from cell.lab.verdict.smooth_part import (
     AllTrialsResidual,

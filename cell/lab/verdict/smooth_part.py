@@ -22,9 +22,9 @@ from cell.lab.fit.corrections import LEFT
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
 from cell.lab.fit.hand_error import MOTIONS
 from cell.lab.fit.heldout import HeldoutRows, heldout_rows
+from cell.lab.fit.quadratic import ExpectedSquare
 from cell.lab.fit.sensitivity import prior_root
 from cell.lab.fit.systematic_error import SystematicError, systematic_error
-from cell.lab.statistics.quadratic import ExpectedSquare
 
 
 @dataclass(frozen=True)

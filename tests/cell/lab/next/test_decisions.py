@@ -12,10 +12,10 @@ from scipy.stats import multivariate_normal
 
 from cell.cable.effects import library
 from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.fit.score_test import boundary_p_value
 from cell.lab.fit.sensitivity import chances_of
 from cell.lab.next.decisions import Circumstances, EffectTest
 from cell.lab.next.decisions import Tests as DecisionTests
-from cell.lab.statistics.score import boundary_p_value
 
 GIVEN = Circumstances(25, 9000, 9000, 0.5, 1e-4, 0.0, 1.0, 1.0)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cell.identify.noise import Noise, rms
-from cell.lab.statistics.series import ljung_box, lomb_scargle, smoothed, spectrum
+from cell.lab.fit.series import ljung_box, lomb_scargle, smoothed, spectrum
 from cell.lab.strength.trial_residual import PHASES, across_tip, phase_of, trial_residual
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cell.lab.statistics.score import Nuisance, boundary_p_value, delta_bic, holm, score_test
+from cell.lab.fit.score_test import Nuisance, boundary_p_value, delta_bic, holm, score_test
 
 
 def test_statistic_and_amplitude_equal_those_of_least_squares():

@@ -1,1 +1,0 @@
-"""Pure functions of arrays: score tests, corrections for many tests, spectra, whiteness."""
