@@ -92,7 +92,7 @@ def _row(case: Case, there: str, power: float, examination: Examination) -> Row:
     evidence = with_ties(Evidence(fits, examination.accepted, DEFAULT_RULES))
     statistics = {}
     for check in CHECKS:
-        reading = check.ask(evidence).reading
+        reading = check.evaluate(evidence).reading
         statistics[check.name] = np.nan if reading is None else float(reading.value)
     named = "+".join("|".join((e.name, *evidence.tied.get(e.name, ()))) for e in evidence.added)
     return Row(case.kind, case.number, there, round(power, 3), examination.diagnosis.verdict, named,

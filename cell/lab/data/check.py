@@ -25,7 +25,7 @@ class HasRules(Protocol):
         ...
 
 
-Asked = TypeVar("Asked", bound=HasRules)
+EvidenceT = TypeVar("EvidenceT", bound=HasRules)
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def _none(evidence: Any, reading: Reading) -> tuple[Doubt, ...]:
 
 
 @dataclass(frozen=True)
-class Check(Generic[Asked]):
+class Check(Generic[EvidenceT]):
     """A question that is asked of a model before anything is claimed of it.
 
     name       code in JSON, and of the warning if there is one
@@ -64,15 +64,15 @@ class Check(Generic[Asked]):
     name: str
     question: str
     unit: str
-    statistic: Callable[[Asked], Reading | None]
+    statistic: Callable[[EvidenceT], Reading | None]
     passes: Literal["<=", ">=", "<", ">"]
     limit: str
     failing: Literal["unexplained", "cannot_tell", "refused"]
     failed: str
     reason: str
-    warn: Callable[[Asked, Reading], tuple[Doubt, ...]] = _none
+    warn: Callable[[EvidenceT, Reading], tuple[Doubt, ...]] = _none
 
-    def ask(self, evidence: Asked) -> CheckOutcome[Asked]:
+    def evaluate(self, evidence: EvidenceT) -> CheckOutcome[EvidenceT]:
         """Of a model."""
         reading, limit = self.statistic(evidence), float(getattr(evidence.rules, self.limit))
         passed = None if reading is None else bool(COMPARE[self.passes](reading.value, limit))
@@ -80,15 +80,15 @@ class Check(Generic[Asked]):
 
 
 @dataclass(frozen=True)
-class CheckOutcome(Generic[Asked]):
+class CheckOutcome(Generic[EvidenceT]):
     """A check's answer; `passed` is None where the question does not apply."""
 
-    check: Check[Asked]
+    check: Check[EvidenceT]
     reading: Reading | None
     passed: bool | None
     limit: float = float("nan")
 
-    def warnings(self, evidence: Asked) -> tuple[Doubt, ...]:
+    def warnings(self, evidence: EvidenceT) -> tuple[Doubt, ...]:
         """With the numbers of the study, if it failed."""
         if self.passed is not False or self.reading is None:
             return ()

@@ -55,7 +55,7 @@ class NoiseModel:
     """The noise of the markers, and the uncertainty of its level.
 
     dof       degrees of freedom behind the level; `inf` if the study states it
-    coloured  whether still frames have shown its AR(1) correlation
+    autocorrelated  whether still frames have shown its AR(1) correlation
     correlated_channels  channels with one error, as of markers on a fitted shape: so many values
               tell as much as one
     rest      what still frames tell of level and correlation; None where the level is stated
@@ -68,7 +68,7 @@ class NoiseModel:
 
     noise: Noise
     dof: float
-    coloured: bool = True
+    autocorrelated: bool = True
     correlated_channels: float = 1.0
     rest: RestFrames | None = field(default=None, compare=False, repr=False)
     range_m: tuple[float, float] | None = None
@@ -101,7 +101,7 @@ class NoiseModel:
         return not self.stated and bool(self.dof * (ratio - 1.0 - np.log(ratio)) > CHI2_95)
 
     @property
-    def weighed(self) -> Noise:
+    def for_whitening(self) -> Noise:
         """Noise of independent markers that tell as much."""
         if self.correlated_channels == 1.0:
             return self.noise
@@ -156,7 +156,7 @@ def noise_model_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArra
     products = sum(float(np.sum((e[1:] * e[:-1])[p])) for e, p in zip(filled, pairs, strict=True))
     count, neighbours = (sum(int(x.sum()) for x in y) for y in (map(np.isfinite, errors), pairs))
     ar1 = float(np.clip(products / max(neighbours, 1) * count / power, 0.0, MAX_AR1))
-    if noise_model.coloured:
+    if noise_model.autocorrelated:
         ar1 = min(ar1, noise_model.noise.ar1)
     channels = np.sum([e.T @ e for e in filled], axis=0)
     there = int(np.count_nonzero(np.diag(channels)))
@@ -207,7 +207,7 @@ def noise_model_of_blocks(
     most  degree of the polynomials that are taken out
     """
     if not blocks:
-        return None if stated is None else NoiseModel(Noise(stated), np.inf, coloured=False)
+        return None if stated is None else NoiseModel(Noise(stated), np.inf, autocorrelated=False)
     rest = RestFrames.of(blocks, resolution_m(series), most)
     found, dof = rest.likeliest()
     if stated is None:

@@ -67,7 +67,7 @@ class PreparedStudy:
     work   what has been simulated of it
     noise  used for whitening: the measurement's, or larger where an earlier individual's model is
            known to err by more
-    slopes of which only differences of simulations are taken, where that is measured to do no harm
+    slope_solver  of simulations of which only differences are taken; None = `solver`
     counted   as which simulations count as work, if not as those of `solver`: how far a search goes
               must not depend on whether slopes may be coarser
     memo      what `once_per_study` has worked out of it; another study begins with none
@@ -85,7 +85,7 @@ class PreparedStudy:
     whiteners: dict[str, Whitener]
     solver: Solver
     work: Work = field(default_factory=Work)
-    slopes: Solver | None = None
+    slope_solver: Solver | None = None
     counted: Solver | None = None
     mesh_m: Mapping[str, FloatArray] = field(default_factory=dict)
     rounding_m: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -129,7 +129,7 @@ class PreparedStudy:
     @property
     def noise_is_measured(self) -> bool:
         """Whether the noise is the measurement's own, not an earlier model's error."""
-        return self.noise == self.noise_model.weighed
+        return self.noise == self.noise_model.for_whitening
 
     @property
     def expected(self) -> Noise:
@@ -215,8 +215,8 @@ class PreparedStudy:
 
     def on_one_core(self) -> PreparedStudy:
         """The same, simulated without threads of its own: for several fits side by side."""
-        slopes = None if self.slopes is None else replace(self.slopes, threads=1)
-        return replace(self, solver=replace(self.solver, threads=1), slopes=slopes)
+        slopes = None if self.slope_solver is None else replace(self.slope_solver, threads=1)
+        return replace(self, solver=replace(self.solver, threads=1), slope_solver=slopes)
 
     def white(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
         """(lanes, rows) whitened residuals of predictions (lanes, times, markers, 2)."""
@@ -242,7 +242,7 @@ class PreparedStudy:
 
     def coarser(self, slopes: Solver) -> PreparedStudy:
         """The same, everything simulated so, and counted as if it were not."""
-        return replace(self, solver=slopes, slopes=None, counted=self.solver)
+        return replace(self, solver=slopes, slope_solver=None, counted=self.solver)
 
     def white_near(
         self,
@@ -251,8 +251,8 @@ class PreparedStudy:
         initial_states: Mapping[str, FloatArray] | None = None,
     ) -> FloatArray:
         """As `all_white`, of models near the first: only the differences from it count."""
-        if self.slopes is not None:
-            white = self.coarser(self.slopes).all_white(trials, models, initial_states)
+        if self.slope_solver is not None:
+            white = self.coarser(self.slope_solver).all_white(trials, models, initial_states)
             if np.all(np.isfinite(white[0])):
                 return white
         return self.all_white(trials, models, initial_states)
@@ -353,7 +353,7 @@ def _begins(lane: Lane) -> object:
     return trial.start, min(float(lane.times_s[0]), float(trial.grip.t_s[0]))
 
 
-def judged_by(prepared: PreparedStudy, errors: Sequence[FloatArray]) -> PreparedStudy:
+def with_noise_from(prepared: PreparedStudy, errors: Sequence[FloatArray]) -> PreparedStudy:
     """The same with the correlations of a stated error as a model's residuals have them.
 
     errors  per trial to be fitted (times, channels), m, nan where not seen
@@ -376,15 +376,15 @@ def with_noise_model(
 
     of_gauges  noise of force and moment, if there are gauges and it is another, too
     """
-    weighed = noise_model.weighed
+    noise = noise_model.for_whitening
     same = noise_model.levels == prepared.noise_model.levels
-    if weighed == prepared.noise and same and of_gauges is None:
+    if noise == prepared.noise and same and of_gauges is None:
         return replace(prepared, noise_model=noise_model)
     levelled = _levelled(prepared, noise_model.noise.std_m, of_gauges)
     whiteners = whiteners_of(
-        levelled.study, weighed, levelled.gauges, levelled.lines, noise_model.levels
+        levelled.study, noise, levelled.gauges, levelled.lines, noise_model.levels
     )
-    return replace(levelled, noise_model=noise_model, noise=weighed, whiteners=whiteners)
+    return replace(levelled, noise_model=noise_model, noise=noise, whiteners=whiteners)
 
 
 def _levelled(

@@ -57,7 +57,7 @@ def finer(prepared: PreparedStudy) -> PreparedStudy:
     coarse = prepared.solver
     return replace(
         prepared,
-        slopes=None,
+        slope_solver=None,
         solver=Solver(
             FINER * coarse.segments, coarse.step_s / FINER, coarse.damping, coarse.threads
         ),
@@ -82,7 +82,7 @@ def mesh_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
     return found
 
 
-def matters(prepared: PreparedStudy, error_m: Mapping[str, FloatArray]) -> bool:
+def moves_parameters(prepared: PreparedStudy, error_m: Mapping[str, FloatArray]) -> bool:
     """Whether such an error would move some parameter by a noticeable part of its deviation.
 
     Whitened it is a vector: along no direction does it move the residuals by more than its length.

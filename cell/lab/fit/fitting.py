@@ -163,8 +163,8 @@ def fit_model(
     problem = problem_of(prepared, space, trials, residual_scale)
     begin = _nearer_initial_states(prepared, space, trials, start, initial_states or {})
     solution = None
-    if from_far and prepared.slopes is not None:
-        coarse = problem_of(prepared.coarser(prepared.slopes), space, trials, residual_scale)
+    if from_far and prepared.slope_solver is not None:
+        coarse = problem_of(prepared.coarser(prepared.slope_solver), space, trials, residual_scale)
         solution = _minimised_in_two(coarse, problem, begin, options)
     if solution is None:
         solution = gauss_newton.minimise(problem, begin, options)
@@ -220,8 +220,8 @@ def problem_of(
     precision[:p, :p] = space.precision
     precision[p:, p:] = np.diag(1.0 / std**2)
     slopes = None
-    if prepared.slopes is not None:
-        near = prepared.coarser(prepared.slopes)
+    if prepared.slope_solver is not None:
+        near = prepared.coarser(prepared.slope_solver)
 
         def slopes(q: FloatArray) -> FloatArray:
             return residuals(near, space, trials, q) / residual_scale
@@ -420,12 +420,12 @@ LONGER = (3.0, 2.0)
 HARMLESS = 0.02
 
 
-def with_slopes(prepared: PreparedStudy, fit: Fit) -> tuple[PreparedStudy, Fit]:
+def with_slope_solver(prepared: PreparedStudy, fit: Fit) -> tuple[PreparedStudy, Fit]:
     """The study with the longest step of time that leaves the slopes of a fit as they are.
 
     And the fit with slopes by that step: what is compared with them will be simulated so too.
     """
-    if prepared.slopes is not None:
+    if prepared.slope_solver is not None:
         return prepared, fit
     trials, jacobian = fit_trials(prepared), fit.solution.jacobian
     known = np.diag(problem_of(prepared, fit.space, trials).precision)
@@ -436,5 +436,5 @@ def with_slopes(prepared: PreparedStudy, fit: Fit) -> tuple[PreparedStudy, Fit]:
         near = jacobian_at(problem, fit.solution.q, fit.solution.covariance)
         if np.all(np.linalg.norm(near - jacobian, axis=0) <= HARMLESS * size):
             solution = replace(fit.solution, jacobian=near)
-            return replace(prepared, slopes=solver), replace(fit, solution=solution)
+            return replace(prepared, slope_solver=solver), replace(fit, solution=solution)
     return prepared, fit

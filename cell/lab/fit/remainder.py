@@ -19,7 +19,7 @@ from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
 from cell.study.data import Trial
 
 
-def with_noise_beside(
+def with_noise_given(
     prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
 ) -> PreparedStudy:
     """The study with the noise that all frames tell beside a model, within what the rest allows.

@@ -173,7 +173,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def delta_bic(delta_chi2: float, parameters: int, values: int, effective_fraction: float) -> float:
-    """BIC gained by an effect (positive = better), with coloured values counted as fewer.
+    """BIC gained by an effect (positive = better), with autocorrelated values counted as fewer.
 
     delta_chi2 is the fall of whitened χ²; each parameter costs the logarithm of the effective
     number of values.

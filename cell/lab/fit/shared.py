@@ -76,7 +76,7 @@ class SharedFit:
     theta      (m,) shared coordinates
     solution   of all at once: q of every cable, then theta
     rows       of the solution's residual, of each cable
-    inflation  variance factor for residuals larger or more coloured than the noise
+    inflation  variance factor for residuals larger or more autocorrelated than the noise
     """
 
     cables: tuple[PreparedStudy, ...]

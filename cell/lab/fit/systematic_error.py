@@ -16,7 +16,7 @@ from cell.cable.arrays import FloatArray
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.corrections import LEFT, finer
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.hand_error import MOTIONS, by_other_hands
+from cell.lab.fit.gripper_log_error import MOTIONS, by_other_hands
 from cell.study.data import Trial
 
 

@@ -16,7 +16,7 @@ from cell.identify.model_class import source_of
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.line.gates import Judgement
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.learning_checks import learning_answers, learning_verdict
+from cell.lab.line.learning_checks import learning_outcomes, learning_verdict
 from cell.settings import Settings, load_settings
 from cell.settings.line import distinct, line_of
 from cell.settings.model import ModelSettings
@@ -49,7 +49,7 @@ def write_candidate(
     lines    on which the cycles were recorded, as `lines_of` has them
     product  whose model it is; None = that of settings without products
     """
-    found = learning_answers(result)
+    found = learning_outcomes(result)
     content = {
         "format": FORMAT,
         **({} if product is None else {"product": product}),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from cell.lab.data.check import CheckOutcome
 from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.learning_checks import gate_answers
+from cell.lab.line.learning_checks import gate_outcomes
 from cell.lab.line.learning_questions import LineEvidence, forecast_better
 from cell.plan.destination import Destination
 from cell.settings import Settings
@@ -53,7 +53,7 @@ def gates(
     result: LearningResult, paired: Sequence[ForecastPair], destination: Destination
 ) -> list[CheckOutcome[LineEvidence]]:
     """All conditions that apply, each with what was found."""
-    return gate_answers(LineEvidence(result, paired, destination))
+    return gate_outcomes(LineEvidence(result, paired, destination))
 
 
 def best_judged(

@@ -64,9 +64,9 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
 )
 
 
-def learning_answers(result: LearningResult) -> list[CheckOutcome[LineEvidence]]:
+def learning_outcomes(result: LearningResult) -> list[CheckOutcome[LineEvidence]]:
     """Of every question that is asked of what was learned."""
-    return [check.ask(LineEvidence(result)) for check in LEARNING]
+    return [check.evaluate(LineEvidence(result)) for check in LEARNING]
 
 
 def learning_verdict(
@@ -169,7 +169,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
 )
 
 
-def gate_answers(evidence: LineEvidence) -> list[CheckOutcome[LineEvidence]]:
+def gate_outcomes(evidence: LineEvidence) -> list[CheckOutcome[LineEvidence]]:
     """Of every condition that applies to a candidate."""
-    found = [gate.ask(evidence) for gate in GATES]
+    found = [gate.evaluate(evidence) for gate in GATES]
     return [answer for answer in found if answer.passed is not None]

@@ -14,7 +14,7 @@ from cell.cable.effects.base import Effect
 from cell.identify.gaussian import covariance_root
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.sensitivity import one_sided
-from cell.lab.next.linear_study import LinearStudy, Slopes
+from cell.lab.next.linear_study import LinearStudy, Sensitivities
 from cell.lab.search.fitted_model import bic_penalty, p_value_of_fall
 
 BoolArray = NDArray[np.bool_]
@@ -32,7 +32,7 @@ class Circumstances:
 
     library     number of effects that are tried
     fitted, heldout   values of the trials fitted to and held out
-    independent       values per value of coloured noise
+    independent       values per value of autocorrelated noise
     noise_m           what a right model leaves
     slow        slow values of the trials held out that are looked at; 0 = none
     by_hand, by_hand_heldout   by which errors of the hand's log inflate a χ² of the effect
@@ -44,8 +44,8 @@ class Circumstances:
     independent: float
     noise_m: float
     slow: float
-    by_hand: float
-    by_hand_heldout: float
+    by_gripper_log: float
+    by_gripper_log_heldout: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class EffectTest:
             size = np.asarray(np.maximum(size, 0.0))
         fall = 2.0 * np.sum(size * t, axis=1) - _square(size, self.inside)
         gain = self._gain(size, u) if given.heldout else np.zeros(len(t))
-        significant = fall > given.by_hand * self.least_fall(given, rules)
+        significant = fall > given.by_gripper_log * self.least_fall(given, rules)
         penalty = bic_penalty([self.effect], given.fitted, given.independent)
         return Judged(
             significant,
@@ -134,14 +134,14 @@ class EffectTest:
         seen = np.linalg.solve(self.outside, u.T).T
         fall_m2 = 2.0 * np.sum((size @ self.raw_m2) * seen, axis=1) - _square(size, self.raw_m2)
         return np.asarray(
-            (gain / given.by_hand_heldout > rules.heldout_gain)
+            (gain / given.by_gripper_log_heldout > rules.heldout_gain)
             & (fall_m2 / given.heldout > rules.negligible_share * given.noise_m**2)
             & (0.5 * _square(size, self.shown) > rules.heldout_gain)
         )
 
 
 @dataclass(frozen=True, eq=False)
-class HalfSeen:
+class HalfSizeTest:
     """The check whether half of the effect would be detected.
 
     scores  numbers of its scores among those that are drawn
@@ -170,7 +170,7 @@ class Chances:
     significant: float
     confirmed: float
     identified: float
-    told_apart: float
+    distinguished: float
 
     @property
     def missed(self) -> float:
@@ -188,7 +188,7 @@ class Tests:
     """
 
     effects: tuple[EffectTest, ...]
-    half_seen: tuple[HalfSeen, ...]
+    detectable_at_half_size: tuple[HalfSizeTest, ...]
     given: Circumstances
     by_change: FloatArray
     noise: FloatArray
@@ -197,8 +197,8 @@ class Tests:
     def of(
         linear: LinearStudy,
         hidden: FloatArray,
-        own: Slopes,
-        rivals: Sequence[Slopes],
+        own: Sensitivities,
+        rivals: Sequence[Sensitivities],
         given: Circumstances,
         rules: Rules,
     ) -> Tests:
@@ -225,8 +225,10 @@ class Tests:
         tied[best, np.arange(len(best))] = True
         few = tied.sum(axis=0) <= rules.most_named
         identified = np.ones(len(scores), dtype=bool)
-        if self.half_seen:
-            identified = np.any([look.passes(scores) for look in self.half_seen], axis=0)
+        if self.detectable_at_half_size:
+            identified = np.any(
+                [look.passes(scores) for look in self.detectable_at_half_size], axis=0
+            )
         claimed = any_is & few & identified
         # a rival that explains less is exchanged for the effect, which is then judged by itself
         exchanged = chi2[0] < of_best[0] - rules.tie_delta_chi2
@@ -242,7 +244,7 @@ class Tests:
             significant=float(np.mean(judged[0].significant)),
             confirmed=float(np.mean(judged[0].confirmed)),
             identified=float(np.mean(identified)),
-            told_apart=float(np.mean(few & tied[0])),
+            distinguished=float(np.mean(few & tied[0])),
         )
 
     def _right_passes(self, times: float, rules: Rules) -> float:
@@ -262,12 +264,12 @@ class Tests:
         return float((1.0 - limit) ** SLOW_CHECKS)
 
 
-def _test_of(linear: LinearStudy, slopes: Slopes, functions: list[FloatArray]) -> EffectTest:
+def _test_of(linear: LinearStudy, slopes: Sensitivities, functions: list[FloatArray]) -> EffectTest:
     """An effect's test; the functions that it needs are added."""
     rows = slopes.rows
-    inside = linear.unlike_fitted(rows)
+    inside = linear.project_out_fitted(rows)
     held = linear.heldout(rows)
-    weighed = linear.weighed(held)
+    weighed = linear.gls_weighted(held)
     alone = np.where(linear.fitted, 0.0, rows if slopes.alone is None else slopes.alone)
     raw = linear.raw_m(held)
     begin = sum(map(len, functions))
@@ -277,7 +279,7 @@ def _test_of(linear: LinearStudy, slopes: Slopes, functions: list[FloatArray]) -
         slopes.effect,
         inside @ rows.T,
         weighed @ held.T,
-        linear.weighed(alone) @ alone.T,
+        linear.gls_weighted(alone) @ alone.T,
         raw @ raw.T,
         slice(begin, begin + count),
         slice(begin + count, begin + 2 * count),
@@ -286,12 +288,12 @@ def _test_of(linear: LinearStudy, slopes: Slopes, functions: list[FloatArray]) -
 
 def _half_seen(
     linear: LinearStudy, beside: FloatArray | None, functions: list[FloatArray], rules: Rules
-) -> HalfSeen:
+) -> HalfSizeTest:
     """The check by what single trials' own parameters explain; its functions are added."""
     scores, least = linear.scores_of_trials(beside, rules.significance)
     begin = sum(map(len, functions))
     functions.append(scores)
-    return HalfSeen(slice(begin, begin + len(scores)), least)
+    return HalfSizeTest(slice(begin, begin + len(scores)), least)
 
 
 def _square(values: FloatArray, inner: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from cell.lab.fit.sensitivity import changes, is_shape
 from cell.lab.next.asked import AskedEffect
 from cell.lab.next.decisions import Chances, Circumstances, Tests
 from cell.lab.next.hidden import left_of
-from cell.lab.next.linear_study import LinearStudy, Slopes, own_slopes, rivals_of
+from cell.lab.next.linear_study import LinearStudy, Sensitivities, own_sensitivities, rivals_of
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.smooth_part import smooth_part
 
@@ -80,7 +80,7 @@ def forecast(
     if found is None:
         return PowerForecast(size, None, smallest, (), None)
     tests, hidden, rivals = found
-    unlike = linear.unlike_all(hidden[None])[0]
+    unlike = linear.project_out_all(hidden[None])[0]
     return PowerForecast(
         size,
         None if size is None else tests.chances(1.0, rules),
@@ -101,7 +101,7 @@ class _At:
 
     def tests(
         self, size: float, *, refitted: bool = True
-    ) -> tuple[Tests, FloatArray, list[Slopes]] | None:
+    ) -> tuple[Tests, FloatArray, list[Sensitivities]] | None:
         """With the change (rows,) that the effect makes, and its rivals; None if it shows nothing.
 
         So too where it cannot be simulated so strong.
@@ -117,7 +117,7 @@ class _At:
             return None
         amplitudes = [p for p in effect.parameters if p.amplitude]
         which = amplitudes.index(self.asked.parameter)
-        own = own_slopes(linear, effect, which, hidden, alone, shapes)
+        own = own_sensitivities(linear, effect, which, hidden, alone, shapes)
         if own is None:
             return None
         known = {effect.name, *(e.name for e in self.fits.space.effects)}
@@ -135,7 +135,7 @@ class _At:
                 step = _BENT * (abs(values[i]) or p.high - p.low)
                 bent = values[i] + (step if values[i] + step <= p.high else -step)
                 shaped.append(replace(effect, values=(*values[:i], bent, *values[i + 1 :])))
-        found = changes(linear.whole.prepared, linear.whole.fit, [effect, *shaped])
+        found = changes(linear.all_trials.prepared, linear.all_trials.fit, [effect, *shaped])
         if not np.all(np.isfinite(found)):
             return None
         return found[0], found[1:] - found[0]
@@ -148,8 +148,8 @@ class _At:
 
     def _circumstances(self, hidden: FloatArray) -> Circumstances:
         prepared, linear = self.fits.prepared, self.linear
-        hand, names = self.fits.hand(), [t.name for t in prepared.study.trials]
-        errs = linear.whole.systematic_error
+        hand, names = self.fits.gripper_log_error(), [t.name for t in prepared.study.trials]
+        errs = linear.all_trials.systematic_error
         slow = smooth_part(prepared, self.fits.base.fit)
 
         def inflated(change: FloatArray) -> float:
@@ -163,8 +163,8 @@ class _At:
             independent=prepared.noise_model.effective_fraction,
             noise_m=prepared.expected.std_m,
             slow=0.0 if slow is None else slow.count,
-            by_hand=inflated(linear.unlike_fitted(hidden[None])[0]),
-            by_hand_heldout=inflated(linear.heldout(hidden[None])[0]),
+            by_gripper_log=inflated(linear.project_out_fitted(hidden[None])[0]),
+            by_gripper_log_heldout=inflated(linear.heldout(hidden[None])[0]),
         )
 
     def smallest(self, begin: float) -> float | None:

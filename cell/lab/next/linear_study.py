@@ -19,7 +19,7 @@ from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.hand_error import MOTIONS
+from cell.lab.fit.gripper_log_error import MOTIONS
 from cell.lab.fit.sensitivity import one_sided, prior_root
 from cell.lab.verdict.check_statistics import directions_of_trials
 from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual, noise_was_seen
@@ -29,7 +29,7 @@ LEAST_LEFT = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Slopes:
+class Sensitivities:
     """An effect in one shape: (amplitudes, rows) whitened change of all trials by each amplitude.
 
     alone      the same with nothing refitted; None = as `rows`
@@ -60,8 +60,8 @@ class LinearStudy:
             fitted to, and by all
     """
 
-    whole: AllTrialsFit
-    left: AllTrialsResidual
+    all_trials: AllTrialsFit
+    residual: AllTrialsResidual
     slopes: FloatArray
     fitted: NDArray[np.bool_]
     inner: FloatArray
@@ -96,12 +96,12 @@ class LinearStudy:
             slopes.T @ slopes + known,
         )
 
-    def unlike_fitted(self, rows: FloatArray) -> FloatArray:
+    def project_out_fitted(self, rows: FloatArray) -> FloatArray:
         """(n, rows) without what the coordinates imitate in the trials fitted to; 0 elsewhere."""
         inside = np.where(self.fitted, rows, 0.0)
         return np.where(self.fitted, inside - self._answer(inside) @ self.slopes.T, 0.0)
 
-    def unlike_all(self, rows: FloatArray) -> FloatArray:
+    def project_out_all(self, rows: FloatArray) -> FloatArray:
         """(n, rows) without what the coordinates imitate in all trials."""
         moved = np.linalg.solve(self.inner_all, self.slopes.T @ rows.T).T
         return np.asarray(rows - moved @ self.slopes.T)
@@ -111,7 +111,7 @@ class LinearStudy:
         inside = np.where(self.fitted, rows, 0.0)
         return np.where(self.fitted, 0.0, rows - self._answer(inside) @ self.slopes.T)
 
-    def weighed(self, held: FloatArray) -> FloatArray:
+    def gls_weighted(self, held: FloatArray) -> FloatArray:
         """(n, rows) changes of held-out trials by the inverse of what is uncertain of them."""
         slopes = np.where(self.fitted[:, None], 0.0, self.slopes)
         moved = np.linalg.solve(self.inner + slopes.T @ slopes, slopes.T @ held.T).T
@@ -124,10 +124,10 @@ class LinearStudy:
 
     def raw_m(self, held: FloatArray) -> FloatArray:
         """(n, values) of changes (n, rows), m, as they were before they were whitened."""
-        parts = self.whole.systematic_error.by_trial(held)
+        parts = self.all_trials.systematic_error.by_trial(held)
         raw = [
             np.stack([np.nan_to_num(whitener.error_m(row)).ravel() for row in part])
-            for whitener, part in zip(self.left.whiteners, parts, strict=True)
+            for whitener, part in zip(self.residual.whiteners, parts, strict=True)
         ]
         return np.concatenate(raw, axis=1)
 
@@ -135,15 +135,15 @@ class LinearStudy:
         """(n, free) by which the coordinates follow changes of the trials fitted to."""
         return np.asarray(np.linalg.solve(self.inner, self.slopes.T @ inside.T).T)
 
-    def nearest_shape(self, effect: type[Effect], hidden: FloatArray) -> Slopes | None:
+    def nearest_shape(self, effect: type[Effect], hidden: FloatArray) -> Sensitivities | None:
         """An effect in the shape that imitates a hidden change (rows,) best; None if it cannot."""
-        (found,) = self.whole.sensitivities([effect])
-        unlike = self.unlike_all(hidden[None])[0]
-        best: Slopes | None = None
+        (found,) = self.all_trials.sensitivities([effect])
+        unlike = self.project_out_all(hidden[None])[0]
+        best: Sensitivities | None = None
         for amplitudes in found.rows[..., : len(hidden)]:
             size = np.linalg.norm(amplitudes, axis=1)
             usable = amplitudes[size > 0.0] / size[size > 0.0, None]
-            left = self.unlike_all(usable)
+            left = self.project_out_all(usable)
             seen = np.linalg.norm(left, axis=1) > LEAST_LEFT
             if not seen.any():
                 continue
@@ -153,7 +153,7 @@ class LinearStudy:
                 imitated = np.zeros_like(unlike)
             size_of = float(np.linalg.norm(imitated)) / max(float(np.linalg.norm(unlike)), 1e-300)
             if best is None or size_of > best.collinear:
-                best = Slopes(effect, usable[seen], size_of)
+                best = Sensitivities(effect, usable[seen], size_of)
         return best
 
     def scores_of_trials(self, beside: FloatArray | None, p: float) -> tuple[FloatArray, float]:
@@ -165,21 +165,21 @@ class LinearStudy:
         asked = self.slopes if beside is None else np.column_stack([self.slopes, beside.T])
         known, count = asked.T @ asked, self.slopes.shape[1]
         known[:count, :count] = self.inner_all
-        ends = self.whole.systematic_error.ends
+        ends = self.all_trials.systematic_error.ends
         parts = directions_of_trials(asked, np.linalg.inv(known), ends)
         directions = np.asarray(block_diag(*[part.T for part in parts]))
-        functions = self.unlike_all(directions)
-        return functions, self.left.half_shows_from(functions @ functions.T, directions, p)
+        functions = self.project_out_all(directions)
+        return functions, self.residual.half_shows_from(functions @ functions.T, directions, p)
 
     @property
     def sees_noise(self) -> bool:
         """Whether the level of noise is that of still frames."""
-        return noise_was_seen(self.whole.prepared)
+        return noise_was_seen(self.all_trials.prepared)
 
     def covariance(self, functions: FloatArray) -> FloatArray:
         """(n, n) of functions (n, rows) of the residual, by noise and the hand's log."""
         found = functions @ functions.T
-        errs = self.whole.systematic_error
+        errs = self.all_trials.systematic_error
         for hands, part in zip(errs.by_trial(errs.hands), errs.by_trial(functions), strict=True):
             moved = part @ hands.T
             found = found + moved @ moved.T / MOTIONS
@@ -196,20 +196,20 @@ def _prior(fit: Fit) -> FloatArray:
 
 def rivals_of(
     linear: LinearStudy, hidden: FloatArray, effects: Iterable[type[Effect]]
-) -> list[Slopes]:
+) -> list[Sensitivities]:
     """Effects in the shapes nearest to a hidden change (rows,), the most collinear first."""
     found = [s for e in effects if (s := linear.nearest_shape(e, hidden)) is not None]
     return sorted(found, key=lambda s: -s.collinear)
 
 
-def own_slopes(
+def own_sensitivities(
     linear: LinearStudy,
     effect: type[Effect],
     which: int,
     hidden: FloatArray,
     alone: FloatArray,
     shapes: FloatArray,
-) -> Slopes | None:
+) -> Sensitivities | None:
     """A hidden effect's own: its change (rows,) as it is, and slopes of its other parameters.
 
     which   number of the amplitude that is hidden, among the effect's amplitudes
@@ -217,24 +217,24 @@ def own_slopes(
     shapes  (shape parameters, rows) changes by a little of each of them
     returns  None where nothing of it is left beside the parameters
     """
-    (found,) = linear.whole.sensitivities([effect])
+    (found,) = linear.all_trials.sensitivities([effect])
     others = np.delete(found.rows[0][:, : len(hidden)], which, axis=0)
     rows, direct = np.vstack([hidden, others]), np.vstack([alone, others])
     size = np.linalg.norm(rows, axis=1)
     rows, direct = (r[size > 0.0] / size[size > 0.0, None] for r in (rows, direct))
-    left = np.linalg.norm(linear.unlike_all(rows), axis=1)
+    left = np.linalg.norm(linear.project_out_all(rows), axis=1)
     if not size[0] > 0.0 or left[0] < LEAST_LEFT:
         return None
     rows, direct = rows[left > LEAST_LEFT], direct[left > LEAST_LEFT]
-    return Slopes(effect, rows, alone=direct, shapes=_not_imitated(linear, rows, shapes))
+    return Sensitivities(effect, rows, alone=direct, shapes=_not_imitated(linear, rows, shapes))
 
 
 def _not_imitated(linear: LinearStudy, rows: FloatArray, shapes: FloatArray) -> FloatArray:
     """Unit changes by shape parameters that neither parameters nor others (n, rows) imitate."""
-    kept, known = [], list(linear.unlike_all(rows))
+    kept, known = [], list(linear.project_out_all(rows))
     for shape in shapes[np.linalg.norm(shapes, axis=1) > 0.0]:
         unit = shape / np.linalg.norm(shape)
-        left = linear.unlike_all(unit[None])[0]
+        left = linear.project_out_all(unit[None])[0]
         left = left - np.linalg.lstsq(np.array(known).T, left, rcond=None)[0] @ np.array(known)
         if np.linalg.norm(left) > LEAST_LEFT:
             kept.append(unit)

@@ -13,7 +13,7 @@ from cell.lab.data.check import CheckOutcome
 from cell.lab.data.results import Verdict
 from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.learning_checks import learning_answers, learning_verdict
+from cell.lab.line.learning_checks import learning_outcomes, learning_verdict
 from cell.lab.line.learning_questions import LineEvidence
 from cell.lab.report.tables import checks_table
 from cell.lab.report.wording import check_rows
@@ -73,7 +73,7 @@ def _nothing(result: LearningResult) -> str:
     if result.left_out:
         return "no effect that was tried explains more than chance; some were not tried"
     nothing = "no effect of the library explains more than chance"
-    found = learning_answers(result)
+    found = learning_outcomes(result)
     why = " ".join(a.check.failed for a in found if a.passed is False)
     verdict = learning_verdict(result, found)
     if verdict == "complete":
@@ -87,7 +87,7 @@ def learning_parts(
     result: LearningResult, judged: Sequence[CheckOutcome[LineEvidence]]
 ) -> list[str | TableData]:
     """What the result rests on: the verdict, its checks, the evidence of each cycle, the gates."""
-    found = learning_answers(result)
+    found = learning_outcomes(result)
     verdict = learning_verdict(result, found)
     parts: list[str | TableData] = [
         f"Verdict {verdict}: {LEARNING_VERDICTS[verdict]}.",

@@ -13,11 +13,11 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import ERRS, PreparedStudy, judged_by
+from cell.lab.data.prepared import ERRS, PreparedStudy, with_noise_from
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.corrections import corrected, with_gain_of
-from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with, with_slopes
-from cell.lab.fit.remainder import with_noise_beside
+from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with, with_slope_solver
+from cell.lab.fit.remainder import with_noise_given
 from cell.lab.fit.sensitivity import is_shape
 from cell.lab.fit.starts import MOST_GUESSES, cold_start
 from cell.lab.search.extension import TEMPER
@@ -52,7 +52,7 @@ class Baseline:
     from_prior  an earlier individual's model is known, so that no other shapes are tried
     added       its fit from where a search comes that adds effects of which nothing is known; None
                 if there are none
-    settled     noise and the mesh's error are known already, beside a model that was found
+    noise_is_final  noise and the mesh's error are known already, beside a model that was found
     """
 
     space: ParameterSpace
@@ -60,7 +60,7 @@ class Baseline:
     start: FloatArray | None = None
     from_prior: bool = False
     added: Callable[[PreparedStudy], Fit | None] | None = None
-    settled: bool = False
+    noise_is_final: bool = False
     progress: Progress = no_progress
 
     def fitted_to(self, prepared: PreparedStudy) -> BaselineFit:
@@ -78,10 +78,10 @@ class Baseline:
         if gained is not prepared:
             prepared, start = gained, fit.q
             fit = fit_model(prepared, space, start, options=POLISH)
-        judged = judged_by(prepared, errors_m(prepared, fit))
+        judged = with_noise_from(prepared, errors_m(prepared, fit))
         if judged is not prepared:
             fit = fit_model(judged, space, start, options=POLISH)
-        found = self._beside_noise_and_mesh(BaselineFit(judged, fit))
+        found = self._with_noise_and_mesh_error(BaselineFit(judged, fit))
         self.progress(f"weighing the model with {names}", 2, 3)
         count = found.prepared.count(fit_trials(found.prepared))
         errs = found.fit.rms_m > ERRS * found.prepared.expected_m("fit")
@@ -89,9 +89,11 @@ class Baseline:
         if far and prepared.work.affords(f"other starts of the model with {names}"):
             best = self._from_other_starts(found, start, count)
             if self.added is not None and best.fit is not found.fit:
-                best = self._beside_noise_and_mesh(best)  # another model, beside which noise shows
+                best = self._with_noise_and_mesh_error(
+                    best
+                )  # another model, beside which noise shows
             found = best
-        prepared, fit = with_slopes(found.prepared, found.fit)
+        prepared, fit = with_slope_solver(found.prepared, found.fit)
         return replace(found, prepared=prepared, fit=fit)
 
     def _start(self, prepared: PreparedStudy) -> FloatArray:
@@ -103,16 +105,16 @@ class Baseline:
             return start
         return self._of_likeliest_shape(prepared, self._scanned(prepared, start))
 
-    def _beside_noise_and_mesh(self, found: BaselineFit) -> BaselineFit:
+    def _with_noise_and_mesh_error(self, found: BaselineFit) -> BaselineFit:
         """The fit with the noise that all frames tell beside it, within what the rest allows.
 
         And without the errors of its mesh and of rounded values, if it explains the study: one that
         does not has others.
         As it was where it cannot be simulated once more.
         """
-        if self.settled:
+        if self.noise_is_final:
             return found
-        fit, prepared = found.fit, with_noise_beside(found.prepared, found.fit, self.others)
+        fit, prepared = found.fit, with_noise_given(found.prepared, found.fit, self.others)
         if fit.rms_m <= ERRS * prepared.expected_m("fit"):
             prepared = corrected(prepared, fit)
         try:

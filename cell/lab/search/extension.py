@@ -24,7 +24,7 @@ from cell.lab.fit.fitting import (
 )
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.starts import cold_start, each_once, is_new, scaled, typical
-from cell.lab.search.fitted_model import POLISH, FittedModel, penalty_of, weighed
+from cell.lab.search.fitted_model import POLISH, FittedModel, model_of_fit, penalty_of
 from cell.lab.search.screen import MOST_SHAPES, ScreenedEffect
 
 #: By which residuals of a fit that is far from noise are divided, beside the root of its χ².
@@ -84,7 +84,9 @@ class Extension:
             return None
         # From a wrong place a force may follow the fitted motions best, and none beyond them.
         tried = fits if placed else [self._lowest(fits, effect, options)]
-        best = min((weighed(self.prepared, effects, fit) for fit in tried), key=lambda c: c.chi2)
+        best = min(
+            (model_of_fit(self.prepared, effects, fit) for fit in tried), key=lambda c: c.chi2
+        )
         return self.at_least_nested(best, options)
 
     def at_least_nested(self, extended_model: FittedModel, options: Options) -> FittedModel:
@@ -99,7 +101,7 @@ class Extension:
         effect, space = extended_model.effects[-1], extended_model.fit.space
         off = np.array([p.default if p.amplitude else p.starts[0] for p in effect.parameters])
         fits = self._fits_from(space, [extended(self.base.fit, space, effect, off)], options)
-        again = [weighed(self.prepared, extended_model.effects, fit) for fit in fits]
+        again = [model_of_fit(self.prepared, extended_model.effects, fit) for fit in fits]
         return min([extended_model, *again], key=lambda c: c.fit.objective)
 
     def _own_starts(self, space: ParameterSpace, effect: type[Effect]) -> list[FloatArray]:
@@ -224,7 +226,7 @@ def continued(prepared: PreparedStudy, model: FittedModel, options: Options) -> 
     """
     fit, alone = model.fit, prepared.on_one_core()
     again = fit_model(alone, fit.space, fit.q, fit.initial_states, options=options)
-    return weighed(prepared, model.effects, again)
+    return model_of_fit(prepared, model.effects, again)
 
 
 def by_effect(found: Sequence[ScreenedEffect]) -> Mapping[str, list[ScreenedEffect]]:

@@ -16,15 +16,15 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.whitening import arcs_are_uncertain
 from cell.lab.data.work import Progress, Work, no_progress
-from cell.lab.fit.corrections import corrected, gain_is_uncertain, matters, moved_m
+from cell.lab.fit.corrections import corrected, gain_is_uncertain, moved_m, moves_parameters
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
-from cell.lab.fit.hand_error import HandError, hand_error
+from cell.lab.fit.gripper_log_error import GripperLogError, gripper_log_error
 from cell.lab.fit.heldout import heldout_log_lr
-from cell.lab.fit.remainder import with_noise_beside
+from cell.lab.fit.remainder import with_noise_given
 from cell.lab.fit.starts import cold_start, taken_from
 from cell.lab.search.baseline import Baseline
 from cell.lab.search.extension import Extension, by_effect, continued
-from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, Gain, gained, weighed
+from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, Gain, gained, model_of_fit
 from cell.lab.search.refits import Refits
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import levels
@@ -107,7 +107,7 @@ class FitCache:
             setup.progress,
         ).fitted_to(setup.prepared)
         prepared = baseline.prepared
-        base = weighed(prepared, setup.space.effects, baseline.fit)
+        base = model_of_fit(prepared, setup.space.effects, baseline.fit)
         models = {base.names: base}
         if setup.reference is not None:
             with contextlib.suppress(*UNSIMULATED):
@@ -170,7 +170,7 @@ class FitCache:
         if self._memory.prior is None:
             space = pinned(self.space, self.prior_q)
             fit = fit_model(self.prepared, space, self.prior_q, options=REFIT)
-            self._memory.prior = weighed(self.prepared, self.space.effects, fit)
+            self._memory.prior = model_of_fit(self.prepared, self.space.effects, fit)
         return self._memory.prior
 
     def known(self) -> tuple[FittedModel, ...]:
@@ -183,11 +183,11 @@ class FitCache:
 
     def gain(self, small: FittedModel, large: FittedModel) -> Gain:
         """What `large` has over `small`, which lacks one of its effects."""
-        return gained(self.prepared, small, large, self.hand())
+        return gained(self.prepared, small, large, self.gripper_log_error())
 
-    def hand(self) -> HandError:
+    def gripper_log_error(self) -> GripperLogError:
         """What the log of the hand may be wrong by, near the baseline."""
-        return hand_error(self.prepared, self.base.fit)
+        return gripper_log_error(self.prepared, self.base.fit)
 
     def screened(self, base: FittedModel) -> list[ScreenedEffect]:
         """Score tests of the whole library against a model, likeliest first.
@@ -257,7 +257,7 @@ class FitCache:
         known, way = memory.models.get(key), (model.names, key)
         if known is None or (len(rest) > len(self.space.effects) and way not in memory.reduced):
             memory.reduced.add(way)
-            found = weighed(self.prepared, rest, self._taken_out(model, rest))
+            found = model_of_fit(self.prepared, rest, self._taken_out(model, rest))
             if known is None or found.evidence > known.evidence + LIKELIER:
                 memory.models[key] = found
         return memory.models[key]
@@ -285,11 +285,11 @@ def noise_reestimated(fits: FitCache, model: FittedModel) -> SearchSetup | None:
     if fits.setup.reference is not None or not (fits.explained_by(model) or before.mesh_m):
         return None
     others = [e for name, e in fits.library.items() if name not in model.names]
-    prepared = with_noise_beside(before, model.fit, others)
+    prepared = with_noise_given(before, model.fit, others)
     refined = corrected(prepared, model.fit)
     another = prepared.noise_model.differs_from(before.noise_model)
     of_model = arcs_are_uncertain(prepared.study) or gain_is_uncertain(prepared)
-    if not (another or of_model or matters(prepared, moved_m(prepared, refined))):
+    if not (another or of_model or moves_parameters(prepared, moved_m(prepared, refined))):
         return None
     return replace(
         fits.setup,
@@ -300,7 +300,7 @@ def noise_reestimated(fits: FitCache, model: FittedModel) -> SearchSetup | None:
     )
 
 
-def rebased(fits: FitCache, start: FloatArray, least: float) -> FitCache:
+def with_lower_baseline(fits: FitCache, start: FloatArray, least: float) -> FitCache:
     """A cache with the baseline fitted from another start too, if χ² ends so much lower.
 
     It is the baseline then, and nothing is fitted beyond it yet; else this cache itself.
@@ -309,7 +309,7 @@ def rebased(fits: FitCache, start: FloatArray, least: float) -> FitCache:
     with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
         fit = fit_model(fits.prepared, base.fit.space, start, options=POLISH)
         if fit.objective < base.fit.objective - least:
-            lower = weighed(fits.prepared, base.effects, fit)
+            lower = model_of_fit(fits.prepared, base.effects, fit)
             others = _Memory({lower.names: lower}, memory.second, memory.prior)
             return replace(fits, base=lower, _memory=others)
     return fits
@@ -331,7 +331,7 @@ def with_joined(
         natural[space.names.index(names.get(name, name))] = value
     q = np.clip(space.coordinates(natural), space.low, space.high)
     fit = fit_model(fits.prepared, space, q, model.fit.initial_states, options=POLISH)
-    joined = weighed(fits.prepared, effects, fit)
+    joined = model_of_fit(fits.prepared, effects, fit)
     memory = _Memory({m.names: m for m in (fits.base, joined)})
     setup = replace(fits.setup, library={effect.name: effect})
     return replace(fits, setup=setup, _memory=memory), joined

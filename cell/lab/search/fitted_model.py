@@ -1,4 +1,4 @@
-"""A set of effects fitted to a study, weighed against its likelihood, and compared with another."""
+"""A set of effects fitted to a study, its evidence, and its gain over another set."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cell.identify.gauss_newton import Options
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
 from cell.lab.fit.fitting import Fit, errors_m, fit_trials
-from cell.lab.fit.hand_error import HandError
+from cell.lab.fit.gripper_log_error import GripperLogError
 from cell.lab.fit.heldout import Heldout, heldout
 from cell.lab.fit.score_test import boundary_p_value, delta_bic
 from cell.lab.fit.sensitivity import chances_of, one_sided
@@ -26,7 +26,7 @@ def p_value_of_fall(effect: type[Effect], delta_chi2: float) -> float:
 
 
 def bic_penalty(effects: Iterable[type[Effect]], values: int, effective_fraction: float) -> float:
-    """Fall of χ² from which effects pay by BIC; coloured values count as a fraction of them."""
+    """Fall of χ² from which effects pay by BIC; autocorrelated values count as fewer."""
     fitted = sum(p.fitted for e in effects for p in e.parameters)
     return -delta_bic(0.0, fitted, values, effective_fraction)
 
@@ -38,7 +38,7 @@ POLISH = Options(tolerance=0.1, max_iterations=40, least_gain=1e-3, updates=3)
 
 @dataclass(frozen=True, eq=False)
 class FittedModel:
-    """A set of effects, fitted and weighed.
+    """A set of effects, fitted, with its evidence.
 
     evidence  ln of the fit trials' likelihood less BIC's penalty; models are selected by it.  The
               held-out trials are not in it: they only confirm
@@ -81,7 +81,9 @@ class Gain:
     heldout: float
 
 
-def weighed(prepared: PreparedStudy, effects: tuple[type[Effect], ...], fit: Fit) -> FittedModel:
+def model_of_fit(
+    prepared: PreparedStudy, effects: tuple[type[Effect], ...], fit: Fit
+) -> FittedModel:
     """A fit with its error on the held-out trials and its evidence."""
     held = heldout(prepared.on_one_core(), fit)
     penalty = penalty_of(prepared, effects)
@@ -117,7 +119,7 @@ def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, Fl
 
 
 def gained(
-    prepared: PreparedStudy, small: FittedModel, large: FittedModel, hand: HandError
+    prepared: PreparedStudy, small: FittedModel, large: FittedModel, hand: GripperLogError
 ) -> Gain:
     """What `large` has over `small`, which lacks one of its effects.
 

@@ -20,7 +20,7 @@ from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.plausibility import is_hopeless
 from cell.lab.fit.starts import taken_from
-from cell.lab.search.fit_cache import FitCache, SearchSetup, StudySpace, rebased
+from cell.lab.search.fit_cache import FitCache, SearchSetup, StudySpace, with_lower_baseline
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.refits import POLISHED
 from cell.lab.search.residual_summary import (
@@ -33,15 +33,15 @@ from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels
 #: Its error is far below what a model errs by that explains a study in part; it saves time.
 COARSE = Solver(segments=20, step_s=1.5e-3)
 
-#: All is weighed anew by the least error found if that is below this share of the one it was
-#: weighed by, so often at most.
-WEIGHED_ANEW = 0.5
-MOST_WEIGHINGS = 3
+#: The fits are repeated with the least error found as noise, if that is below this share of the
+#: error before; so often at most.
+REWEIGHTED_BELOW = 0.5
+MOST_REWEIGHTINGS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class PartialExplanation:
-    """Fits to all trials, weighed by the model's own error.
+    """Fits to all trials jointly, whitened by the model's own error.
 
     fits  with all trials to be fitted
     singles   each effect worth it alone beside the baseline
@@ -61,47 +61,47 @@ def explain_partly(fits: FitCache, rules: Rules) -> PartialExplanation:
     library = len(fits.screened(fits.base))
     error, lowest = _own_error(fits, fits.known()), fits.base
     least_m = residual_summary(fits.prepared, lowest).rms_m
-    for _ in range(MOST_WEIGHINGS):
-        whole = _weighed_by(fits, error)
-        if least_m < residual_summary(whole.prepared, whole.base).rms_m:
+    for _ in range(MOST_REWEIGHTINGS):
+        joint = _with_noise(fits, error)
+        if least_m < residual_summary(joint.prepared, joint.base).rms_m:
             # fitted to all trials a model leaves no more of them
-            whole = rebased(whole, lowest.fit.q, rules.tie_delta_chi2)
-        whole, singles = _singles(whole, library, rules)
-        base = whole.base
-        lowest, least_m = base, min(least_m, residual_summary(whole.prepared, base).rms_m)
-        before, error = error, _own_error(whole, whole.known())
+            joint = with_lower_baseline(joint, lowest.fit.q, rules.tie_delta_chi2)
+        joint, singles = _singles(joint, library, rules)
+        base = joint.base
+        lowest, least_m = base, min(least_m, residual_summary(joint.prepared, base).rms_m)
+        before, error = error, _own_error(joint, joint.known())
         # Fits that were stuck have an error that is no model's own; trials that weigh little are
         # fitted from anywhere.
-        if error.std_m > WEIGHED_ANEW * before.std_m or whole.work.spent:
+        if error.std_m > REWEIGHTED_BELOW * before.std_m or joint.work.spent:
             break
-    steps = _added(whole, base, singles, library, rules)
-    steps = _significant_steps(whole, steps, library, rules)
+    steps = _added(joint, base, singles, library, rules)
+    steps = _significant_steps(joint, steps, library, rules)
     if len(steps) == 2:
-        for rival in near_singles(whole, steps[1], singles, rules):
-            StudySpace(whole, rules.max_refits).extended(rival)
-    unfinished = not whole.work.affords("the search for effects that explain most")
+        for rival in near_singles(joint, steps[1], singles, rules):
+            StudySpace(joint, rules.max_refits).extended(rival)
+    unfinished = not joint.work.affords("the search for effects that explain most")
     if unfinished or is_hopeless(
-        whole.prepared, steps[-1].fit
+        joint.prepared, steps[-1].fit
     ):  # no model explains what the cable does
         steps = [base]
-    return PartialExplanation(whole, tuple(singles), tuple(steps))
+    return PartialExplanation(joint, tuple(singles), tuple(steps))
 
 
 def _added(
-    whole: FitCache,
+    joint: FitCache,
     base: FittedModel,
     singles: Sequence[FittedModel],
     library: int,
     rules: Rules,
 ) -> list[FittedModel]:
     """The baseline, and one effect after another that removes most of what is left; exchanged."""
-    space, steps = StudySpace(whole, rules.max_refits), []
+    space, steps = StudySpace(joint, rules.max_refits), []
 
     def extended(model: FittedModel) -> Sequence[FittedModel]:
         return singles if model is base else space.extended(model)
 
     def kept(model: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
-        found = largest_step(whole, model, options, library - len(whole.added(model)), rules)
+        found = largest_step(joint, model, options, library - len(joint.added(model)), rules)
         return [] if found is None else [found]
 
     for (model,) in levels(base, extended, kept):
@@ -110,7 +110,7 @@ def _added(
             break
     if len(steps) < 3:
         return steps
-    prepared = whole.prepared
+    prepared = joint.prepared
 
     def left(model: FittedModel) -> float:
         return residual_summary(prepared, model).mean_square_m2
@@ -129,26 +129,28 @@ def _added(
     return in_order(space, final, lambda c: -left(c))
 
 
-def _singles(whole: FitCache, library: int, rules: Rules) -> tuple[FitCache, list[FittedModel]]:
+def _singles(joint: FitCache, library: int, rules: Rules) -> tuple[FitCache, list[FittedModel]]:
     """Each effect worth it alone beside the baseline, converged; and the fits of that baseline.
 
     One explains only what the same model without it does not, wherever its search began: the
     baseline is fitted from where the best one ended too.
     """
     singles: list[FittedModel] = []
-    for _ in range(MOST_WEIGHINGS):
-        base = whole.base
-        singles = _finished(whole, base, StudySpace(whole, rules.max_refits).extended(base))
-        best = largest_step(whole, base, singles, library, rules)
+    for _ in range(MOST_REWEIGHTINGS):
+        base = joint.base
+        singles = _finished(joint, base, StudySpace(joint, rules.max_refits).extended(base))
+        best = largest_step(joint, base, singles, library, rules)
         if best is None:
             break
-        if whole.work.spent:
+        if joint.work.spent:
             break
-        lower = rebased(whole, taken_from(best.fit, base.fit.space), rules.tie_delta_chi2)
-        if lower is whole:
+        lower = with_lower_baseline(
+            joint, taken_from(best.fit, base.fit.space), rules.tie_delta_chi2
+        )
+        if lower is joint:
             break
-        whole = lower
-    return whole, singles
+        joint = lower
+    return joint, singles
 
 
 def _significant_steps(
@@ -187,16 +189,16 @@ def _finished(
     return [finished.get(c.names, c) for c in singles]
 
 
-def _weighed_by(fits: FitCache, error: Noise) -> FitCache:
+def _with_noise(fits: FitCache, error: Noise) -> FitCache:
     """The fits of all trials together, with a model's own error for noise."""
-    weighed = PreparedStudy.of(
+    prepared = PreparedStudy.of(
         all_fitted(as_measured(fits.prepared)),
         misfit=error,
         solver=COARSE,
         work=fits.prepared.work,
     )
-    weighed = replace(weighed, noise_model=fits.prepared.noise_model)
-    return FitCache.of(SearchSetup(weighed, fits.space, fits.library, fits.progress, fits.prior_q))
+    prepared = replace(prepared, noise_model=fits.prepared.noise_model)
+    return FitCache.of(SearchSetup(prepared, fits.space, fits.library, fits.progress, fits.prior_q))
 
 
 def _own_error(fits: FitCache, tried: Sequence[FittedModel]) -> Noise:

@@ -53,8 +53,9 @@ def fitted_ratio(evidence: Evidence) -> Reading | None:
         return None
     prepared, fit = evidence.prepared, evidence.final.fit
     trials = fit_trials(prepared)
-    by_hand = evidence.fits.hand().square_left(trials, fit) / prepared.count(trials)
-    return Reading(fit.rms_m / (prepared.expected_m("fit") * float(np.sqrt(1.0 + by_hand))))
+    log_error = evidence.fits.gripper_log_error()
+    by_log = log_error.residual_square(trials, fit) / prepared.count(trials)
+    return Reading(fit.rms_m / (prepared.expected_m("fit") * float(np.sqrt(1.0 + by_log))))
 
 
 def heldout_smooth(evidence: Evidence) -> Reading | None:
@@ -91,14 +92,14 @@ def residual_level(evidence: Evidence) -> Reading | None:
         return None
     prepared, final = evidence.prepared, evidence.final
     role: Literal["fit", "validate"] = "fit" if final.heldout is None else "validate"
-    trials, hand = prepared.study.role(role), evidence.fits.hand()
+    trials, hand = prepared.study.role(role), evidence.fits.gripper_log_error()
     if final.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
         by_hand = hand.square(trials)
     else:
         count = prepared.count(trials) - len(final.fit.q)
         chi2, rms_m = final.fit.chi2, final.fit.rms_m
-        by_hand = hand.square_left(trials, final.fit)
+        by_hand = hand.residual_square(trials, final.fit)
     expected = 1.0 + by_hand / count
     chi2, rms_m = chi2 / expected, rms_m / float(np.sqrt(expected))
     ratio = max(rms_m / prepared.expected_m(role), float(np.sqrt(chi2 / count)))
@@ -145,7 +146,7 @@ def most_tied(evidence: Evidence) -> Reading | None:
     return Reading(float(max(counts.values(), default=1)))
 
 
-def half_seen(evidence: Evidence) -> Reading | None:
+def detectable_at_half_size(evidence: Evidence) -> Reading | None:
     """Largest p-value, over the effects found, that half of what each explains would have."""
     if not evidence.added:
         return None

@@ -122,7 +122,7 @@ def _own(evidence: Evidence, name: str) -> Reading | None:
 
 def explains(evidence: Evidence) -> bool:
     """Whether what the model leaves is noise, or of an earlier cable's error."""
-    return all(check.ask(evidence).passed is not False for check in _of_noise(evidence))
+    return all(check.evaluate(evidence).passed is not False for check in _of_noise(evidence))
 
 
 def _prior_driven(evidence: Evidence) -> Reading | None:
@@ -175,7 +175,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "weakly_identified",
         "Would half of the effect be detected?",
         "p",
-        check_statistics.half_seen,
+        check_statistics.detectable_at_half_size,
         "<",
         "significance",
         "cannot_tell",
@@ -233,8 +233,8 @@ def evaluate(evidence: Evidence) -> Iterator[CheckOutcome[Evidence]]:
     for check in _of_noise(evidence):
         if not explained and evidence.over_noise >= evidence.rules.most_over_noise:
             return
-        answer = check.ask(evidence)
+        answer = check.evaluate(evidence)
         explained &= answer.passed is not False
         yield answer
     if explained:
-        yield from (check.ask(evidence) for check in MAY_BE_CLAIMED)
+        yield from (check.evaluate(evidence) for check in MAY_BE_CLAIMED)

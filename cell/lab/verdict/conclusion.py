@@ -103,10 +103,10 @@ def conclude(
         noise_is_stated=fits.prepared.study.noise_std_m is not None,
         baseline=(base if verdict == "complete" else fits.prior_candidate()).errors,
         verdict=verdict,
-        missing=all_found(fits, path, tied, library, rules),
+        missing=added_effects(fits, path, tied, library, rules),
         ranking=ranked(fits, path[-1], search.singles, rivals, rules),
-        left=what_is_left(joint, most[0], final),
-        partial=all_found(joint, most, also, library, rules),
+        left=remaining_error(joint, most[0], final),
+        partial=added_effects(joint, most, also, library, rules),
         nearest=() if partial is None else nearest(partial, sound(search.singles, base), rules),
         warnings=(
             *doubts(fits, joint, final),
@@ -144,7 +144,7 @@ def unconfirmed(fits: FitCache, rules: Rules, verdict: Verdict, why: Doubt) -> E
         baseline=base.errors,
         verdict=verdict,
         ranking=ranked(fits, base, singles, set(), rules) if searched else (),
-        left=what_is_left(fits, base, base),
+        left=remaining_error(fits, base, base),
         nearest=nearest(partial, sound(singles, base), rules),
         warnings=(
             why,
@@ -159,7 +159,7 @@ def sound(singles: Sequence[FittedModel], base: FittedModel) -> list[FittedModel
     return [c for c in singles if c.fit.objective <= base.fit.objective]
 
 
-def all_found(
+def added_effects(
     fits: FitCache,
     steps: Sequence[FittedModel],
     tied: Mapping[str, Sequence[str]],
@@ -174,14 +174,14 @@ def all_found(
     left = [residual_summary(fits.prepared, c) for c in steps]
     return tuple(
         replace(
-            _found(fits, small, large, tied, library, final, rules),
+            _added_effect(fits, small, large, tied, library, final, rules),
             explained_share=removed_share(noise_m, left[0], after),
         )
         for (small, large), after in zip(itertools.pairwise(steps), left[1:], strict=True)
     )
 
 
-def _found(
+def _added_effect(
     fits: FitCache,
     small: FittedModel,
     large: FittedModel,
@@ -290,7 +290,7 @@ def _at_bound(candidate: FittedModel, effect: str) -> tuple[str, ...]:
     )
 
 
-def what_is_left(fits: FitCache, base: FittedModel, final: FittedModel) -> RemainingError:
+def remaining_error(fits: FitCache, base: FittedModel, final: FittedModel) -> RemainingError:
     """How much a candidate leaves, of what the baseline missed, and where."""
     prepared = fits.prepared
     noise_m = prepared.noise_model.noise.std_m

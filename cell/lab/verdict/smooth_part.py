@@ -20,7 +20,7 @@ from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.corrections import LEFT
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
-from cell.lab.fit.hand_error import MOTIONS
+from cell.lab.fit.gripper_log_error import MOTIONS
 from cell.lab.fit.heldout import HeldoutRows, heldout_rows
 from cell.lab.fit.quadratic import ExpectedSquare
 from cell.lab.fit.sensitivity import prior_root

@@ -87,9 +87,9 @@ def test_a_stated_error_is_as_correlated_as_what_a_model_leaves():
     assert 12.0 / found.correlated_channels == pytest.approx(
         2.4, rel=0.2
     )  # of two shapes, two coordinates
-    assert found.weighed.std_m == pytest.approx(1e-3 * np.sqrt(found.correlated_channels))
+    assert found.for_whitening.std_m == pytest.approx(1e-3 * np.sqrt(found.correlated_channels))
     white = [1e-3 * rng.normal(size=(180, 12)) for _ in range(3)]
-    alone = noise_model_of_residuals(replace(stated, coloured=False), white)
+    alone = noise_model_of_residuals(replace(stated, autocorrelated=False), white)
     assert alone.correlated_channels == pytest.approx(1.0, abs=0.1)
     assert alone.noise.ar1 == pytest.approx(0.0, abs=0.05)
     bound = replace(stated, noise=Noise(1e-3, 0.3))

@@ -17,7 +17,7 @@ def test_a_function_of_a_study_is_worked_out_once_for_each_study(make_study):
     assert [function(prepared, 1), function(prepared, 1), function(prepared, 2)] == [1, 1, 2]
     assert function(prepared, 1, other=5) == 6
     assert asked == [(1, 0), (2, 0), (1, 5)]
-    changed = replace(prepared, slopes=prepared.solver)
+    changed = replace(prepared, slope_solver=prepared.solver)
     assert changed.memo == {}
     assert function(changed, 1) == 1
     assert asked[3:] == [(1, 0)]

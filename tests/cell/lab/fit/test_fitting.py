@@ -37,7 +37,7 @@ def test_a_long_way_gone_coarsely_ends_where_a_fine_one_does(make_study, monkeyp
     prepared, space = PreparedStudy.of(study), ParameterSpace.of(study.cable)
     start = cold_start(prepared, space)
     fine = fit_model(prepared, space, start)
-    prepared = replace(prepared, slopes=replace(prepared.solver, step_s=3e-3))
+    prepared = replace(prepared, slope_solver=replace(prepared.solver, step_s=3e-3))
     simulated = []
     predict_all = PreparedStudy.predict_all
 
@@ -65,7 +65,7 @@ def test_a_coarse_fit_that_gains_no_more_is_gone_on_with_or_said_to_be_unfinishe
     start = cold_start(prepared, space)
     options = gauss_newton.Options(max_iterations=12)
     fine = fit_model(prepared, space, start, options=options)
-    prepared = replace(prepared, slopes=replace(prepared.solver, step_s=3e-3))
+    prepared = replace(prepared, slope_solver=replace(prepared.solver, step_s=3e-3))
     minimise, stages = gauss_newton.minimise, []
 
     def stuck_at_first(problem, begin, options, *jacobian):

@@ -12,7 +12,7 @@ from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
-from cell.lab.fit.corrections import matters, mesh_error_m, without_mesh_error
+from cell.lab.fit.corrections import mesh_error_m, moves_parameters, without_mesh_error
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.systematic_error import systematic_error
 from cell.lab.search.fit_cache import FitCache, SearchSetup
@@ -64,8 +64,8 @@ def test_once_taken_out_little_of_it_is_left():
     rest_m = mesh_error_m(clean, fit)
     again = without_mesh_error(clean, fit, rest_m).study.trials[0].markers
     assert np.sqrt(np.mean((again.xy_m - moved.xy_m) ** 2)) < 0.1 * shift_m
-    assert matters(raw, mesh_error_m(raw, fit))
-    assert not matters(clean, {name: 1e-3 * error for name, error in rest_m.items()})
+    assert moves_parameters(raw, mesh_error_m(raw, fit))
+    assert not moves_parameters(clean, {name: 1e-3 * error for name, error in rest_m.items()})
 
 
 def test_a_complete_model_of_a_soft_cable_lacks_nothing():

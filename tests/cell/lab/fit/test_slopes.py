@@ -11,7 +11,7 @@ from cell.identify.gauss_newton import jacobian_at
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit import sensitivity
-from cell.lab.fit.fitting import HARMLESS, fit_model, fit_trials, problem_of, with_slopes
+from cell.lab.fit.fitting import HARMLESS, fit_model, fit_trials, problem_of, with_slope_solver
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.sensitivity import sensitivities
 from cell.lab.verdict.check_statistics import of_effects
@@ -26,9 +26,9 @@ def fitted(make_study):
 
 def test_a_longer_step_leaves_slopes_and_what_follows_from_them(fitted):
     prepared, fit = fitted
-    coarser, same = with_slopes(prepared, fit)
-    assert coarser.slopes is not None
-    assert coarser.slopes.step_s > prepared.solver.step_s
+    coarser, same = with_slope_solver(prepared, fit)
+    assert coarser.slope_solver is not None
+    assert coarser.slope_solver.step_s > prepared.solver.step_s
     problem = problem_of(prepared, fit.space, fit_trials(prepared))
     exact = jacobian_at(problem, fit.solution.q, fit.solution.covariance)
     off = np.linalg.norm(same.solution.jacobian - exact, axis=0)
@@ -44,14 +44,14 @@ def test_where_a_longer_step_would_do_harm_none_is_taken(fitted):
     prepared, fit = fitted
     rough = replace(prepared, solver=Solver(segments=32, step_s=8e-3))
     fit = fit_model(rough, fit.space, fit.q)
-    assert with_slopes(rough, fit)[0].slopes is None
+    assert with_slope_solver(rough, fit)[0].slope_solver is None
 
 
 def test_how_far_a_search_goes_does_not_depend_on_the_step_of_slopes(fitted):
     prepared, fit = fitted
     trials = fit_trials(prepared)
     counted = []
-    for study in (prepared, replace(prepared, slopes=Solver(32, 3e-3))):
+    for study in (prepared, replace(prepared, slope_solver=Solver(32, 3e-3))):
         before = study.work.simulated_s
         study.white_near(trials, [fit.model] * 3)
         counted.append(study.work.simulated_s - before)

@@ -47,7 +47,7 @@ from cell.lab.line.effect_fit import TIE, EffectFit, LearningBudget
 from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.gates import Judgement, best_judged, gates, judge
 from cell.lab.line.learn import LearningResult, _LearningSpace, learn, negligible
-from cell.lab.line.learning_checks import learning_answers, learning_verdict
+from cell.lab.line.learning_checks import learning_outcomes, learning_verdict
 from cell.lab.line.learning_questions import LineEvidence
 from cell.lab.line.next_cable import asked, open_to
 from cell.lab.next.discover import Laws, laws_in
@@ -599,11 +599,11 @@ def test_a_complete_world_teaches_nothing_unless_all_ends_are_seen_elsewhere() -
     assert fit.end_seen_beyond_m == pytest.approx(complete.end_seen_beyond_m + 5e-4, abs=1e-4)
     assert fit.rms_m < 1.05 * complete.rms_m
     assert negligible(complete) and not negligible(fit)
-    answers = learning_answers(result)
+    answers = learning_outcomes(result)
     assert [a.name for a in answers if a.passed is False] == []
     assert learning_verdict(result, answers) == "complete"
     elsewhere = replace(result, baseline=fit)
-    answers = learning_answers(elsewhere)
+    answers = learning_outcomes(elsewhere)
     assert [a.name for a in answers if a.passed is False] == ["ends_beyond"]
     assert learning_verdict(elsewhere, answers) == "unexplained"
     assert "ends are seen elsewhere" in learning_lines(elsewhere)[-1], "it was called complete"

@@ -11,7 +11,7 @@ from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason
 from cell.lab.data.check import Check
 from cell.lab.line.effect_fit import LearningBudget
 from cell.lab.line.learn import FITTED_TO, LearningResult, identified_cables, learned_from
-from cell.lab.line.learning_checks import GATES, LEARNING, learning_answers, learning_verdict
+from cell.lab.line.learning_checks import GATES, LEARNING, learning_outcomes, learning_verdict
 from cell.lab.line.learning_questions import LineEvidence, LineRules
 from cell.lab.report.learning_tables import learning_lines, learning_parts
 from cell.lab.verdict.checks import CHECKS
@@ -59,7 +59,7 @@ def test_a_result_is_complete_only_if_every_question_is_answered_so(
     given: dict[str, float], failed: list[str], verdict: str
 ) -> None:
     found = result(**given)
-    answers = learning_answers(found)
+    answers = learning_outcomes(found)
     assert [a.name for a in answers if a.passed is False] == failed
     assert learning_verdict(found, answers) == verdict
     assert ("the model is complete" in learning_lines(found)[-1]) == (verdict == "complete")
@@ -68,7 +68,7 @@ def test_a_result_is_complete_only_if_every_question_is_answered_so(
 
 def test_nothing_is_complete_while_effects_were_left_out() -> None:
     found = replace(result(), left_out=("a fit with draught, for the limit",))
-    assert learning_verdict(found, learning_answers(found)) == "cannot_tell"
+    assert learning_verdict(found, learning_outcomes(found)) == "cannot_tell"
 
 
 def test_a_line_of_more_cables_than_are_learned_from_can_be_complete() -> None:
@@ -83,7 +83,7 @@ def test_a_line_of_more_cables_than_are_learned_from_can_be_complete() -> None:
     assert told.startswith("c12: ")
     assert budget.left_out == []
     of_some = replace(result(), cables_left_out=(told,))
-    assert learning_verdict(of_some, learning_answers(of_some)) == "complete"
+    assert learning_verdict(of_some, learning_outcomes(of_some)) == "complete"
     assert "the model is complete" in learning_lines(of_some)[-1]
 
 

@@ -13,7 +13,7 @@ from cell.lab.fit.fitting import fit_model, fit_trials
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.sensitivity import changes, nuisance_of, sensitivities
 from cell.lab.next.hidden import HiddenEffectWorld
-from cell.lab.next.linear_study import own_slopes, rivals_of
+from cell.lab.next.linear_study import own_sensitivities, rivals_of
 from cell.lab.search.fitted_model import POLISH
 
 DRAG = 0.4
@@ -101,14 +101,14 @@ def test_a_change_that_parameters_make_is_no_effect_of_its_own(linear):
     by_viscosity = linear.slopes[:, list(linear.whole.fit.space.names).index("viscosity")]
     hidden = 1e3 * by_viscosity
     none = np.empty((0, len(hidden)))
-    assert own_slopes(linear, library()["air_drag"], 0, hidden, hidden, none) is None
+    assert own_sensitivities(linear, library()["air_drag"], 0, hidden, hidden, none) is None
 
 
 def test_a_shape_that_the_amplitude_or_another_imitates_is_asked_once(linear, hidden):
     """Directions that are the same leave no covariance to be inverted."""
     other = linear.whole.sensitivities([library()["tip_mass"]])[0].rows[0][:1, : len(hidden)]
     shapes = np.vstack([0.0 * hidden, 2.0 * hidden, other, 3.0 * other])
-    own = own_slopes(linear, library()["air_drag"], 0, hidden, hidden, shapes)
+    own = own_sensitivities(linear, library()["air_drag"], 0, hidden, hidden, shapes)
     assert own is not None
     assert len(own.of_parameters) == 2
     np.testing.assert_allclose(own.shapes, other / np.linalg.norm(other))

@@ -20,8 +20,8 @@ from cell.lab.next.discover import effect_source
 from cell.lab.next.terms import admissible
 from cell.lab.search import extension, fit_cache
 from cell.lab.search.extension import Extension
-from cell.lab.search.fit_cache import FitCache, SearchSetup, rebased
-from cell.lab.search.fitted_model import FittedModel, weighed
+from cell.lab.search.fit_cache import FitCache, SearchSetup, with_lower_baseline
+from cell.lab.search.fitted_model import FittedModel, model_of_fit
 from cell.lab.search.refits import Refits
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.conclusion import ranked, sound
@@ -62,7 +62,7 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
     monkeypatch.setattr(extension, "fit_model", fit_model)
     monkeypatch.setattr(Extension, "_places", lambda *args: list(range(len(HELD_OUT))))
     monkeypatch.setattr(Extension, "_least_misfit", lambda *args: list(range(len(HELD_OUT))))
-    monkeypatch.setattr(extension, "weighed", weigh)
+    monkeypatch.setattr(extension, "model_of_fit", weigh)
     (candidate,) = fits.fit_extended(base, [effect])
     assert candidate.fit.objective == kept
     assert judged == (list(HELD_OUT) if name == "point" else [kept])
@@ -90,7 +90,7 @@ def test_a_fit_on_its_way_is_taken_on_before_it_is_compared_with_one_that_has_ar
     monkeypatch.setattr(extension, "fit_model", fit_model)
     monkeypatch.setattr(Extension, "_least_misfit", lambda *args: [1, 2])
     monkeypatch.setattr(
-        extension, "weighed", lambda _, effects, fit: FittedModel(effects, fit, None, 0.0)
+        extension, "model_of_fit", lambda _, effects, fit: FittedModel(effects, fit, None, 0.0)
     )
     found = Extension(fits.prepared, base, (base.fit.q,)).by(
         effect, fits.screened(base), extension.POLISH
@@ -139,7 +139,7 @@ def test_what_models_are_selected_by_does_not_depend_on_held_out_trials(make_stu
         for t in study.trials
     ]
     prepared = PreparedStudy.of(replace(study, trials=tuple(other)))
-    again = weighed(prepared, base.effects, base.fit)
+    again = model_of_fit(prepared, base.effects, base.fit)
     assert again.heldout.log_likelihood < base.heldout.log_likelihood - 1e3
     assert again.evidence == pytest.approx(base.evidence, rel=1e-9)
 
@@ -174,7 +174,7 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
 
     monkeypatch.setattr(extension, "fit_model", fit_model)
     monkeypatch.setattr(
-        extension, "weighed", lambda _, effects, fit: FittedModel(effects, fit, None, 0.0)
+        extension, "model_of_fit", lambda _, effects, fit: FittedModel(effects, fit, None, 0.0)
     )
     for _ in range(3):
         fits.fit_extended(base, [effect])
@@ -203,7 +203,7 @@ def test_a_cable_that_only_an_effect_kept_from_collapsing_is_begun_anew_without_
 
     monkeypatch.setattr(fit_cache, "fit_model", fit_model)
     monkeypatch.setattr(fit_cache, "cold_start", lambda *args: "cold")
-    monkeypatch.setattr(fit_cache, "weighed", lambda prepared, effects, fit: fit)
+    monkeypatch.setattr(fit_cache, "model_of_fit", lambda prepared, effects, fit: fit)
     both = FittedModel((effect, library()["air_drag"]), fit, None, 0.0)
     assert fits.fit_reduced(both, library()["air_drag"]) == "found"
     assert np.array_equal(initial_states[0], q[:-1])
@@ -240,7 +240,7 @@ def test_of_two_minima_without_an_effect_the_likelier_is_kept(make_study, monkey
         fitted.append(rest)
 
     monkeypatch.setattr(FitCache, "_taken_out", taken_out)
-    monkeypatch.setattr(fit_cache, "weighed", lambda *args: better)
+    monkeypatch.setattr(fit_cache, "model_of_fit", lambda *args: better)
     both = FittedModel((first, second), None, None, 0.0)
     assert [fits.fit_reduced(both, second) for _ in range(2)] == [better, better]
     assert fitted == [(first,)]
@@ -315,7 +315,7 @@ def test_a_fit_that_ended_at_the_edge_of_what_can_be_simulated_stays_there(make_
     monkeypatch.setattr(fit_cache, "fit_model", impossible)
     monkeypatch.setattr(extension, "fit_model", impossible)
     assert fits.fit_extended(base, [load]) == [model]
-    assert rebased(fits, base.fit.q, 0.0) is fits
+    assert with_lower_baseline(fits, base.fit.q, 0.0) is fits
 
 
 def test_an_effect_explains_no_less_than_nothing(make_study):

@@ -60,7 +60,7 @@ def test_what_does_not_apply_fails_nothing():
 )
 def test_a_limit_is_met_as_its_sign_says(value, passes, passed):
     check = Check("n", "?", "", lambda _: Reading(value), passes, "one", "cannot_tell", "", "")
-    assert check.ask(SimpleNamespace(rules=SimpleNamespace(one=1.0))).passed is passed
+    assert check.evaluate(SimpleNamespace(rules=SimpleNamespace(one=1.0))).passed is passed
 
 
 def fake(**given):
@@ -79,9 +79,9 @@ def fake(**given):
         study=study,
         count=lambda _: 1000,
     )
-    exact = SimpleNamespace(square=lambda _: 0.0, square_left=lambda *_: 0.0)
+    exact = SimpleNamespace(square=lambda _: 0.0, residual_square=lambda *_: 0.0)
     fits = SimpleNamespace(
-        prepared=prepared, added=lambda m: m.effects, prior_q=None, hand=lambda: exact
+        prepared=prepared, added=lambda m: m.effects, prior_q=None, gripper_log_error=lambda: exact
     )
 
     def candidate(rms_m: float, chi2: float, effects=()):
@@ -104,7 +104,7 @@ def fake(**given):
     ],
 )
 def test_the_whole_error_must_be_noise_or_close_to_it(rms_m, chi2, passed):
-    answer = by_name("residual_level").ask(fake(final=(rms_m, chi2)))
+    answer = by_name("residual_level").evaluate(fake(final=(rms_m, chi2)))
     assert answer.passed is passed
 
 
@@ -125,22 +125,22 @@ def test_a_negligible_smooth_part_passes_whatever_its_chance(monkeypatch):
     assert part.p_value < 1e-6
     assert check_statistics.heldout_smooth(evidence).value == 1.0
     vars(evidence)["smooth_before"] = SmoothPart(500.0, 200.0, 100_000, np.inf)
-    assert by_name("heldout_smooth").ask(evidence).passed is False
+    assert by_name("heldout_smooth").evaluate(evidence).passed is False
 
 
 def test_what_no_trial_is_held_out_for_is_not_confirmed():
     evidence = fake(final=(1e-4, 1000.0, ["an effect"]))
-    assert by_name("confirmation").ask(evidence).passed is True
+    assert by_name("confirmation").evaluate(evidence).passed is True
     evidence.final.heldout = None
-    answer = by_name("confirmation").ask(evidence)
+    answer = by_name("confirmation").evaluate(evidence)
     assert (answer.reading.value, answer.passed) == (1.0, False)
 
 
 def test_ties_count_the_effect_itself():
     tied = {"a": ("b", "c"), "d": ()}
     assert check_statistics.most_tied(fake(tied=tied)).value == 3.0
-    assert by_name("ties").ask(fake(tied=tied)).passed is True
-    assert by_name("ties").ask(fake(tied={"a": ("b", "c", "d")})).passed is False
+    assert by_name("ties").evaluate(fake(tied=tied)).passed is True
+    assert by_name("ties").evaluate(fake(tied={"a": ("b", "c", "d")})).passed is False
 
 
 def test_every_row_of_what_may_be_claimed_is_asked_of_a_model_at_the_noise(monkeypatch):

@@ -23,8 +23,8 @@ from cell.lab.fit.fitting import fit_model
 from cell.lab.next.advice import MEND, Paths, advice
 from cell.lab.report.tables import diagnosis_parts
 from cell.lab.search import partial
-from cell.lab.search.fit_cache import FitCache, SearchSetup, rebased
-from cell.lab.search.fitted_model import weighed
+from cell.lab.search.fit_cache import FitCache, SearchSetup, with_lower_baseline
+from cell.lab.search.fitted_model import model_of_fit
 from cell.lab.strength.compare import compare_model
 from cell.study.data import Markers
 from cell.terminal.fitting import show
@@ -118,13 +118,13 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     stuck = fit_model(
         whole.prepared, base.fit.space, initial_states, options=Options(max_iterations=1)
     )
-    stuck = weighed(whole.prepared, base.effects, stuck)
+    stuck = model_of_fit(whole.prepared, base.effects, stuck)
     assert stuck.fit.rms_m > 1.2 * base.fit.rms_m
     monkeypatch.setitem(whole._memory.models, base.names, stuck)
     whole, singles = partial._singles(whole, 2, DEFAULT_RULES)
     assert whole.base.fit.rms_m == pytest.approx(base.fit.rms_m, rel=0.01)
     assert partial.largest_step(whole, whole.base, singles, 2, DEFAULT_RULES) is None
-    assert rebased(whole, whole.base.fit.q, DEFAULT_RULES.tie_delta_chi2) is whole
+    assert with_lower_baseline(whole, whole.base.fit.q, DEFAULT_RULES.tie_delta_chi2) is whole
 
 
 @pytest.fixture(scope="module")

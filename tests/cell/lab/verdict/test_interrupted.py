@@ -78,7 +78,7 @@ def test_stopped_before_the_second_search_has_begun_the_first_is_told(study, mon
     fits = replace(before, prepared=meshed, setup=setup)
     fit_cache = "cell.lab.search.fit_cache"
     monkeypatch.setattr(f"{fit_cache}.corrected", lambda prepared, fit: prepared)
-    monkeypatch.setattr(f"{fit_cache}.matters", lambda prepared, moved: True)
+    monkeypatch.setattr(f"{fit_cache}.moves_parameters", lambda prepared, moved: True)
     found = diagnose(fits).diagnosis
     assert found.verdict == "cannot_tell"
     assert found.warnings[0].code == "interrupted"

@@ -18,7 +18,7 @@ MOTIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class HandError:
+class GripperLogError:
     """Whitened changes of residuals by motions of the hand that are as likely as its log.
 
     rows  per trial (motions, rows)
@@ -45,7 +45,7 @@ class HandError:
         """Expected χ² that the hand adds in trials."""
         return sum(float(np.sum(self.rows[t.name] ** 2)) for t in trials) / MOTIONS
 
-    def square_left(self, trials: Sequence[Trial], fit: Fit) -> float:
+    def residual_square(self, trials: Sequence[Trial], fit: Fit) -> float:
         """The same of trials that a model was fitted to: less what its parameters imitate."""
         slopes = fit.solution.jacobian[:, fit.solution.free]
         basis = np.linalg.qr(slopes)[0]
@@ -59,14 +59,14 @@ class HandError:
 
 
 @once_per_study
-def hand_error(prepared: PreparedStudy, fit: Fit) -> HandError:
+def gripper_log_error(prepared: PreparedStudy, fit: Fit) -> GripperLogError:
     """Of every trial, near a fitted model.  What cannot be simulated counts as none."""
     trials = prepared.study.trials
     states = {name: values[None] for name, values in fit.initial_states.items()}
     here = prepared.all_white(trials, [fit.model], states)[0]
     parts = prepared.by_trial(trials, here)
     changes = {t.name: by_other_hands(prepared, fit, t, parts[t.name]) for t in trials}
-    return HandError({name: np.nan_to_num(rows, nan=0.0) for name, rows in changes.items()})
+    return GripperLogError({name: np.nan_to_num(rows, nan=0.0) for name, rows in changes.items()})
 
 
 def by_other_hands(prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatArray) -> FloatArray:

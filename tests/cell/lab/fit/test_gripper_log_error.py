@@ -11,7 +11,7 @@ from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
-from cell.lab.fit.hand_error import MOTIONS, HandError, hand_error
+from cell.lab.fit.gripper_log_error import MOTIONS, GripperLogError, gripper_log_error
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.setup import fit_cache_of
 from cell.study.folder import write_study
@@ -25,7 +25,7 @@ def error():
     """Of two trials: rows along one direction each, of standard deviation 3 and 0."""
     along = np.zeros((MOTIONS, 50))
     along[:, 0] = 3.0 * np.sqrt(MOTIONS) * np.eye(MOTIONS)[0]
-    return HandError({"a": along, "b": np.zeros((MOTIONS, 20))})
+    return GripperLogError({"a": along, "b": np.zeros((MOTIONS, 20))})
 
 
 def test_along_what_the_hand_does_a_change_is_worth_less(error):
@@ -57,7 +57,7 @@ def test_what_the_parameters_imitate_is_not_left(error):
 def test_an_exact_log_changes_nothing(make_study):
     study = make_study(seed=2)
     fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {}))
-    found = hand_error(fits.prepared, fits.base.fit)
+    found = gripper_log_error(fits.prepared, fits.base.fit)
     assert found.square(study.trials) < 1e-3
 
 
