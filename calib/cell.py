@@ -87,13 +87,13 @@ class CellFit:
 
     def spread_m(self, pixels: FloatArray) -> FloatArray:
         """(…,) standard deviation of where pixels (…, 2) lie in the plane, over both axes, m."""
-        slopes = self.map_slopes(pixels.reshape(-1, 2))
+        slopes = self.map_jacobian(pixels.reshape(-1, 2))
         variance = np.einsum("np,pq,nq->n", slopes, self.covariance, slopes)
         return np.asarray(np.sqrt(variance.reshape(-1, 2).sum(axis=1))).reshape(pixels.shape[:-1])
 
-    def map_slopes(self, pixels: FloatArray) -> FloatArray:
+    def map_jacobian(self, pixels: FloatArray) -> FloatArray:
         """(2 N, P) how (N, 2) pixels' places in the plane, m, change with the parameters."""
-        return self._slopes(lambda x: self._view(x).to_plane(pixels).ravel())
+        return self._jacobian(lambda x: self._view(x).to_plane(pixels).ravel())
 
     def plane_spread(self) -> tuple[float, float]:
         """Standard deviation of the plane in the base frame: of its origin, m, and turn, rad.
@@ -106,7 +106,7 @@ class CellFit:
             X = inverse @ plane_in_base(x, self.home, self.up, self.in_plane)
             return np.array([X[2, 1], X[0, 2], X[1, 0], *X[:3, 3]])  # turned by very little
 
-        slopes = self._slopes(off)
+        slopes = self._jacobian(off)
         variance = np.diag(slopes @ self.covariance @ slopes.T)
         place = variance[3:5] if self.in_plane else variance[3:]
         return float(np.sqrt(place.sum())), float(np.sqrt(variance[:3].sum()))
@@ -118,13 +118,13 @@ class CellFit:
             X_CP = pose(x[CAMERA]) @ plane_in_base(x, self.home, self.up, self.in_plane)
             return np.array([camera_roll(X_CP)])
 
-        slopes = self._slopes(angle)
+        slopes = self._jacobian(angle)
         return float(angle(self.mean)[0]), float(np.sqrt(slopes @ self.covariance @ slopes.T)[0, 0])
 
     def _view(self, x: FloatArray) -> PlaneView:
         return view_of(x, self.home, self.up, self.in_plane)
 
-    def _slopes(self, function) -> FloatArray:  # type: ignore[no-untyped-def]
+    def _jacobian(self, function) -> FloatArray:  # type: ignore[no-untyped-def]
         columns = []
         sizes = np.sqrt(np.diag(self.covariance))
         for k in range(len(sizes)):

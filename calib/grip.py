@@ -28,7 +28,7 @@ _SHARE, _BEGINNING = 0.5, 0.2
 #: Terms of compliance and of rest curvature along the cable.
 _COMPLIANCE_TERMS, _REST_TERMS = 3, 2
 _Y, _ANGLE, _SHAPE = 0, 1, slice(2, None)
-_TURNS = 5
+_ITERATIONS = 5
 #: Directions that the shapes leave open by so much are not stepped in.
 _RCOND = 1e-6
 _NAMES = ("gripping point", "gripping point", "clamp angle", "free length")
@@ -55,7 +55,7 @@ class GripFit:
     half_95     (4,) half widths of their 95 % intervals
     used        (S,) False = a pose whose cable is longer or shorter, which had no part
     by_pose     (U, 4) the same of each used pose alone, the cable's stiffness as of all
-    left_m      (U,) rms of what the fit leaves across the line
+    residual_m  (U,) rms of what the fit leaves across the line
     """
 
     mean: FloatArray
@@ -63,7 +63,7 @@ class GripFit:
     half_95: FloatArray
     used: NDArray[np.bool_]
     by_pose: FloatArray
-    left_m: FloatArray
+    residual_m: FloatArray
 
     @property
     def repeatability(self) -> FloatArray:
@@ -196,7 +196,7 @@ def _fit(shapes: Sequence[_Shape]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(P,) parameters of all, (S, 2) y and angle of each alone, (S,) rms of what is left, m."""
     x = np.zeros(2 + shapes[0].turned.shape[1])
     x[_Y] = np.mean([s.edge_m[1] for s in shapes])
-    for _ in range(_TURNS):
+    for _ in range(_ITERATIONS):
         parts = [s.residuals(x) for s in shapes]
         slopes = np.concatenate([p[1] for p in parts])
         size = np.linalg.norm(slopes, axis=0)

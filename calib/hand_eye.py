@@ -104,7 +104,7 @@ def choose_poses(
     slopes = MarksModel(shown, marks_m, Gravity(fit.up, 1.0), 1.0)(fit.mean)[1]
     slopes = slopes.reshape(len(shown), -1, slopes.shape[-1]) / max(fit.noise_px, 0.01)
     inside = in_picture(fit, candidates, marks_m, size_px)
-    field = fit.map_slopes(field_px)
+    field = fit.map_jacobian(field_px)
     weight = field.T @ field / len(field_px)
     covariance, chosen = fit.covariance, []
     for _ in range(min(count, int(inside.sum()))):

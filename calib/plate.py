@@ -23,7 +23,7 @@ _NARROWEST, _MOST_OFF = 0.7, 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPlate:
+class DetectedPlate:
     """The marks of a plate in a picture: (M, 2) pixels of their centres, and how sharp they are.
 
     smear_px  length of the way that they moved in the picture while it was exposed
@@ -33,7 +33,7 @@ class SeenPlate:
     smear_px: float
 
 
-def find_plate(image: Image, marks_m: FloatArray, radius_m: float) -> SeenPlate | None:
+def find_plate(image: Image, marks_m: FloatArray, radius_m: float) -> DetectedPlate | None:
     """The marks of the plate, or None.
 
     image     (H, W) grey levels
@@ -64,7 +64,7 @@ def find_plate(image: Image, marks_m: FloatArray, radius_m: float) -> SeenPlate 
     if found is None:
         return None
     smear_px = _smear_px(centres[found], areas[found], spreads[found], marks_m)
-    return SeenPlate(centres[found], smear_px)
+    return DetectedPlate(centres[found], smear_px)
 
 
 def _smear_px(

@@ -50,7 +50,7 @@ class PriorKnowledge:
 #: A point further off than so many standard deviations is no noise.
 OUTLIER_SIGMAS = 5.0
 _LEAST_PX = 1e-4  # a fit of exact points still has a scale
-_TURNS = 4
+_ITERATIONS = 4
 _MOST_STEPS = 60
 _SMALLEST_GAIN = 1e-9  # of the cost: less is far below any standard deviation
 
@@ -73,7 +73,7 @@ class RobustFit:
     used: NDArray[np.bool_]
 
 
-def robust_fit(model: Model, start: FloatArray, known: PriorKnowledge) -> RobustFit:
+def robust_fit(model: Model, start: FloatArray, prior: PriorKnowledge) -> RobustFit:
     """Parameters that explain points best, outliers set aside.
 
     A fit with a loss that grows linearly finds the scale of the noise; points beyond
@@ -85,13 +85,13 @@ def robust_fit(model: Model, start: FloatArray, known: PriorKnowledge) -> Robust
     x, count = start, len(model(start)[0])
     used = np.ones(count, dtype=np.bool_)
     noise = max(_scale(model(x)[0]), _LEAST_PX)
-    for turn in range(_TURNS):
-        x = _least_squares(model, x, used / noise, known, robust=turn == 0)
+    for turn in range(_ITERATIONS):
+        x = _least_squares(model, x, used / noise, prior, robust=turn == 0)
         left = model(x)[0]
         noise_before, used_before = noise, used
         freedom = max(
             1.0,
-            2.0 * np.count_nonzero(used) - len(x) + np.count_nonzero(np.diag(known.information)),
+            2.0 * np.count_nonzero(used) - len(x) + np.count_nonzero(np.diag(prior.information)),
         )
         if turn == 0:
             noise = max(_scale(left), _LEAST_PX)
@@ -102,7 +102,7 @@ def robust_fit(model: Model, start: FloatArray, known: PriorKnowledge) -> Robust
         if turn > 1 and settled:
             break
     slopes = model(x)[1][used].reshape(-1, len(x)) / noise
-    information = slopes.T @ slopes + known.normal_equations(x)[0]
+    information = slopes.T @ slopes + prior.normal_equations(x)[0]
     return RobustFit(x, _covariance(information), noise, left, used)
 
 
@@ -122,7 +122,7 @@ def _least_squares(
     model: Model,
     start: FloatArray,
     scale: FloatArray,
-    known: PriorKnowledge,
+    prior: PriorKnowledge,
     *,
     robust: bool,
 ) -> FloatArray:
@@ -135,9 +135,9 @@ def _least_squares(
     def cost_of(x: FloatArray, residuals: FloatArray) -> tuple[float, FloatArray]:
         squares = scale**2 * np.sum(residuals**2, axis=1)
         if not robust:
-            return float(np.sum(squares)) + known.cost(x), scale**2
+            return float(np.sum(squares)) + prior.cost(x), scale**2
         roots = np.sqrt(1.0 + squares)
-        return float(np.sum(2.0 * (roots - 1.0))) + known.cost(x), scale**2 / roots
+        return float(np.sum(2.0 * (roots - 1.0))) + prior.cost(x), scale**2 / roots
 
     x, damping = start, 1e-4
     residuals, slopes = model(x)
@@ -145,7 +145,7 @@ def _least_squares(
     for _ in range(_MOST_STEPS):
         flat = slopes.reshape(-1, len(x))
         weighted = flat * np.repeat(weights, 2)[:, None]
-        matrix, slope = known.normal_equations(x)
+        matrix, slope = prior.normal_equations(x)
         matrix = weighted.T @ flat + matrix
         slope = weighted.T @ residuals.ravel() + slope
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))

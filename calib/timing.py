@@ -33,100 +33,100 @@ class Delay:
     rms_m: float
 
 
-def camera_latency(stamps_s: FloatArray, seen_m: FloatArray, hand: Trajectory) -> Delay:
+def camera_latency(stamps_s: FloatArray, detected_m: FloatArray, gripper_log: Trajectory) -> Delay:
     """By how much the camera's stamps are late on the cell's clock.
 
     stamps_s  (N,) of frames
-    seen_m    (N, 2) gripping point as the camera sees it
-    hand      measured poses, times on the cell's clock, from before the first to after the last
+    detected_m  (N, 2) gripping point as the camera sees it
+    gripper_log  measured poses, times on the cell's clock, from before the first to after the last
     raises    TooFewError, OneSidedError, MisfitError
     """
-    keep = np.all(np.isfinite(seen_m), axis=1)
-    stamps_s, seen_m = stamps_s[keep], seen_m[keep]
+    keep = np.all(np.isfinite(detected_m), axis=1)
+    stamps_s, detected_m = stamps_s[keep], detected_m[keep]
     if len(stamps_s) < LEAST_FRAMES:
         raise TooFewError(
             f"the jaw was found in {len(stamps_s)} of at least {LEAST_FRAMES} frames",
             "see that its marks are lit and in the picture during the whole motion",
         )
-    _check_speed(hand)
-    told = _smooth(np.stack([hand.x_m, hand.y_m], axis=1), hand.t_s)
+    _check_speed(gripper_log)
+    told = _smooth(np.stack([gripper_log.x_m, gripper_log.y_m], axis=1), gripper_log.t_s)
 
     def left(delay_s: float) -> FloatArray:
-        said = _at(hand.t_s, told, stamps_s - delay_s)
-        off = seen_m - said
+        said = _at(gripper_log.t_s, told, stamps_s - delay_s)
+        off = detected_m - said
         return np.asarray(off - off.mean(axis=0), dtype=np.float64)
 
     return _delay(left, -_LONGEST_S, _LONGEST_S, "camera")
 
 
-def arm_lag(told: Trajectory, hand: Trajectory) -> Delay:
+def arm_lag(commanded: Trajectory, gripper_log: Trajectory) -> Delay:
     """By how much the arm follows late: the lag of `servo_response`.
 
-    told    path as commanded, times on the cell's clock
-    hand    measured poses of the same time
+    commanded  path as commanded, times on the cell's clock
+    gripper_log  measured poses of the same time
     raises  OneSidedError, MisfitError
     """
-    _check_speed(hand)
-    return _delay(_lag_residuals(told, hand), 0.0, _LONGEST_LAG_S, "arm")
+    _check_speed(gripper_log)
+    return _delay(_lag_residuals(commanded, gripper_log), 0.0, _LONGEST_LAG_S, "arm")
 
 
-def _lag_residuals(told: Trajectory, hand: Trajectory) -> Callable[[float], FloatArray]:
+def _lag_residuals(commanded: Trajectory, gripper_log: Trajectory) -> Callable[[float], FloatArray]:
     """What a lag, s, leaves: (N, 2) m."""
-    start = hand.at(float(told.t_s[0]))
-    measured = np.stack([hand.x_m, hand.y_m], axis=1)
-    keep = hand.t_s >= told.t_s[0]
+    start = gripper_log.at(float(commanded.t_s[0]))
+    measured = np.stack([gripper_log.x_m, gripper_log.y_m], axis=1)
+    keep = gripper_log.t_s >= commanded.t_s[0]
 
     def left(lag_s: float) -> FloatArray:
         if lag_s < 0.0:  # no arm has such a lag; continued evenly, so that 0 has a slope
             return np.asarray(2.0 * left(0.0) - left(-lag_s))
-        meant = servo_response(told, lag_s, start=start)
+        meant = servo_response(commanded, lag_s, start=start)
         path = np.stack([meant.x_m, meant.y_m], axis=1)
-        return np.asarray(measured[keep] - _at(meant.t_s, path, hand.t_s[keep]))
+        return np.asarray(measured[keep] - _at(meant.t_s, path, gripper_log.t_s[keep]))
 
     return left
 
 
-def latency_change(stamps_s: FloatArray, seen_m: FloatArray, hand: Trajectory) -> Delay:
+def latency_change(stamps_s: FloatArray, detected_m: FloatArray, gripper_log: Trajectory) -> Delay:
     """By how much stamps are still late whose latency is taken off: near 0, without a search.
 
     Takes milliseconds; what it takes and raises is that of `camera_latency`, but for misfits.
     """
-    keep = np.all(np.isfinite(seen_m), axis=1)
-    stamps_s, seen_m = stamps_s[keep], seen_m[keep]
+    keep = np.all(np.isfinite(detected_m), axis=1)
+    stamps_s, detected_m = stamps_s[keep], detected_m[keep]
     if len(stamps_s) < LEAST_FRAMES:
         raise TooFewError(f"the jaw was found in {len(stamps_s)} frames", "light its marks")
-    said = np.stack([hand.x_m, hand.y_m], axis=1)
+    said = np.stack([gripper_log.x_m, gripper_log.y_m], axis=1)
 
     def left(delay_s: float) -> FloatArray:
-        off = seen_m - _at(hand.t_s, said, stamps_s - delay_s)
+        off = detected_m - _at(gripper_log.t_s, said, stamps_s - delay_s)
         return np.asarray(off - off.mean(axis=0), dtype=np.float64)
 
     return _nearby(left, 0.0)
 
 
-def lag_change(told: Trajectory, hand: Trajectory, lag_s: float) -> Delay:
+def lag_change(commanded: Trajectory, gripper_log: Trajectory, lag_s: float) -> Delay:
     """By how much the arm follows later than `lag_s`, without a search; see `arm_lag`."""
-    left = _lag_residuals(told, hand)
+    left = _lag_residuals(commanded, gripper_log)
     found = _nearby(left, lag_s)
     return replace(found, value_s=found.value_s - lag_s)
 
 
-def _nearby(left: Callable[[float], FloatArray], start_s: float) -> Delay:
+def _nearby(residuals: Callable[[float], FloatArray], start_s: float) -> Delay:
     """Delay of least squares by Gauss and Newton from a start, and its interval."""
     value_s = start_s
     for _ in range(_STEPS):
-        slope, rest = _slope(left, value_s), left(value_s)
+        slope, rest = _slope(residuals, value_s), residuals(value_s)
         step_s = -float(np.sum(slope * rest)) / max(float(np.sum(slope**2)), 1e-30)
         value_s = max(value_s + float(np.clip(step_s, -_STRIDE_S, _STRIDE_S)), start_s - _LONGEST_S)
         if abs(step_s) < _SETTLED_S:
             break
-    return _with_interval(left, value_s)
+    return _with_interval(residuals, value_s)
 
 
-def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of: str) -> Delay:
+def _delay(residuals: Callable[[float], FloatArray], low_s: float, high_s: float, of: str) -> Delay:
     """Delay of least squares, its interval allowing for residuals that go together in time."""
     grid = np.linspace(low_s, high_s, round((high_s - low_s) / _GRID_S) + 1)
-    costs = [float(np.sum(left(s) ** 2)) for s in grid]
+    costs = [float(np.sum(residuals(s) ** 2)) for s in grid]
     at = int(np.argmin(costs))
     none = MisfitError(
         f"{of}: no delay within {low_s:g} … {high_s:g} s explains the motion",
@@ -135,7 +135,7 @@ def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of:
     # no delay is shorter than 0, so one next to it is nothing odd
     if at == len(grid) - 1 or (at == 0 and low_s != 0.0):
         raise none
-    delay = _nearby(left, float(grid[at]))
+    delay = _nearby(residuals, float(grid[at]))
     if delay.value_s < low_s - delay.half_width_s:
         raise none
     delay = replace(delay, value_s=max(low_s, delay.value_s))
@@ -148,13 +148,13 @@ def _delay(left: Callable[[float], FloatArray], low_s: float, high_s: float, of:
     return delay
 
 
-def _slope(left: Callable[[float], FloatArray], value_s: float) -> FloatArray:
-    return (left(value_s + _APART_S) - left(value_s - _APART_S)) / (2.0 * _APART_S)
+def _slope(residuals: Callable[[float], FloatArray], value_s: float) -> FloatArray:
+    return (residuals(value_s + _APART_S) - residuals(value_s - _APART_S)) / (2.0 * _APART_S)
 
 
-def _with_interval(left: Callable[[float], FloatArray], value_s: float) -> Delay:
+def _with_interval(residuals: Callable[[float], FloatArray], value_s: float) -> Delay:
     """A delay with its interval, which allows for residuals that go together in time."""
-    rest, slope = left(value_s), _slope(left, value_s)
+    rest, slope = residuals(value_s), _slope(residuals, value_s)
     rms = float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
     score = np.sum(slope * rest, axis=1)
     total = sum_variance(score)
@@ -181,9 +181,9 @@ def _at(t_s: FloatArray, values: FloatArray, when_s: FloatArray) -> FloatArray:
     return np.stack([np.interp(when_s, t_s, v) for v in values.T], axis=1)
 
 
-def _check_speed(hand: Trajectory) -> None:
-    t_s = np.arange(hand.t_s[0], hand.t_s[-1], 0.02)
-    places = _at(hand.t_s, np.stack([hand.x_m, hand.y_m], axis=1), t_s)
+def _check_speed(gripper_log: Trajectory) -> None:
+    t_s = np.arange(gripper_log.t_s[0], gripper_log.t_s[-1], 0.02)
+    places = _at(gripper_log.t_s, np.stack([gripper_log.x_m, gripper_log.y_m], axis=1), t_s)
     speed = float(np.linalg.norm(np.diff(places, axis=0), axis=1).max(initial=0.0) / 0.02)
     if speed < LEAST_SPEED_M_PER_S:
         raise OneSidedError(

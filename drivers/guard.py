@@ -126,13 +126,13 @@ class GuardedArm(ArmAround):
         self._arm.stop(reason)
         _LOG.warning("%s: stop: %s", self.name, reason)  # which may wait for a disk
 
-    def _check_start(self, path: Trajectory, here: Pose, not_begun: str) -> None:
+    def _check_start(self, path: Trajectory, pose: Pose, not_begun: str) -> None:
         start = path.at(float(path.t_s[0]))
         limits = self._limits
         for name, unit, value, present, tolerance in (
-            ("x", "m", start.x_m, here.x_m, limits.start_tolerance_m),
-            ("y", "m", start.y_m, here.y_m, limits.start_tolerance_m),
-            ("angle", "rad", start.angle_rad, here.angle_rad, limits.start_tolerance_rad),
+            ("x", "m", start.x_m, pose.x_m, limits.start_tolerance_m),
+            ("y", "m", start.y_m, pose.y_m, limits.start_tolerance_m),
+            ("angle", "rad", start.angle_rad, pose.angle_rad, limits.start_tolerance_rad),
         ):
             if abs(value - present) > tolerance:
                 raise LimitError(

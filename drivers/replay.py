@@ -45,7 +45,7 @@ class RecordedPoses:
 class ReplayArm:
     """An arm that says what the recorded one said, and takes only its filmed motions.
 
-    answers  in the order in which they were given
+    logs     in the order in which they were given
     filmed   paths that were told with a moment of their start
     revisions  changed paths that the recorded arm took
     """
@@ -58,14 +58,14 @@ class ReplayArm:
         home: Pose,
         rate_hz: float,
         lag_s: float,
-        answers: Sequence[RecordedPoses],
+        logs: Sequence[RecordedPoses],
         filmed: Sequence[Trajectory],
         revisions: Sequence[Trajectory] = (),
     ) -> None:
         self._clock = clock
         self._rate_hz = rate_hz
         self._lag_s = lag_s
-        self._answers = answers
+        self._answers = logs
         self._filmed = filmed
         self._revisions = revisions
         self._mode = ArmMode.READY
@@ -146,14 +146,14 @@ class ReplayArm:
 class FilmedArm(ReplayArm):
     """An arm of which only measured poses are known, for as long as a film was made.
 
-    hand  the poses, on the clock of the film
+    gripper_log  the poses, on the clock of the film
     """
 
     def __init__(
-        self, clock: SimClock, home: Pose, rate_hz: float, lag_s: float, hand: Trajectory
+        self, clock: SimClock, home: Pose, rate_hz: float, lag_s: float, gripper_log: Trajectory
     ) -> None:
         super().__init__(clock, home, rate_hz, lag_s, (), ())
-        self._hand = hand
+        self._hand = gripper_log
 
     def log(self, start_s: float, end_s: float) -> Trajectory:
         """Those of the known poses that were measured in this time, and the next on either side."""

@@ -40,7 +40,7 @@ class RtdeClient:
         self._socket = socket.create_connection((host, RTDE_PORT), seconds)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
-            if self._ask(PackageType.PROTOCOL_VERSION, b"\x00\x02") != b"\x01":
+            if self._request(PackageType.PROTOCOL_VERSION, b"\x00\x02") != b"\x01":
                 raise RtdeError("the controller does not speak version 2 of RTDE")
         except OSError:
             self.close()
@@ -64,7 +64,7 @@ class RtdeClient:
 
     def controller_version(self) -> tuple[int, int, int, int]:
         """Major, minor, bugfix and build of the controller's software.  Raises OSError."""
-        answer = self._ask(PackageType.CONTROLLER_VERSION)
+        answer = self._request(PackageType.CONTROLLER_VERSION)
         try:
             major, minor, bugfix, build = struct.unpack(">4I", answer)
         except struct.error as error:
@@ -74,7 +74,7 @@ class RtdeClient:
     def report(self, names: Sequence[str], rate_hz: float) -> None:
         """Let the controller report values; `start` begins.  Raises OSError."""
         request = struct.pack(">d", rate_hz) + ",".join(names).encode()
-        answer = self._ask(PackageType.OUTPUT_SETUP, request)
+        answer = self._request(PackageType.OUTPUT_SETUP, request)
         self._output = _recipe(names, answer)
 
     def claim(self, names: Sequence[str]) -> Recipe:
@@ -82,16 +82,16 @@ class RtdeClient:
 
         raises  InUseError: another client has claimed one; RtdeError: there is none; OSError
         """
-        return _recipe(names, self._ask(PackageType.INPUT_SETUP, ",".join(names).encode()))
+        return _recipe(names, self._request(PackageType.INPUT_SETUP, ",".join(names).encode()))
 
     def start(self) -> None:
         """Begin to report.  Raises OSError."""
-        if self._ask(PackageType.START) != b"\x01":
+        if self._request(PackageType.START) != b"\x01":
             raise RtdeError("the controller does not start to report")
 
     def pause(self) -> None:
         """Have no more reported; what is claimed stays so.  Raises OSError."""
-        if self._ask(PackageType.PAUSE) != b"\x01":
+        if self._request(PackageType.PAUSE) != b"\x01":
             raise RtdeError("the controller does not cease to report")
         self._waiting.clear()
 
@@ -119,7 +119,7 @@ class RtdeClient:
         self._socket.settimeout(self._seconds)
         self._socket.sendall(packet.encoded())
 
-    def _ask(self, kind: PackageType, payload: bytes = b"") -> bytes:
+    def _request(self, kind: PackageType, payload: bytes = b"") -> bytes:
         """Payload of the answer, which is of the same kind."""
         self._send(Packet(kind, payload))
         due_s = time.monotonic() + self._seconds

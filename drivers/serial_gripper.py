@@ -68,7 +68,7 @@ class SerialGripper(RobotiqGripper):
         self._bus.clear_buffers_before_each_transaction = True
 
     def _status(self) -> GripperStatus:
-        first, second, third = self._ask(lambda bus: bus.read_registers(_STATUS, 3))
+        first, second, third = self._transact(lambda bus: bus.read_registers(_STATUS, 3))
         status = first >> 8
         return GripperStatus(
             activation=status >> 4 & 3,
@@ -82,9 +82,9 @@ class SerialGripper(RobotiqGripper):
     def _act(self, action: GripperAction) -> None:
         request = (action.active | action.going << 3) << 8
         registers = [request, action.count, action.speed << 8 | action.force]
-        self._ask(lambda bus: bus.write_registers(_COMMAND, registers))
+        self._transact(lambda bus: bus.write_registers(_COMMAND, registers))
 
-    def _ask(self, question: Callable[[minimalmodbus.Instrument], T]) -> T:
+    def _transact(self, question: Callable[[minimalmodbus.Instrument], T]) -> T:
         """Ask, and ask again after a bad or missing answer.  Raises DeviceLostError."""
         with self._lock:
             if self._bus is None:

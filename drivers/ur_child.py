@@ -67,7 +67,7 @@ class ControllerClock:
         """
         return deadline_s - self.lead_s - self._offset_s - 0.5 * self._period_s
 
-    def saw(self, robot_s: float, now_s: float) -> float:
+    def observe(self, robot_s: float, now_s: float) -> float:
         """Time on the cell's clock of a state that came now: by the least delay seen so far."""
         drift_s = _DRIFT * (robot_s - self._robot_s)
         self._offset_s = min(self._offset_s + drift_s, now_s - robot_s)
@@ -189,7 +189,7 @@ class _Child:
                 )
             return
         self._silent_s = 0.0
-        t_s = self._clock.saw(robot_s, now_s)
+        t_s = self._clock.observe(robot_s, now_s)
         if now_s < self._began_s + _CLOCKS_S or t_s <= self._last_t_s:
             return
         self._last_t_s = t_s
@@ -284,7 +284,7 @@ class _Child:
         self._shared.add(Slot.REVISIONS)
 
     def _reset(self) -> None:
-        self._robot.ask_anew()
+        self._robot.refresh()
         mode = self._robot.mode()
         if mode not in (ArmMode.READY, ArmMode.STOPPED):
             raise RefusedError(mode.value, "")

@@ -28,7 +28,7 @@ class Dashboard:
             self.close()
             raise
 
-    def ask(self, command: str) -> str:
+    def request(self, command: str) -> str:
         """The answer to a command.  Raises OSError; the connection is then of no more use."""
         self._lines.write(command + "\n")
         self._lines.flush()
@@ -61,28 +61,28 @@ class RemoteControl:
         self._host = host
         self._asking = threading.Lock()
         self._dashboard = Dashboard(host)
-        self.ask()
+        self.request()
         self._thread = GuardedThread("remote control", self._watch, self._died)
 
     def begin(self) -> None:
         """Ask from now on."""
         self._thread.start()
 
-    def ask(self) -> None:
+    def request(self) -> None:
         """Ask now, over a new connection if the old one has broken off.  Raises OSError."""
         with self._asking:
             try:
-                answer = self._dashboard.ask("is in remote control")
+                answer = self._dashboard.request("is in remote control")
             except OSError:
                 self._dashboard.close()
                 self._dashboard = Dashboard(self._host)
-                answer = self._dashboard.ask("is in remote control")
+                answer = self._dashboard.request("is in remote control")
             self.given = answer != "false"
 
     def _watch(self) -> None:
         while True:
             time.sleep(_EVERY_S)
-            self.ask()
+            self.request()
 
     def _died(self, error: BaseException) -> None:
         self.unknown = f"the dashboard does not tell who has control: {said(error)}"

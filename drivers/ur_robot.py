@@ -141,11 +141,11 @@ class Robot:
         """Why nobody knows any more who has control; "" = it is known, or there is no dashboard."""
         return "" if self._pendant is None else self._pendant.unknown
 
-    def ask_anew(self) -> None:
+    def refresh(self) -> None:
         """Ask the dashboard now.  Raises RefusedError: it does not answer."""
         if self._pendant is not None:
             try:
-                self._pendant.ask()
+                self._pendant.request()
             except OSError as error:
                 raise RefusedError(f"the dashboard: {error}", ArmMode.LOST.remedy) from error
 

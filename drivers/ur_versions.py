@@ -195,7 +195,7 @@ def identify(host: str, seconds: float = 2.0) -> ControllerIdentity:
 def _serial_number(host: str, seconds: float) -> str:
     dashboard = Dashboard(host, seconds)
     try:
-        number = dashboard.ask("get serial number")
+        number = dashboard.request("get serial number")
     finally:
         dashboard.close()
     if not number.isdecimal():

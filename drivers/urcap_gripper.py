@@ -73,18 +73,18 @@ class UrcapGripper(RobotiqGripper):
     def _act(self, action: GripperAction) -> None:
         request = f"SET ACT {action.active:d} POS {action.count} SPE {action.speed} "
         request += f"FOR {action.force} GTO {action.going:d}"
-        answer = self._ask(request)
+        answer = self._transact(request)
         if answer != "ack":
             self._lose(f"answers {answer[:80]!r}")
 
     def _get(self, variable: str) -> int:
-        answer = self._ask(f"GET {variable}")
+        answer = self._transact(f"GET {variable}")
         name, _, value = answer.partition(" ")
         if name != variable or not value.isdecimal():  # `?` where no gripper is found
             self._lose(f"answers {answer[:80]!r}")
         return int(value)
 
-    def _ask(self, request: str) -> str:
+    def _transact(self, request: str) -> str:
         """The answer to a line; not asked again, as TCP loses nothing.  Raises DeviceLostError."""
         with self._lock:
             if self._socket is None:

@@ -12,7 +12,7 @@ from cell.cable.assembly import assemble
 from cell.cable.clamp import pose_of
 from cell.cable.dynamics import increasing, simulate
 from cell.cable.geometry import Motion
-from cell.cable.hands import on_hand
+from cell.cable.hands import at_gripper
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, Solver, threads
 from cell.cable.swing import Grid, Swing, move
@@ -84,7 +84,7 @@ def _steps_alike(models: Sequence[CableModel], motions: Sequence[Motion], t_s: F
     steps = len(t_s) - 1
     # an effect parts the motions a little before their logs part, if at all
     looked = np.unique(np.append(np.arange(0, steps, _SELDOM), np.arange(len(t_s))[-_OFTEN:]))
-    for acting in {on_hand(model) for model in models if on_hand(model)}:
+    for acting in {at_gripper(model) for model in models if at_gripper(model)}:
         first, *others = (np.stack(pose_of(m, acting)(t_s[looked])) for m in motions)
         for other in others:
             apart = looked[np.any(np.abs(other - first) > _ALIKE, axis=0)]

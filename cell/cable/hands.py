@@ -22,12 +22,12 @@ Lanes = NDArray[np.int64]
 _AXES = 3
 
 
-def on_hand(model: CableModel) -> tuple[ActiveEffect, ...]:
+def at_gripper(model: CableModel) -> tuple[ActiveEffect, ...]:
     """The effects that change how the hand moves."""
     return tuple(a for a in model.effects if a.effect.clamp is not None)
 
 
-class Hands:
+class GripperMotions:
     """Motion and effects on the hand of every lane of a batch.
 
     Whatever is the same in several lanes is worked out once.
@@ -39,7 +39,7 @@ class Hands:
         self, paths: Sequence[Motion], models: Sequence[CableModel], steps: Steps | None = None
     ) -> None:
         self._paths = paths
-        self._acting = [on_hand(model) for model in models]
+        self._acting = [at_gripper(model) for model in models]
         self._keys = [(id(p), *a) for p, a in zip(paths, self._acting, strict=True)]
         self._rows: dict[Hashable, FloatArray] = {}
         if steps is None or not any(self._acting):

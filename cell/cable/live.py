@@ -11,12 +11,12 @@ from cell.cable.assembly import assemble, marker_weights
 from cell.cable.effects.base import Effect
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion, SmoothedMotion
-from cell.cable.hands import Hands
+from cell.cable.hands import GripperMotions
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver, generalised_alpha
 from cell.cable.splines import Steps, fit
 from cell.cable.statics import settle
-from cell.cable.stepping import integrate, looks, nodes
+from cell.cable.stepping import integrate, nodes, sample_times
 
 #: Poses that must follow before the hand's acceleration at a pose is known: each new one changes
 #: a spline's second derivative by 0.27 times what the one after it did.
@@ -128,7 +128,7 @@ class SwingingCable:
             state, memory = state.copy(), memory.copy()
         coefficients = generalised_alpha(step_s, solver.damping)
         in_steps = Steps(begin_s, step_s, steps, float(coefficients[12]))
-        base = Hands([motion], [self._model]).at_steps(_ALL_LANES, in_steps)
+        base = GripperMotions([motion], [self._model]).at_steps(_ALL_LANES, in_steps)
         swung = np.empty((int(np.count_nonzero(~rested)), block.segments + 1, at.LANES))
         bad = run_engine(
             integrate,
@@ -141,7 +141,7 @@ class SwingingCable:
             block.nonlinear,
             block.passes,
             (*effects, memory, memory_rows, begin_s),
-            looks([np.minimum((times_s[~rested] - begin_s) / step_s, steps)] * block.width),
+            sample_times([np.minimum((times_s[~rested] - begin_s) / step_s, steps)] * block.width),
             swung.ravel(),
             np.empty(0),
         )
@@ -151,7 +151,7 @@ class SwingingCable:
         return bends
 
     def _positions(self, motion: Motion, t_s: FloatArray, bends: FloatArray) -> FloatArray:
-        clamp = Hands([motion], [self._model]).at_times(_ALL_LANES, [t_s] * at.LANES)
+        clamp = GripperMotions([motion], [self._model]).at_times(_ALL_LANES, [t_s] * at.LANES)
         out = np.empty((self._block.width, len(t_s), len(self._markers[0]), 2))
         nodes(
             bends.ravel(),

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.cable.compiling import compiled, inline
 from cell.cable.wrong_values import (
+    ADJACENT,
     GLITCH,
-    TOGETHER,
-    beside_curve,
     bridged,
     fourth_differences,
     glitches,
     longest_run,
     made_up,
+    off_curve,
     wrong_alone,
 )
 
@@ -130,11 +130,11 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
         chance = _CHANCE if round_ < rounds - 1 else 0.0
         smooth, root = _least_error(signals, t, noise, local, multiples, chance)
         while turns_slowly and np.any(more := glitches(signals[:, 0] - smooth, noise) & ~wrong):
-            more = beside_curve(t, y, more, wrong, noise)
+            more = off_curve(t, y, more, wrong, noise)
             if not more.any():
                 break
             wrong |= more
-            turns_slowly = longest_run(wrong) <= TOGETHER
+            turns_slowly = longest_run(wrong) <= ADJACENT
             wrong &= turns_slowly
             signals[:, 0] = bridged(t, y, wrong)
             smooth, root = _least_error(signals, t, noise, local, multiples, chance)
@@ -159,7 +159,7 @@ def _never_moves(y: FloatArray, noise: float) -> bool:
     std = noise * math.sqrt(0.5 * math.pi / _BLOCK)  # of a median
     away = np.abs(y - np.median(middles)) > GLITCH * noise
     alike = bool(np.max(np.abs(middles - np.median(middles))) < _APART * std)
-    return alike and longest_run(away) <= TOGETHER
+    return alike and longest_run(away) <= ADJACENT
 
 
 def refit(spline: Spline, values: FloatArray) -> list[Spline]:

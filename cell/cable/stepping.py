@@ -101,7 +101,7 @@ def diverged(S: FloatArray, lanes: int, n: int) -> bool:
     return not worst < math.pi
 
 
-def looks(when: Sequence[FloatArray]) -> FloatArray:
+def sample_times(when: Sequence[FloatArray]) -> FloatArray:
     """When `integrate` records which lanes.
 
     when     (times,) of every lane in steps from the start, increasing; one array for neighbours
@@ -173,7 +173,7 @@ def integrate(
 
     step    coefficients of `generalised_alpha`
     passes  Newton passes of a step at most; another only if a hinge's rate has changed its sign
-    when    (looks, 4) of `looks`
+    when    (looks, 4) of `sample_times`
     wrench  (steps · 3 · LANES,) is filled with what the clamp exerts on the cable at the steps'
             collocation times, as `kernel.solve` has it; (0,) = not wanted
     returns −1, or the number of the first step whose bends are not below half a turn each

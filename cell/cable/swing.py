@@ -17,12 +17,12 @@ from cell.cable.arrays import FloatArray
 from cell.cable.assembly import ParameterBlock, marker_weights
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion
-from cell.cable.hands import Hands
+from cell.cable.hands import GripperMotions
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, LanesError, Solver, generalised_alpha, threads
 from cell.cable.splines import Steps
 from cell.cable.statics import settle
-from cell.cable.stepping import integrate, looks, nodes
+from cell.cable.stepping import integrate, nodes, sample_times
 from cell.cable.wrench import AXES, Gauge, RowMeans, as_points, at_places
 
 _MOST_STEPS = 5_000_000
@@ -90,7 +90,7 @@ def failures(
     """The same; blocks of which lanes cannot be simulated, with why.  None of theirs is written."""
     cell, weights = marker_weights(swing.models, arc_length_m, swing.solver.segments)
     longest = max(grids, key=lambda grid: grid.steps)
-    hands = Hands(swing.paths, swing.models, longest.in_equal_steps)
+    hands = GripperMotions(swing.paths, swing.models, longest.in_equal_steps)
 
     def run(block: ParameterBlock, grid: Grid) -> LanesError | None:
         try:
@@ -117,12 +117,12 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
 class Grid:
     """Steps of a block, from the beginning that all blocks share.
 
-    rests  whether it begins in equilibrium, not in the state that the block is in
+    at_rest  whether it begins in equilibrium, not in the state that the block is in
     """
 
     begin_s: float
     steps: int
-    rests: bool
+    at_rest: bool
     solver: Solver
 
     @staticmethod
@@ -177,7 +177,7 @@ def _bend(
 def _run(
     block: ParameterBlock,
     grid: Grid,
-    hands: Hands,
+    hands: GripperMotions,
     swing: Swing,
     markers: tuple[NDArray[np.int64], FloatArray],
     out: Sequence[FloatArray] | FloatArray,
@@ -187,7 +187,7 @@ def _run(
     order = lanes + lanes[:1] * (block.width - len(lanes))
     times = _needed(block, grid, swing)
     held = hands.at_times(order, each_once(lambda t: np.append(grid.begin_s, t), times))
-    if grid.rests:
+    if grid.at_rest:
         first = np.zeros((at.BASE_FIELDS, at.LANES))
         first[: held.shape[1]] = held[0]
         settle(block, first.ravel())
@@ -259,7 +259,7 @@ def _integrate(
         block.nonlinear,
         block.passes,
         block.effects,
-        looks(_in_steps(times_s, grid)),
+        sample_times(_in_steps(times_s, grid)),
         bends.ravel(),
         wrench.ravel(),
     )

@@ -16,7 +16,7 @@ from cell.cable.compiling import compiled, inline
 #: it is compared with so many neighbours on either side.
 GLITCH, _BESIDE = 4.5, 3
 #: More of them in a row are none: the curve turns sharply there, and is smoothed too much.
-TOGETHER = 3
+ADJACENT = 3
 #: Values that a line at an end goes along.
 _ON_LINE = 4
 #: A single value is wrong, however little noise there is, if with it made up from those beside it
@@ -95,7 +95,7 @@ def made_up(t: FloatArray, y: FloatArray, wrong: Sequence[int]) -> FloatArray:
     good = np.setdiff1d(np.arange(len(t)), wrong)
     y = y.copy()
     for i in wrong:
-        y[i] -= _told_beside(good, i)(t, y, i, good)
+        y[i] -= _interpolation_at(good, i)(t, y, i, good)
     return y
 
 
@@ -108,11 +108,11 @@ def bridged(t: FloatArray, y: FloatArray, wrong: NDArray[np.bool_]) -> FloatArra
     out[wrong] = np.interp(t[wrong], t[good], y[good])
     for i in np.flatnonzero(wrong):
         if not good[0] < i < good[-1]:
-            out[i] = y[i] - _told_beside(good, int(i))(t, y, int(i), good)
+            out[i] = y[i] - _interpolation_at(good, int(i))(t, y, int(i), good)
     return out
 
 
-def _told_beside(good: NDArray[np.intp], i: int) -> Callable[..., float]:
+def _interpolation_at(good: NDArray[np.intp], i: int) -> Callable[..., float]:
     """What value i is compared with: a cubic through good values, or what an end may be like."""
     place = int(np.searchsorted(good, i))
     inward = 1 if place < 2 else -1 if place > len(good) - 2 else 0
@@ -129,7 +129,7 @@ def glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
     return np.asarray(np.abs(residual - middle) > GLITCH * noise)
 
 
-def beside_curve(
+def off_curve(
     t: FloatArray,
     y: FloatArray,
     suspected: NDArray[np.bool_],
@@ -145,7 +145,7 @@ def beside_curve(
     found = np.zeros_like(suspected)
     for i in np.flatnonzero(suspected):
         first = int(np.clip(np.searchsorted(good, i) - _BESIDE, 0, max(0, len(good) - 2 * _BESIDE)))
-        near, told = good[first : first + 2 * _BESIDE], _told_beside(good, int(i))
+        near, told = good[first : first + 2 * _BESIDE], _interpolation_at(good, int(i))
         others = [abs(told(t, y, int(j), good)) for j in near]
         rough = float(np.median(others)) if others else 0.0
         found[i] = abs(told(t, y, int(i), good)) > GLITCH * max(noise, rough)

@@ -20,8 +20,8 @@ from calib.store import StoredCalibration
 from calib.thread import find_thread
 from calib.timing import Delay, arm_lag, camera_latency
 from cell.cable.arrays import FloatArray
-from cell.calibration.measure import marks_m, matrix_of, seen_marks
-from cell.calibration.raw import NamedImage, SeenMove, ShownCell
+from cell.calibration.measure import detect_marks, marks_m, matrix_of
+from cell.calibration.raw import DetectedMove, NamedImage, ShownCell
 from cell.settings import Settings
 from cell.settings.calibrated import CIRCLE_95, devices_of
 from cell.settings.translate import pose_of, vision_of
@@ -31,7 +31,7 @@ LEVEL_SPREAD_RAD = 0.0035
 #: Half of a normal law's 95 % interval, in standard deviations.
 _SIGMAS_95 = 1.96
 #: A board stretched by more is told.
-_STRETCH_TOLD = 1e-3
+_STRETCH_REPORTED = 1e-3
 
 
 def camera_from(
@@ -53,7 +53,7 @@ def camera_from(
 def doubts_about(fit: CameraFit) -> tuple[str, ...]:
     """What a person should know of a lens and its board, with remedies."""
     stretch, spread = fit.stretch
-    if abs(stretch) < max(_STRETCH_TOLD, 3.0 * spread):
+    if abs(stretch) < max(_STRETCH_REPORTED, 3.0 * spread):
         return ()
     return (
         f"the board is {1e2 * stretch:+z.2f} % longer across than upright, against its "
@@ -108,9 +108,9 @@ def cell_from(shown: ShownCell, camera: StoredCalibration, settings: Settings) -
     bare = shown.without
     threads = () if bare is None else tuple(find_thread(image, bare) for image in shown.threads)
     role = {name: [p for p in shown.poses if p.role == name] for name in ("fit", "held_out")}
-    found = seen_marks(role["fit"], marks)
+    found = detect_marks(role["fit"], marks)
     if len(found) < 0.7 * len(role["fit"]):
-        if len(seen_marks([p.mirrored for p in role["fit"]], marks)) > len(found):
+        if len(detect_marks([p.mirrored for p in role["fit"]], marks)) > len(found):
             raise WrongBoardError("the picture is mirrored", "switch mirroring off in the camera")
         raise TooFewError(
             f"the marks on the jaw were found in {len(found)} of {len(role['fit'])} poses",
@@ -118,7 +118,7 @@ def cell_from(shown: ShownCell, camera: StoredCalibration, settings: Settings) -
         )
     return fit_cell(
         found,
-        seen_marks(role["held_out"], marks),
+        detect_marks(role["held_out"], marks),
         Plate(marks_m(marks), marks.radius_m),
         Lens.of(camera.array("lens", (9,))),
         camera.covariance,
@@ -136,7 +136,7 @@ def disagreement_m(
     See `calib.hand_eye`; m in the plane.
     """
     marks = vision_of(settings).marks
-    seen = seen_marks([p for p in shown.poses if p.role == "fit"], marks)
+    seen = detect_marks([p for p in shown.poses if p.role == "fit"], marks)
     lens = Lens.of(camera.array("lens", (9,)))
     other = classic_view(seen, marks_m(marks), lens, fit.X_BP)
     grid = picture_grid((settings.camera.width_px, settings.camera.height_px))
@@ -195,15 +195,18 @@ class Times:
     lag: Delay
 
 
-def times_from(move: SeenMove) -> Times:
+def times_from(move: DetectedMove) -> Times:
     """Both delays from one motion.  Raises CalibrationError."""
     return Times(
-        camera_latency(move.stamps_s, move.seen_m, move.hand), arm_lag(move.told, move.hand)
+        camera_latency(move.stamps_s, move.detected_m, move.gripper_log),
+        arm_lag(move.commanded, move.gripper_log),
     )
 
 
-def stored_times(times: Times, settings: Settings, frames: int, told: float) -> StoredCalibration:
-    """What is kept of the delays; `told` is the latency that the driver took off already."""
+def stored_times(
+    times: Times, settings: Settings, frames: int, latency_s: float
+) -> StoredCalibration:
+    """What is kept of the delays; `latency_s` is the latency that the driver took off already."""
     return StoredCalibration(
         "time",
         datetime.now(UTC),
@@ -215,7 +218,7 @@ def stored_times(times: Times, settings: Settings, frames: int, told: float) -> 
             "latency_rms_m": times.latency.rms_m,
             "lag_rms_m": times.lag.rms_m,
         },
-        {"latency_s": told + times.latency.value_s, "lag_s": times.lag.value_s},
+        {"latency_s": latency_s + times.latency.value_s, "lag_s": times.lag.value_s},
     )
 
 
@@ -227,14 +230,14 @@ class Drift:
     """Today's distance of the cell from its calibration; `sentence` and `command` for a person.
 
     moved_m    the marks beside where the stored map has them, the mean
-    left_m     rms of the rest
+    residual_m  rms of the rest
     """
 
     good: bool
     sentence: str
     command: str | None
     moved_m: float
-    left_m: float
+    residual_m: float
     latency_change_s: float | None
 
 
@@ -243,7 +246,7 @@ def today(
 ) -> Drift:
     """Today's error.  Raises CalibrationError: the marks are not found."""
     marks = vision_of(settings).marks
-    found = seen_marks(shown.poses, marks)
+    found = detect_marks(shown.poses, marks)
     if not found:
         raise TooFewError(
             "the marks on the jaw were found in none of the poses",

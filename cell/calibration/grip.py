@@ -94,7 +94,7 @@ def grip_poses(settings: Settings, view: PlaneView) -> list[Pose]:
 
 def _at_rest(session: CalibrationSession, goal: Pose, view: PlaneView) -> RestingView:
     """A cable that has come to rest, or cannot be seen.  Raises MisfitError: it swings on."""
-    look = cable_look(session.settings)
+    look = rough_vision_options(session.settings)
     session.go_to(goal)
     session.wait_s(session.settings.motion.calm_s)
     before = None
@@ -112,7 +112,7 @@ def _at_rest(session: CalibrationSession, goal: Pose, view: PlaneView) -> Restin
     )
 
 
-def cable_look(settings: Settings) -> VisionOptions:
+def rough_vision_options(settings: Settings) -> VisionOptions:
     """How a cable is looked for whose length is only known roughly."""
     vision = vision_of(settings)
     return replace(
@@ -127,7 +127,7 @@ def views_of(
 
     raises  TooFewError, which names what is wrong with the pictures, and what to do first
     """
-    look = cable_look(settings)
+    look = rough_vision_options(settings)
     found, wrong = [], []
     for pose in shown.poses:
         seen = detect(pose.picture.image, 0.0, view, look)

@@ -17,9 +17,9 @@ from calib.jaw_marks import JawObservation
 from calib.plane import PlaneView
 from calib.plate import find_plate
 from cell.cable.arrays import FloatArray
-from cell.calibration.raw import NamedImage, SeenMove, ShownCell, ShownPose
+from cell.calibration.raw import DetectedMove, NamedImage, ShownCell, ShownPose
 from cell.calibration.session import CalibrationSession, FilmedMove
-from cell.calibration.showing import BOARD_VIEWS, THREADS, Assistant, Look
+from cell.calibration.showing import BOARD_VIEWS, THREADS, Assistant, OnCoverage
 from cell.plan.measuring import Move, least_duration_s, measuring_path
 from cell.settings import Settings
 from cell.settings.translate import vision_of
@@ -54,7 +54,7 @@ def show_board(
     assistant: Assistant,
     board: Board,
     say: Say,
-    look: Look | None = None,
+    look: OnCoverage | None = None,
 ) -> list[NamedImage]:
     """Pictures of the board in many poses, with word of where corners are lacking.
 
@@ -100,7 +100,7 @@ def lacking(views: Sequence[BoardView]) -> str:
 # --- poses of the hand ------------------------------------------------------------------------
 
 
-def show_hand(
+def film_plate(
     session: CalibrationSession, assistant: Assistant, fit: Callable[[ShownCell], CellFit], say: Say
 ) -> ShownCell:
     """The hand at rest in poses, the later ones where they teach most; and a plumb line."""
@@ -192,7 +192,7 @@ def matrix_of(pose: Pose) -> FloatArray:
     return X
 
 
-def seen_marks(shown: Sequence[ShownPose], marks: JawMarks) -> list[JawObservation]:
+def detect_marks(shown: Sequence[ShownPose], marks: JawMarks) -> list[JawObservation]:
     """The poses in which the marks were found."""
     found = []
     for one in shown:
@@ -221,7 +221,7 @@ def timing_path(settings: Settings, start: Pose, rate_hz: float) -> Trajectory:
     return measuring_path(start, [Move(p, lasts_s) for p in (low, start, low, start)], rate_hz)
 
 
-def seen_move(filmed: FilmedMove, view: PlaneView, marks: JawMarks) -> SeenMove:
+def detect_move(filmed: FilmedMove, view: PlaneView, marks: JawMarks) -> DetectedMove:
     """Where the jaw was seen in each frame; nan where it was not."""
     seen = np.full((len(filmed.frames), 2), np.nan)
     near: FloatArray | None = None
@@ -231,4 +231,4 @@ def seen_move(filmed: FilmedMove, view: PlaneView, marks: JawMarks) -> SeenMove:
         if jaw is not None:
             seen[k] = jaw.grip_m
     stamps_s = np.array([frame.t_s for frame in filmed.frames])
-    return SeenMove(filmed.told, filmed.hand, stamps_s, seen)
+    return DetectedMove(filmed.commanded, filmed.gripper_log, stamps_s, seen)

@@ -64,13 +64,13 @@ class ShownCell:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenMove:
+class DetectedMove:
     """A motion as told, as measured, and where the camera saw the gripping point at its stamps."""
 
-    told: Trajectory
-    hand: Trajectory
+    commanded: Trajectory
+    gripper_log: Trajectory
     stamps_s: FloatArray
-    seen_m: FloatArray
+    detected_m: FloatArray
 
 
 def save_pictures(folder: Path, pictures: Sequence[NamedImage]) -> None:
@@ -129,17 +129,17 @@ def _thread(folder: Path, number: int) -> Path:
     return folder / ("thread.png" if number == 1 else f"thread_{number}.png")
 
 
-def save_move(folder: Path, move: SeenMove) -> None:
+def save_move(folder: Path, move: DetectedMove) -> None:
     """Write a motion."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, path in ((_TOLD, move.told), (_HAND, move.hand)):
+    for name, path in ((_TOLD, move.commanded), (_HAND, move.gripper_log)):
         table = np.column_stack([path.t_s, path.x_m, path.y_m, path.angle_rad])
         _write(folder / name, _PATH_COLUMNS, table.tolist())
-    seen = np.column_stack([move.stamps_s, move.seen_m])
+    seen = np.column_stack([move.stamps_s, move.detected_m])
     _write(folder / _SEEN, _SEEN_COLUMNS, seen.tolist())
 
 
-def read_move(folder: Path) -> SeenMove:
+def read_move(folder: Path) -> DetectedMove:
     """What `save_move` wrote.  Raises InputError."""
     told, hand, seen = (
         np.array([numbers(folder / name, line, row) for line, row in _rows(folder / name, header)])
@@ -149,7 +149,7 @@ def read_move(folder: Path) -> SeenMove:
             (_SEEN, _SEEN_COLUMNS, _seen),
         )
     )
-    return SeenMove(Trajectory(*told.T), Trajectory(*hand.T), seen[:, 0], seen[:, 1:])
+    return DetectedMove(Trajectory(*told.T), Trajectory(*hand.T), seen[:, 0], seen[:, 1:])
 
 
 def _seen(path: Path, line: int, cells: Sequence[str]) -> list[float]:

@@ -18,7 +18,7 @@ from calib.store import StoredCalibration
 from calib.timing import Delay
 from cell.cable.arrays import FloatArray
 from cell.calibration.conclude import Times
-from cell.calibration.raw import NamedImage, SeenMove, ShownCell
+from cell.calibration.raw import DetectedMove, NamedImage, ShownCell
 from cell.settings import Settings
 from cell.settings.calibrated import CIRCLE_95
 from drivers.interfaces import Image
@@ -170,7 +170,7 @@ def cell_report(
     )
 
 
-def time_report(stored: StoredCalibration, times: Times, move: SeenMove) -> str:
+def time_report(stored: StoredCalibration, times: Times, move: DetectedMove) -> str:
     """Page about delays."""
 
     def words(delay: Delay) -> str:
@@ -181,11 +181,11 @@ def time_report(stored: StoredCalibration, times: Times, move: SeenMove) -> str:
         ("arm behind its commands", words(times.lag), f"{times.lag.rms_m * 1e3:.3f} mm"),
     ]
     stamps = move.stamps_s - times.latency.value_s
-    start = move.hand.t_s[0]
+    start = move.gripper_log.t_s[0]
     series = [
-        ("told", move.told.t_s - start, move.told.y_m),
-        ("measured by the arm", move.hand.t_s - start, move.hand.y_m),
-        ("seen, latency taken off", stamps - start, move.seen_m[:, 1]),
+        ("told", move.commanded.t_s - start, move.commanded.y_m),
+        ("measured by the arm", move.gripper_log.t_s - start, move.gripper_log.y_m),
+        ("seen, latency taken off", stamps - start, move.detected_m[:, 1]),
     ]
     return _page(
         "Latency and lag",
@@ -219,7 +219,7 @@ def grip_report(
     poses = [
         (one.name, *(f"{k * v:.3f}" for v, (_, k) in zip(values, units, strict=True)),
          f"{1e3 * left:.3f}")
-        for one, values, left in zip(views, fit.by_pose, fit.left_m, strict=True)
+        for one, values, left in zip(views, fit.by_pose, fit.residual_m, strict=True)
     ]  # fmt: skip
     images = {p.picture.name: p.picture.image for p in shown.poses}
     first, last = views[0], views[-1]

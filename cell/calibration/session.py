@@ -49,8 +49,8 @@ class RestingView:
 class FilmedMove:
     """A motion as told and as measured, on the cell's clock, and every frame of it."""
 
-    told: Trajectory
-    hand: Trajectory
+    commanded: Trajectory
+    gripper_log: Trajectory
     frames: tuple[Frame, ...]
 
 

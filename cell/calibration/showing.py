@@ -91,7 +91,7 @@ class Operator:
 
 
 #: Told of all views so far and of the newest picture (H, W), grey levels.
-Look = Callable[[Sequence[BoardView], NDArray[np.uint8]], None]
+OnCoverage = Callable[[Sequence[BoardView], NDArray[np.uint8]], None]
 
 #: File in the folder of the calibration.
 FILE = "coverage.jpg"

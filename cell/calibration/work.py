@@ -24,7 +24,7 @@ from cell.calibration.conclude import Drift
 from cell.calibration.measure import Say
 from cell.calibration.report import camera_report, cell_report, grip_report, time_report
 from cell.calibration.session import CalibrationSession, opened
-from cell.calibration.showing import BOARD_VIEWS, Assistant, Look, Operator
+from cell.calibration.showing import BOARD_VIEWS, Assistant, OnCoverage, Operator
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.files.rescue import kept, remedy
@@ -79,7 +79,7 @@ class CalibrationJob:
         ask: Callable[[str], str],
         *,
         live: bool,
-        look: Look | None = None,
+        look: OnCoverage | None = None,
     ) -> None:
         if settings.calibration is None:
             message = "is missing; add `calibration: {}`, and leave out camera.view"
@@ -158,7 +158,7 @@ class CalibrationJob:
         camera = self._before("camera")
         self._check_size(camera)
         if source is None:
-            shown = measure.show_hand(
+            shown = measure.film_plate(
                 self._open(),
                 self._assistant,
                 lambda some: self._first_fit(some, camera),
@@ -294,14 +294,14 @@ class CalibrationJob:
         )
         return self._session
 
-    def _move(self, view: PlaneView) -> raw.SeenMove:
+    def _move(self, view: PlaneView) -> raw.DetectedMove:
         session = self._open()
         session.go_to(session.home)
         path = measure.timing_path(self._settings, session.home, session.devices.arm.rate_hz)
         self._say("film a motion")
         filmed = session.film(path)
         self._say(f"look at {len(filmed.frames)} frames")
-        return measure.seen_move(filmed, view, vision_of(self._settings).marks)
+        return measure.detect_move(filmed, view, vision_of(self._settings).marks)
 
     def _before(self, kind: str) -> StoredCalibration:
         """A calibration that this one needs."""

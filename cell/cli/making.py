@@ -117,7 +117,7 @@ def made_cell(
         seed=seed,
         cycles=cycles,
         on_step=on_step,
-        known=known,
+        calibration=known,
         twins=twins,
         others=others,
     )

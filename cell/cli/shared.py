@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from cell.computer.watched import ANSWERED, answers_after_interrupt
+from cell.computer.watched import ANSWERED, responds_after_interrupt
 
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
 
@@ -149,7 +149,7 @@ def _heard_by(
 
     A command that knows nothing then ends, and says so.
     """
-    answers_after_interrupt()
+    responds_after_interrupt()
     former = {s: signal.signal(s, handler) for s in ANSWERED}
     try:
         yield

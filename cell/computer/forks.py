@@ -25,13 +25,13 @@ from functools import partial
 from itertools import islice
 from typing import Any, BinaryIO, Generic, TypeVar
 
-from cell.computer.watched import MOST_FORKS, fork_began, fork_ended
+from cell.computer.watched import MOST_FORKS, fork_ended, fork_started
 
 Given = TypeVar("Given")
 Returned = TypeVar("Returned")
 
 #: While forks are waited for, whoever waits looks this often whether anybody still wants it, s.
-_LOOK_S = 0.05
+_POLL_S = 0.05
 _SIZE_BYTES = 8
 #: Where the system does not tell that a parent has ended, a process looks this often, s.
 _PARENT_S = 1.0
@@ -106,7 +106,7 @@ class Forks:
                 if stopped:
                     raise stopped[0]
                 if busy := [other for other in others if other.is_alive()]:
-                    busy[0].join(_LOOK_S)
+                    busy[0].join(_POLL_S)
         except BaseException as error:
             stopped.append(error)
             self.close()
@@ -258,7 +258,7 @@ def _become_worker(parent: int, slot: int) -> None:
     # a thread that this process no longer has may have held the lock of the old ones
     sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), write_through=True)
     sys.stderr = io.TextIOWrapper(io.FileIO(2, "w", closefd=False), write_through=True)
-    fork_began(slot)
+    fork_started(slot)
 
 
 def _send(stream: BinaryIO, message: object, known: Sequence[object]) -> None:
@@ -338,7 +338,7 @@ class _JobRow(Generic[Given, Returned]):
             if self.error is not None:
                 raise self.error
             if self.taken not in self.done:
-                self.changed.wait(_LOOK_S)
+                self.changed.wait(_POLL_S)
             if self.taken not in self.done:
                 return None
             self.taken += 1
@@ -430,7 +430,7 @@ class _Slot:
 
     def do(self, job: Any) -> Any:
         """The function's result.  Raises LostError."""
-        while not self._there.wait(_LOOK_S):
+        while not self._there.wait(_POLL_S):
             if self._ended:
                 raise LostError
         copy = self._copy

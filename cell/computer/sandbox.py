@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from cell.computer.confinement import UnconfinedError, confine
-from cell.computer.watched import LOOK_S, GivenTime, UnderWay
+from cell.computer.watched import POLL_S, GrantedTime, RunningCall
 
 #: Longest message, bytes.
 MOST_BYTES = 1 << 28
@@ -189,7 +189,7 @@ class Sandbox:
     def __init__(self, channel: Channel) -> None:
         self._channel = channel
         self._asking = threading.RLock()
-        self._given, self._under_way, self._patience_s = GivenTime(0), UnderWay(), START_S
+        self._given, self._under_way, self._patience_s = GrantedTime(0), RunningCall(), START_S
         try:
             begun = channel.receive(self._wait)
         except (OSError, EOFError, ValueError, SandboxStuckError) as error:
@@ -200,9 +200,9 @@ class Sandbox:
             raise UnconfinedError(begun["unconfined"])
         self._pid = int(begun["pid"])
         self._process = os.pidfd_open(self._pid)
-        self._given = GivenTime(self._pid)
+        self._given = GrantedTime(self._pid)
 
-    def ask(
+    def request(
         self,
         request: object,
         patience_s: float,
@@ -248,14 +248,14 @@ class Sandbox:
         return self._process >= 0
 
     def _send(self, value: object) -> None:
-        self._under_way = UnderWay()
+        self._under_way = RunningCall()
         try:
             self._channel.send(value, self._wait)
         except OSError as error:
             raise SandboxEndedError from error
 
     def _receive(self) -> Any:
-        self._under_way = UnderWay()
+        self._under_way = RunningCall()
         try:
             return self._channel.receive(self._wait)
         except (OSError, EOFError, ValueError) as error:
@@ -265,10 +265,10 @@ class Sandbox:
         """Until something can be read or written.  Raises SandboxStuckError."""
         line = [self._channel]
         while True:
-            ready = select.select([] if write else line, line if write else [], [], LOOK_S)
+            ready = select.select([] if write else line, line if write else [], [], POLL_S)
             if ready[0] or ready[1]:
                 return
-            self._under_way.look(self._given.since_last_look_s())
+            self._under_way.sample(self._given.since_last_sample_s())
             if self._under_way.is_stuck(self._patience_s):
                 raise SandboxStuckError
 

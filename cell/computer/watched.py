@@ -29,7 +29,7 @@ PATIENCE_S = 3.0
 _BUSY = 2.5
 #: The parent looks so often, s.  What it counts are looks: while both processes are stopped, as by
 #: Ctrl-Z, nothing is counted.
-LOOK_S = 0.25
+POLL_S = 0.25
 #: After Ctrl-C the child may tidy up for so long, s.
 _TIDYING_S = 2.0
 #: So long if it has said that it will still answer, s.
@@ -138,7 +138,7 @@ def must_end(what: str) -> Iterator[None]:
         _calls.end(slot)
 
 
-def fork_began(fork: int) -> None:
+def fork_started(fork: int) -> None:
     """This process is a fork, with this number below `MOST_FORKS`, of one that may be watched."""
     if _calls is not None:
         _calls.belong(fork, os.getpid())
@@ -150,7 +150,7 @@ def fork_ended(fork: int) -> None:
         _calls.belong(fork, 0)
 
 
-def answers_after_interrupt() -> None:
+def responds_after_interrupt() -> None:
     """This process will still answer after Ctrl-C or SIGTERM: its parent then waits for longer."""
     if _calls is not None:
         _calls.answers = True
@@ -228,68 +228,68 @@ def wants_to_compute(process: int) -> bool:
     return any(text.rsplit(")", 1)[1].split()[0] == "R" for text in threads)
 
 
-class GivenTime:
+class GrantedTime:
     """Time in which a process could have gone on, from one look at it to the next."""
 
     def __init__(self, process: int) -> None:
         self._process = process
         self._cpu_s = cpu_s(process)
 
-    def since_last_look_s(self) -> float:
+    def since_last_sample_s(self) -> float:
         """All of it while the process sleeps; while it wants to compute, what it was given."""
         before_s, self._cpu_s = self._cpu_s, cpu_s(self._process)
         if not wants_to_compute(self._process):
-            return LOOK_S
-        return min(LOOK_S, self._cpu_s - before_s)
+            return POLL_S
+        return min(POLL_S, self._cpu_s - before_s)
 
 
 @dataclass
-class UnderWay:
+class RunningCall:
     """What a call that has not ended was given: s of its process's own time, and s of looks."""
 
     own_s: float = 0.0
-    looks_s: float = 0.0
+    sampled_s: float = 0.0
 
-    def look(self, given_s: float) -> None:
+    def sample(self, given_s: float) -> None:
         """One more look at which the call is still under way."""
         self.own_s += given_s
-        self.looks_s += LOOK_S
+        self.sampled_s += POLL_S
 
     def is_stuck(self, patience_s: float) -> bool:
         """Whether a call that ends would have ended; others may have held the cores."""
-        return self.own_s >= patience_s - 0.5 * LOOK_S or self.looks_s >= _BUSY * patience_s
+        return self.own_s >= patience_s - 0.5 * POLL_S or self.sampled_s >= _BUSY * patience_s
 
 
-class LooksAtCalls:
+class CallMonitor:
     """Counts looks at the calls of a process, and tells which does not come to an end."""
 
     def __init__(self, calls: Calls, process: int, patience_s: float) -> None:
         self._calls = calls
-        self._given = GivenTime(process)
-        self._forks: dict[int, GivenTime] = {}  # by process
+        self._given = GrantedTime(process)
+        self._forks: dict[int, GrantedTime] = {}  # by process
         self._patience_s = patience_s
         self._numbers = calls.numbers()
-        self._under_way = [UnderWay() for _ in self._numbers]
+        self._under_way = [RunningCall() for _ in self._numbers]
 
     def stuck(self) -> int | None:
         """Look once more: slot of a call that is under way for too long."""
-        numbers, given_s = self._calls.numbers(), self._given.since_last_look_s()
-        by_fork = self._given_to_forks()
+        numbers, given_s = self._calls.numbers(), self._given.since_last_sample_s()
+        by_fork = self._granted_to_forks()
         for slot, (number, before) in enumerate(zip(numbers, self._numbers, strict=True)):
             if number == before and number % 2 == 1:
                 fork = self._calls.fork(slot)
-                self._under_way[slot].look(given_s if fork is None else by_fork[fork])
-            elif self._under_way[slot].looks_s:
-                self._under_way[slot] = UnderWay()
+                self._under_way[slot].sample(given_s if fork is None else by_fork[fork])
+            elif self._under_way[slot].sampled_s:
+                self._under_way[slot] = RunningCall()
         self._numbers = numbers
         stuck = (s for s, u in enumerate(self._under_way) if u.is_stuck(self._patience_s))
         return next(stuck, None)
 
-    def _given_to_forks(self) -> list[float]:
+    def _granted_to_forks(self) -> list[float]:
         """Time in which every fork could have gone on since the last look, s."""
         processes = [self._calls.process(fork) for fork in range(MOST_FORKS)]
-        self._forks = {p: self._forks.get(p) or GivenTime(p) for p in processes if p}
-        given = {p: g.since_last_look_s() for p, g in self._forks.items()}
+        self._forks = {p: self._forks.get(p) or GrantedTime(p) for p in processes if p}
+        given = {p: g.since_last_sample_s() for p, g in self._forks.items()}
         return [given.get(p, 0.0) for p in processes]
 
 
@@ -301,7 +301,7 @@ class _Watch:
         self._ended = ended
         self._calls = calls
         self._patience_s = patience_s
-        self._looks = LooksAtCalls(calls, child, patience_s)
+        self._looks = CallMonitor(calls, child, patience_s)
         self._given: int | None = None
         self._given_s = float("inf")
         self._kill_s = float("inf")
@@ -313,7 +313,7 @@ class _Watch:
 
     def code(self) -> int:
         """Exit code of the command, once the child has ended."""
-        while not select.select([self._ended], [], [], LOOK_S)[0]:
+        while not select.select([self._ended], [], [], POLL_S)[0]:
             if time.monotonic() > self._kill_s:
                 os.kill(self._child, signal.SIGKILL)
             elif (stuck := self._looks.stuck()) is not None:

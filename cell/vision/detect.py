@@ -40,7 +40,7 @@ from cell.vision.trace import (
 )
 
 _SHARES = (0.3, 0.5, 0.7, 0.9)  # of the cable's length, radii of the arcs
-_BESIDE_PX = 8.0  # a crossing nearer to the cable is the cable itself
+_CABLE_PX = 8.0  # a crossing nearer to the cable is the cable itself
 _APART_PX = 6.0  # a point of another line nearer to the cable does not count
 _EVERY_POINT = 4  # one of so many dense points of the cable is compared with
 
@@ -61,7 +61,7 @@ def another_line(picture, memory, grip, outward, contrast, length):  # type: ign
         count = crossings(picture, arc, memory.scratch, crossing)
         for n in range(count):
             u, v, strength = crossing[n, 0], crossing[n, 1], crossing[n, 2]
-            if strength <= 0.5 * contrast or _distance(u, v, memory.dense) < _BESIDE_PX:
+            if strength <= 0.5 * contrast or _distance(u, v, memory.dense) < _CABLE_PX:
                 continue
             distance = hypot(u - grip[0], v - grip[1])
             ru, rv = (u - grip[0]) / distance, (v - grip[1]) / distance
@@ -137,10 +137,10 @@ class FrameResult(NamedTuple):
     length_m: float
 
 
-def frame_memory(shape: tuple[int, int], look: Appearance) -> FrameMemory:
+def frame_memory(shape: tuple[int, int], appearance: Appearance) -> FrameMemory:
     """Memory for pictures (H, W)."""
     return FrameMemory(
-        disc_memory(shape, len(look.marks.centres_m)),
+        disc_memory(shape, len(appearance.marks.centres_m)),
         trace_memory(float(np.hypot(*shape))),
         np.empty(256, np.int64),
         np.empty(DENSE),
@@ -148,12 +148,12 @@ def frame_memory(shape: tuple[int, int], look: Appearance) -> FrameMemory:
 
 
 @compiled
-def nodes_in_frame(picture, view, look, memory, near, nodes):  # type: ignore[no-untyped-def]
+def nodes_in_frame(picture, view, appearance, memory, previous, nodes):  # type: ignore[no-untyped-def]
     """Find jaw and cable in one picture; writes the nodes.
 
     picture  see `Picture`
     view     see `View`
-    near     place, m, and angle of the jaw in the frame before; nan = unknown
+    previous  place, m, and angle of the jaw in the frame before; nan = unknown
     nodes    (N, 2) are written, tip first, m; nan where unseen
     returns  a `FrameResult`
     """
@@ -161,20 +161,20 @@ def nodes_in_frame(picture, view, look, memory, near, nodes):  # type: ignore[no
     code = _unusable(picture.image, memory.histogram)
     if code >= 0:
         return FrameResult(code, np.nan, np.nan, np.nan, 0.0, np.nan)
-    jaw = find_body(picture.image, view, look.marks, memory.discs, near, NEXT_FRAME_M)
+    jaw = find_body(picture.image, view, appearance.marks, memory.discs, previous, NEXT_FRAME_M)
     if jaw.marks == 0:
         return FrameResult(_NO_JAW, np.nan, np.nan, np.nan, 0.0, np.nan)
     x, y, angle = jaw.x_m, jaw.y_m, jaw.angle_rad
     grip = to_pixels(view, x, y)
-    length = look.free_length_m * scale_at(view, grip[0], grip[1])
+    length = appearance.free_length_m * scale_at(view, grip[0], grip[1])
     ahead = to_pixels(view, x - 1e-3 * np.cos(angle), y - 1e-3 * np.sin(angle))
     norm = hypot(ahead[0] - grip[0], ahead[1] - grip[1])
     outward = ((ahead[0] - grip[0]) / norm, (ahead[1] - grip[1]) / norm)
-    trace = trace_cable(picture, look.cable, memory.trace, grip, outward, length)
+    trace = trace_cable(picture, appearance.cable, memory.trace, grip, outward, length)
     if trace.code != SEEN:
         return FrameResult(trace.code, x, y, angle, 0.0, np.nan)
     length_m = _in_plane(view, memory, nodes)
-    off = abs(length_m - look.free_length_m) / look.length_tolerance_m
+    off = abs(length_m - appearance.free_length_m) / appearance.length_tolerance_m
     code = -1
     if off > 1.0:
         code = _WRONG_LENGTH
@@ -183,18 +183,18 @@ def nodes_in_frame(picture, view, look, memory, near, nodes):  # type: ignore[no
     if code >= 0:
         _nothing(nodes)
         return FrameResult(code, x, y, angle, 0.0, length_m)
-    quality = trace.seen_share * min(1.0, trace.signal_to_noise / 5.0)
+    quality = trace.detected_share * min(1.0, trace.signal_to_noise / 5.0)
     quality *= np.exp(-((trace.misfit_px / 0.5) ** 2) - 0.5 * off * off)
     return FrameResult(-1, x, y, angle, quality, length_m)
 
 
 @compiled
-def frame_values(picture, view, look, memory, near, nodes):  # type: ignore[no-untyped-def]
+def frame_values(picture, view, appearance, memory, previous, nodes):  # type: ignore[no-untyped-def]
     """The values of `nodes_in_frame`'s result as a plain tuple, as Python may take it.
 
     To hand out a named one numba runs Python; a signal that is raised there ends the process.
     """
-    found = nodes_in_frame(picture, view, look, memory, near, nodes)
+    found = nodes_in_frame(picture, view, appearance, memory, previous, nodes)
     return found.code, found.x_m, found.y_m, found.angle_rad, found.quality, found.length_m
 
 

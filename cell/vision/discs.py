@@ -115,10 +115,10 @@ def scale_at(view, u, v):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def find_body(image, view, marks, memory, near, reach):  # type: ignore[no-untyped-def]
+def find_body(image, view, marks, memory, previous, reach):  # type: ignore[no-untyped-def]
     """`BodyPose` of a body by its marks: the same wherever it is looked for first.
 
-    near     place and angle at which it was; looked for around it first unless nan.  Angle nan =
+    previous  place and angle at which it was; looked for around it first unless nan.  Angle nan =
              it may have turned
     reach    how far a mark may have moved since then, m
     source   Kabsch 1976 (rigid fit)
@@ -128,8 +128,8 @@ def find_body(image, view, marks, memory, near, reach):  # type: ignore[no-untyp
     shrink = max(1, int(usual // 3.0))
     half = int(np.ceil(_SURROUNDINGS * usual / shrink))
     blocks = (shrink, half)
-    if np.isfinite(near[0]) and np.isfinite(near[1]):
-        left, top, right, bottom = _around(view, marks, near, reach)
+    if np.isfinite(previous[0]) and np.isfinite(previous[1]):
+        left, top, right, bottom = _around(view, marks, previous, reach)
         beyond = (half + 1) * shrink  # so that the marks' surroundings are those in the picture
         left, right = min(max(left - beyond, 0), width), min(max(right + beyond, 0), width)
         top, bottom = min(max(top - beyond, 0), height), min(max(bottom + beyond, 0), height)
@@ -139,7 +139,7 @@ def find_body(image, view, marks, memory, near, reach):  # type: ignore[no-untyp
         if right - left > 8 and bottom - top > 8:
             pose = _find(image, (left, top, right, bottom), blocks, view, marks, memory)
             # else one may have left the box
-            if pose.marks == len(marks.centres_m) and _moved(near, pose, marks) < reach:
+            if pose.marks == len(marks.centres_m) and _moved(previous, pose, marks) < reach:
                 return pose
     return _find(image, (0, 0, width, height), blocks, view, marks, memory)
 
@@ -161,9 +161,9 @@ def _moved(near, pose, marks):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def body_values(image, view, marks, memory, near, reach):  # type: ignore[no-untyped-def]
+def body_values(image, view, marks, memory, previous, reach):  # type: ignore[no-untyped-def]
     """The values of `find_body`'s result as a plain tuple; see `detect.frame_values`."""
-    found = find_body(image, view, marks, memory, near, reach)
+    found = find_body(image, view, marks, memory, previous, reach)
     return found.x_m, found.y_m, found.angle_rad, found.marks, found.rms_m
 
 

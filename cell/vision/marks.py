@@ -67,18 +67,20 @@ def find_jaw(
     image: Image,
     view: PlaneView,
     marks: JawMarks,
-    near: FloatArray | None = None,
-    near_rad: float | None = None,
+    previous_m: FloatArray | None = None,
+    previous_rad: float | None = None,
 ) -> JawPose | None:
     """Pose of the jaw, or None.
 
     image     (H, W) uint8
-    near      (2,) gripping point in an earlier frame, m: looked for around it first
-    near_rad  clamp angle in that frame, if nothing moves far between the two: looked for nearer
+    previous_m  (2,) gripping point in an earlier frame, m: looked for around it first
+    previous_rad  clamp angle in that frame, if nothing moves far between the two: looked for nearer
     """
     image = np.require(image, requirements=["C", "W"])
-    place = (np.nan, np.nan) if near is None else (float(near[0]), float(near[1]))
-    turn, reach_m = (np.nan, _ANY_TURN_M) if near_rad is None else (float(near_rad), NEXT_FRAME_M)
+    place = (np.nan, np.nan) if previous_m is None else (float(previous_m[0]), float(previous_m[1]))
+    turn, reach_m = (
+        (np.nan, _ANY_TURN_M) if previous_rad is None else (float(previous_rad), NEXT_FRAME_M)
+    )
     memory = disc_memory(image.shape, len(marks.centres_m))
     values = body_values(
         image, compiled_view(view), disc_marks(marks), memory, (*place, turn), reach_m

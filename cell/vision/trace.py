@@ -39,7 +39,7 @@ DENSE = 401  # points along the cable, 0.25 mm apart
 _FINE = 2 * SAMPLES  # points between which equal arc length is interpolated
 _START_PX = 4.0  # beside the jaw a profile sees the jaw too
 _END_PX = 2.0  # beside the tip it sees the tip's blur
-_LEAST_SEEN = 0.7  # of the cable's length; less would be guessing
+_MIN_DETECTED = 0.7  # of the cable's length; less would be guessing
 STEP_PX = 2.0  # from point to point of a line that is followed
 _TIP_FROM_PX, _TIP_TO_PX = -50, 14  # about its end as followed the tip is looked for
 ARC_RAD = 1.75  # half of the arcs on which a second cable is looked for
@@ -92,14 +92,14 @@ class Traced(NamedTuple):
 
     code             −1, or the number of its `Unseen`
     contrast         typical contrast, grey levels
-    seen_share       share of its length along which it was seen
+    detected_share   share of its length along which it was seen
     misfit_px        rms distance of what was seen from the curve
     signal_to_noise  amplitude of the line's profile over what the profile's fit leaves
     """
 
     code: int
     contrast: float
-    seen_share: float
+    detected_share: float
     misfit_px: float
     signal_to_noise: float
 
@@ -125,10 +125,10 @@ def trace_memory(diagonal_px: float) -> TraceMemory:
 
 
 @compiled
-def trace_cable(picture, look, memory, grip, outward, length):  # type: ignore[no-untyped-def]
+def trace_cable(picture, appearance, memory, grip, outward, length):  # type: ignore[no-untyped-def]
     """Trace of the cable that leaves the gripping point about along `outward` (column, row each).
 
-    look     of the cable, see `CableAppearance`
+    appearance  of the cable, see `CableAppearance`
     memory   see `TraceMemory`; the cable's curve is left in it
     length   expected, px
     returns  a `Traced`, its code among: NO_CABLE (also when too little of it is seen),
@@ -138,7 +138,7 @@ def trace_cable(picture, look, memory, grip, outward, length):  # type: ignore[n
     if not (2.0 < grip[0] < width - 3.0 and 2.0 < grip[1] < height - 3.0):
         return Traced(_LEAVES_PICTURE, 0.0, 0.0, 0.0, 0.0)
     start = find_start(picture, grip, outward, 3.0, 0.5, memory.scratch)
-    if not start.contrast >= look.min_contrast:
+    if not start.contrast >= appearance.min_contrast:
         return Traced(_NO_CABLE, 0.0, 0.0, 0.0, 0.0)
     u, v = start.u + 3.0 * start.du, start.v + 3.0 * start.dv
     begin = RidgeStart(u, v, start.du, start.dv, start.contrast)
@@ -155,13 +155,13 @@ def trace_cable(picture, look, memory, grip, outward, length):  # type: ignore[n
     for n in range(count + 1):
         line[n, WEIGHT] = 1.0 if n else 0.1
     fit_cable(line, memory.pieces, memory.equations)
-    tip = _tip(picture, look.at_tip, memory)
+    tip = _tip(picture, appearance.at_tip, memory)
     if np.isnan(tip):
         return Traced(_LEAVES_PICTURE, 0.0, 0.0, 0.0, 0.0)
     for n in range(count):
         memory.scratch[0, n] = line[n + 1, STRENGTH]
     contrast = median(memory.scratch, count)
-    return _refined(picture, look.along, memory, grip, tip, contrast)
+    return _refined(picture, appearance.along, memory, grip, tip, contrast)
 
 
 @compiled
@@ -246,7 +246,7 @@ def _refined(picture, fit, memory, grip, tip, contrast):  # type: ignore[no-unty
         first = ((grip[0] - u) * du + (grip[1] - v) * dv) / (du * du + dv * dv)
         length = _equal_steps(memory, first, last)
         usable, clear = _measure(picture, fit, memory.samples, length, memory.scratch)
-        if not usable > _LEAST_SEEN * clear:
+        if not usable > _MIN_DETECTED * clear:
             return Traced(_NO_CABLE, 0.0, 0.0, 0.0, 0.0)
         fit_cable(memory.samples, memory.pieces, memory.equations)
         last = 1.0

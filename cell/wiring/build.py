@@ -124,7 +124,7 @@ def build_cell(
     seed: int,
     cycles: int | None,
     on_step: Callable[[int, str], None] = lambda number, step: None,
-    known: Calibrated | None = None,
+    calibration: Calibrated | None = None,
     twins: Twins | None = None,
     others: Sequence[Task] = (),
 ) -> Cell:
@@ -132,19 +132,19 @@ def build_cell(
 
     seed    of the simulated cables and of their devices' noise
     cycles  so many simulated cables are laid out; None = there is always another
-    known   what is known of camera and clocks; None = as typed
+    calibration  what is known of camera and clocks; None = as typed
     twins   of a simulated cell; None = they are made
     others  tasks of further products, see `Cell`
     """
     if isinstance(settings.arm, given.SimulatedArm):
-        twins = build_twins(settings, seed, cycles, known) if twins is None else twins
+        twins = build_twins(settings, seed, cycles, calibration) if twins is None else twins
         devices = twin_devices(twins)
     else:
         take_precedence()
-        devices = real_devices(settings, known)
+        devices = real_devices(settings, calibration)
     devices, recording = with_recorder(settings, devices, runs)
     archive = Archive(recording, listed(settings, runs))
-    return cell_with(settings, devices, runs, on_step, known, archive=archive, others=others)
+    return cell_with(settings, devices, runs, on_step, calibration, archive=archive, others=others)
 
 
 def guarded_devices(settings: Settings, devices: Devices) -> Devices:
@@ -162,7 +162,7 @@ def cell_with(
     devices: Devices,
     runs: Path,
     on_step: Callable[[int, str], None],
-    known: Calibrated | None = None,
+    calibration: Calibrated | None = None,
     *,
     archive: Archive | None = None,
     others: Sequence[Task] = (),
@@ -177,7 +177,7 @@ def cell_with(
     watched = isinstance(devices.clock, RealClock)
     return Cell(
         guarded,
-        product_task(settings, known),
+        product_task(settings, calibration),
         runs,
         on_step,
         computer=SecondProcess() if in_real_time(settings) else None,
@@ -187,11 +187,11 @@ def cell_with(
     )
 
 
-def product_task(settings: Settings, known: Calibrated | None = None) -> ProductTask:
+def product_task(settings: Settings, calibration: Calibrated | None = None) -> ProductTask:
     """What the settings, resolved for a product if they have some, ask the cell to make."""
     return ProductTask(
         settings.product,
-        cell_task(settings, known),
+        cell_task(settings, calibration),
         settings.model_dump(mode="json"),
         files_of(settings),
         calibration_hash(settings),
@@ -234,7 +234,7 @@ class StagedDevices:
 
 @contextmanager
 def staged_devices(
-    settings: Settings, config: Path, known: Calibrated, seed: int, views: int
+    settings: Settings, config: Path, calibration: Calibrated, seed: int, views: int
 ) -> Iterator[StagedDevices]:
     """The devices of a cell that is to be calibrated, owned and none of them connected yet.
 
@@ -245,7 +245,7 @@ def staged_devices(
         stack.enter_context(owned(settings, config))
         assistant = None
         if isinstance(settings.arm, given.SimulatedArm):
-            twins = build_twins(settings, seed, 1, known)
+            twins = build_twins(settings, seed, 1, calibration)
             devices = twin_devices(twins)
             assistant = SimulatedAssistant(settings, twins.stage, seed, views)
         else:
@@ -258,8 +258,8 @@ def staged_devices(
                         key="emulated",
                     )
                 emulated = stack.enter_context(emulating(settings, config, seed))
-                assistant = SimulatedAssistant(settings, emulated.camera.tell, seed, views)
-            devices = real_devices(settings, known)
+                assistant = SimulatedAssistant(settings, emulated.camera.notify, seed, views)
+            devices = real_devices(settings, calibration)
         yield StagedDevices(guarded_devices(settings, devices), assistant)
 
 
@@ -268,20 +268,20 @@ def twin_devices(twins: Twins) -> Devices:
     return Devices(twins.arm, twins.camera, twins.gripper, twins.world.clock)
 
 
-def real_devices(settings: Settings, known: Calibrated | None = None) -> Devices:
+def real_devices(settings: Settings, calibration: Calibrated | None = None) -> Devices:
     """Arm, camera and gripper as the settings name them, not connected yet.
 
-    known  their delays; None = as typed
+    calibration  their delays; None = as typed
     """
-    known = typed(settings) if known is None else known
+    calibration = typed(settings) if calibration is None else calibration
     arm, clock = settings.arm, RealClock()
     assert isinstance(arm, given.UrArmSettings)
     mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
     reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
-    reached |= {"lag_s": known.lag_s, "allow_version": arm.allowed_version}
+    reached |= {"lag_s": calibration.lag_s, "allow_version": arm.allowed_version}
     return Devices(
         arm=UrArm(UrOptions(mount=mount, **reached)),
-        camera=_real_camera(settings, clock, known.latency_s),
+        camera=_real_camera(settings, clock, calibration.latency_s),
         gripper=_real_gripper(settings, clock),
         clock=clock,
     )
@@ -311,10 +311,10 @@ def _real_gripper(settings: Settings, clock: Clock) -> Gripper:
     raise AssertionError("the settings refuse a simulated gripper beside a real arm")
 
 
-def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
-    """What the settings ask the cell to do with every cable; `known` None = as typed."""
-    known = typed(settings) if known is None else known
-    settings = as_gripped(settings, known)
+def cell_task(settings: Settings, calibration: Calibrated | None = None) -> Task:
+    """What the settings ask the cell to do with every cable; `calibration` None = as typed."""
+    calibration = typed(settings) if calibration is None else calibration
+    settings = as_gripped(settings, calibration)
     motion = settings.motion
     return Task(
         cable=cable_of(settings),
@@ -330,42 +330,44 @@ def cell_task(settings: Settings, known: Calibrated | None = None) -> Task:
         decide_s=motion.decide_s,
         offsets_m=motion.offsets.values_m,
         advance_m=motion.advance_m,
-        feedback=corrects_in_flight(settings, known),
+        feedback=corrects_in_flight(settings, calibration),
         retries=settings.retry,
         settle_s=motion.settle_s,
         lowering=MotionLimits(**motion.lowering.model_dump()),
         insertion=MotionLimits(**motion.insertion.model_dump()),
         force_n=settings.gripper.force_n,
-        view=known.view,
-        map_std_m=known.map_std_m,
-        delays=_delays(settings, known),
+        view=calibration.view,
+        map_std_m=calibration.map_std_m,
+        delays=_delays(settings, calibration),
         vision=vision_of(settings),
         identification=identification_of(settings),
-        choice=_choice(settings, known),
+        choice=_choice(settings, calibration),
         model=model_hash(settings.model),
     )
 
 
-def corrects_in_flight(settings: Settings, known: Calibrated) -> bool:
+def corrects_in_flight(settings: Settings, calibration: Calibrated) -> bool:
     """Whether insertions are corrected while they are made: as said, or if time is well known."""
     if settings.feedback != "auto":
         return settings.feedback == "on"
-    return known.delays_95_s is not None and max(known.delays_95_s) <= FEEDBACK_TIME_S
+    return calibration.delays_95_s is not None and max(calibration.delays_95_s) <= FEEDBACK_TIME_S
 
 
-def _delays(settings: Settings, known: Calibrated) -> CalibratedDelays | None:
+def _delays(settings: Settings, calibration: Calibrated) -> CalibratedDelays | None:
     """How well the delays are known, and what they may change by; None = not known."""
-    if known.delays_95_s is None or settings.calibration is None:
+    if calibration.delays_95_s is None or settings.calibration is None:
         return None
-    return CalibratedDelays(*known.delays_95_s, settings.calibration.max_time_error_s, known.remedy)
+    return CalibratedDelays(
+        *calibration.delays_95_s, settings.calibration.max_time_error_s, calibration.remedy
+    )
 
 
-def _choice(settings: Settings, known: Calibrated) -> ChoiceOptions:
+def _choice(settings: Settings, calibration: Calibrated) -> ChoiceOptions:
     """How to choose; where the camera puts the destination is uncertain by the map as well."""
     start = settings.motion.freedom
     options = ChoiceOptions(
         least_probability=settings.choice.min_probability,
         freely=Freedom(start.window_s, start.paces, start.further_m),
     )
-    upright_m = known.map_std_m / np.sqrt(2.0)
+    upright_m = calibration.map_std_m / np.sqrt(2.0)
     return replace(options, repeatability_m=float(np.hypot(options.repeatability_m, upright_m)))

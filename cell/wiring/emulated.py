@@ -37,7 +37,7 @@ from drivers.ur_kinematics import MODELS, OutOfReachError, matrix_of
 from drivers.ur_versions import has_dashboard, read_version
 
 #: Interval at which the jaws are asked whether they hold a cable, s.
-_LOOK_S = 0.02
+_POLL_S = 0.02
 _ANSWER_S = 0.5
 #: Of the hidden cables, s: 10 µm beside the default step, and quick enough beside a real arm.
 _STEP_S = 1e-3
@@ -164,14 +164,14 @@ class EmulatedCell:
         """Tell the camera whenever the jaws have taken a cable or let it go."""
         held = False
         with contextlib.suppress(EmulatorError):  # one of them was killed
-            while not self._end.wait(_LOOK_S):
-                if self.gripper.look().held is not held:
+            while not self._end.wait(_POLL_S):
+                if self.gripper.observe().held is not held:
                     held = not held
                     self.cables += held
                     what = f"cable {self.cables} is gripped" if held else "the cable is let go"
                     _LOG.info("emulated jaws: %s", what)
                     cable = HiddenCableFactory(self._settings, self._seed, self.cables)
-                    self.camera.tell(cable if held else None)
+                    self.camera.notify(cable if held else None)
                     if held:
                         self.on_grip()
 

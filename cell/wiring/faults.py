@@ -34,7 +34,7 @@ class FaultKind:
 
 
 @dataclass(frozen=True)
-class GivenFault:
+class RequestedFault:
     """A fault that somebody gives.
 
     after_s  time from the next grip of a cable; None = at once
@@ -50,7 +50,7 @@ class GivenFault:
 
 def _arm(op: str, **arguments: Any) -> Act:
     def act(cell: EmulatedCell) -> None:
-        cell.controller.ask(op, **arguments)
+        cell.controller.request(op, **arguments)
 
     return act
 
@@ -92,7 +92,7 @@ KINDS: Mapping[str, FaultKind] = {
 }
 
 
-def read_fault(given: str) -> GivenFault:
+def read_fault(given: str) -> RequestedFault:
     """`NAME` or `NAME@2s`.  Raises ValueError: no such fault, or no such time."""
     match = _GIVEN.fullmatch(given.strip())
     if match is None:
@@ -105,7 +105,7 @@ def read_fault(given: str) -> GivenFault:
     after_s = None if after is None else float(after)
     if after_s is not None and after_s > _LONGEST_S:
         raise ValueError(f"{given!r}: at most {_LONGEST_S:.0f} s after a cable is gripped")
-    return GivenFault(name, after_s)
+    return RequestedFault(name, after_s)
 
 
 class DeviceFaults:
@@ -118,11 +118,11 @@ class DeviceFaults:
         self._cell = cell
         self._say = say
         self._lock = threading.Lock()
-        self._awaited: list[GivenFault] = []
+        self._awaited: list[RequestedFault] = []
         self._timers: list[threading.Timer] = []
         cell.on_grip = self._gripped
 
-    def give(self, fault: GivenFault) -> None:
+    def give(self, fault: RequestedFault) -> None:
         """At once, or when it is due."""
         if fault.after_s is None:
             self._cause(fault)
@@ -147,10 +147,10 @@ class DeviceFaults:
 
     def _mend(self) -> None:
         arm, camera, gripper = self._cell.controller, self._cell.camera, self._cell.gripper
-        arm.ask("freeze", seconds=0.0)
-        arm.ask("local", on=False)
-        arm.ask("speed_fraction", value=1.0)
-        arm.ask("clear")
+        arm.request("freeze", seconds=0.0)
+        arm.request("local", on=False)
+        arm.request("speed_fraction", value=1.0)
+        arm.request("clear")
         camera.faults, gripper.faults = StreamFaults(), RobotiqFaults()
         gripper.plug()
         gripper.lay_out(True)
@@ -164,7 +164,7 @@ class DeviceFaults:
             timer.daemon = True
             timer.start()
 
-    def _cause(self, fault: GivenFault) -> None:
+    def _cause(self, fault: RequestedFault) -> None:
         kind = KINDS[fault.name]
         try:
             kind.cause(self._cell)

@@ -42,13 +42,13 @@ class RenderedFilm:
     """A film of a cable, with times and poses on one clock.
 
     frames  in their order, from index 0
-    hand    poses for at least as long
+    gripper_log  poses for at least as long
     rest_s  from here on the hand rests
     """
 
     frames: tuple[Frame, ...]
     frame_rate_hz: float
-    hand: Trajectory
+    gripper_log: Trajectory
     rest_s: float
 
     @property
@@ -64,7 +64,7 @@ class RenderedFilm:
     @property
     def ends_at(self) -> Pose:
         """Where the hand rests."""
-        hand = self.hand
+        hand = self.gripper_log
         return Pose(float(hand.x_m[-1]), float(hand.y_m[-1]), float(hand.angle_rad[-1]))
 
 
@@ -116,7 +116,7 @@ def filmed_devices(film: RenderedFilm, settings: Settings, lag_s: float) -> Devi
     clock = SimClock(film.begin_s - BEFORE_S)
     home = pose_of(settings.motion.home)
     return Devices(
-        FilmedArm(clock, home, settings.arm.rate_hz, lag_s, film.hand),
+        FilmedArm(clock, home, settings.arm.rate_hz, lag_s, film.gripper_log),
         ReplayCamera(clock, film.frame_rate_hz, film.frames),
         ReplayGripper(clock, holds=True),
         clock,
@@ -177,7 +177,7 @@ def record_film(
     memory = (settings.recording or RecordingSettings()).memory_mb * 10**6
     recorder = Recorder(devices.arm, clock, memory, PATIENCE_S)
     filming = Filming(film.begin_s, film.rest_s, film.end_s, len(film.frames))
-    decides = _near(film.ends_at, cell_task(settings, known).lowered)
+    decides = _is_near(film.ends_at, cell_task(settings, known).lowered)
 
     def step(number: int, name: str) -> None:
         if name == FILM:
@@ -199,6 +199,6 @@ def record_film(
     return replace(result, folder=str(target))
 
 
-def _near(pose: Pose, other: Pose) -> bool:
+def _is_near(pose: Pose, other: Pose) -> bool:
     away_m = float(np.hypot(pose.x_m - other.x_m, pose.y_m - other.y_m))
     return away_m < NEAR_M and abs(pose.angle_rad - other.angle_rad) < NEAR_RAD

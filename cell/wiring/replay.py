@@ -99,7 +99,9 @@ _OF_RESULT = (
     *("residual_rms_m", "noise_m", "model", "parameters"),
 )
 #: What recordings of the first version do not say: nothing to compare with.
-_SAID_LATER = frozenset({"delay_s", "pace", "further_m", "hold_saved_s", "corrections", "stops"})
+_RECORDED_LATER = frozenset(
+    {"delay_s", "pace", "further_m", "hold_saved_s", "corrections", "stops"}
+)
 #: Of a decision these depend on the computer's speed, or are said elsewhere.
 _NOT_OF_DECISION = frozenset({"wait_s", "simulated_s"})
 
@@ -173,7 +175,7 @@ def replay(
     with TemporaryDirectory() as folder:
         settings, known = _settings(recording, config, Path(folder), about)
         replayed = replayed_devices(recording, settings)
-        heard = _Heard()
+        heard = _ReplayedEvents()
 
         def step(number: int, name: str) -> None:
             replayed.on_step(number, name)
@@ -235,7 +237,7 @@ class _ReplayedValues:
     result: Mapping[str, Any] | None
 
 
-class _Heard:
+class _ReplayedEvents:
     """Takes what a replayed cycle hands over, in place of a recorder."""
 
     def __init__(self) -> None:
@@ -287,7 +289,7 @@ def _differences(then: _ReplayedValues, now: _ReplayedValues) -> list[ReplayDiff
         ),
     ]
     if then.result is not None and now.result is not None:
-        known = [k for k in _OF_RESULT if k in then.result or k not in _SAID_LATER]
+        known = [k for k in _OF_RESULT if k in then.result or k not in _RECORDED_LATER]
         a, b = ({k: r.get(k) for k in known} for r in (then.result, now.result))
         pairs.append(("result", a, b))
     for name, a, b in pairs:
@@ -306,7 +308,7 @@ def _part(decision: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
 def _compared(name: str, then: Any, now: Any) -> list[ReplayDifference]:
     """Every leaf that differs; numbers must be the same to the last bit."""
     if isinstance(then, Mapping) and isinstance(now, Mapping):
-        keys = dict.fromkeys([*then, *(k for k in now if k not in _SAID_LATER)])
+        keys = dict.fromkeys([*then, *(k for k in now if k not in _RECORDED_LATER)])
         return [d for k in keys for d in _compared(f"{name}.{k}", then.get(k), now.get(k))]
     if isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
         pairs = enumerate(zip(then, now, strict=True))

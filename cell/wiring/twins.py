@@ -106,14 +106,14 @@ class Twins:
 
 
 def build_twins(
-    settings: Settings, seed: int, cycles: int | None, known: Calibrated | None = None
+    settings: Settings, seed: int, cycles: int | None, calibration: Calibrated | None = None
 ) -> Twins:
     """The simulated world with `cycles` cables laid out; for settings whose devices are `sim`.
 
     cycles  None = there is always another cable
-    known  what the devices' drivers are told of their delays; None = as typed
+    calibration  what the devices' drivers are told of their delays; None = as typed
     """
-    known = typed(settings) if known is None else known
+    calibration = typed(settings) if calibration is None else calibration
     arm = settings.arm
     assert isinstance(arm, given.SimulatedArm)
     clock = SimClock(real_time_factor=settings.world.real_time_factor)
@@ -126,7 +126,7 @@ def build_twins(
             world.present(cable)
     true_lag_s = settings.world.arm_lag_s
     options = ArmTwinOptions(
-        lag_s=known.lag_s,
+        lag_s=calibration.lag_s,
         true_lag_s=arm.lag_s if true_lag_s is None else true_lag_s,
         rate_hz=arm.rate_hz,
         noise_m=arm.noise_m,
@@ -134,7 +134,7 @@ def build_twins(
     return Twins(
         world,
         SimArm(world, options, seed=seed),
-        _simulated_camera(settings, world, seed, known),
+        _simulated_camera(settings, world, seed, calibration),
         SimGripper(world),
         seed,
         numbers,
@@ -147,14 +147,14 @@ def _cables(settings: Settings, seed: int, numbers: Iterator[int]) -> Iterator[C
 
 
 def _simulated_camera(
-    settings: Settings, world: SimWorld, seed: int, known: Calibrated
+    settings: Settings, world: SimWorld, seed: int, calibration: Calibrated
 ) -> SimCamera | FilesCamera:
     camera = settings.camera
     if isinstance(camera, given.FilesCameraSettings):
         return FilesCamera(camera.folder, camera.frame_rate_hz, world.clock)
     assert isinstance(camera, given.SimulatedCamera)
     hidden = settings.world.camera
-    late_s = 0.0 if hidden is None else hidden.stamps_late_s - known.latency_s
+    late_s = 0.0 if hidden is None else hidden.stamps_late_s - calibration.latency_s
     twin = replace(camera_twin(settings, camera, seed), stamps_late_s=late_s)
     return SimCamera(world, twin, seed=seed)
 

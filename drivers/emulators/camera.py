@@ -23,7 +23,7 @@ import numpy as np
 from drivers.clock import sleep_until
 from drivers.emulators.camera_poses import PRIORITY
 from drivers.emulators.camera_stream import picture_header, stream_header
-from drivers.emulators.launch import EmulatorProcess, answer_all, leave_interrupts_to_parent
+from drivers.emulators.launch import EmulatorProcess, leave_interrupts_to_parent, serve_requests
 from drivers.interfaces import Image
 from drivers.priority import run_in_real_time
 from drivers.threads import GuardedThread, end_process, only_logged
@@ -42,7 +42,7 @@ class Scene(Protocol):
         """Called many times a second, whether or not anybody looks."""
         ...
 
-    def tell(self, message: object) -> None:
+    def notify(self, message: object) -> None:
         """Something that the parent process says, e.g. that a cable was gripped."""
         ...
 
@@ -78,7 +78,7 @@ class TestCard:
     def keep_up(self) -> None:
         """Nothing happens to a test card."""
 
-    def tell(self, message: object) -> None:
+    def notify(self, message: object) -> None:
         """Nothing can be told to a test card."""
 
 
@@ -89,7 +89,7 @@ _GLANCE_S = 0.02  # how often whoever waits looks whether something changed
 class CameraEmulatorOptions:
     """What is emulated.
 
-    look_s     from the middle of an exposure until the scene is asked for the picture: it may
+    poll_s     from the middle of an exposure until the scene is asked for the picture: it may
                need what others measured at that moment
     readout_s  from the middle of an exposure until the picture leaves the camera
     backlog_s  a picture that would leave that much too late is dropped, as in a real camera
@@ -98,7 +98,7 @@ class CameraEmulatorOptions:
     width_px: int = 1280
     height_px: int = 1024
     frame_rate_hz: float = 200.0
-    look_s: float = 0.006
+    poll_s: float = 0.006
     readout_s: float = 0.012
     backlog_s: float = 0.25
 
@@ -169,15 +169,15 @@ class EmulatedCamera(EmulatorProcess):
     @faults.setter
     def faults(self, faults: StreamFaults) -> None:
         self._faults = faults
-        self.ask("faults", faults)
+        self.request("faults", faults)
 
-    def tell(self, message: object) -> None:
+    def notify(self, message: object) -> None:
         """Tell the scene something picklable.  Raises EmulatorError: it does not understand."""
-        self.ask("tell", message)
+        self.request("tell", message)
 
     def counts(self) -> StreamCounts:
         """Counts of the pictures sent and dropped."""
-        counts: StreamCounts = self.ask("counts")
+        counts: StreamCounts = self.request("counts")
         return counts
 
 
@@ -195,14 +195,14 @@ def serve(
     cv2.setNumThreads(1)  # OpenCV's own threads would have to wait for the rest of the computer
     try:
         scene = factory()
-        _check(scene.picture(time.monotonic() - options.look_s), options)
+        _check(scene.picture(time.monotonic() - options.poll_s), options)
         server = _Server(scene, options, address)
     except Exception as error:
         door.send((False, f"{type(error).__name__}: {error}"))
         return
     # a camera does not slow down when the computer is busy; the arm's emulator goes before it
     run_in_real_time(PRIORITY)
-    GuardedThread("door", partial(answer_all, door, server.do), end_process).start()
+    GuardedThread("door", partial(serve_requests, door, server.do), end_process).start()
     door.send((True, server.port))
     server.run()
 
@@ -272,7 +272,7 @@ class _Server:
                 )
                 sender.start()
                 try:
-                    self._look(parcels, gone)
+                    self._poll(parcels, gone)
                 finally:
                     gone.set()
                     parcels.put(None)
@@ -299,7 +299,7 @@ class _Server:
             client.settimeout(_GLANCE_S)
             return client
 
-    def _look(self, parcels: queue.Queue[_Parcel | None], gone: threading.Event) -> None:
+    def _poll(self, parcels: queue.Queue[_Parcel | None], gone: threading.Event) -> None:
         """Take pictures at their times until the client has gone."""
         options = self._options
         size = (options.width_px, options.height_px)
@@ -312,7 +312,7 @@ class _Server:
         while not gone.is_set():
             faults = self.faults
             due_s += faults.slow / options.frame_rate_hz
-            sleep_until(due_s + options.look_s)
+            sleep_until(due_s + options.poll_s)
             self._hear()
             if self._somebody_waits():
                 break  # the reader before has given up, or forgot to close
@@ -393,7 +393,7 @@ class _Server:
             except queue.Empty:
                 return
             try:
-                self._scene.tell(message)
+                self._scene.notify(message)
                 answer.put(None)
             except Exception as error:
                 answer.put(error)

@@ -94,7 +94,7 @@ class LiveScene:
             time.sleep(0.005)
             self.keep_up()
 
-    def tell(self, message: object) -> None:
+    def notify(self, message: object) -> None:
         """What makes a `LiveCable` = gripped; None = let go; a `Staging` = shown from now on.
 
         raises  TypeError: anything else

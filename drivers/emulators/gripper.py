@@ -8,7 +8,7 @@ from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from drivers.emulators.launch import EmulatorProcess, answer_all, leave_interrupts_to_parent
+from drivers.emulators.launch import EmulatorProcess, leave_interrupts_to_parent, serve_requests
 from drivers.emulators.robotiq import EmulatedGripper, RobotiqFaults
 from drivers.priority import run_in_real_time
 from drivers.threads import GuardedThread, end_process
@@ -17,7 +17,7 @@ _PRIORITY = 10
 
 
 @dataclass(frozen=True)
-class JawsSeen:
+class JawsObserver:
     """The gripper as seen from outside.
 
     held  a cable is between the closed jaws
@@ -52,23 +52,23 @@ class GripperProcess(EmulatorProcess):
     @faults.setter
     def faults(self, faults: RobotiqFaults) -> None:
         self._faults = faults
-        self.ask("faults", faults)
+        self.request("faults", faults)
 
     def unplug(self) -> None:
         """Pull the cable, which is also its power: jaws stay, activation goes."""
-        self.ask("unplug")
+        self.request("unplug")
 
     def plug(self) -> None:
         """Put the cable back."""
-        self.ask("plug")
+        self.request("plug")
 
     def lay_out(self, cable: bool) -> None:
         """Put a cable between the jaws, or take it away."""
-        self.ask("lay_out", cable)
+        self.request("lay_out", cable)
 
-    def look(self) -> JawsSeen:
+    def observe(self) -> JawsObserver:
         """What the jaws do."""
-        seen: JawsSeen = self.ask("look")
+        seen: JawsObserver = self.request("look")
         return seen
 
 
@@ -81,7 +81,7 @@ def serve(door: Connection, link: Path | None, address: int) -> None:
     except OSError as error:
         door.send((False, str(error)))
         return
-    GuardedThread("door", partial(answer_all, door, bench.do), end_process).start()
+    GuardedThread("door", partial(serve_requests, door, bench.do), end_process).start()
     door.send((True, bench.port))
     threading.Event().wait()
 
@@ -112,7 +112,7 @@ class _Emulation:
             case "plug", _:
                 self._plug()
             case "look", _:
-                return JawsSeen(jaws.holds, jaws.count, jaws.activation == 3)
+                return JawsObserver(jaws.holds, jaws.count, jaws.activation == 3)
             case _:
                 raise ValueError(f"{what!r} is not understood")
         return None

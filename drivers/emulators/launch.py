@@ -80,7 +80,7 @@ class EmulatedController:
         """Whether its process has not ended."""
         return self._process is not None and self._process.poll() is None
 
-    def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
+    def request(self, op: str, **arguments: Any) -> dict[str, Any]:
         """Cause a fault or ask for the `state`.  Raises EmulatorError: not understood."""
         with socket.create_connection((self.host, FAULT_PORT), _ANSWER_S) as door:
             door.sendall((json.dumps({"op": op, **arguments}) + "\n").encode())
@@ -95,7 +95,7 @@ class EmulatorProcess:
 
     name   as a person calls it: "camera"
     serve  called in that process, with its end of a pipe and `args`; says first what `start`
-           returns here, then answers with `answer_all`
+           returns here, then answers with `serve_requests`
     """
 
     def __init__(self, name: str, serve: Callable[..., None], args: tuple[object, ...]) -> None:
@@ -139,7 +139,7 @@ class EmulatorProcess:
     def started(self, said: Any) -> None:
         """Take what the process said when it was ready."""
 
-    def ask(self, what: str, content: object = None) -> Any:
+    def request(self, what: str, content: object = None) -> Any:
         """Ask from any thread.  Raises EmulatorError: it is gone, or did not understand."""
         with self._asking:
             try:
@@ -166,7 +166,7 @@ def leave_interrupts_to_parent() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def answer_all(door: Connection, do: Callable[[str, Any], object]) -> None:
+def serve_requests(door: Connection, do: Callable[[str, Any], object]) -> None:
     """Do as the parent says; end the process when it is gone, whatever that process does."""
     try:
         while True:

@@ -32,7 +32,7 @@ _READ = _WRITTEN | {
 }
 
 
-def answer(jaws: Jaws, line: str, plugged: bool) -> str:
+def respond(jaws: Jaws, line: str, plugged: bool) -> str:
     """What the server says to a line."""
     match line.split():
         case ["GET", name] if name in _READ:
@@ -102,7 +102,7 @@ class EmulatedUrcap:
             lines = client.recv(1024).decode().splitlines()
             faults = self.jaws.faults
             for line in lines if not faults.silent else []:
-                said = answer(self.jaws, line, self.plugged).encode()
+                said = respond(self.jaws, line, self.plugged).encode()
                 client.sendall(os.urandom(len(said)) if faults.garbage else said)
         except OSError:
             lines = []

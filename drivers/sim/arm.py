@@ -152,8 +152,8 @@ class SimArm:
         with self._world.lock:
             self._check_alive()
             now_s = self._clock.now_s()
-            moving = now_s < self._world.hand_rests_from_s()
-            speed = float(np.hypot(*self._world.hand_velocity()[:2])) if moving else 0.0
+            moving = now_s < self._world.gripper_rest_from_s()
+            speed = float(np.hypot(*self._world.gripper_velocity()[:2])) if moving else 0.0
             latest = self.log(now_s - 1.0 / self.rate_hz, now_s)
             return ArmState(float(latest.t_s[-1]), latest.at(now_s), speed, moving, self._mode())
 
@@ -167,7 +167,7 @@ class SimArm:
         with self._world.lock:
             self._check_ready()
             now_s = self._clock.now_s()
-            if now_s < self._world.hand_rests_from_s():
+            if now_s < self._world.gripper_rest_from_s():
                 raise LimitError(self.name, "still moving", "wait until it rests, or stop it")
             begin_s = now_s if start_s is None else start_s
             if begin_s < now_s:
@@ -177,7 +177,7 @@ class SimArm:
             )
             true_lag_s = self._options.true_lag_s
             lag_s = self._options.lag_s if true_lag_s is None else true_lag_s
-            self._followed = _Followed(absolute, lag_s, self._world.hand_pose())
+            self._followed = _Followed(absolute, lag_s, self._world.gripper_pose())
             self._world.commit(self._followed.response())
 
     def revise(self, path: Trajectory, from_s: float) -> None:
@@ -185,7 +185,7 @@ class SimArm:
         with self._world.lock:
             self._check_ready()
             now_s, followed = self._clock.now_s(), self._followed
-            if followed is None or now_s >= self._world.hand_rests_from_s():
+            if followed is None or now_s >= self._world.gripper_rest_from_s():
                 raise nothing_to_revise(self.name)
             if from_s < now_s:
                 raise revised_too_late(self.name, now_s - from_s)
@@ -202,7 +202,7 @@ class SimArm:
                 int(np.floor(end_s * self.rate_hz + 1e-6)) + 1,
             )
             t_s = index / self.rate_hz
-            x, y, angle = (self._world.hand_at(t_s) + self._measurement_noise(index)).T
+            x, y, angle = (self._world.gripper_at(t_s) + self._measurement_noise(index)).T
             return Trajectory(t_s, x, y, angle)
 
     def stop(self, reason: str) -> None:
@@ -256,7 +256,7 @@ class SimArm:
                 self._lose("the connection dropped")
             if self._came(faults.frozen_at_s):
                 self._lose("the controller's time stamps do not advance")
-            if faults.reduced_speed and self._clock.now_s() < self._world.hand_rests_from_s():
+            if faults.reduced_speed and self._clock.now_s() < self._world.gripper_rest_from_s():
                 self.stop(ArmMode.REDUCED_SPEED.value)
             for t_s, mode in (
                 (faults.emergency_stop_at_s, ArmMode.EMERGENCY_STOP),

@@ -181,7 +181,7 @@ class SimCamera:
             noise = float(np.hypot(picture.read_noise, self.faults.noise_level))
             picture = replace(picture, read_noise=noise)
         span_s = max(picture.exposure_s, 1e-4)
-        view = self._world.look(exposed_s + span_s * np.array([-0.5, 0.0, 0.5]))
+        view = self._world.cable_shapes(exposed_s + span_s * np.array([-0.5, 0.0, 0.5]))
         rng = np.random.default_rng([self._seed, self._recordings, index])
         options = replace(self._options, picture=picture)
         return photograph(view, options, rng, jaw=self._staging.jaw, behind=self._behind)

@@ -74,7 +74,7 @@ class SimWorld:
     ) -> None:
         self.clock = clock
         self.lock = threading.RLock()
-        self._hand = Hand(clock.now_s(), home)
+        self._hand = GripperTrajectory(clock.now_s(), home)
         self._grid_hz = grid_hz
         self._ahead_s = ahead_s
         self._waiting: deque[CableShape] = deque()
@@ -84,19 +84,19 @@ class SimWorld:
 
     # --- the arm ------------------------------------------------------------------------------
 
-    def hand_pose(self) -> Pose:
+    def gripper_pose(self) -> Pose:
         """True pose of the gripping point now."""
         return self._hand.pose(self.clock.now_s())
 
-    def hand_velocity(self) -> FloatArray:
+    def gripper_velocity(self) -> FloatArray:
         """(3,) true velocity of the gripping point now, m/s, m/s, rad/s."""
         return self._hand.velocity(self.clock.now_s())
 
-    def hand_rests_from_s(self) -> float:
+    def gripper_rest_from_s(self) -> float:
         """Time from which the hand is committed to rest."""
         return self._hand.rests_from_s
 
-    def hand_at(self, t_s: FloatArray) -> FloatArray:
+    def gripper_at(self, t_s: FloatArray) -> FloatArray:
         """(n,) times → (n, 3) true x, y, angle."""
         return self._hand.at(t_s)
 
@@ -174,7 +174,7 @@ class SimWorld:
 
     # --- the camera ---------------------------------------------------------------------------
 
-    def look(self, t_s: FloatArray) -> SimView:
+    def cable_shapes(self, t_s: FloatArray) -> SimView:
         """What is to be seen at moments (S,) that have come already, increasing.
 
         Raises ValueError: a moment lies in the future; the cable's callable gave wrong shapes.
@@ -251,7 +251,7 @@ def _cubic(grid: FloatArray, first: np.ndarray, u: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("sf,sfkc->skc", weights, nodes), dtype=np.float64)
 
 
-class Hand:
+class GripperTrajectory:
     """Poses at increasing times, linear between, held after the last; can be cut and extended."""
 
     def __init__(self, t_s: float, pose: Pose) -> None:

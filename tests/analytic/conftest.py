@@ -14,7 +14,7 @@ from cell.cable.kernel import bending, kinematics, solve
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M, CableModel
 from cell.cable.solver import generalised_alpha
 from cell.cable.splines import Steps
-from cell.cable.stepping import integrate, looks
+from cell.cable.stepping import integrate, sample_times
 
 
 @compiled
@@ -46,7 +46,7 @@ class Chain:
         out = np.empty(0)
         bad = integrate(
             b.state, b.width, self.n, self.base(steps), self.coefficients, b.nonlinear,
-            b.passes, b.effects, looks([out]), out, np.empty(0),
+            b.passes, b.effects, sample_times([out]), out, np.empty(0),
         )  # fmt: skip
         assert bad == -1
 
@@ -136,7 +136,7 @@ def swing_links(length, fields, motion, times, step=1e-4):
     out = np.zeros(len(times) * (n + 1) * at.LANES)
     bad = integrate(
         block.state, block.width, n, base, coefficients, False, 2, block.effects,
-        looks([(times - times[0]) / step] * at.LANES), out, np.empty(0),
+        sample_times([(times - times[0]) / step] * at.LANES), out, np.empty(0),
     )  # fmt: skip
     assert bad == -1
     x, y, angle = (s(times) for s in motion.splines)

@@ -94,14 +94,14 @@ def emulated_controller(free_loopback: Callable[[], str]) -> Iterator[EmulatedCo
 @pytest.fixture
 def ur_emulator(emulated_controller: EmulatedController) -> Iterator[EmulatedController]:
     """An emulated controller in order, with its arm at (0.5, 0.5) of the plane of `ur_options`."""
-    emulated_controller.ask("clear")
-    emulated_controller.ask("home")
+    emulated_controller.request("clear")
+    emulated_controller.request("home")
     for what in ("speed_fraction", "speed_scaling"):
-        emulated_controller.ask(what, value=1.0)
+        emulated_controller.request(what, value=1.0)
     yield emulated_controller
-    emulated_controller.ask("refuse", on=False)
-    emulated_controller.ask("local", on=False)
-    emulated_controller.ask("freeze", seconds=0.0)
+    emulated_controller.request("refuse", on=False)
+    emulated_controller.request("local", on=False)
+    emulated_controller.request("freeze", seconds=0.0)
 
 
 @pytest.fixture

@@ -99,15 +99,15 @@ def test_a_path_is_checked_against_the_limits_without_being_sent(guarded, line, 
     with pytest.raises(LimitError, match=r"speed = .*nothing was moved"):
         guarded.check(line(dy_m=-0.2, duration_s=0.5))
     guarded.check(line(dy_m=-0.02, duration_s=1.0))
-    assert cell.world.hand_rests_from_s() <= cell.clock.now_s()
+    assert cell.world.gripper_rest_from_s() <= cell.clock.now_s()
 
 
 def test_a_path_must_start_where_the_arm_is(guarded, line, cell) -> None:
     with pytest.raises(LimitError, match=r"starts at x = 0.5020 m, but the arm is at 0.5000 m"):
-        guarded.follow(line(start=replace(cell.world.hand_pose(), x_m=0.502)))
-    assert cell.world.hand_rests_from_s() == 0.0
+        guarded.follow(line(start=replace(cell.world.gripper_pose(), x_m=0.502)))
+    assert cell.world.gripper_rest_from_s() == 0.0
     guarded.follow(line(dx_m=-0.05))
-    assert cell.world.hand_rests_from_s() > 0.4
+    assert cell.world.gripper_rest_from_s() > 0.4
 
 
 def peaks(duration_s: float) -> tuple[float, float, float]:

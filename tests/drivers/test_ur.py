@@ -71,9 +71,9 @@ def signalled(arm: UrArm, given: signal.Signals) -> float:
 
 #: What breaks, and when it was broken: by the emulator's own account, which shares our clock.
 BREAKS = {
-    "drop": lambda arm, emulator: emulator.ask("drop")["t_s"],
-    "freeze": lambda arm, emulator: emulator.ask("freeze", seconds=1.0)["t_s"],
-    "power cycle": lambda arm, emulator: emulator.ask("power_cycle", seconds=0.3)["t_s"],
+    "drop": lambda arm, emulator: emulator.request("drop")["t_s"],
+    "freeze": lambda arm, emulator: emulator.request("freeze", seconds=1.0)["t_s"],
+    "power cycle": lambda arm, emulator: emulator.request("power_cycle", seconds=0.3)["t_s"],
     "child killed": lambda arm, emulator: signalled(arm, signal.SIGKILL),
     "child stopped": lambda arm, emulator: signalled(arm, signal.SIGSTOP),
 }
@@ -89,7 +89,7 @@ def test_a_break_is_named_soon_the_arm_rests_and_comes_back(
     assert time.monotonic() - broke_s < 0.1
     assert "connect again" in error.remedy
     time.sleep(1.2 if fault == "freeze" else 0.5)
-    assert ur_emulator.ask("state")["last_moved_s"] - broke_s < 0.2
+    assert ur_emulator.request("state")["last_moved_s"] - broke_s < 0.2
     until(lambda: _connects(arm))
     arm.follow(line(dx_m=-0.01, start=arm.state().pose))
     until(lambda: not arm.state().moving)
@@ -107,12 +107,12 @@ def test_garbage_never_leaves_the_arm_moving(arm, ur_emulator, line) -> None:
     """ur-rtde may take random bytes for poses, crash or hang; the arm must rest either way."""
     set_moving(arm, line)
     for _ in range(5):
-        ur_emulator.ask("garbage", size=200)
+        ur_emulator.request("garbage", size=200)
     garbage_s = time.monotonic()
     lost(arm)
     assert time.monotonic() - garbage_s < 0.3
     time.sleep(0.4)
-    assert ur_emulator.ask("state")["last_moved_s"] - garbage_s < 0.3
+    assert ur_emulator.request("state")["last_moved_s"] - garbage_s < 0.3
 
 
 def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, tmp_path) -> None:
@@ -131,13 +131,13 @@ def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, t
     )
     cell = subprocess.Popen([sys.executable, str(program), pickle.dumps(ur_options).hex()])
     try:
-        until(lambda: abs(ur_emulator.ask("state")["speed"][2]) > 0.015, 15.0)
+        until(lambda: abs(ur_emulator.request("state")["speed"][2]) > 0.015, 15.0)
     finally:
         killed_s = time.monotonic()
         cell.kill()
         cell.wait(30)
     time.sleep(0.5)
-    state = ur_emulator.ask("state")
+    state = ur_emulator.request("state")
     assert state["last_moved_s"] - killed_s < 0.2
     assert state["runtime"] == "STOPPED"
 
@@ -163,7 +163,7 @@ def test_the_child_outlives_neither_cell_nor_controller(
     with cell:
         child = int(cell.stdout.readline())
         cell.kill()
-    ur_emulator.ask(also, **({"seconds": 8.0} if also == "freeze" else {}))
+    ur_emulator.request(also, **({"seconds": 8.0} if also == "freeze" else {}))
     until(lambda: not Path(f"/proc/{child}").exists(), 6.0)
 
 
@@ -178,7 +178,7 @@ def test_a_stop_reaches_the_controller_soon(arm, ur_emulator, line) -> None:
     asked_s = time.monotonic()
     arm.stop("test")
     until(lambda: not arm.state().moving)
-    events = ur_emulator.ask("state")["events"]
+    events = ur_emulator.request("state")["events"]
     (stop_s,) = [e["t_s"] for e in events if e["what"] == "servo stop" and e["t_s"] > asked_s]
     assert stop_s - asked_s < 0.1
 
@@ -194,13 +194,13 @@ def test_a_stop_reaches_the_controller_soon(arm, ur_emulator, line) -> None:
 def test_after_a_controllers_stop_nothing_moves_by_itself(arm, ur_emulator, line, op, mode) -> None:
     """Hardware trap 4: the last pose must not be replayed when the program starts anew."""
     set_moving(arm, line)
-    ur_emulator.ask(op)
+    ur_emulator.request(op)
     until(lambda: arm.state().mode is mode)
     with pytest.raises(StoppedError, match=mode.value):
         arm.follow(line(start=arm.state().pose))
     time.sleep(0.1)
     rest = arm.state().pose
-    ur_emulator.ask("clear")
+    ur_emulator.request("clear")
     until(lambda: arm.state().mode is ArmMode.STOPPED)
     arm.reset()
     assert arm.state().mode is ArmMode.READY
@@ -209,13 +209,13 @@ def test_after_a_controllers_stop_nothing_moves_by_itself(arm, ur_emulator, line
 
 
 def test_local_control_is_a_state_with_a_remedy(arm, ur_emulator, line) -> None:
-    ur_emulator.ask("local", on=True)
-    ur_emulator.ask("end_program")
+    ur_emulator.request("local", on=True)
+    ur_emulator.request("end_program")
     until(lambda: arm.state().mode is ArmMode.LOCAL_CONTROL)
     for act in (arm.reset, lambda: arm.follow(line(start=arm.state().pose))):
         with pytest.raises(StoppedError, match="remote control"):
             act()
-    ur_emulator.ask("local", on=False)
+    ur_emulator.request("local", on=False)
     arm.reset()
     assert arm.state().mode is ArmMode.READY
 
@@ -225,17 +225,17 @@ def test_local_control_in_motion_stops_the_arm_though_the_controller_would_go_on
 ) -> None:
     set_moving(arm, line)
     asked_s = time.monotonic()
-    ur_emulator.ask("local", on=True)
+    ur_emulator.request("local", on=True)
     until(lambda: arm.state().mode is ArmMode.LOCAL_CONTROL)
     until(lambda: not arm.state().moving)
     rest = arm.state().pose
-    events = ur_emulator.ask("state")["events"]
+    events = ur_emulator.request("state")["events"]
     stopped_s = [e["t_s"] for e in events if e["what"] == "servo stop"][-1]
     assert 0.0 < stopped_s - asked_s < 0.7, "it is asked twice a second"
     for act in (arm.reset, lambda: arm.follow(line(start=rest))):
         with pytest.raises(StoppedError, match="local_control; switch the pendant to remote"):
             act()
-    ur_emulator.ask("local", on=False)
+    ur_emulator.request("local", on=False)
     arm.reset()
     time.sleep(0.2)
     assert arm.state().pose.y_m == pytest.approx(rest.y_m, abs=1e-4)
@@ -247,24 +247,24 @@ def test_local_control_in_motion_stops_the_arm_though_the_controller_would_go_on
 def test_a_dashboard_that_closes_once_is_asked_again_and_one_that_is_gone_is_a_lost_arm(
     arm, ur_emulator
 ) -> None:
-    ur_emulator.ask("drop", ports=[29999])
+    ur_emulator.request("drop", ports=[29999])
     time.sleep(0.8)
     assert arm.state().mode is ArmMode.READY
-    ur_emulator.ask("refuse", on=True)
-    ur_emulator.ask("drop", ports=[29999])
+    ur_emulator.request("refuse", on=True)
+    ur_emulator.request("drop", ports=[29999])
     with pytest.raises(DeviceLostError, match="the dashboard does not tell who has control: Conn"):
         until(lambda: arm.state().mode is not ArmMode.READY)
 
 
 def test_a_slider_below_full_speed_is_a_state_with_a_remedy(arm, ur_emulator, line) -> None:
-    ur_emulator.ask("speed_fraction", value=0.4)
+    ur_emulator.request("speed_fraction", value=0.4)
     until(lambda: arm.state().mode is ArmMode.REDUCED_SPEED)
     for act in (arm.reset, lambda: arm.follow(line(start=arm.state().pose))):
         with pytest.raises(StoppedError, match=r"40% of the full speed; set the speed slider to"):
             act()
     time.sleep(0.5)
-    assert ur_emulator.ask("state")["runtime"] == "PLAYING", "its watchdog is fed all the same"
-    ur_emulator.ask("speed_fraction", value=1.0)
+    assert ur_emulator.request("state")["runtime"] == "PLAYING", "its watchdog is fed all the same"
+    ur_emulator.request("speed_fraction", value=1.0)
     until(lambda: arm.state().mode is ArmMode.READY)
     arm.follow(line(dy_m=-0.01, start=arm.state().pose))
     until(lambda: not arm.state().moving)
@@ -274,12 +274,12 @@ def test_a_slider_below_full_speed_is_a_state_with_a_remedy(arm, ur_emulator, li
 def test_a_motion_that_is_slowed_is_broken_off_and_stays_so(arm, ur_emulator, line, what) -> None:
     set_moving(arm, line)
     asked_s = time.monotonic()
-    ur_emulator.ask(what, value=0.7)
+    ur_emulator.request(what, value=0.7)
     until(lambda: not arm.state().moving)
     rest = arm.state().pose
-    stops = [e["t_s"] for e in ur_emulator.ask("state")["events"] if e["what"] == "servo stop"]
+    stops = [e["t_s"] for e in ur_emulator.request("state")["events"] if e["what"] == "servo stop"]
     assert 0.0 < stops[-1] - asked_s < 0.1
-    ur_emulator.ask(what, value=1.0)
+    ur_emulator.request(what, value=1.0)
     until(lambda: arm.state().mode is ArmMode.STOPPED)
     with pytest.raises(StoppedError, match="it was slowed in motion; acknowledge and reset"):
         arm.follow(line(start=rest))
@@ -293,24 +293,24 @@ def test_a_motion_that_is_slowed_is_broken_off_and_stays_so(arm, ur_emulator, li
 
 
 def test_an_arm_without_power_or_with_its_brakes_on_says_so(arm, ur_emulator) -> None:
-    ur_emulator.ask("end_program")
-    ur_emulator.ask("brakes", on=True)
+    ur_emulator.request("end_program")
+    ur_emulator.request("brakes", on=True)
     until(lambda: arm.state().mode is ArmMode.POWER_OFF)
     with pytest.raises(StoppedError, match="power_off; power on and release the brakes"):
         arm.reset()
-    ur_emulator.ask("brakes", on=False)
+    ur_emulator.request("brakes", on=False)
     until(lambda: arm.state().mode is ArmMode.STOPPED)
     arm.reset()
     assert arm.state().mode is ArmMode.READY
-    ur_emulator.ask("brakes", on=True)
+    ur_emulator.request("brakes", on=True)
     arm.close()
     with pytest.raises(ConnectError, match="power_off; power on and release the brakes"):
         arm.connect()
-    ur_emulator.ask("brakes", on=False)
+    ur_emulator.request("brakes", on=False)
 
 
 def test_a_program_that_ended_can_be_started_anew(arm, ur_emulator, line) -> None:
-    ur_emulator.ask("end_program")
+    ur_emulator.request("end_program")
     until(lambda: arm.state().mode is ArmMode.STOPPED)
     with pytest.raises(StoppedError, match="program ended"):
         arm.follow(line(start=arm.state().pose))
@@ -319,9 +319,9 @@ def test_a_program_that_ended_can_be_started_anew(arm, ur_emulator, line) -> Non
 
 
 def test_the_dashboard_is_asked_now_and_then_not_in_every_cycle(arm, ur_emulator) -> None:
-    before = ur_emulator.ask("state")["dashboard_lines"]
+    before = ur_emulator.request("state")["dashboard_lines"]
     time.sleep(0.6)
-    assert 1 <= ur_emulator.ask("state")["dashboard_lines"] - before <= 4
+    assert 1 <= ur_emulator.request("state")["dashboard_lines"] - before <= 4
 
 
 def test_the_log_is_in_order_from_the_first_sample_on_and_not_from_the_future(arm) -> None:
@@ -335,14 +335,14 @@ def test_the_log_is_in_order_from_the_first_sample_on_and_not_from_the_future(ar
 def test_an_idle_arm_feeds_the_watchdog(arm, ur_emulator) -> None:
     time.sleep(0.5)
     assert arm.state().mode is ArmMode.READY
-    assert ur_emulator.ask("state")["runtime"] == "PLAYING"
+    assert ur_emulator.request("state")["runtime"] == "PLAYING"
 
 
 def test_out_of_reach_and_too_fast_are_refused_before_anything_is_sent(
     arm, ur_emulator, line
 ) -> None:
     start = arm.state().pose
-    sent = ur_emulator.ask("state")["servo_writes"]
+    sent = ur_emulator.request("state")["servo_writes"]
     for act in (arm.check, arm.follow):
         with pytest.raises(LimitError, match=r"UR5e does not reach.*nothing was moved"):
             act(line(start=replace(start, y_m=2.5)))
@@ -350,7 +350,7 @@ def test_out_of_reach_and_too_fast_are_refused_before_anything_is_sent(
         arm.follow(line(dy_m=1.5, start=start, duration_s=10.0))
     with pytest.raises(LimitError, match=r"a joint turns at .* rad/s, allowed 3.14"):
         arm.follow(line(dy_m=-0.3, start=start, duration_s=0.1))
-    assert ur_emulator.ask("state")["servo_writes"] == sent
+    assert ur_emulator.request("state")["servo_writes"] == sent
     assert arm.state().mode is ArmMode.READY
 
 
@@ -380,18 +380,18 @@ def newer(ur_options, ur_emulator):
     """The arm with a controller whose software is another one, as a function of the version."""
 
     def make(version: str, allow_version: tuple[int, int] | None = None) -> UrArm:
-        ur_emulator.ask("version", version=version)
+        ur_emulator.request("version", version=version)
         return UrArm(replace(ur_options, allow_version=allow_version))
 
     yield make
-    ur_emulator.ask("version", version="5.12.2.1101534")
+    ur_emulator.request("version", version="5.12.2.1101534")
 
 
 def test_a_controller_of_another_version_is_refused(newer, ur_emulator) -> None:
     named = r"PolyScope 5.22, unknown: .*issue 334.*; install PolyScope 5.6 to 5.21; or take"
     with pytest.raises(ConnectError, match=named):
         newer("5.22.0.1").connect()
-    assert ur_emulator.ask("state")["runtime"] == "STOPPED"
+    assert ur_emulator.request("state")["runtime"] == "STOPPED"
 
 
 @pytest.mark.parametrize(("version", "allowed"), [("5.26.0.1", (5, 26)), ("10.13.0.1", (10, 13))])
@@ -402,19 +402,19 @@ def test_an_allowed_version_moves_stops_and_starts_again(
     arm = newer(version, allowed)
     arm.connect()
     try:
-        asked = ur_emulator.ask("state")["dashboard_lines"]
+        asked = ur_emulator.request("state")["dashboard_lines"]
         arm.follow(line(dy_m=-0.01, start=arm.state().pose))
         until(lambda: not arm.state().moving)
-        ur_emulator.ask("protective_stop")
+        ur_emulator.request("protective_stop")
         until(lambda: arm.state().mode is ArmMode.PROTECTIVE_STOP)
         with pytest.raises(StoppedError, match="find the cause, unlock at the pendant"):
             arm.reset()
-        ur_emulator.ask("clear")
+        ur_emulator.request("clear")
         until(lambda: arm.state().mode is ArmMode.STOPPED)
         arm.reset()
         arm.follow(line(dy_m=0.01, start=arm.state().pose))
         until(lambda: not arm.state().moving)
-        told = ur_emulator.ask("state")["dashboard_lines"] - asked
+        told = ur_emulator.request("state")["dashboard_lines"] - asked
         assert (told > 0) is version.startswith("5.")
     finally:
         arm.close()
@@ -424,12 +424,12 @@ def test_what_polyscope_x_does_not_tell_is_said_to_a_person(newer, ur_emulator) 
     arm = newer("10.12.0.1", (10, 12))
     arm.connect()
     try:
-        ur_emulator.ask("end_program")
-        ur_emulator.ask("local", on=True)
+        ur_emulator.request("end_program")
+        ur_emulator.request("local", on=True)
         until(lambda: arm.state().mode is ArmMode.STOPPED)  # whether it is local, nobody tells
         with pytest.raises(StoppedError, match="program does not start; PolyScope X does not tell"):
             arm.reset()
-        ur_emulator.ask("local", on=False)
+        ur_emulator.request("local", on=False)
         arm.reset()
         assert arm.state().mode is ArmMode.READY
     finally:
@@ -437,7 +437,7 @@ def test_what_polyscope_x_does_not_tell_is_said_to_a_person(newer, ur_emulator) 
 
 
 def test_a_stopped_controller_is_not_connected_to(ur_options, ur_emulator) -> None:
-    ur_emulator.ask("protective_stop")
+    ur_emulator.request("protective_stop")
     with pytest.raises(ConnectError, match="reports protective_stop; find the cause, unlock"):
         UrArm(ur_options).connect()
 

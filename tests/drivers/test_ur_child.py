@@ -49,7 +49,7 @@ def cycles(
                 break
             look_s = min(look_s + POLL_S, due_s)
         if came and newest_s != clock.robot_s:
-            seen.append(clock.saw(newest_s, look_s))
+            seen.append(clock.observe(newest_s, look_s))
         due.append(due_s)
         due_s = clock.in_step(due_s + PERIOD_S)
     return np.array(due), np.array(seen)
@@ -85,7 +85,7 @@ def test_a_deadline_stays_where_it_is_until_a_state_came() -> None:
 
 def test_a_deadline_is_moved_the_shorter_way() -> None:
     clock = ControllerClock(PERIOD_S)
-    assert clock.saw(1.0, 5.0) == 5.0
+    assert clock.observe(1.0, 5.0) == 5.0
     there_s = 5.0 + clock.lead_s
     assert clock.in_step(there_s + 3 * PERIOD_S) == pytest.approx(there_s + 3 * PERIOD_S)
     assert clock.in_step(there_s + 5e-4) == pytest.approx(there_s + 5e-4 - 2e-5)

@@ -34,7 +34,7 @@ def eventually_free(host: str) -> None:
 
 def begun(emulator: EmulatedController) -> list[float]:
     """When programs were started."""
-    events = emulator.ask("state")["events"]
+    events = emulator.request("state")["events"]
     return [e["t_s"] for e in events if e["what"] == "program started"]
 
 

@@ -22,10 +22,10 @@ def controller(emulated_controller: EmulatedController) -> Iterator[EmulatedCont
         names = [f"{group}_digital_output" for group in groups]
         masks = [f"{name}_mask" for name in names]
         client.write(client.claim([*masks, *names]), [255, 255, 255, 0, 0, 0])
-    emulated_controller.ask("inputs", bits=0)
+    emulated_controller.request("inputs", bits=0)
     until(lambda: outputs_of(emulated_controller) == set())
     yield emulated_controller
-    emulated_controller.ask("hold_outputs", mask=0)
+    emulated_controller.request("hold_outputs", mask=0)
 
 
 class Told:
@@ -51,7 +51,7 @@ def until(holds: Callable[[], bool]) -> None:
 
 
 def outputs_of(controller: EmulatedController) -> set[int]:
-    bits = controller.ask("outputs")["bits"]
+    bits = controller.request("outputs")["bits"]
     return {number for number in range(18) if bits >> number & 1}
 
 
@@ -63,7 +63,7 @@ def test_standard_configurable_and_tool_bits_have_the_controllers_numbers(contro
     told = Told()
     with io_of(controller.host, {0, 7, 8, 15, 16, 17}, told) as io:
         for number in (0, 7, 8, 15, 16, 17):
-            controller.ask("inputs", bits=1 << number)
+            controller.request("inputs", bits=1 << number)
             until(lambda number=number: told.inputs == {number})
             io.set({number})
             until(lambda number=number: outputs_of(controller) == {number})
@@ -102,14 +102,14 @@ def test_outputs_that_somebody_has_are_waited_for(controller) -> None:
 
 def test_an_output_that_does_not_follow_is_said_and_inputs_do_not_count(controller) -> None:
     told = Told()
-    controller.ask("hold_outputs", mask=0b100)
+    controller.request("hold_outputs", mask=0b100)
     with io_of(controller.host, {1, 2}, told) as io:
         until(lambda: told.inputs is not None)
         io.set({1, 2})
         until(lambda: bool(told.lost))
         assert "digital output 2 does not follow" in told.lost[0]
         assert told.inputs is None
-        controller.ask("hold_outputs", mask=0)
+        controller.request("hold_outputs", mask=0)
         until(lambda: told.inputs is not None)
         assert outputs_of(controller) == {1, 2}
 
@@ -121,9 +121,9 @@ def test_after_a_loss_the_outputs_are_set_again(controller, loss: str) -> None:
         io.set({4})
         until(lambda: told.inputs is not None)
         seconds = {"drop": {}, "freeze": {"seconds": 0.6}, "power_cycle": {"seconds": 0.3}}
-        controller.ask(loss, **seconds[loss])
+        controller.request(loss, **seconds[loss])
         until(lambda: bool(told.lost))
-        controller.ask("inputs", bits=0b10)
+        controller.request("inputs", bits=0b10)
         until(lambda: told.inputs == {1})
         assert outputs_of(controller) == {4}
 
@@ -144,10 +144,12 @@ def test_an_arm_that_is_moved_by_ur_rtde_is_not_disturbed(controller) -> None:
         until(lambda: told.inputs is not None)
         control = rtde_control.RTDEControlInterface(controller.host)
         try:
-            joints = controller.ask("state")["q_rad"]
+            joints = controller.request("state")["q_rad"]
             io.set({0, 8, 16})
             assert control.moveJ([joints[0] + 0.05, *joints[1:]], 1.0, 1.0)
-            assert controller.ask("state")["q_rad"][0] == pytest.approx(joints[0] + 0.05, abs=1e-3)
+            assert controller.request("state")["q_rad"][0] == pytest.approx(
+                joints[0] + 0.05, abs=1e-3
+            )
             until(lambda: outputs_of(controller) == {0, 8, 16})
             assert control.isConnected()
         finally:

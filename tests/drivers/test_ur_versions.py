@@ -56,7 +56,7 @@ def changeable(free_loopback) -> Iterator[EmulatedController]:
 def test_a_version_is_allowed_or_refused_with_what_is_known(
     changeable: EmulatedController, version: str, allowed: tuple[int, int] | None, said: str | None
 ) -> None:
-    changeable.ask("version", version=version)
+    changeable.request("version", version=version)
     found = identify(changeable.host)
     assert found.version_text == version
     refused = refusal(found.release, allowed)
@@ -82,9 +82,9 @@ def test_the_ranges_are_in_order_and_leave_no_gap() -> None:
 
 
 def test_only_a_controller_with_a_dashboard_tells_its_serial_number(changeable) -> None:
-    changeable.ask("version", version="5.26.0.7")
+    changeable.request("version", version="5.26.0.7")
     assert identify(changeable.host).serial_number == "20225500001"
-    changeable.ask("version", version="10.13.0.7")
+    changeable.request("version", version="10.13.0.7")
     assert identify(changeable.host).serial_number is None
 
 
@@ -94,10 +94,10 @@ def test_nobody_at_the_address_is_said_soon(free_loopback) -> None:
 
 
 def test_a_silent_controller_is_given_up(changeable) -> None:
-    changeable.ask("freeze", seconds=1.0)
+    changeable.request("freeze", seconds=1.0)
     with pytest.raises(RtdeError, match=r"no answer to protocol_version within 0\.2 s"):
         identify(changeable.host, 0.2)
-    changeable.ask("freeze", seconds=0.0)
+    changeable.request("freeze", seconds=0.0)
 
 
 def test_inputs_are_reported_and_outputs_written_by_one_client_alone(changeable) -> None:
@@ -107,7 +107,7 @@ def test_inputs_are_reported_and_outputs_written_by_one_client_alone(changeable)
         one.report(bits, 125.0)
         recipe = one.claim(names)
         one.start()
-        changeable.ask("inputs", bits=0b101)
+        changeable.request("inputs", bits=0b101)
         one.write(recipe, [0b11, 0b10])
         while one.newest(1.0) != {bits[0]: 0b101, bits[1]: 0b10}:
             pass
@@ -117,7 +117,7 @@ def test_inputs_are_reported_and_outputs_written_by_one_client_alone(changeable)
             other.claim(["nonsense"])
         with pytest.raises(RtdeError, match="knows no nonsense"):
             other.report(["nonsense"], 10.0)
-    assert changeable.ask("outputs")["bits"] == 0b10
+    assert changeable.request("outputs")["bits"] == 0b10
 
 
 def test_a_connection_that_ends_is_noticed(changeable) -> None:
@@ -125,7 +125,7 @@ def test_a_connection_that_ends_is_noticed(changeable) -> None:
         client.report(["timestamp"], 10.0)
         client.start()
         client.newest(1.0)
-        changeable.ask("drop")
+        changeable.request("drop")
         with pytest.raises(OSError, match=r"closed|reset"):
             while True:
                 client.newest(1.0)

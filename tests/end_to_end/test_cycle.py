@@ -150,7 +150,7 @@ def test_a_cable_that_no_offset_can_insert_is_put_aside(live: Live, quick: Setti
 
 def _noting(it: SimpleNamespace, where: list[float], release: Callable[[], object]) -> object:
     def noted() -> object:
-        where.append(it.twins.world.hand_pose().x_m)
+        where.append(it.twins.world.gripper_pose().x_m)
         return release()
 
     return noted
@@ -189,7 +189,7 @@ def test_a_cable_that_hardly_swings_is_rejected_with_the_reason(
 def test_a_cycle_leaves_the_arm_at_home_and_the_jaws_open(live: Live) -> None:
     it = live()
     it.cell.run_cycle(1)
-    home = it.twins.world.hand_pose()
+    home = it.twins.world.gripper_pose()
     assert (home.x_m, home.y_m) == pytest.approx((0.0, 0.0), abs=1e-4)
     assert not it.twins.world.holds
 

@@ -113,7 +113,7 @@ def test_the_jaws_stay_as_they_are_and_no_cable_is_taken(live: Live) -> None:
     once = ("go_down", "go_in", "go_aside", "go_home")
     before = ("warm_up", "connect", "reset", "start", "check_paths", "go_home")
     assert it.steps == [*before, *once, *once, "go_home"]
-    home = it.twins.world.hand_pose()
+    home = it.twins.world.gripper_pose()
     assert (home.x_m, home.y_m) == pytest.approx((0.0, 0.0), abs=2e-4)
     assert it.cell.machine.state is CellState.COMPLETE
 
@@ -136,7 +136,7 @@ def test_a_path_beyond_the_limits_is_named_before_anything_moves(
     result = it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 0.5))
     assert result.fault is not None and result.fault.step == "check_paths"
     assert "on the way 'go in'" in result.fault.cause and "y = -0.088" in result.fault.cause
-    assert it.twins.world.hand_pose() == Pose(0.0, 0.0, 0.0)
+    assert it.twins.world.gripper_pose() == Pose(0.0, 0.0, 0.0)
 
 
 def test_the_way_home_is_slow_too(live: Live, quick: Settings, tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_a_stop_in_any_step_stops_and_a_lost_arm_aborts(live: Live, step: str) -
     result = it.cell.run_cycle(1, it.cell.rehearsal(INSERTING, 1.0))
     assert result.fault is not None and result.fault.step == step
     assert it.cell.machine.state is CellState.STOPPED
-    assert it.twins.world.hand_rests_from_s() <= it.twins.world.clock.now_s()
+    assert it.twins.world.gripper_rest_from_s() <= it.twins.world.clock.now_s()
 
     lost = live({step: lambda it: setattr(it.twins.arm, "faults", ArmFaults(lost_at_s=0.0))})
     result = lost.cell.run_cycle(1, lost.cell.rehearsal(INSERTING, 1.0))

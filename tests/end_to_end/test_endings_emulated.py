@@ -88,7 +88,7 @@ def other(**world: tuple[float, float]) -> Act:
     def act(it: Line) -> None:
         changed = it.settings.world.model_copy(update=world)
         settings = it.settings.model_copy(update={"world": changed})
-        it.emulated.camera.tell(HiddenCableFactory(settings, 1, 1))
+        it.emulated.camera.notify(HiddenCableFactory(settings, 1, 1))
 
     return act
 
@@ -104,16 +104,16 @@ the_first_but_calm = other(damping_ratio=(0.15, 0.151))
 
 def the_first(it: Line) -> None:
     """The cable between the jaws is exchanged for the first, which is known to go in."""
-    it.emulated.camera.tell(HiddenCableFactory(it.settings, 1, 1))
+    it.emulated.camera.notify(HiddenCableFactory(it.settings, 1, 1))
 
 
 def cover(it: Line) -> None:
     """Without the jaw nothing is found in a picture."""
-    it.emulated.camera.tell(Staging(jaw=False))
+    it.emulated.camera.notify(Staging(jaw=False))
 
 
 def uncover(it: Line) -> None:
-    it.emulated.camera.tell(Staging())
+    it.emulated.camera.notify(Staging())
 
 
 def cover_while_at_rest(it: Line) -> None:
@@ -182,7 +182,7 @@ def test_a_cable_stopped_again_is_put_aside(seeing: Line, hopeless: Callable[[in
 def check_put_aside(line: Line, result: Result) -> None:
     here, aside = line.let_go[result.cycle], line.settings.motion.aside
     assert (here.x_m, here.y_m) == pytest.approx((aside.x_m, aside.y_m), abs=5e-4)
-    assert not line.emulated.gripper.look().held
+    assert not line.emulated.gripper.observe().held
     assert line.cell.machine.state is CellState.COMPLETE, "the next cable can be taken"
 
 

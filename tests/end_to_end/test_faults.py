@@ -35,10 +35,10 @@ def check_stopped(it: SimpleNamespace, result: Result, step: str) -> None:
     assert result.outcome is Outcome.FAILED
     assert result.fault is not None and result.fault.step == step
     world = it.twins.world
-    resting = world.hand_pose()
-    assert world.hand_rests_from_s() <= world.clock.now_s()
+    resting = world.gripper_pose()
+    assert world.gripper_rest_from_s() <= world.clock.now_s()
     world.clock.sleep_s(5.0)
-    assert world.hand_pose() == resting
+    assert world.gripper_pose() == resting
     read = read_record(Path(result.folder))
     assert read.closed and read.result == result and read.step == step
     assert (read.study is not None) is (step in KNOWS_STUDY)
@@ -101,7 +101,7 @@ def test_a_stop_in_the_middle_of_a_motion_does_not_wait_for_its_end(live: Live) 
     result = it.cell.run_cycle(1)
     check_stopped(it, result, "execute")
     assert result.seconds["execute"] < 0.6
-    assert it.twins.world.hand_pose().x_m > -0.049, "stopped short of the end of the stroke"
+    assert it.twins.world.gripper_pose().x_m > -0.049, "stopped short of the end of the stroke"
     assert it.cell.machine.state is CellState.ABORTED
     assert it.twins.world.holds, "a stop releases nothing"
 
@@ -223,7 +223,7 @@ def test_a_record_that_can_no_longer_be_written_stops_the_arm_too(live: Live) ->
     it = live({"lower": disk_gone})
     result = it.cell.run_cycle(1)
     assert result.fault is not None and "the record cannot be written" in result.fault.cause
-    assert it.twins.world.hand_rests_from_s() <= it.twins.world.clock.now_s()
+    assert it.twins.world.gripper_rest_from_s() <= it.twins.world.clock.now_s()
     assert it.cell.machine.state is CellState.ABORTED
     assert it.twins.arm.state().mode is ArmMode.STOPPED
 

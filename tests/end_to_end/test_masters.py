@@ -86,7 +86,7 @@ def begin(forking: Forking, config: Path, tmp_path: Path) -> Iterator[Begin]:
 
 def programs(emulated: EmulatedCell) -> list[str]:
     """What became of programs on the controller."""
-    events = [e["what"] for e in emulated.controller.ask("state")["events"]]
+    events = [e["what"] for e in emulated.controller.request("state")["events"]]
     return [what for what in events if what.startswith("program")]
 
 

@@ -76,7 +76,7 @@ def test_the_motion_is_filmed_and_the_cable_is_let_go_at_home(
     ]
     assert it.cell.machine.state is CellState.COMPLETE
     assert not it.twins.world.holds
-    home = it.twins.world.hand_pose()
+    home = it.twins.world.gripper_pose()
     assert (home.x_m, home.y_m, home.angle_rad) == pytest.approx((0.0, 0.0, 0.0), abs=2e-4)
 
     read = read_record(Path(result.folder))
@@ -119,7 +119,7 @@ def test_after_a_stop_with_the_clamp_tilted_the_hand_finds_home(
     result = it.cell.run_cycle(1, measuring(tilted))
     assert result.outcome is Outcome.FAILED
     assert result.fault is not None and result.fault.step == step
-    assert it.twins.world.hand_rests_from_s() <= it.twins.world.clock.now_s()
+    assert it.twins.world.gripper_rest_from_s() <= it.twins.world.clock.now_s()
     it.cell.acknowledge()
     assert it.cell.run_cycle(2, measuring(tilted)).outcome is Outcome.MEASURED
 

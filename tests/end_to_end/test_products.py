@@ -159,7 +159,7 @@ def test_starts_choose_products_and_a_change_empties_the_jaws_first(
     seen: dict[str, Any] = {}
 
     def look() -> None:
-        hand = serving.made.twins.world.hand_pose()
+        hand = serving.made.twins.world.gripper_pose()
         seen.update(holding=gripper.state().holding, hand_m=(hand.x_m, hand.y_m))
 
     def ask_for_the_other() -> None:

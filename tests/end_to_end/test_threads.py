@@ -177,7 +177,9 @@ def test_a_camera_whose_thread_dies_is_lost() -> None:
 def test_an_arm_of_which_nobody_knows_who_has_control_is_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(ur_dashboard, "Dashboard", lambda host: SimpleNamespace(ask=lambda _: ""))
+    monkeypatch.setattr(
+        ur_dashboard, "Dashboard", lambda host: SimpleNamespace(request=lambda _: "")
+    )
     pendant = RemoteControl("127.0.0.9")
     dies(pendant._thread)
     child: Any = _Child.__new__(_Child)

@@ -21,7 +21,7 @@ from cell.cable.effects import library, load_effect
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver, generalised_alpha, threads
 from cell.cable.statics import settle
-from cell.cable.stepping import integrate, looks
+from cell.cable.stepping import integrate, sample_times
 from cell.identify.parameters import ParameterSpace, Prior, difference_points
 from tools.bench.bench_task import (
     ALLOWED_M,
@@ -101,7 +101,7 @@ def linear_cost() -> None:
             out = np.empty(0)
             integrate(
                 fresh, at.LANES, n, base, generalised_alpha(1e-4, 0.8), False, 1,
-                block.effects, looks([out]), out, out,  # type: ignore[attr-defined]
+                block.effects, sample_times([out]), out, out,  # type: ignore[attr-defined]
             )  # fmt: skip
 
         run()

@@ -183,7 +183,7 @@ def servo(
             devices.gripper.connect()
             devices.arm.connect()
             devices.gripper.grip(settings.gripper.force_n)
-            emulated.controller.ask("servo_gaps")
+            emulated.controller.request("servo_gaps")
             if recorded:
                 recorder.begin(Path(name) / form.FILE, {})
             watcher = _Watcher(devices.camera, plane, options)
@@ -201,7 +201,7 @@ def servo(
             if beside is not None:
                 spent = {k: (v - others_s[k]) / seconds for k, v in beside.cpu_s().items()}
                 print("  CPU:", ", ".join(f"{k} {v:.1%}" for k, v in spent.items()))
-            gaps_s = np.array(emulated.controller.ask("servo_gaps")["gaps_s"])
+            gaps_s = np.array(emulated.controller.request("servo_gaps")["gaps_s"])
             recorder.close()
             devices.arm.close()
             devices.camera.close()

@@ -40,14 +40,14 @@ def kill_somebody(
     try:
         seen, moving = 0, False
         while seen < moves and cell.poll() is None:
-            speed = np.linalg.norm(emulated.controller.ask("state")["speed"][:3])
+            speed = np.linalg.norm(emulated.controller.request("state")["speed"][:3])
             if speed > 0.02 and not moving:
                 seen += 1
             moving = bool(speed > 0.02)
             time.sleep(0.004)
         time.sleep(delay_s)
         children = _children(cell.pid)
-        state = emulated.controller.ask("state")
+        state = emulated.controller.request("state")
         pids = [cell.pid] if victim == "cell" else children
         pids = [*children, cell.pid] if victim == "both" else pids
         killed_s = time.monotonic()
@@ -55,7 +55,7 @@ def kill_somebody(
             with contextlib.suppress(ProcessLookupError):  # it had come to its end
                 os.kill(pid, signal.SIGKILL)
         time.sleep(STILL_S + 0.1)
-        moved_s = emulated.controller.ask("state")["last_moved_s"] - killed_s
+        moved_s = emulated.controller.request("state")["last_moved_s"] - killed_s
         speed = float(np.linalg.norm(state["speed"][:3]))
         return Kill(victim, killed_s - began_s, speed, max(0.0, moved_s))
     finally:

@@ -50,7 +50,7 @@ def _gripper(**faults: Any) -> Act:
 
 def _arm(op: str, **arguments: Any) -> Act:
     def act(victim: Victim) -> None:
-        victim.emulated.controller.ask(op, **arguments)
+        victim.emulated.controller.request(op, **arguments)
 
     return act
 

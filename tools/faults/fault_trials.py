@@ -204,12 +204,12 @@ class FaultRig:
         self._give(trial)
 
     def _give(self, trial: Trial) -> None:
-        trial.held_before = self.emulated.gripper.look().held
+        trial.held_before = self.emulated.gripper.observe().held
         trial.given_s = time.monotonic()
         trial.kind.cause(self.victim)
 
     def speed_m_per_s(self) -> float:
-        speed = self.emulated.controller.ask("state")["speed"]
+        speed = self.emulated.controller.request("state")["speed"]
         return float(np.linalg.norm(speed[:3]))
 
 
@@ -232,7 +232,7 @@ def run_trial(bench: FaultRig, trial: Trial) -> None:
         trial.wrong.append(f"the fault was never given: {why}")
     else:
         judge(bench, trial, result)
-    bench.emulated.controller.ask("refuse", on=False)
+    bench.emulated.controller.request("refuse", on=False)
     trial.kind.repair(bench.victim)
     time.sleep(max(0.0, STILL_S - (time.monotonic() - ended_s)))
     bench.be_patient(bench.patience_s)
@@ -266,11 +266,11 @@ def judge(bench: FaultRig, trial: Trial, result: Result) -> None:
     elif fault.step != "connect":  # before, nothing can be stopped
         trial.reaction_s = max(0.0, after[0] - needed_s)
     time.sleep(STILL_S)
-    state = bench.emulated.controller.ask("state")
+    state = bench.emulated.controller.request("state")
     trial.moved_on_s = max(0.0, state["last_moved_s"] - needed_s)
     if trial.moved_on_s > STILL_S:
         trial.wrong.append(f"the arm moved {trial.moved_on_s:.3f} s later")
-    held = bench.emulated.gripper.look().held
+    held = bench.emulated.gripper.observe().held
     if trial.held_before and fault.step in HOLDING and not held and not trial.kind.drops_cable:
         trial.wrong.append("the cable was let go")
 

@@ -97,17 +97,17 @@ class ControllerWire:
         self._controller = EmulatedController(host)
 
     def write(self, bits: Sequence[bool]) -> None:
-        self._controller.ask("inputs", bits=sum(bit << k for k, bit in enumerate(bits)))
+        self._controller.request("inputs", bits=sum(bit << k for k, bit in enumerate(bits)))
 
     def read(self) -> Sequence[bool]:
-        bits = self._controller.ask("outputs")["bits"]
+        bits = self._controller.request("outputs")["bits"]
         return [bool(bits >> k & 1) for k in range(len(OUTPUTS))]
 
     def part(self) -> None:
-        self._controller.ask("freeze", seconds=LONGEST_S)
+        self._controller.request("freeze", seconds=LONGEST_S)
 
     def mend(self) -> None:
-        self._controller.ask("freeze", seconds=0.0)
+        self._controller.request("freeze", seconds=0.0)
 
     def close(self) -> None:
         pass

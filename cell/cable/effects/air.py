@@ -68,7 +68,7 @@ class AddedMass(Effect):
         return p.along * p.kg_per_m, p.kg_per_m
 
 
-class Draught(Effect):
+class CrossFlow(Effect):
     """Quadratic drag in a steady wind less that in still air, C_d = 2: zero without wind.
 
     Beside `air_drag` the two add up to drag against the relative velocity.

@@ -82,7 +82,7 @@ def run_remote(name: str, own: Sequence[type[Effect]], *args: Any) -> Any:
     given = [a.copy() if isinstance(a, np.ndarray) else a for a in args]
     given[at] = (*names, *others)
     what = f"{own[0].name}: a compiled hook"
-    answer = _ask(own, {"engine": name, "args": tuple(given)}, what)
+    answer = _request(own, {"engine": name, "args": tuple(given)}, what)
     results = [*answer["arrays"], answer["memory"]]
     targets = [*(args[i] for i in _ENGINE_ARRAYS[name]), others[2]]
     for target, result in zip(targets, results, strict=True):
@@ -92,7 +92,7 @@ def run_remote(name: str, own: Sequence[type[Effect]], *args: Any) -> Any:
     return int(answer["value"])
 
 
-def _ask(
+def _request(
     own: Sequence[type[Effect]],
     request: dict[str, Any],
     what: str,
@@ -100,7 +100,7 @@ def _ask(
 ) -> dict[str, Any]:
     """A sandbox's answer.  Raises EffectError: what a hook raised, or what became of it."""
     try:
-        answer = _sandbox(tuple(dict.fromkeys(own))).ask(request, PATIENCE_S, more)
+        answer = _sandbox(tuple(dict.fromkeys(own))).request(request, PATIENCE_S, more)
     except SandboxStuckError as error:
         raise _error(own[0], f"{what} {no_end(PATIENCE_S)}") from error
     except SandboxEndedError as error:
@@ -199,7 +199,7 @@ def _loaded(sandbox: Sandbox, file: Path, source: bytes, *, first: bool) -> dict
         raise EffectError(file, 1, "is not UTF-8 text; save it as UTF-8") from error
     request = {"file": str(file), "text": text, "try": first}
     try:
-        answer = sandbox.ask(request, LOADING_S, more)
+        answer = sandbox.request(request, LOADING_S, more)
     except SandboxStuckError as error:
         raise EffectError(file, now[1], f"{now[0]} {no_end(now[2])}") from error
     except SandboxEndedError as error:
@@ -269,7 +269,7 @@ def _hook(effect: type[Effect], hook: str) -> Callable[..., Any]:
     def called(cable: Any, *args: Any) -> Any:
         what = f"{effect.name}.{hook}"
         given = (tuple(map(float, cable)), *args[:-1], _values(args[-1]))
-        answer = _ask((effect,), {"effect": effect.name, "hook": hook, "args": given}, what)
+        answer = _request((effect,), {"effect": effect.name, "hook": hook, "args": given}, what)
         value, size = answer["value"], _RESULTS.get(hook, 1)
         if size == 0:
             shape = np.shape(args[0])
@@ -298,7 +298,7 @@ def _clamp(effect: type[Effect]) -> Callable[..., Any]:
             times = np.asarray(t_s, dtype=np.float64)
             given = (pose.start_s, pose.end_s, times, _values(p))
             request = {"effect": effect.name, "hook": "clamp", "args": given}
-            answer = _ask((effect,), request, f"{effect.name}.clamp", more)
+            answer = _request((effect,), request, f"{effect.name}.clamp", more)
             value = answer["value"]
             arrays = value if isinstance(value, tuple) else ()
             if len(arrays) != 3 or any(np.shape(a) != times.shape for a in arrays):

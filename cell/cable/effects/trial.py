@@ -18,7 +18,7 @@ from pathlib import Path
 from types import ModuleType
 
 from cell.cable.effects.base import EffectError
-from cell.computer.watched import LOOK_S, PATIENCE_S, GivenTime, UnderWay, no_end
+from cell.computer.watched import PATIENCE_S, POLL_S, GrantedTime, RunningCall, no_end
 
 #: Time that compiling the hooks may take, s; and the process's own beginning.
 COMPILING_S = 120.0
@@ -37,22 +37,22 @@ def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, float], Non
     context.set_forkserver_preload(["cell.cable.effects.library"])
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_try, args=(file, load, sender), daemon=True)
-    with _main_left_alone():
+    with _without_main():
         process.start()
     sender.close()
     what, line, patience_s = "its module", 1, COMPILING_S
-    given, under_way = GivenTime(process.pid or 0), UnderWay()
+    given, under_way = GrantedTime(process.pid or 0), RunningCall()
     try:
         while not under_way.is_stuck(patience_s):
-            if not receiver.poll(LOOK_S):
-                under_way.look(given.since_last_look_s())
+            if not receiver.poll(POLL_S):
+                under_way.sample(given.since_last_sample_s())
                 continue
             kind, text, at, patience_s = receiver.recv()
             if kind == "right":
                 return
             if kind == "refused":
                 raise EffectError(file, at, text)
-            what, line, under_way = text, at, UnderWay()
+            what, line, under_way = text, at, RunningCall()
         cause = no_end(patience_s)
     except EOFError:
         cause = "ends the process: mend that"
@@ -64,7 +64,7 @@ def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, float], Non
 
 
 @contextmanager
-def _main_left_alone() -> Iterator[None]:
+def _without_main() -> Iterator[None]:
     """Whatever is started during it does not run the caller's script once more.
 
     Python's own starter would, for pickles of its names; none is sent here.

@@ -17,7 +17,7 @@ from cell.cable.geometry import Cable, Motion
 from cell.cable.layout import LANES
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver
-from cell.cable.stepping import looks
+from cell.cable.stepping import sample_times
 
 TIMES = np.arange(0.0, 1.0, 0.02)
 
@@ -313,7 +313,7 @@ def test_a_second_process_starts_in_under_three_seconds(cable, arc, jerk, tmp_pa
 def test_every_lane_is_recorded_at_its_own_times_only():
     """All lanes of a block were recorded at the times of each: nine trials cost nine times that."""
     early, late = np.array([-0.5, 0.0, 0.5, 2.0]), np.array([1.0, 2.0])
-    table = looks([early, early, late])
+    table = sample_times([early, early, late])
     assert table[:, 0].tolist() == [0.5, 1.0, 2.0, 2.0]
     assert table[:, 1:3].tolist() == [[0, 2], [2, 3], [0, 2], [2, 3]]
     assert table[:, 3].tolist() == [2, 0, 3, 1]

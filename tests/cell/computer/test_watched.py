@@ -115,15 +115,15 @@ def test_a_signal_ends_what_hears_none(given: signal.Signals) -> None:
 def test_a_signal_to_a_command_and_to_its_group_is_one() -> None:
     """As `timeout` sends it: the answer was not waited for, and a diagnosis said nothing."""
     doing = (
-        "from cell.computer.watched import answers_after_interrupt\n"
-        "import signal\nheard = []\nanswers_after_interrupt()\n"
+        "from cell.computer.watched import responds_after_interrupt\n"
+        "import signal\nheard = []\nresponds_after_interrupt()\n"
         "signal.signal(signal.SIGTERM, lambda number, frame: heard.append(number))\n"
         "print('trying', flush=True)\nwhile not heard: time.sleep(0.05)\n"
         "time.sleep(2.5); sys.exit(7)"
     )
     process = watched(doing, 1e3)
-    while process.stdout.readline() != "trying\n":
-        pass
+    while (line := process.stdout.readline()) != "trying\n":
+        assert line, process.stderr.read()
     process.send_signal(signal.SIGTERM)
     time.sleep(0.1)
     process.send_signal(signal.SIGTERM)
@@ -137,8 +137,8 @@ def test_ctrl_c_is_heard_by_the_command_first() -> None:
         "except KeyboardInterrupt:\n    sys.exit('tidied up')"
     )
     process = watched(doing)
-    while process.stdout.readline() != "trying\n":
-        pass
+    while (line := process.stdout.readline()) != "trying\n":
+        assert line, process.stderr.read()
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert (process.returncode, said) == (1, "tidied up\n")
@@ -159,10 +159,10 @@ class Computer:
         """
         calls = module.Calls()
         slot = calls.begin("f.py:3: mine.force")
-        looks = module.LooksAtCalls(calls, 1, 3.0)
+        looks = module.CallMonitor(calls, 1, 3.0)
         for count in range(1, 1000):
             given = 1.0 if change and count > change else share
-            self.cpu_s += given * module.LOOK_S
+            self.cpu_s += given * module.POLL_S
             if (stuck := looks.stuck()) is not None:
                 assert stuck == slot
                 return count
@@ -178,15 +178,15 @@ def test_time_in_which_others_hold_the_cores_does_not_count_up_to_a_limit(
 ) -> None:
     computer = Computer(monkeypatch)
     computer.computes = computes
-    looks = computer.looks_until_stuck(share) * module.LOOK_S
-    assert looks == pytest.approx(looks_s, abs=module.LOOK_S)
+    looks = computer.looks_until_stuck(share) * module.POLL_S
+    assert looks == pytest.approx(looks_s, abs=module.POLL_S)
 
 
 def test_a_call_that_was_starved_and_ends_then_is_not_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     computer, calls = Computer(monkeypatch), module.Calls()
-    looks = module.LooksAtCalls(calls, 1, 3.0)
+    looks = module.CallMonitor(calls, 1, 3.0)
     for _ in range(3):
         slot = calls.begin("mine.force")
         assert [looks.stuck() for _ in range(25)] == [None] * 25, "6.25 s, none of it its own"

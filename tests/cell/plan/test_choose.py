@@ -5,7 +5,7 @@ import pytest
 
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
-from cell.cable.hands import Hands
+from cell.cable.hands import GripperMotions
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
@@ -141,8 +141,8 @@ def test_what_was_before_the_paths_is_simulated_once(monkeypatch: pytest.MonkeyP
             lanes_before.extend(set(order))
         return at_steps(self, order, steps)
 
-    at_steps = Hands.at_steps
-    monkeypatch.setattr(Hands, "at_steps", noted)
+    at_steps = GripperMotions.at_steps
+    monkeypatch.setattr(GripperMotions, "at_steps", noted)
     found = forecast(identified(0.01), OFFSETS_M, motions)
     # once at full steps, and each of the neighbours for the slopes
     assert len(lanes_before) == 1 + 1 + len(found.mean)

@@ -54,7 +54,7 @@ def test_a_motion_that_leaves_the_limits_is_refused_before_the_grip(
     assert result.fault.step == "check_paths"
     assert f"on the way '{way}' point" in result.fault.cause and point in result.fault.cause
     assert result.fault.remedy == "nothing was moved"
-    assert world.hand_rests_from_s() == 0.0
+    assert world.gripper_rest_from_s() == 0.0
     assert "grasp" not in result.seconds
 
 
@@ -63,4 +63,4 @@ def test_every_offset_of_an_insertion_is_checked_before_the_grip(settings, tmp_p
     result, world = ran(settings.model_copy(update={"limits": limits}), INSERTING, tmp_path)
     assert result.fault is not None and result.fault.step == "check_paths"
     assert "on the way 'go in" in result.fault.cause
-    assert world.hand_rests_from_s() == 0.0
+    assert world.gripper_rest_from_s() == 0.0

@@ -36,7 +36,7 @@ def test_any_pose_is_found_to_a_fiftieth_of_a_pixel_and_a_hundredth_of_a_degree(
     assert jaw.marks == 4
     assert jaw.grip_m == pytest.approx([x, y], abs=5e-6)
     assert jaw.angle_rad == pytest.approx(angle, abs=2e-4)
-    near = find_jaw(image, VIEW, JawMarks(), near=np.array([x + 0.005, y]))
+    near = find_jaw(image, VIEW, JawMarks(), previous_m=np.array([x + 0.005, y]))
     assert near is not None
     assert near.grip_m == pytest.approx([x, y], abs=5e-6)
     for before_rad in (None, 0.3):

@@ -39,7 +39,7 @@ def rehearsed(speed: float, outcome: Outcome = Outcome.REHEARSED) -> Result:
 def test_cables_wait_for_a_dry_run_at_low_speed(
     controller: EmulatedController, tmp_path: Path, version: str
 ) -> None:
-    controller.ask("version", version=version)
+    controller.request("version", version=version)
     given = settings(controller, ".".join(version.split(".")[:2]))
     with pytest.raises(InputError) as refused:
         check_arm_version(given, CONFIG, tmp_path, None)
@@ -59,7 +59,7 @@ def test_cables_wait_for_a_dry_run_at_low_speed(
     check_arm_version(given, CONFIG, tmp_path, None)
     check_arm_version(given, CONFIG, tmp_path, 1.0)
 
-    controller.ask("version", version=version[:-1] + "10")  # an update: tried anew
+    controller.request("version", version=version[:-1] + "10")  # an update: tried anew
     with pytest.raises(InputError, match="is not proved"):
         check_arm_version(given, CONFIG, tmp_path, None)
 
@@ -67,10 +67,10 @@ def test_cables_wait_for_a_dry_run_at_low_speed(
 def test_nothing_is_asked_of_proved_versions_and_of_those_that_the_driver_refuses(
     controller: EmulatedController, tmp_path: Path
 ) -> None:
-    controller.ask("version", version="5.12.2.1")
+    controller.request("version", version="5.12.2.1")
     for allowed in (None, "5.12", "5.26"):
         check_arm_version(settings(controller, allowed), CONFIG, tmp_path, None)
-    controller.ask("version", version="5.26.0.1")
+    controller.request("version", version="5.26.0.1")
     for allowed in (None, "5.25"):  # the driver refuses it, with its own words
         check_arm_version(settings(controller, allowed), CONFIG, tmp_path, None)
     remember_dry_run(settings(controller, None), tmp_path, [rehearsed(0.1)])
@@ -78,7 +78,7 @@ def test_nothing_is_asked_of_proved_versions_and_of_those_that_the_driver_refuse
 
 
 def test_a_torn_file_is_no_permission(controller: EmulatedController, tmp_path: Path) -> None:
-    controller.ask("version", version="5.26.0.1")
+    controller.request("version", version="5.26.0.1")
     for torn in ("[", "{}", '[{"version": "5.26.0.1"}]', "[3]", "null"):
         (tmp_path / FILE).write_text(torn)
         with pytest.raises(InputError, match="is not proved"):
@@ -95,7 +95,7 @@ def test_a_controller_that_does_not_answer_yet_must_have_been_tried(
     with pytest.raises(InputError, match=r"5\.26 at 127\.0\.0\.77, which does not answer"):
         check_arm_version(silent, CONFIG, tmp_path, None)
     check_arm_version(silent, CONFIG, tmp_path, 0.1)
-    controller.ask("version", version="5.26.0.9")
+    controller.request("version", version="5.26.0.9")
     remember_dry_run(settings(controller, "5.26"), tmp_path, [rehearsed(0.1)])
     with pytest.raises(InputError, match="does not answer"):
         check_arm_version(silent, CONFIG, tmp_path, None)  # that was another one

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from cell.wiring.faults import KINDS, DeviceFaults, GivenFault, read_fault
+from cell.wiring.faults import KINDS, DeviceFaults, RequestedFault, read_fault
 from drivers.emulators.camera import StreamFaults
 from drivers.emulators.launch import EmulatorError
 from drivers.emulators.robotiq import RobotiqFaults
@@ -22,7 +22,7 @@ class Asked:
     def __init__(self, dead: bool = False) -> None:
         self.dead, self.ops, self.faults = dead, [], None
 
-    def ask(self, op: str, **arguments: Any) -> None:
+    def request(self, op: str, **arguments: Any) -> None:
         if self.dead:
             raise EmulatorError("is gone")
         self.ops.append((op, arguments))
@@ -45,12 +45,12 @@ def cell() -> SimpleNamespace:
 @pytest.mark.parametrize(
     ("given", "fault"),
     [
-        ("camera.lost@2s", GivenFault("camera.lost", 2.0)),
-        (" camera.lost@.5 ", GivenFault("camera.lost", 0.5)),
-        ("arm.protective_stop", GivenFault("arm.protective_stop")),
+        ("camera.lost@2s", RequestedFault("camera.lost", 2.0)),
+        (" camera.lost@.5 ", RequestedFault("camera.lost", 0.5)),
+        ("arm.protective_stop", RequestedFault("arm.protective_stop")),
     ],
 )
-def test_a_fault_is_read_with_its_time(given: str, fault: GivenFault) -> None:
+def test_a_fault_is_read_with_its_time(given: str, fault: RequestedFault) -> None:
     assert read_fault(given) == fault
 
 
@@ -65,7 +65,7 @@ def test_every_fault_can_be_caused_and_stands_in_the_docs(cell: SimpleNamespace)
     faults = DeviceFaults(cell, said.append)
     page = DOCS.read_text(encoding="utf-8")
     for name, kind in KINDS.items():
-        faults.give(GivenFault(name))
+        faults.give(RequestedFault(name))
         assert said[-1] == f"{name}: {kind.what}"
         assert f"| `{name}` | {kind.what} |" in page
     faults.repair()
@@ -95,6 +95,6 @@ def test_a_dead_emulator_is_said_and_ends_nothing(cell: SimpleNamespace) -> None
     said: list[str] = []
     cell.controller.dead = True
     faults = DeviceFaults(cell, said.append)
-    faults.give(GivenFault("arm.lost"))
+    faults.give(RequestedFault("arm.lost"))
     faults.repair()
     assert said == ["arm.lost: cannot be given: is gone", "repair: is gone"]

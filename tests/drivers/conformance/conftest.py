@@ -122,10 +122,10 @@ def ur_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
         UrArm(request.getfixturevalue("ur_options")),
         RealClock(),
         request.getfixturevalue("line"),
-        lose=lambda: emulator.ask("drop"),
-        controller_stop=lambda: emulator.ask("protective_stop"),
-        person_clears=lambda: emulator.ask("clear"),
-        refuse=lambda: emulator.ask("refuse", on=True),
+        lose=lambda: emulator.request("drop"),
+        controller_stop=lambda: emulator.request("protective_stop"),
+        person_clears=lambda: emulator.request("clear"),
+        refuse=lambda: emulator.request("refuse", on=True),
     )
 
 

@@ -81,7 +81,7 @@ def test_jaw_and_cable_are_where_the_poses_say_also_between_them() -> None:
     scene = LiveScene(feed, CAMERA)
     feed.until_s = 0.002
     scene.keep_up()
-    scene.tell(lambda: rod)
+    scene.notify(lambda: rod)
     for t_s in (0.1013, 0.2507, 0.3021):
         feed.until_s = t_s + 0.006
         row = row_of_cable(scene.picture(t_s))
@@ -99,9 +99,9 @@ def test_the_cable_is_seen_from_the_grip_until_it_is_let_go() -> None:
         return int(np.sum(scene.picture(feed.until_s - 0.01)[95:106, 60:120] < 100))
 
     assert dark_px() == 0
-    scene.tell(Rod)
+    scene.notify(Rod)
     assert dark_px() > 50
-    scene.tell(None)
+    scene.notify(None)
     assert dark_px() == 0
 
 
@@ -134,13 +134,13 @@ def test_what_is_shown_is_drawn_once_and_each_picture_has_its_own_noise(monkeypa
     empty = scene.picture(0.09)
     corner_m = np.array([[-0.04, -0.04], [0.04, -0.04], [0.04, 0.04], [-0.04, 0.04]])
     board = Patches(np.tile(corner_m, (1000, 1, 1)), np.full(1000, -0.1), np.zeros(1000))
-    scene.tell(Staging((board,), jaw=False))
+    scene.notify(Staging((board,), jaw=False))
     first, second = scene.picture(0.09), scene.picture(0.09)
     assert drawn.count(1000) == 1
     darker = np.median(empty[60:140, 100:180]) - np.median(first[60:140, 100:180])
     assert darker == pytest.approx(100.0, abs=1.0)
     assert np.std(first.astype(float) - second) == pytest.approx(2.0 * np.sqrt(2.0), rel=0.1)
-    scene.tell(Staging())
+    scene.notify(Staging())
     assert abs(float(np.mean(empty)) - float(np.mean(scene.picture(0.09)))) < 0.5
 
 
@@ -167,7 +167,7 @@ def test_without_any_pose_it_says_so_and_nonsense_is_refused() -> None:
     with pytest.raises(RuntimeError, match=r"within 0\.01 s: does the arm run"):
         scene.wait_for_pose(0.01)
     with pytest.raises(TypeError, match="'cable' is neither"):
-        scene.tell("cable")
+        scene.notify("cable")
 
 
 @pytest.fixture
@@ -177,7 +177,7 @@ def controller(loopback):
 
 
 def test_poses_are_those_of_the_controller_on_this_computers_clock(controller) -> None:
-    X_BT = UR5E.forward(np.array(controller.ask("state")["q_rad"]))
+    X_BT = UR5E.forward(np.array(controller.request("state")["q_rad"]))
     mount = PlaneMount(tuple(X_BT[:3, 3] - [0.1, 0.0, -0.2]), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     poses = RtdePoses(controller.host, mount, UR5E, np.eye(4))
     time.sleep(0.3)
@@ -199,14 +199,14 @@ def rod(tmp_path, monkeypatch):
 
 
 def test_a_camera_films_an_emulated_arm(controller, rod) -> None:
-    X_BT = UR5E.forward(np.array(controller.ask("state")["q_rad"]))
+    X_BT = UR5E.forward(np.array(controller.request("state")["q_rad"]))
     mount = PlaneMount(tuple(X_BT[:3, 3]), tuple(X_BT[:3, 0]), tuple(X_BT[:3, 1]))
     clock = RealClock()
     size = CameraEmulatorOptions(width_px=200, height_px=200, frame_rate_hz=100.0)
     with EmulatedCamera(ArmScene(controller.host, mount, camera=CAMERA), size) as stream:
         with pytest.raises(EmulatorError, match="'cable' is neither"):
-            stream.tell("cable")
-        stream.tell(rod)
+            stream.notify("cable")
+        stream.notify(rod)
         options = OpenCvOptions(stream.url, 200, 200, 100.0, exposure_s=None)
         camera = OpenCvCamera(options, clock)
         camera.connect()
@@ -218,6 +218,6 @@ def test_a_camera_films_an_emulated_arm(controller, rod) -> None:
     feed = Feed()
     feed.until_s = 0.002
     expected = LiveScene(feed, CAMERA)
-    expected.tell(Rod)
+    expected.notify(Rod)
     difference = frame.image.astype(int) - expected.picture(0.002)
     assert np.abs(difference).max() <= 3 < np.ptp(frame.image)

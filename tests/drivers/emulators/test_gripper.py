@@ -33,16 +33,16 @@ def gripper(emulator):
 
 def test_it_is_reached_by_the_name_of_its_line(emulator, gripper, tmp_path) -> None:
     assert emulator.port == str(tmp_path / "lines" / "gripper")
-    assert not emulator.look().held
-    assert gripper.grip(20.0).holding and emulator.look().held
-    assert not gripper.release().holding and not emulator.look().held
+    assert not emulator.observe().held
+    assert gripper.grip(20.0).holding and emulator.observe().held
+    assert not gripper.release().holding and not emulator.observe().held
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_what_happens_at_the_terminal_is_its_parents_affair(emulator, gripper, number) -> None:
     os.kill(emulator.pid, number)
     assert gripper.grip(20.0).holding
-    assert emulator.alive and emulator.look().held
+    assert emulator.alive and emulator.observe().held
 
 
 def test_a_cable_that_is_taken_away_is_missed(emulator, gripper, eventually) -> None:
@@ -62,10 +62,10 @@ def test_after_its_power_was_off_the_jaws_still_hold_and_it_is_reached_again(
     with pytest.raises(DeviceLostError):
         gripper.state()
     emulator.plug()
-    seen = emulator.look()
+    seen = emulator.observe()
     assert seen.held and not seen.active
     gripper.connect()
-    assert emulator.look().active
+    assert emulator.observe().active
 
 
 def test_faults_reach_it(emulator, gripper) -> None:
@@ -85,4 +85,4 @@ def test_killed_it_is_gone(emulator) -> None:
     os.kill(emulator.pid, signal.SIGKILL)
     with pytest.raises(EmulatorError, match="gripper is gone"):
         for _ in range(1000):
-            emulator.look()
+            emulator.observe()

@@ -50,11 +50,11 @@ def test_kinematics_are_loaded_before_anybody_connects(loopback) -> None:
 
 def events(emulator: EmulatedController, since_s: float) -> list[str]:
     """What has happened since a moment of our clock, which is the emulator's too."""
-    return [e["what"] for e in emulator.ask("state")["events"] if e["t_s"] >= since_s]
+    return [e["what"] for e in emulator.request("state")["events"] if e["t_s"] >= since_s]
 
 
 def test_the_real_client_moves_and_measures(emulator) -> None:
-    begin_s, written = time.monotonic(), emulator.ask("state")["servo_writes"]
+    begin_s, written = time.monotonic(), emulator.request("state")["servo_writes"]
     control = rtde_control.RTDEControlInterface(emulator.host)
     receive = rtde_receive.RTDEReceiveInterface(
         emulator.host, -1.0, ["timestamp", "actual_TCP_pose"]
@@ -75,7 +75,7 @@ def test_the_real_client_moves_and_measures(emulator) -> None:
     control.stopScript()
     control.disconnect()
     receive.disconnect()
-    state = emulator.ask("state")
+    state = emulator.request("state")
     assert state["runtime"] == "STOPPED"
     assert state["servo_writes"] - written == 50
     assert "program ended: stopped by command" in events(emulator, begin_s)
@@ -94,14 +94,14 @@ def test_a_client_that_dies_leaves_the_arm_stopped_by_the_watchdog(emulator, eve
     )
     client = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
     try:
-        eventually(lambda: emulator.ask("state")["speed"][2] < -0.01, 10.0)
+        eventually(lambda: emulator.request("state")["speed"][2] < -0.01, 10.0)
     finally:
         killed_s = time.monotonic()
         client.kill()
         client.wait(30)
-    eventually(lambda: emulator.ask("state")["runtime"] == "STOPPED")
+    eventually(lambda: emulator.request("state")["runtime"] == "STOPPED")
     time.sleep(0.2)
-    assert emulator.ask("state")["last_moved_s"] - killed_s < 0.2
+    assert emulator.request("state")["last_moved_s"] - killed_s < 0.2
 
 
 def test_dashboard_client_and_safety(emulator, eventually) -> None:
@@ -110,31 +110,31 @@ def test_dashboard_client_and_safety(emulator, eventually) -> None:
     assert dashboard.polyscopeVersion() == "5.12.2.1101534"
     assert dashboard.isInRemoteControl()
     receive = rtde_receive.RTDEReceiveInterface(emulator.host, -1.0, ["safety_status_bits"])
-    emulator.ask("protective_stop")
+    emulator.request("protective_stop")
     eventually(lambda: receive.getSafetyStatusBits() & 1 << 2)
     assert "PROTECTIVE_STOP" in dashboard.safetymode()
-    emulator.ask("clear")
+    emulator.request("clear")
     eventually(lambda: receive.getSafetyStatusBits() == 1)
     receive.disconnect()
     dashboard.disconnect()
 
 
 def test_local_control_keeps_the_client_out(emulator) -> None:
-    emulator.ask("local", on=True)
+    emulator.request("local", on=True)
     with pytest.raises(Exception, match="enable remote control"):
         rtde_control.RTDEControlInterface(emulator.host)
 
 
 def test_a_refusing_controller_refuses_until_told_otherwise(emulator) -> None:
-    emulator.ask("refuse", on=True)
+    emulator.request("refuse", on=True)
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection((emulator.host, 30004), 1.0)
-    emulator.ask("refuse", on=False)
+    emulator.request("refuse", on=False)
     socket.create_connection((emulator.host, 30004), 1.0).close()
 
 
 def test_a_power_cycle_comes_back(emulator, eventually) -> None:
-    emulator.ask("power_cycle", seconds=0.2)
+    emulator.request("power_cycle", seconds=0.2)
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection((emulator.host, 30004), 1.0)
 
@@ -150,9 +150,9 @@ def test_a_power_cycle_comes_back(emulator, eventually) -> None:
 
 def test_two_controllers_side_by_side(emulator, loopback) -> None:
     with EmulatedController(loopback, version="5.6.0.1") as other:
-        other.ask("protective_stop")
-        assert emulator.ask("state")["safety"] == "NORMAL"
-        assert other.ask("state")["safety"] == "PROTECTIVE_STOP"
+        other.request("protective_stop")
+        assert emulator.request("state")["safety"] == "NORMAL"
+        assert other.request("state")["safety"] == "PROTECTIVE_STOP"
 
 
 def raw_client(emulator: EmulatedController) -> socket.socket:
@@ -193,7 +193,7 @@ def test_garbage_from_a_client_closes_only_its_connection(emulator) -> None:
 def test_frozen_it_says_nothing_and_then_goes_on(emulator) -> None:
     client = socket.create_connection((emulator.host, 29999), 0.3)
     assert client.recv(100).startswith(b"Connected")
-    emulator.ask("freeze", seconds=0.5)
+    emulator.request("freeze", seconds=0.5)
     client.sendall(b"running\n")
     with pytest.raises(TimeoutError):
         client.recv(100)
@@ -204,7 +204,7 @@ def test_frozen_it_says_nothing_and_then_goes_on(emulator) -> None:
 
 def test_an_unknown_fault_is_an_error(emulator) -> None:
     with pytest.raises(EmulatorError, match="no_such_fault"):
-        emulator.ask("no_such_fault")
+        emulator.request("no_such_fault")
 
 
 def test_it_ends_with_whoever_started_it(loopback) -> None:

@@ -84,7 +84,7 @@ def test_a_lost_arm_comes_to_rest_by_itself_and_can_be_reconnected(
         cell.arm.state()
     with pytest.raises(ConnectError):
         cell.arm.connect()
-    assert cell.world.hand_rests_from_s() < 0.2 + 0.06
+    assert cell.world.gripper_rest_from_s() < 0.2 + 0.06
     cell.arm.close()
     cell.arm.faults = ArmFaults()
     cell.arm.connect()
@@ -124,7 +124,7 @@ def test_a_stop_may_be_planned_on_the_clock(cell, line) -> None:
     cell.clock.call_at(0.25, lambda: cell.arm.stop("operator"))
     cell.arm.follow(line(dy_m=-0.05))
     cell.clock.sleep_s(1.0)
-    assert cell.world.hand_rests_from_s() == pytest.approx(0.35, abs=1e-6)
+    assert cell.world.gripper_rest_from_s() == pytest.approx(0.35, abs=1e-6)
 
 
 def test_a_stop_that_waits_for_a_reset_is_not_cleared_by_it(cell) -> None:

@@ -36,8 +36,8 @@ def test_a_cable_that_slips_is_gone_from_then_on(cell) -> None:
     assert cell.gripper.state().holding
     cell.clock.sleep_s(0.5)
     assert not cell.gripper.state().holding
-    assert cell.world.look(np.array([before_s])).cables is not None
-    assert cell.world.look(np.array([cell.clock.now_s()])).cables is None
+    assert cell.world.cable_shapes(np.array([before_s])).cables is not None
+    assert cell.world.cable_shapes(np.array([cell.clock.now_s()])).cables is None
 
 
 def test_a_cable_that_slides_is_longer_in_the_picture(cell) -> None:
@@ -45,7 +45,7 @@ def test_a_cable_that_slides_is_longer_in_the_picture(cell) -> None:
     cell.gripper.faults = GripperFaults(slides_at_s=0.6, slides_m=0.004)
     cell.clock.sleep_s(0.5)
     assert cell.gripper.state().holding
-    cable = cell.world.look(np.array([cell.clock.now_s()])).cables[0]
+    cable = cell.world.cable_shapes(np.array([cell.clock.now_s()])).cables[0]
     assert np.linalg.norm(np.diff(cable, axis=0), axis=1).sum() == pytest.approx(0.104)
     assert cable[-1] == pytest.approx([0.5, 0.5])
 

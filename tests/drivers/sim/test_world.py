@@ -5,14 +5,14 @@ import pytest
 
 from drivers.interfaces import Pose, Trajectory
 from drivers.sim.clock import SimClock
-from drivers.sim.world import Hand, SimWorld
+from drivers.sim.world import GripperTrajectory, SimWorld
 
 
 def test_the_arm_carries_the_cable_and_the_camera_sees_it(cell, line) -> None:
     cell.gripper.grip(20.0)
     cell.arm.follow(line(dy_m=-0.05))
     cell.clock.sleep_s(1.0)
-    view = cell.world.look(np.array([cell.clock.now_s()]))
+    view = cell.world.cable_shapes(np.array([cell.clock.now_s()]))
     assert view.grip[0] == pytest.approx([0.5, 0.45, 0.0], abs=1e-6)
     assert view.cables[0, -1] == pytest.approx([0.5, 0.45], abs=1e-6)
     assert view.cables[0, 0] == pytest.approx([0.4, 0.45], abs=1e-6)
@@ -39,11 +39,11 @@ def test_a_stop_makes_the_simulation_untrue(cell, line) -> None:
     cell.gripper.grip(20.0)
     cell.arm.follow(line(dy_m=-0.05))
     cell.clock.sleep_s(0.2)
-    before = cell.world.look(np.array([cell.clock.now_s()])).cables
+    before = cell.world.cable_shapes(np.array([cell.clock.now_s()])).cables
     stopped_s = cell.clock.now_s()
     cell.arm.stop("test")
     cell.clock.sleep_s(1.0)
-    view = cell.world.look(np.array([stopped_s, cell.clock.now_s()]))
+    view = cell.world.cable_shapes(np.array([stopped_s, cell.clock.now_s()]))
     assert view.cables[0] == pytest.approx(before[0], abs=1e-9)
     assert view.cables[1, -1] == pytest.approx(view.grip[1, :2], abs=1e-9)
     assert view.grip[1, 1] > 0.45 + 0.005
@@ -64,12 +64,12 @@ def test_shapes_between_grid_points_are_smooth() -> None:
     clock.sleep_s(1.0)
     t_s = np.linspace(0.0, 1.0, 997)
     exact = 0.002 * np.sin(2 * np.pi * 30.0 * t_s)
-    assert world.look(t_s).cables[:, 0, 1] == pytest.approx(exact, abs=1e-7)
+    assert world.cable_shapes(t_s).cables[:, 0, 1] == pytest.approx(exact, abs=1e-7)
 
 
 def test_the_future_cannot_be_seen(cell) -> None:
     with pytest.raises(ValueError, match=r"looked at t = 1.0"):
-        cell.world.look(np.array([1.0]))
+        cell.world.cable_shapes(np.array([1.0]))
 
 
 @pytest.mark.parametrize("shape", [(3, 60, 2), (None, 59, 2), (None, 60, 3), (None, 60)])
@@ -81,7 +81,7 @@ def test_a_callable_of_wrong_shape_is_named(shape) -> None:
     world.present(wrong)
     world.take()
     with pytest.raises(ValueError, match="callable returned shape"):
-        world.look(np.array([0.0]))
+        world.cable_shapes(np.array([0.0]))
 
 
 def test_what_was_let_go_can_still_be_seen_in_the_past(cell) -> None:
@@ -90,12 +90,12 @@ def test_what_was_let_go_can_still_be_seen_in_the_past(cell) -> None:
     seen_s = cell.clock.now_s()
     cell.clock.sleep_s(0.1)
     cell.gripper.release()
-    assert cell.world.look(np.array([seen_s])).cables is not None
-    assert cell.world.look(np.array([cell.clock.now_s()])).cables is None
+    assert cell.world.cable_shapes(np.array([seen_s])).cables is not None
+    assert cell.world.cable_shapes(np.array([cell.clock.now_s()])).cables is None
 
 
-def moving_hand() -> Hand:
-    hand = Hand(0.0, Pose(0.0, 0.0))
+def moving_hand() -> GripperTrajectory:
+    hand = GripperTrajectory(0.0, Pose(0.0, 0.0))
     t = np.linspace(1.0, 2.0, 1001)
     hand.extend(Trajectory(t, 0.5 * (t - 1.0), 0.0 * t, 0.0 * t))
     return hand
