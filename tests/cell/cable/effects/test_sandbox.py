@@ -16,9 +16,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell.cable.effects import CableData, Effect, EffectError, HandMotion, load_effect
+from cell.cable.confined import main
+from cell.cable.effects import CableData, Effect, EffectError, HandMotion, load_effect, remote
 from cell.cable.effects.remote import MARK, confine_effects, is_remote
-from cell.computer.sandbox import decode, encode
+from cell.computer import confinement
+from cell.computer.sandbox import Nursery, decode, encode
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="there is no sandbox elsewhere")
 
@@ -372,4 +374,22 @@ def test_a_mistake_is_said_with_its_line(hook: str, said: str, tmp_path: Path) -
     (tmp_path / "law.py").write_text(f"{text}    def force(cable, at, p):\n        {hook}\n")
     confine_effects(tmp_path)
     with pytest.raises(EffectError, match=said):
+        load_effect(tmp_path / "law.py")
+
+
+def without_landlock(control: int) -> None:
+    """A nursery on a computer whose kernel has no Landlock."""
+    confinement._CREATE_RULESET = 0x7FFF  # the kernel has no such call
+    main(control)
+
+
+def test_without_landlock_nothing_that_nobody_has_read_is_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nursery = Nursery(f"{__name__}:without_landlock")
+    monkeypatch.setattr(remote, "_nursery", nursery)
+    (tmp_path / "law.py").write_text(OWN)
+    confine_effects(tmp_path)
+    said = r"law\.py:1: .*the kernel offers no Landlock\); read it, and give it as --effect"
+    with nursery._control, pytest.raises(EffectError, match=said):
         load_effect(tmp_path / "law.py")
