@@ -121,8 +121,10 @@ def _become_nobody(libc: ctypes.CDLL) -> None:
     os.setresgid(_NOBODY, _NOBODY, _NOBODY)
     os.setresuid(_NOBODY, _NOBODY, _NOBODY)
     header = struct.pack("=Ii", _CAPABILITIES, 0)
-    kept = struct.pack("=6I", _DAC_READ_SEARCH, _DAC_READ_SEARCH, 0, 0, 0, 0)
-    if libc.capset(header, kept) != 0:
+    had = (ctypes.c_uint32 * 6)()
+    libc.capget(header, had)
+    kept = had[1] & _DAC_READ_SEARCH  # root of a container may lack it, and needs it seldom
+    if libc.capset(header, struct.pack("=6I", kept, kept, 0, 0, 0, 0)) != 0:
         raise UnconfinedError(ctypes.get_errno(), "capabilities cannot be given up")
 
 

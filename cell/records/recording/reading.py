@@ -24,6 +24,8 @@ from cell.files.words import counted
 from cell.records.recording import form
 from drivers.interfaces import Frame, Trajectory
 
+#: How a file of MCAP begins.
+MAGIC = b"\x89MCAP0\r\n"
 #: What readers raise for a file that is torn or is something else.
 UNREADABLE = (
     McapError, CRCValidationError, ZstdError, ValueError, EOFError, MemoryError, LookupError,
@@ -175,6 +177,16 @@ def lacks_end(path: Path) -> bool:
     return summary is None or summary.statistics is None
 
 
+def check_begins(path: Path) -> None:
+    """Raises InputError: a file is none of MCAP; OSError: it cannot be read."""
+    with path.open("rb") as file:
+        begins = file.read(len(MAGIC))
+    if begins != MAGIC:
+        size = path.stat().st_size
+        message = f"is no MCAP file: it begins with {begins!r}, {size} bytes in all"
+        raise InputError.at(path, message)
+
+
 def read_recording(path: Path) -> Recording:
     """Open a recording, or the one in a cycle's folder.
 
@@ -183,16 +195,19 @@ def read_recording(path: Path) -> Recording:
     if path.is_dir():
         path = recording_in(path)
     try:
+        check_begins(path)
         with path.open("rb") as file:
             reader = make_reader(file)
             summary = reader.get_summary()
             metadata = {m.name: m.metadata for m in reader.iter_metadata()}
+    except InputError:
+        raise
     except FileNotFoundError as error:
         raise InputError.at(path, "is missing; give a recording or a cycle's folder") from error
     except OSError as error:
         raise InputError.at(path, f"cannot be read: {error.strerror}") from error
     except UNREADABLE as error:
-        message = f"is torn or is no MCAP file; `cell recover {path}` makes what is there readable"
+        message = f"is torn; `cell recover {path}` makes what is there readable"
         raise InputError.at(path, message) from error
     begun = metadata.get(form.BEGUN)
     if begun is None or summary is None or summary.statistics is None:

@@ -25,11 +25,17 @@ from zstandard import ZstdDecompressor, ZstdError
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.one_recording import RecordingUnderWay
-from cell.records.recording.reading import UNREADABLE, TornRecordingError, lacks_end, verify
+from cell.records.recording.reading import (
+    MAGIC,
+    UNREADABLE,
+    TornRecordingError,
+    check_begins,
+    lacks_end,
+    verify,
+)
 from cell.records.recording.ring import RingReader, open_somewhere
 from cell.records.recording.writer import Sink, open_mcap
 
-_MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 9  # opcode, length
 #: Of a chunk: its head; where the name of the compression begins; the most that one may hold.
 _CHUNK_HEAD_BYTES, _NAME_AT, _MOST_OF_CHUNK = 53, 37, 256 * 2**20
@@ -134,16 +140,9 @@ def recover(source: Path, target: Path) -> Recovered:
     raises  InputError: there is nothing to recover; OSError: it cannot be written; FileExistsError
     """
     try:
-        size = source.stat().st_size
-        with source.open("rb") as file:
-            begins = file.read(len(_MAGIC))
+        check_begins(source)
     except OSError as error:
         raise InputError.at(source, f"cannot be read: {error.strerror}") from error
-    if begins != _MAGIC:
-        message = (
-            f"is no MCAP file: it begins with {begins!r}, {size} bytes in all; it is left alone"
-        )
-        raise InputError.at(source, message)
     part = target.with_name(f"{target.name}.{os.getpid()}.part")
     try:
         copy = _Copy(part)
@@ -281,7 +280,7 @@ class _Copy:
 
     def take_all(self, source: Path) -> int:
         """Take every record that is whole; how far the file could be read, bytes."""
-        reached = len(_MAGIC)
+        reached = len(MAGIC)
         self._topics.clear()  # every file has its own numbers
         for record, end in _records(source):
             reached = end
@@ -381,8 +380,8 @@ def _records(source: Path) -> Iterator[tuple[records.McapRecord, int]]:
     """Whole records of a file with where they end, as far as they go; none is larger than it."""
     size = source.stat().st_size
     with source.open("rb") as file:
-        file.seek(len(_MAGIC))
-        at = len(_MAGIC)
+        file.seek(len(MAGIC))
+        at = len(MAGIC)
         while at + _HEAD_BYTES <= size:
             head = file.read(_HEAD_BYTES)
             opcode, length = head[0], int.from_bytes(head[1:], "little")

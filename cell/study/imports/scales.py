@@ -122,7 +122,10 @@ def metres_per_unit(
         if abs(np.log(METRES[name] / unit)) < np.log1p(_WITHIN):
             sentence = f"lengths are in {name}: the markers span {extent:.4g} of the cable"
             return METRES[name], Finding("metres_per_unit", sentence, Sure.SEEN)
-        sentence = f"a unit of length is {unit:.4g} m, so that the markers span the free length"
+        sentence = (
+            f"a unit of length is {unit:.4g} m, so that the markers span the free length; if it is "
+            f"{name}, they span {extent * METRES[name]:.3g} m: one is missing, or the hand"
+        )
         return float(f"{unit:.6g}"), Finding("metres_per_unit", sentence, Sure.GUESSED)
     if "px" not in units:
         low, high = _USUAL_M

@@ -5,8 +5,10 @@ The check by names is left out here: what is proven is the sandbox itself.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import socket
+import struct
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -393,3 +395,28 @@ def test_without_landlock_nothing_that_nobody_has_read_is_run(
     said = r"law\.py:1: .*the kernel offers no Landlock\); read it, and give it as --effect"
     with nursery._control, pytest.raises(EffectError, match=said):
         load_effect(tmp_path / "law.py")
+
+
+def without_a_capability(control: int) -> None:
+    """A nursery of root in a container, who may not read what is closed to it."""
+    libc, header, may = (
+        ctypes.CDLL(None),
+        struct.pack("=Ii", 0x20080522, 0),
+        (ctypes.c_uint32 * 6)(),
+    )
+    libc.capget(header, may)
+    may[:3] = [rights & ~(1 << 2) for rights in may[:3]]
+    assert libc.capset(header, may) == 0
+    main(control)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root has capabilities to lose")
+def test_root_of_a_container_may_run_what_nobody_has_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nursery = Nursery(f"{__name__}:without_a_capability")
+    monkeypatch.setattr(remote, "_nursery", nursery)
+    (tmp_path / "law.py").write_text(OWN.replace("own_drag", "drag_in_a_container"))
+    confine_effects(tmp_path)
+    with nursery._control:
+        assert is_remote(load_effect(tmp_path / "law.py"))

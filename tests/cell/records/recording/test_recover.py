@@ -117,8 +117,12 @@ def test_a_damaged_recording_that_was_not_closed_is_recovered_once(whole, tmp_pa
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"something else"])
 def test_where_nothing_is_to_be_had_nothing_is_written(tmp_path, content):
+    """A replay named `cell recover` as the remedy for a file that is no recording at all."""
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(content)
+    said = "is torn; `cell recover " if content[:1] == b"\x89" else "is no MCAP file: it begins"
+    with pytest.raises(InputError, match=said):
+        read_recording(torn)
     with pytest.raises(InputError):
         recover_in_place(torn)
     assert [p.name for p in tmp_path.iterdir()] == ["torn.mcap"]

@@ -14,6 +14,7 @@ from cell.cli import app
 from cell.study.data import Study
 from cell.study.folder import read_study
 from cell.study.imports.mapping import read_mapping
+from cell.study.imports.scales import metres_per_unit
 from tests.cell.study.imports.made import ARCS_M, CABLE, FORMS, LENGTH_M, Made, made, text
 
 #: Of numbers with 7 decimals of a millimetre, of 32 bits in C3D, and of a plane fitted to noise.
@@ -53,6 +54,13 @@ def test_a_program_s_file_of_the_trial_is_the_same_study(
     hand = np.column_stack([trial.grip.x_m, trial.grip.y_m])
     np.testing.assert_allclose(hand - origin, m.hand_m - m.hand_m[0], atol=ROUNDING_M)
     np.testing.assert_allclose(trial.grip.angle_rad, m.angle_rad, atol=ROUNDING_RAD)
+
+
+def test_an_unusual_unit_of_length_is_doubted() -> None:
+    """A table in metres without its hand was scaled by 2.24, and nothing but the number said so."""
+    unit, finding = metres_per_unit(set(), 0.0447, 0.1)
+    assert unit == pytest.approx(2.237, abs=1e-3)
+    assert finding.sentence.endswith("if it is m, they span 0.0447 m: one is missing, or the hand")
 
 
 def test_a_newcomer_s_table_is_a_study_in_two_commands(tmp_path: Path) -> None:
