@@ -30,7 +30,7 @@ from cell.study.data import Markers, Study, Trial, Wrench
 SPAN_S = 0.005
 #: Times that differ by less are one, s.
 SAME_S = 1e-6
-#: A cable that is let go is let go of some time beside what was noted, s.
+#: A cable that is let go is let go of some time before or after what was noted, s.
 LATE_S = 0.02
 
 
@@ -193,7 +193,7 @@ class Gauges:
         return Sensors(self.noises, self.gain_std, told.frames, told.rows, shown)
 
     def as_expected(self, predicted: Mapping[str, FloatArray]) -> Gauges:
-        """The same beside a model that puts points (T, all points, 2) there, by trial."""
+        """The same given a model that puts points (T, all points, 2) there, by trial."""
         found = {n: p[:, self.markers :] / self.scale for n, p in predicted.items()}
         return replace(self, expected={**self.expected, **found})
 
@@ -249,7 +249,7 @@ def scaled(study: Study, gauges: Gauges, factors: FloatArray) -> Study:
 
 
 def without_gauges(study: Study, gauges: Gauges) -> Study:
-    """The study with its wrenches beside the markers again: not means, but the sensor's rows."""
+    """The study with its wrenches separate from the markers again, as the sensor's rows."""
     return replace(study, trials=tuple(_parted(t, gauges) for t in study.trials))
 
 

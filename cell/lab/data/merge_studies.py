@@ -214,7 +214,7 @@ def _individuals(cycles: Sequence[_Cycle]) -> Iterator[Problem]:
 
 
 def _hanging(trial: Trial) -> tuple[float, FloatArray] | None:
-    """Clamp angle and mean place of the markers beside the hand while a trial is at rest."""
+    """Clamp angle and mean place of the markers relative to the gripper, at rest."""
     t_s, grip = trial.markers.t_s, trial.grip
     still = still_frames(t_s, grip, trial.release_s)
     beside = trial.markers.xy_m[still] - [grip.x_m[0], grip.y_m[0]]

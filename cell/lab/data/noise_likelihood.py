@@ -27,7 +27,7 @@ ALLOWED = 16.3
 #: The same of what is told of a level: a 95 % interval (χ² of 1 degree of freedom).
 CHI2_95 = 3.84
 #: AR(1) correlations that are compared, evenly in the logarithm of 1 − ρ, on which slow noise
-#: depends; and white shares beside them, of values that are rounded.
+#: depends; and white shares with them, of values that are rounded.
 AR1_GRID = 1.0 - (1.0 - MAX_AR1) ** np.linspace(0.0, 1.0, 121)
 WHITE_SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 #: Highest degree of the polynomials taken out of a cable that settles, and of one that drifts.
@@ -127,7 +127,7 @@ class RestFrames:
         return square, dof, log_det
 
     def whitened(self, block: NoiseBlock, ar1: float) -> FloatArray:
-        """(frames, series) innovations of a block, beside its polynomials."""
+        """(frames, series) innovations of a block, less its polynomials."""
         z, q, _, _ = self._parted(block, ar1, 0.0, 0.0)
         return np.asarray(z - q @ (q.T @ z))
 
@@ -179,7 +179,7 @@ class Allowed:
 
     @property
     def weight(self) -> float:
-        """Values that the rest's likelihood is worth beside others'."""
+        """Values that the rest's likelihood is worth compared with others'."""
         return 0.0 if self.hidden else self.dof
 
     def within(self, limit: float) -> tuple[FloatArray, FloatArray]:

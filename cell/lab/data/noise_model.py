@@ -29,7 +29,7 @@ from cell.study.data import Study, Trial
 
 #: Fewer still frames than this say nothing about noise.
 MIN_STILL_FRAMES = 6
-#: A level is known if the rest would not allow an error as large as the noise beside it.
+#: A level is known if the rest would not allow an error as large as the noise in addition.
 KNOWN_WITHIN = 2.0
 
 

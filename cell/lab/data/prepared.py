@@ -29,8 +29,8 @@ from cell.study.data import Study, Trial
 def placed(study: Study) -> Study:
     """The study with markers where they are on cables that are held straight before release.
 
-    There every point's place is known without a model: what the still frames show beside it is how
-    the marker was put on, and is taken off all frames of the trial.
+    There every point's place is known without a model.  The mean offset of a marker in the still
+    frames is how it was put on; it is subtracted from all frames of the trial.
     """
     return replace(study, trials=tuple(_placed(t, study.arc_length_m) for t in study.trials))
 
@@ -156,7 +156,7 @@ class PreparedStudy:
 
     @property
     def unjoined(self) -> Study:
-        """The study with wrenches beside its markers, not among them."""
+        """The study with wrenches separate from its markers."""
         return self.study if self.gauges is None else without_gauges(self.study, self.gauges)
 
     def of_markers(self, trial: Trial, rows: FloatArray) -> FloatArray:
@@ -225,7 +225,7 @@ class PreparedStudy:
     def error_m(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
         """(times, markers, 2) measured − predicted of one model, m, nan where not seen.
 
-        Where arc lengths are uncertain beside the likeliest ones.
+        Where arc lengths are uncertain, relative to the likeliest ones.
         """
         return self.whiteners[trial.name].beside_m(predicted_m)
 

@@ -18,7 +18,7 @@ class Rules:
     """Limits at which an effect is accepted and a model called complete, and how far a search goes.
 
     Probabilities:
-    significance         of an effect on the fit trials, or on all of them beside what was found,
+    significance         of an effect on the fit trials, or on all of them given what was found,
                          family-wise over the library (Holm); and of the smooth part of half an
                          effect: if the trials would not show it, no claim is made, because an
                          effect of no library might look the same
@@ -31,7 +31,7 @@ class Rules:
                      see it, and what they gain comes by other parameters
     tie_delta_chi2   sets of effects are tied if their χ² over all trials differs by less
     vuong_z          where no set of effects leaves noise, one that leaves less by fewer standard
-                     deviations than this is tied with what leaves more.  Beside white noise 1.5 is
+                     deviations than this is tied with what leaves more.  For white noise 1.5 is
                      Δχ² = 9; with covariances over a quarter of the frames that becomes 2
                      (Kiefer and Vogelsang 2005, Econometric Theory 21, 1130)
 
@@ -46,7 +46,7 @@ class Rules:
     significance:
     negligible_share   by which an effect must lower the held-out mean square: the first, of the
                        noise's; further ones, of the baseline's excess; and of that excess, what
-                       another effect may explain beside what was found
+                       another effect may explain given what was found
     slight_share       of the noise's mean square, by which further effects must lower the held-out;
                        and of the baseline's excess, that a claimed effect may leave in a smooth
                        part that is not noise
@@ -63,7 +63,7 @@ class Rules:
                      asks for: none, because this study alone is no evidence for them
     max_refits       of the screen that are refitted, besides all that are not smooth
 
-    own              a user's own questions, asked beside those of the lab
+    own              a user's own checks, in addition to those of the lab
     """
 
     significance: float = SIGNIFICANCE

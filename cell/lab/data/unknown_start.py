@@ -1,8 +1,8 @@
 """The unknown initial state of a trial, fitted with the cable: a hand's release is not logged.
 
-A cable held straight is let go a few milliseconds beside the time noted.  One that is held bent, or
-that moves already when the record begins, differs from its equilibrium by a few modes of vibration
-of unknown size, and of unknown velocity if it moves.
+A cable held straight is let go a few milliseconds before or after the time noted.  One that is
+held bent, or that moves already when the record begins, differs from its equilibrium by a few modes
+of vibration of unknown size, and of unknown velocity if it moves.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class InitialState:
 
     @property
     def bent(self) -> bool:
-        """Whether the cable may begin beside its equilibrium."""
+        """Whether the cable may begin away from its equilibrium."""
         return self.places > 0
 
     def delay_s(self, initial_states: FloatArray) -> FloatArray:

@@ -43,7 +43,7 @@ def whiteners_of(
     std_m, markers = study.arc_length_std_m, len(study.arc_length_m)
     whiteners = {}
     for t in study.trials:
-        # what a sensor shows stands beside the markers, and neither shifts nor is carried
+        # what a sensor shows stands after the markers, and neither shifts nor is carried
         beside = ((0, t.markers.xy_m.shape[1] - markers), (0, 0))
         places = replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m[:, :markers]))
         shift_m, carried = None, carried_m(places)

@@ -1,4 +1,4 @@
-"""A study less the errors that show beside a model: of mesh, rounding, and a sensor's gain."""
+"""A study less the errors that show given a model: of mesh, rounding, and a sensor's gain."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def moves_parameters(prepared: PreparedStudy, error_m: Mapping[str, FloatArray])
 def without_mesh_error(
     prepared: PreparedStudy, fit: Fit, error_m: Mapping[str, FloatArray]
 ) -> PreparedStudy:
-    """The study less what a converged mesh would show beside the solver's.
+    """The study less what a converged mesh would show compared with the solver's.
 
     A mesh's error moves little with the parameters, so that one fit tells it for all: without it
     an effect that resembles it (`grip_slip`) is found in long records of a long or soft cable.

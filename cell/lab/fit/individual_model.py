@@ -29,7 +29,7 @@ SAME_CABLE = 0.01
 def read_model(path: Path, own: Mapping[str, type[Effect]] | None = None) -> Identified:
     """The model in a file, with its effects.
 
-    A user's own effects are loaded from the files that the model names, or from beside the model.
+    A user's own effects are loaded from the files that the model names, or from given the model.
     own     effects given instead, by name; their files must be those that the model was fitted with
     raises  InputError: the model cannot be read, or is something else, or an effect's file is
             missing or has changed; EffectError: that file
@@ -72,7 +72,7 @@ def _effects(
 
 
 def _effect_file(model: Path, name: str, entry: Mapping[str, str]) -> Path:
-    """The unchanged file of a model's own effect: where it was, or beside the model."""
+    """The unchanged file of a model's own effect: where it was, or given the model."""
     stated = Path(entry["path"])
     there = [p for p in (stated, model.parent / stated.name) if p.is_file()]
     if not there:

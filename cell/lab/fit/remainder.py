@@ -22,7 +22,7 @@ from cell.study.data import Trial
 def with_noise_given(
     prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
 ) -> PreparedStudy:
-    """The study with the noise that all frames tell beside a model, within what the rest allows.
+    """The study with the noise that all frames tell given a model, within what the rest allows.
 
     effects  that may be missing: what they explain is not taken for noise
     """

@@ -134,7 +134,7 @@ def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
 
 @dataclass(frozen=True, eq=False)
 class CablesSpace:
-    """Effects fitted to a few cables beside those that their model has.
+    """Effects fitted to a few cables in addition to those that their model has.
 
     base       parameters of one cable without the shared effects
     plausible  (cables, own) where refits begin: each cable as its hold shows it, frames weighed by

@@ -45,7 +45,7 @@ def write_candidate(
 ) -> None:
     """Write what was learned, and what from; `read_candidate` reads it.
 
-    present  the model beside which it was learned
+    present  the model given which it was learned
     lines    on which the cycles were recorded, as `lines_of` has them
     product  whose model it is; None = that of settings without products
     """

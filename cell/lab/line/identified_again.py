@@ -1,4 +1,4 @@
-"""A recording identified again by a worker, beside what was identified then."""
+"""A recording identified again by a worker, compared with what was identified then."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cell.lab.line.recordings import Packed
 _REACH = NormalDist().inv_cdf(0.975)
 
 Outcome = Literal["identified", "rejected", "failed"]
-#: Of the values beside those of then: bit for bit the same; within the 95 % intervals of then; some
+#: Values compared with those of then: bit for bit the same; within the 95 % intervals of then; some
 #: outside; another model; identified then and not now; nothing to compare with.
 Compared = Literal["same", "within", "outside", "other model", "lost", "nothing"]
 

@@ -151,7 +151,7 @@ class LearningResult:
 
     cycles    that were learned from, as in `cycle_evidence`
     baseline  the present model, fitted to them
-    ranking   effects that were refitted beside those before, the likeliest first
+    ranking   effects that were refitted given those before, the likeliest first
     best      the likeliest, fitted to all of `cycles`; None = nothing significant is missing
     tied      effects that explain as much as the last of `best`
     spread    of the first parameter of each effect of `best` between cables
@@ -350,7 +350,7 @@ class _LearningSpace:
             result, best=None, ranking=(), tied=(), spread=(), cycle_evidence=(), simpler=None
         )
         with suppress(*UNSIMULATED):  # not all cables can be with it alone
-            # what is as good as it beside the first is as good without
+            # what is as good as it with the first is as good without
             found = replace(self.fitted_to_all(none, [single]), tied=found.tied)
         return [found]
 

@@ -28,7 +28,7 @@ SLOW_CHECKS = 2
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What the limits of a diagnosis depend on, beside its rules.
+    """What the limits of a diagnosis depend on, apart from its rules.
 
     library     number of effects that are tried
     fitted, heldout   values of the trials fitted to and held out
@@ -251,7 +251,7 @@ class Tests:
         """Probability that checks of slow errors let the right model pass.
 
         They judge by `residual_significance`, and by `significance` where more than a small share
-        of what the baseline leaves stays: beside a weak effect so much is there by chance.
+        of what the baseline leaves stays: given a weak effect so much is there by chance.
         """
         if self.given.slow == 0.0:
             return 1.0

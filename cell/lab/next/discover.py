@@ -247,7 +247,7 @@ def _loaded(path: Path, source: str) -> type[Effect]:
 
 @dataclass(frozen=True)
 class Laws:
-    """Admissible laws as effects, for `learn` to try beside the library's.
+    """Admissible laws as effects, for `learn` to try in addition to the library's.
 
     effects  by name, each in a file of its own
     written  files that were not there before

@@ -101,7 +101,7 @@ class HiddenEffectWorld:
         noise, frames = self.prepared.noise_model.noise, shape[0]
         coloured_m2, white_m2 = (1.0 - noise.white) * noise.std_m**2, noise.white * noise.std_m**2
         of_rounding = self._rounded_to_m**2 / 12.0
-        if of_rounding > 0.0:  # what is white beside the coloured is the rounding itself
+        if of_rounding > 0.0:  # its white share is the rounding itself
             coloured_m2, white_m2 = max(min(coloured_m2, noise.std_m**2 - of_rounding), 0.0), 0.0
         columns = int(np.prod(shape[1:]))  # of planned trials fewer than others have
         together = columns if self.channels is None else len(self.channels)

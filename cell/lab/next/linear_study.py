@@ -156,13 +156,13 @@ class LinearStudy:
                 best = Sensitivities(effect, usable[seen], size_of)
         return best
 
-    def scores_of_trials(self, beside: FloatArray | None, p: float) -> tuple[FloatArray, float]:
+    def scores_of_trials(self, other: FloatArray | None, p: float) -> tuple[FloatArray, float]:
         """Functions (n, rows) of the residual that single trials' own parameters would explain.
 
         beside   (amplitudes, rows) of an effect whose own values are asked as well
         returns  with the sum of their squares of which half has a p-value of `p`
         """
-        asked = self.slopes if beside is None else np.column_stack([self.slopes, beside.T])
+        asked = self.slopes if other is None else np.column_stack([self.slopes, other.T])
         known, count = asked.T @ asked, self.slopes.shape[1]
         known[:count, :count] = self.inner_all
         ends = self.all_trials.systematic_error.ends
@@ -215,7 +215,7 @@ def own_sensitivities(
     which   number of the amplitude that is hidden, among the effect's amplitudes
     hidden  what a refit leaves of the change; alone: the change itself
     shapes  (shape parameters, rows) changes by a little of each of them
-    returns  None where nothing of it is left beside the parameters
+    returns  None where nothing of it is left given the parameters
     """
     (found,) = linear.all_trials.sensitivities([effect])
     others = np.delete(found.rows[0][:, : len(hidden)], which, axis=0)

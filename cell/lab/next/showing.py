@@ -18,7 +18,7 @@ from cell.settings.surroundings import Surroundings
 
 
 def asked_and_tried(effects: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Effects to design a motion for, and files of effects that are tried beside the library.
+    """Effects to design a motion for, and files of effects to try with the library.
 
     effects  NAME, NAME=SIZE, file.py=SIZE: of the first kind; file.py: of the second
     raises   ValueError: both kinds are given

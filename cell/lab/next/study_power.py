@@ -156,7 +156,7 @@ def recover(
 
 
 def judged(diagnosis: Diagnosis, name: str) -> CopyOutcome:
-    """A diagnosis beside the name of what is hidden."""
+    """A diagnosis compared with the name of what is hidden."""
     named = [(m.effect, *m.tied_with) for m in diagnosis.missing]
     words = tuple(" or ".join(names) for names in named)
     if diagnosis.verdict == "missing":

@@ -241,7 +241,7 @@ def _rest_low_m(
     surroundings: Surroundings,
     angle_rad: float,
 ) -> float:
-    """Least x of the cable at rest beside the hand, turned from home's angle to another, m."""
+    """Least x of the resting cable from the gripper, turned from home's angle to another, m."""
     home = surroundings.home[2]
     steps = 2 + int(abs(angle_rad - home) / TURN_RAD)
     low = 0.0

@@ -35,7 +35,7 @@ from cell.lab.strength.trial_residual import PHASES, distance, largest, phase_of
 
 @dataclass(frozen=True)
 class Series:
-    """A model beside the measurements, under the name and in the colour it has in all figures.
+    """A model compared with the measurements; its name and colour are those of all figures.
 
     of     the name after "error"
     above  number of models drawn over it: it is drawn so much larger that equal ones are seen too
@@ -192,7 +192,7 @@ def _falling(
 
 
 def _sides(lines: Sequence[Sequence[float | None]]) -> list[list[str]]:
-    """Where each number stands beside its marker: the largest above, the smallest below.
+    """Where each number stands next to its marker: the largest above, the smallest below.
 
     What is between them, to the right.
     """

@@ -34,7 +34,7 @@ _MOST_POINTS = 1500
 
 
 def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
-    """Shapes of the cable at times from the rest before the motion to the end, beside each other.
+    """Shapes of the cable at times from the rest before the motion to the end, side by side.
 
     All are drawn to one scale, in mm, and where they are; the hand's path and the tip's are grey.
     """

@@ -135,7 +135,7 @@ def diagnosis_page(
 
 
 def comparison_page(comparisons: Sequence[Comparison]) -> str:
-    """Report of models beside each other, in the order in which they were made."""
+    """Report of models side by side, in the order in which they were made."""
     first, last = comparisons[0], comparisons[-1]
     series = _series(comparisons)
     ends = series if len(series) < 3 else [series[0], series[-1]]
@@ -157,7 +157,7 @@ def comparison_page(comparisons: Sequence[Comparison]) -> str:
 
 
 def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
-    """Page of a model's profile likelihoods: curves, and intervals beside those of the fit."""
+    """Page of a model's profile likelihoods: curves, and intervals next to those of the fit."""
     rows = [
         [
             p.name,

@@ -56,7 +56,7 @@ def sentence(
 ) -> str:
     """The finding in one sentence, for a production engineer.
 
-    baseline  the model without the effects found beside the trials: to say where it fails
+    baseline  the model without the effects found, compared with the trials: to say where it fails
     final     with them: to say whether what is left is noise in every respect
     """
     noise_mm = diagnosis.noise_m * 1e3
@@ -156,7 +156,7 @@ def ranking_table(diagnosis: Diagnosis) -> TableData:
     ]
     shown = dict.fromkeys(r.status for r in diagnosis.ranking)
     note = "; ".join(f"{s}: {STATUSES[s]}" for s in shown)
-    title = "Effects, each alone beside the baseline"
+    title = "Effects, each alone given the baseline"
     return TableData(title, ["effect", "χ² explained", "p", "status"], rows, (1, 2), note, _COLOURS)
 
 

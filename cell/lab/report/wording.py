@@ -111,7 +111,7 @@ def interrupted(diagnosis: Diagnosis, misses: str) -> str:
 
 
 def at_noise(diagnosis: Diagnosis) -> str:
-    """The noise beside an error."""
+    """The noise compared with an error."""
     noise = f"{short(diagnosis.noise_m * 1e3)} mm"
     return f"at a stated error of {noise}" if diagnosis.noise_is_stated else f"at {noise} of noise"
 
@@ -187,7 +187,7 @@ def peak_in_words(peak: Peak) -> str:
 
 
 def nearest_rows(diagnosis: Diagnosis) -> list[list[str]]:
-    """What the model and each of the nearest effects beside it leave, by `NEAREST_HEADS`."""
+    """What the model and each of the nearest effects added to it leave, by `NEAREST_HEADS`."""
     base, left = diagnosis.baseline, diagnosis.left
     before_m = float("nan") if left is None else left.before_rms_m
     rows = [("none", before_m, base, "")]

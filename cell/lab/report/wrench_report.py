@@ -1,4 +1,4 @@
-"""Tables and figures of a wrench: as measured, and beside those of models."""
+"""Tables and figures of a wrench: as measured, and as models predict it."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ MISFIT = 1.5
 class BaselineFit:
     """The baseline as fitted.
 
-    prepared   the study with the noise and without the mesh's error that show beside the baseline
+    prepared   the study with the noise and without the mesh's error that show given the baseline
     tempered   the fit with residuals divided, where the baseline cannot fit
     second     where it ended from another start, if one was tried
     """
@@ -52,7 +52,7 @@ class Baseline:
     from_prior  an earlier individual's model is known, so that no other shapes are tried
     added       its fit from where a search comes that adds effects of which nothing is known; None
                 if there are none
-    noise_is_final  noise and the mesh's error are known already, beside a model that was found
+    noise_is_final  noise and the mesh's error are known already, given a model that was found
     """
 
     space: ParameterSpace
@@ -106,7 +106,7 @@ class Baseline:
         return self._of_likeliest_shape(prepared, self._scanned(prepared, start))
 
     def _with_noise_and_mesh_error(self, found: BaselineFit) -> BaselineFit:
-        """The fit with the noise that all frames tell beside it, within what the rest allows.
+        """The fit with the noise that all frames show given it, within what the rest allows.
 
         And without the errors of its mesh and of rounded values, if it explains the study: one that
         does not has others.

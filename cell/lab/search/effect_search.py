@@ -93,7 +93,7 @@ class ConfirmedEffects:
         return best if best.evidence > model.evidence + 1.0 else None
 
     def needed(self, rest: FittedModel, model: FittedModel) -> bool:
-        """Whether the model's effect that the rest lacks is confirmed beside it."""
+        """Whether the model's effect that the rest lacks is confirmed given it."""
         found, rules = self._confirmation(rest, model), self.rules
         kept = found is None or found.is_given(rules) or found.is_impossible(rules)
         return kept and self.fits.gain(rest, model).delta_bic > 0.0

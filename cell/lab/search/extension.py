@@ -27,7 +27,7 @@ from cell.lab.fit.starts import cold_start, each_once, is_new, scaled, typical
 from cell.lab.search.fitted_model import POLISH, FittedModel, model_of_fit, penalty_of
 from cell.lab.search.screen import MOST_SHAPES, ScreenedEffect
 
-#: By which residuals of a fit that is far from noise are divided, beside the root of its χ².
+#: Residuals of a fit that is far from noise are divided by this times the root of its χ².
 TEMPER = 3.0
 #: Fits of an effect from different starts; friction has several minima.
 SMOOTH_TRIES, ROUGH_TRIES = 1, 2
@@ -107,7 +107,7 @@ class Extension:
     def _own_starts(self, space: ParameterSpace, effect: type[Effect]) -> list[FloatArray]:
         """A uniform cable with the effect at the values, and shares of them, that its file gives.
 
-        Beside a cable that was bent to imitate an effect no screen says where that effect is.
+        Given a cable that was bent to imitate an effect no screen says where that effect is.
         """
         cable = cold_start(self.prepared.on_one_core(), space)
         values = scaled(effect, typical(effect))

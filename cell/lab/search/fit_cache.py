@@ -31,7 +31,7 @@ from cell.lab.search.stepwise import levels
 
 #: Two fits of the same effects are different minima if one is so much likelier (logarithm).
 LIKELIER = 0.1
-#: p-value of the screen above which a smooth effect is not refitted beside a model that explains
+#: p-value of the screen above which a smooth effect is not refitted given a model that explains
 #: the study. Measured on 61 studies: of 326 such refits none had p below 0.02.
 BY_CHANCE = 0.1
 
@@ -205,7 +205,7 @@ class FitCache:
     def shortlist(self, base: FittedModel, best: int) -> list[type[Effect]]:
         """The `best` of the screen, and what it may misjudge: the rough, the found, and the user's.
 
-        Beside a model that explains the study a refit gains no more than its screen says.
+        Given a model that explains the study a refit gains no more than its screen says.
         """
         ranked = sorted(self.screened(base), key=lambda s: (s.score.p_value, -s.score.statistic))
         explained = self.prepared.noise_is_measured and self.explained_by(base)

@@ -44,7 +44,7 @@ class PartialExplanation:
     """Fits to all trials jointly, whitened by the model's own error.
 
     fits  with all trials to be fitted
-    singles   each effect worth it alone beside the baseline
+    singles   each effect worth it alone given the baseline
     path      the baseline, then with each effect that removes most of what is left
     """
 
@@ -130,7 +130,7 @@ def _added(
 
 
 def _singles(joint: FitCache, library: int, rules: Rules) -> tuple[FitCache, list[FittedModel]]:
-    """Each effect worth it alone beside the baseline, converged; and the fits of that baseline.
+    """Each effect worth it alone given the baseline, converged; and the fits of that baseline.
 
     One explains only what the same model without it does not, wherever its search began: the
     baseline is fitted from where the best one ended too.
@@ -156,7 +156,7 @@ def _singles(joint: FitCache, library: int, rules: Rules) -> tuple[FitCache, lis
 def _significant_steps(
     fits: FitCache, steps: Sequence[FittedModel], library: int, rules: Rules
 ) -> list[FittedModel]:
-    """The steps up to the first whose effect explains nothing significant beside those before.
+    """The steps up to the first whose effect explains nothing significant given those before.
 
     Of two effects found together, exchanged and put in order, one may need no other.
     """

@@ -93,20 +93,20 @@ class Refits:
 
         self.progress("refitting with one effect more", 0, len(effects))
         functions = (refitted, taken_on)
-        with side_by_side(prepared.work, functions, self.offered, len(unknown)) as beside:
+        with side_by_side(prepared.work, functions, self.offered, len(unknown)) as pool:
             first = [_Refit(e) for e in unknown if e in effects[:FIRST] or e.file is not None]
-            beside.map(refitted, first, not_fitted, was_fitted)
+            pool.map(refitted, first, not_fitted, was_fitted)
             begun = [job.effect for job in first]
             above = (self._far([*effects[:FIRST], *begun]), ENOUGH_PASSES)
             hurried = replace(REFIT, above=above)
             # those with most shapes take longest, and so begin first
             rest = [_Refit(e, hurried) for e in unknown if e not in begun]
             by_shapes = sorted(rest, key=lambda j: -shapes_of(j.effect))
-            beside.map(refitted, by_shapes, not_fitted, was_fitted)
+            pool.map(refitted, by_shapes, not_fitted, was_fitted)
             found = self._fitted(effects)
             rough = self._to_take_on(found, self._far(effects))
             if rough and not work.spent:
-                beside.map(taken_on, rough, lambda model: model, was_taken_on)
+                pool.map(taken_on, rough, lambda model: model, was_taken_on)
         return [models[c.names] for c in found]
 
     def _name(self, effect: type[Effect]) -> str:

@@ -64,7 +64,7 @@ def near_singles(
 ) -> list[FittedModel]:
     """The nearest other single effects, where `final`, itself one, leaves more than noise.
 
-    Something is missing beside each of them then, as beside `final`.
+    Something is missing with each of them then, as with `final`.
     """
     prepared = fits.prepared
     left = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}

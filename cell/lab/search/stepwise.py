@@ -1,7 +1,7 @@
 """The search for the effects that a model lacks: sets of effects, one effect more at a time.
 
 Three things are kept apart, and the search knows none of them.  A *space* fits sets of effects: to
-one study, to many cables, or beside a model's own error.  It offers the sets with one effect more,
+one study, to many cables, or given a model's own error.  It offers the sets with one effect more,
 and with one less.  A *criterion* says which of these is kept.
 
 source  forward and backward selection with exchange: Miller 2002, Subset Selection in Regression;

@@ -190,7 +190,7 @@ def _noise_at_rest_m(prepared: PreparedStudy) -> float:
 
 
 def comparisons_json(comparisons: Sequence[Comparison]) -> dict[str, Any]:
-    """Plain data of models beside each other: the last one's, and all of them in `models`."""
+    """Plain data of models side by side: the last one's, and all of them in `models`."""
     first = comparisons[0]
     models = [
         {

@@ -33,18 +33,18 @@ class ParameterEstimate:
     fit           to all trials, those held out included: they have done their work as judges
     disagreement  mean square by which trials differ in the parameters that each asks for, 1 if by
                   their noise alone; the covariance is multiplied by it
-    beside        (p, p) covariance beside that by noise: by the hand's log, the mesh, effects that
-                  the model lacks, and a fit that was left before its minimum
+    other_covariance  (p, p) beyond that by noise: by the gripper log, the mesh, effects that the
+                  model lacks, and a fit that was stopped before its minimum
     """
 
     fit: Fit
     disagreement: float
-    beside: FloatArray | float = 0.0
+    other_covariance: FloatArray | float = 0.0
 
     @property
     def covariance(self) -> FloatArray:
         """(p, p) of the fit's coordinates."""
-        return np.asarray(self.fit.covariance * self.disagreement + self.beside)
+        return np.asarray(self.fit.covariance * self.disagreement + self.other_covariance)
 
     def coordinate(self, name: str) -> tuple[float, float]:
         """The fit's coordinate of a parameter `effect.parameter`, and its standard deviation."""

@@ -1,7 +1,8 @@
 """The residual of an effect held at a strength while all other parameters are refitted.
 
 Slopes say how much of an effect the other parameters can imitate.  Where they imitate most of it,
-what is left is small beside the curvature of both, and only a fit with the effect held there tells.
+the remainder is small compared with the curvature of both, and only a fit with the effect held
+there tells.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _REFIT = Options(tolerance=0.1, max_iterations=15, least_gain=1e-3, updates=3)
 
 @dataclass(frozen=True, eq=False)
 class HeldEffect:
-    """An effect beside a fitted model, one amplitude and all its shape held.
+    """An effect given a fitted model, one amplitude and all its shape held.
 
     amplitude  number of the parameter that is held; other amplitudes are free
     space      of the model with the effect
@@ -39,10 +40,10 @@ class HeldEffect:
     space: ParameterSpace
 
     @staticmethod
-    def beside(
+    def given_fit(
         prepared: PreparedStudy, fit: Fit, effect: type[Effect], amplitude: int
     ) -> HeldEffect:
-        """An effect beside a fit to the `fit` trials."""
+        """An effect given a fit to the `fit` trials."""
         space = space_with(fit.space, (*fit.space.effects, effect))
         return HeldEffect(prepared, fit, effect, amplitude, space)
 
@@ -101,7 +102,7 @@ class HeldEffect:
 def all_changes(held: Sequence[HeldEffect], q: Sequence[FloatArray]) -> list[FloatArray]:
     """(rows,) change from the fit to the model of each effect at its q, simulated together.
 
-    held  beside the same fit
+    held  given the same fit
     q     (p + unknowns of initial states,) of each
     """
     if not held:

@@ -69,7 +69,7 @@ class Side:
     others: FloatArray
     first: float
     change: FloatArray | None = None
-    settled: bool = False
+    converged: bool = False
     seen: bool = True
     tried: list[tuple[float, float]] = field(default_factory=list)
 
@@ -182,7 +182,7 @@ class LimitSearch:
             return
         side.change = change
         if self.exact(side):
-            side.settled = True
+            side.converged = True
             return
         row = self._with_prior(change) / side.size
         left = self._left(row, side.others)
@@ -191,7 +191,7 @@ class LimitSearch:
             return
         before = side.size
         self._step(side, self._end(side.sign, *self._estimate(left)))
-        side.settled = abs(side.size - before) < NEARLY * abs(before)
+        side.converged = abs(side.size - before) < NEARLY * abs(before)
 
     def exact(self, side: Side) -> bool:
         """Whether an end is so near to none of the effect that its slope there is all there is."""
@@ -304,7 +304,7 @@ PER_CORE = 2
 def limits(
     whole: AllTrialsFit, effects: Sequence[type[Effect]], progress: Progress = no_progress
 ) -> tuple[Limit, ...]:
-    """95 % limits of the amplitudes of effects beside a fitted model, each effect alone.
+    """95 % limits of the amplitudes of effects given a fitted model, each effect alone.
 
     The score's estimate and standard deviation, everything that was fitted and the effect's other
     amplitudes free, farthest out over the guesses of its shape that fit as well; widened by what
@@ -326,8 +326,8 @@ def limits(
     # some effects take far longer than others
     count = min(len(effects), PER_CORE * threads()) if threads() > 1 else 1
     jobs = [effects[i::count] for i in range(count)]
-    with side_by_side(whole.prepared.work, [of_some], common.effects(effects), len(jobs)) as beside:
-        found = beside.map(
+    with side_by_side(whole.prepared.work, [of_some], common.effects(effects), len(jobs)) as pool:
+        found = pool.map(
             of_some,
             jobs,
             _left_out,
@@ -380,14 +380,14 @@ def _limits_of(common: _Common, effects: Sequence[type[Effect]]) -> tuple[Limit,
         for j in range(slopes.rows.shape[1])
     ]
     for _ in range(ROUNDS):
-        sides = [(s, side) for s in found for side in s.open_sides() if not side.settled]
+        sides = [(s, side) for s in found for side in s.open_sides() if not side.converged]
         if not sides:
             break
         moved = changes(prepared, fit, [s.active(side) for s, side in sides])
         for (search, side), change in zip(sides, moved, strict=True):
             search.simulated(side, change)
     answered = [
-        (search, side, HeldEffect.beside(prepared, fit, search.effect, search.which))
+        (search, side, HeldEffect.given_fit(prepared, fit, search.effect, search.which))
         for search in found
         for side in search.open_sides()
         if not search.exact(side)

@@ -33,7 +33,7 @@ LEAST_LEFT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class OmittedEffectBias:
-    """What is seen of effects beside a fitted model.
+    """What is seen of effects given a fitted model.
 
     effects     that explain what it leaves, linearly, the one that explains most first
     covariance  (p, p) of the fit's coordinates by their absence: how far they move with these in,
@@ -118,12 +118,12 @@ def _explaining(
 
 
 def _explained(option: _Option, taken: FloatArray, left: FloatArray) -> FloatArray:
-    """(rows,) of what is left that an option explains beside others; none by a wrong sign."""
-    beside = option.seen - (option.seen @ taken.T) @ taken
-    amplitudes = np.linalg.lstsq(beside.T, left, rcond=1e-8)[0]
+    """(rows,) that an option explains of the residual given others; none by a wrong sign."""
+    orthogonal = option.seen - (option.seen @ taken.T) @ taken
+    amplitudes = np.linalg.lstsq(orthogonal.T, left, rcond=1e-8)[0]
     if one_sided(option.effect) and amplitudes[0] < 0.0:
         return np.zeros_like(left)
-    return np.asarray(amplitudes @ beside)
+    return np.asarray(amplitudes @ orthogonal)
 
 
 def _orthonormal_rows(taken: FloatArray, more: FloatArray) -> FloatArray:

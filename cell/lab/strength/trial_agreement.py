@@ -94,8 +94,8 @@ def agreement(
         progress(f"asked {trials[number].name} alone", next(done), len(trials))
 
     progress("asking each trial alone", 0, len(trials))
-    with side_by_side(prepared.work, [one], (), len(trials)) as beside:
-        alone = beside.map(one, range(len(trials)), lambda _: None, asked)
+    with side_by_side(prepared.work, [one], (), len(trials)) as pool:
+        alone = pool.map(one, range(len(trials)), lambda _: None, asked)
     inflation = float(np.mean([a.inflation for a in alone if a is not None] or [1.0]))
     uncertain = inflation * common.T @ whole.covariance @ common
     rows = [_said(i, quantities, alone, trials, uncertain) for i in range(len(quantities))]

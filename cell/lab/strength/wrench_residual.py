@@ -1,4 +1,4 @@
-"""A wrench measured at the clamp beside that of a model, in newtons."""
+"""A wrench measured at the clamp compared with that of a model, in newtons."""
 
 from __future__ import annotations
 

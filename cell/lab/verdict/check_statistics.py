@@ -333,7 +333,7 @@ def directions_of_trials(
 
 
 def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
-    """Of what an effect's wider law would explain beside it; None without one.
+    """Of what an effect's wider law would explain in addition; None without one.
 
     If an effect is present, its own law explains everything.  One in the place of another, which no
     library has, leaves a little of it, the same in every trial, and in these few directions.
@@ -348,7 +348,7 @@ def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> Smo
 def of_effects(
     prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
 ) -> dict[str, tuple[SmoothPart, float]]:
-    """Of what each of some effects would explain beside the model: the plainest of its shapes.
+    """Of what each of some effects would explain given the model: the plainest of its shapes.
 
     returns  by name, with the p-value of the plainest of so many; without those that change nothing
              that the parameters do not, and empty where a trial cannot be simulated

@@ -214,7 +214,7 @@ def ranked(
 ) -> tuple[RankedEffect, ...]:
     """All effects, by the evidence of adding each alone to the baseline.
 
-    None is absent beside a final model whose parameters mean nothing.
+    None is absent given a final model whose parameters mean nothing.
     """
     base = fits.base
     refits = {c.effects[-1].name: c for c in sound(singles, base)}

@@ -33,7 +33,7 @@ MEANINGS = {
 
 
 def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
-    """Warning of a fit beside which effects are seen; empty if there are none."""
+    """Warning of a fit given which effects are detected; empty if there are none."""
     if not lacks:
         return ()
     return (

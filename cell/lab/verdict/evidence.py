@@ -83,10 +83,10 @@ def _residuals(left: AllTrialsResidual, rows: FloatArray) -> list[Residual]:
     ]
     size = float(np.sqrt(np.nanmean(np.concatenate([w.ravel() for w in white]) ** 2)))
     arcs = prepared.study.arc_length_m
-    beside = {t.name: t for t in prepared.unjoined.trials}
+    unjoined = {t.name: t for t in prepared.unjoined.trials}
     trials = zip(fit_trials(prepared), white, strict=True)
     return [
-        Residual(beside[t.name], arcs, prepared.of_markers(t, np.moveaxis(w, -1, 0)) / size)
+        Residual(unjoined[t.name], arcs, prepared.of_markers(t, np.moveaxis(w, -1, 0)) / size)
         for t, w in trials
     ]
 

@@ -21,12 +21,12 @@ UNLIKE_ANY = 20.0
 APART = 2.0
 #: Or if a parameter of an effect differs by more than so many standard deviations.
 APART_STD = 3.0
-#: Warnings of a fit whose parameters mean nothing; beside it no effect is called absent.
+#: Warnings of a fit whose parameters mean nothing; given it no effect is called absent.
 MEANINGLESS = frozenset({"hopeless", "implausible", "starts_disagree"})
 
 
 def is_meaningless(fits: FitCache, candidate: FittedModel) -> bool:
-    """Whether the parameters of a fit mean nothing, so that no effect can be excluded beside it."""
+    """Whether the parameters of a fit mean nothing, so that no effect can be excluded given it."""
     return bool(MEANINGLESS & {doubt.code for doubt in fit_doubts(fits, candidate)})
 
 

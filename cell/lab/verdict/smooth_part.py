@@ -92,7 +92,7 @@ def noise_was_seen(prepared: PreparedStudy) -> bool:
 
 @once_per_study
 def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
-    """The same of a converged mesh, and beside what the log of the hand may be wrong by.
+    """The same of a converged mesh, and less what the gripper log may be wrong by.
 
     To first order: the parameters follow what mesh and hand change in the trials that they were
     fitted to, and what stays of it is seen in those held out.

@@ -52,7 +52,7 @@ def tied_so_far(
 ) -> tuple[str, ...]:
     """Effects that leave as little in place of `effect`, of the sets of effects fitted already.
 
-    Of a single effect that leaves more than noise also those that do with one more beside them:
+    Of a single effect that leaves more than noise also those that do with one more added:
     more than one is missing then, and what is nearest alone need not be one of these.
     """
     rest = final.names - {effect.name}
