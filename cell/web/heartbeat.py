@@ -32,7 +32,8 @@ _SCRIPT = """
   let asked = -1e9, answered = true, seen = 0, beat = 0, count = 0, lost = false;
   let given = [], gone = JSON.parse(sessionStorage.getItem(key) || '[]');
   const keep = () => sessionStorage.setItem(key, JSON.stringify([...gone, ...given]));
-  const clock = (t) => new Date(t).toLocaleTimeString(document.documentElement.lang);
+  const clock = (t) => new Date(t).toLocaleTimeString(document.documentElement.lang,
+                                                      {hourCycle: 'h23'});
   const text = (id, said) => {
     const place = document.getElementById(id);
     if (place && place.textContent !== said) place.textContent = said;

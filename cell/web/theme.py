@@ -53,8 +53,10 @@ CSS = """
 .q-btn { text-transform: none; }
 .big-button { min-height: 4.5rem; min-width: 7rem; font-size: 1.35rem; font-weight: 600; }
 .q-btn.disabled, .q-btn:disabled { filter: grayscale(1); opacity: 0.45 !important; }
-.no-connection-plate { display: none; width: 100%; padding: 1rem; border-radius: 4px;
-  background-color: #4a5563; color: #ffffff; position: sticky; top: 3.5rem; z-index: 20; }
+.body--dark .q-btn:disabled { filter: grayscale(1) brightness(0.55); }
+.no-connection-plate { display: none; width: calc(100% - 1rem); max-width: 79rem; margin: 0 auto;
+  padding: 1rem; border-radius: 4px; background-color: #4a5563; color: #ffffff;
+  position: sticky; top: 3.5rem; z-index: 20; }
 .no-answer-said { display: none; }
 body.no-connection .no-connection-plate, body.no-answer .no-answer-said { display: block; }
 body.no-connection #state-card { display: none; }
@@ -76,7 +78,7 @@ header .nicegui-link { color: #ffffff; }
 .film-slider { min-height: 2.5rem; }
 .guide:not(:empty) { border-left: 0.5rem solid #f5b301; padding-left: 0.75rem; }
 .sticky-card { position: sticky; top: 3.5rem; z-index: 10; }
-@media (max-width: 640px) { .sticky-card { top: 6.5rem; } }
+@media (max-width: 640px) { .sticky-card, .no-connection-plate { top: 6.5rem; } }
 .entry { border-top: 1px solid #8a94a355; padding-top: 0.5rem; }
 .diff { font-family: monospace; white-space: pre; border: 1px solid #8a94a3; padding: 0.5rem; }
 .diff .added { background: #146c2e22; color: #0f5323; }
