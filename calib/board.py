@@ -153,12 +153,12 @@ def find_board(
     return BoardView(name, numbers, found, (width, height), edge_blur_px(image, found))
 
 
-def edge_blur_px(image: Image, pixels: FloatArray, reach_px: int = 6) -> float:
+def edge_blur_px(image: Image, pixels: FloatArray) -> float:
     """Standard deviation of the blur of edges near (N, 2) pixels, px; the median.
 
     An edge of height h blurred by a Gaussian σ is h / (σ √2π) steep at most.
     """
-    blurs = []
+    blurs, reach_px = [], 6
     for u, v in np.rint(pixels).astype(int).tolist():
         part = image[
             max(0, v - reach_px) : v + reach_px + 1, max(0, u - reach_px) : u + reach_px + 1

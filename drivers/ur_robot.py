@@ -157,7 +157,7 @@ class Robot:
         self.control.kickWatchdog()  # leaves "no command" in the register, see hardware trap 4
         self._end_programs()
         self.control.reuploadScript()
-        if not _within(_PROGRAM_S, lambda: self.plays):
+        if not _in_time(lambda: self.plays):
             raise RefusedError("the program does not start", self._start_remedy())
         before = np.array(self.receive.getActualTCPPose()[:3])
         self._prepare()
@@ -182,7 +182,7 @@ class Robot:
         if self._pendant is not None or not self.control.isProgramRunning():
             return
         self.control.stopScript()
-        if not _within(_PROGRAM_S, lambda: not self.control.isProgramRunning()):
+        if not _in_time(lambda: not self.control.isProgramRunning()):
             raise RefusedError("another program runs", "stop it at the pendant, then reset")
 
     def _start_remedy(self) -> str:
@@ -240,8 +240,8 @@ def _claimed(options: RobotOptions) -> RtdeClient:
         time.sleep(0.005)
 
 
-def _within(seconds: float, holds: Callable[[], bool]) -> bool:
-    until_s = time.monotonic() + seconds
+def _in_time(holds: Callable[[], bool]) -> bool:
+    until_s = time.monotonic() + _PROGRAM_S
     while not holds():
         if time.monotonic() > until_s:
             return False

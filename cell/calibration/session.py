@@ -32,6 +32,8 @@ _POLL_S, _REST_TIMEOUT_S, _CALM_S = 0.01, 3.0, 0.15
 _AT_GOAL_M, _AT_GOAL_RAD = 5e-5, 1e-3
 #: An arm at rest reports poses no further apart than this, three times its repeatability.
 _AT_REST_M = 1e-4
+#: Pictures of a hand at rest, of which the mean is taken.
+_PICTURES = 4
 #: An arm is told a path so long before it starts, and a film begins and ends so long beside it, s.
 _AHEAD_S, _BESIDE_S = 0.25, 0.15
 _BROKEN_OFF = "calibration broken off"
@@ -72,15 +74,15 @@ class CalibrationSession:
             self._await_rest(float(path.t_s[-1]))
         clock.sleep_s(_CALM_S)
 
-    def rest_at(self, goal: Pose, count: int = 4) -> RestingView:
-        """The hand at rest in a pose, and the mean of `count` pictures of it.
+    def rest_at(self, goal: Pose) -> RestingView:
+        """The hand at rest in a pose, and the mean of `_PICTURES` of it.
 
         raises  DeviceError; CameraError: the hand moved meanwhile
         """
         self.go_to(goal)
         arm, clock = self.devices.arm, self.devices.clock
         begin_s = clock.now_s()
-        image = self.picture(count)
+        image = self.picture(_PICTURES)
         clock.sleep_s(max(0.0, begin_s + 0.1 - clock.now_s()))
         log = arm.log(begin_s, clock.now_s())
         places = np.stack([log.x_m, log.y_m, log.angle_rad], axis=1)

@@ -165,20 +165,18 @@ def executed_motion(
     path: Trajectory,
     lag_s: float,
     *,
-    start: Pose | None = None,
     settle_s: float = 0.0,
     history: Motion | None = None,
 ) -> Motion:
     """The hand's motion when an arm with a known lag is told to follow `path` from time 0.
 
-    start     measured pose at time 0; None = exactly the path's first pose
     settle_s  how long the hand is held still after it has arrived
     history   measured motion up to now, its times ≤ 0: the cable still swings from it
     raises    ValueError: negative durations, a history that reaches beyond time 0
     """
     if settle_s < 0.0:
         raise ValueError(f"settling time is {settle_s} s: must be ≥ 0")
-    response = servo_response(path, lag_s, start=start)
+    response = servo_response(path, lag_s)
     rows = np.column_stack([response.t_s, response.x_m, response.y_m, response.angle_rad])
     if settle_s > 0.0:
         rows = np.vstack([rows, rows[-1] + [settle_s, 0.0, 0.0, 0.0]])

@@ -244,11 +244,7 @@ _INTERVAL_S = 0.01
 
 
 def time_to_rest_s(
-    identified: Identified,
-    motion: Motion,
-    within_m: float,
-    longest_s: float,
-    solver: Solver = Solver(),  # noqa: B008
+    identified: Identified, motion: Motion, within_m: float, longest_s: float
 ) -> float:
     """Time from the end of a motion until the tip stays within a distance of where it rests, s.
 
@@ -262,7 +258,7 @@ def time_to_rest_s(
     end_s = float(motion.t_s[-1])
     t_s = np.arange(end_s, end_s + longest_s, _INTERVAL_S)
     at_tip = np.array([identified.space.cable.length_m])
-    tip_m = simulate(identified.model, motion, t_s, at_tip, solver=coarsened(solver))[0, :, 0]
+    tip_m = simulate(identified.model, motion, t_s, at_tip, solver=coarsened(Solver()))[0, :, 0]
     away_m = np.linalg.norm(tip_m - tip_m[-1], axis=1)
     swinging = np.flatnonzero(away_m > within_m)
     return 0.0 if not swinging.size else float(t_s[swinging[-1]] - end_s) + _INTERVAL_S

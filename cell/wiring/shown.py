@@ -44,11 +44,10 @@ def board_patches(board: Board, X_PB: FloatArray, warp_m: tuple[float, float] = 
     return Patches(solid @ X_PB[:3, :3].T + X_PB[:3, 3], levels, hides)
 
 
-def plumb_line(x_m: float, y_m: tuple[float, float], angle_rad: float = 0.0) -> Patches:
-    """A thread that hangs in the plane; `angle_rad` by which gravity departs from −y, to +x."""
+def plumb_line(x_m: float, y_m: tuple[float, float]) -> Patches:
+    """A thread that hangs in the plane."""
     low, high = y_m
-    way = np.array([np.sin(angle_rad), -np.cos(angle_rad)]) * (high - low)
-    side = 2e-4 * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+    way, side = np.array([0.0, low - high]), np.array([2e-4, 0.0])
     along = np.array([x_m, high]) + np.linspace(0.0, 1.0, 41)[:, None] * way
     corners = np.stack(
         [along[:-1] - side, along[1:] - side, along[1:] + side, along[:-1] + side], 1

@@ -81,14 +81,6 @@ def test_executed_motion_follows_late_by_the_lag_and_arrives() -> None:
     assert late_s == pytest.approx(0.03, rel=0.05)
 
 
-def test_executed_motion_starts_where_the_hand_was_measured() -> None:
-    path = insertion_path(START, 0.02, 0.05, LIMITS, RATE_HZ)
-    measured = Pose(START.x_m + 1e-4, START.y_m, START.angle_rad)
-    motion = executed_motion(path, 0.03, start=measured)
-    assert motion.x_m[0] == measured.x_m
-    assert motion.x_m[-1] == pytest.approx(path.x_m[-1], abs=1e-6)
-
-
 def test_executed_motion_continues_a_history() -> None:
     path = insertion_path(START, 0.01, 0.05, LIMITS, RATE_HZ)
     t = np.array([-1.3, -1.0, 0.0])
