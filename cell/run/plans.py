@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 
 from cell.plan.measuring import Measuring
@@ -33,6 +33,8 @@ class Step:
 
     name           in the record, in faults and in tables
     act            what it does: returns what is known after it
+    reads          findings that it is given, by name
+    adds           findings that it changes, by name: they are given too, and no other change counts
     after          further work on its findings, outside the step's time
     computes       its time is the computer's, not that of the cell's clock
     holding        it begins with a cable between the jaws and ends with it there
@@ -47,6 +49,8 @@ class Step:
 
     name: str
     act: Act
+    reads: str = ""
+    adds: str = ""
     after: Act = nothing
     computes: bool = False
     holding: bool = False
@@ -56,6 +60,13 @@ class Step:
     once: bool = False
     completed: Callable[[Station, Findings], bool] = always
     every: int = 1
+
+    def apply(self, station: Station, findings: Findings) -> Findings:
+        """Findings after it: `act` sees what it reads and adds, and only what it adds is taken."""
+        added = self.adds.split()
+        seen = {name: getattr(findings, name) for name in (*self.reads.split(), *added)}
+        after = self.act(station, Findings(**seen))
+        return replace(findings, **{name: getattr(after, name) for name in added})
 
 
 @dataclass(frozen=True)
@@ -115,6 +126,9 @@ class Plan:
         return tuple(dict.fromkeys(step.name for step in self.steps))
 
 
+#: Of a step after which a cable is tried anew.
+EVERYTHING = " ".join(field.name for field in fields(Findings))
+
 # --- the table ----------------------------------------------------------------------------------
 
 WARM_UP = Step("warm_up", steps.warm_up, computes=True, once=True)
@@ -125,24 +139,78 @@ START = Step("start", steps.check_ready)
 GRASP = Step("grasp", steps.grasp, may_pause=True)
 GO_HOME = Step(movements.HOME, steps.go_home, with_rejected=True)
 
-LOWER = Step("lower", steps.lower, holding=True, may_pause=True)
-HOLD = Step("hold_and_capture", steps.hold_and_capture, holding=True, time_critical=True)
+LOWER = Step("lower", steps.lower, adds="filming", holding=True, may_pause=True)
+HOLD = Step(
+    "hold_and_capture",
+    steps.hold_and_capture,
+    reads="filming",
+    adds="held trials hold_saved_s lead_s waiting_since_s",
+    holding=True,
+    time_critical=True,
+)
 CHECK_CLOCKS = Step(
     "check_clocks",
     steps.check_clocks,
+    reads="held",
+    adds="checks",
     computes=True,
     holding=True,
     time_critical=True,
     once=True,
     completed=steps.delays_were_determined,
 )
-IDENTIFY = Step("identify", steps.identify, computes=True, holding=True, time_critical=True)
-SIMULATE = Step("simulate", steps.simulate, computes=True, holding=True, time_critical=True)
-CHOOSE = Step("choose", steps.choose, computes=True, holding=True, time_critical=True)
-EXECUTE = Step("execute", steps.execute, holding=True)
-VERIFY = Step("verify", steps.verify, after=after_insertion, computes=True, holding=True)
-BRING_BACK = Step("bring_back", steps.bring_back, holding=True, may_pause=True)
-RELEASE = Step("release", steps.release, after=after_release, may_pause=True, with_rejected=True)
+IDENTIFY = Step(
+    "identify",
+    steps.identify,
+    reads="held trials",
+    adds="identified outcome reason",
+    computes=True,
+    holding=True,
+    time_critical=True,
+)
+SIMULATE = Step(
+    "simulate",
+    steps.simulate,
+    reads="held trials identified lead_s",
+    adds="simulated_s candidates outcome reason",
+    computes=True,
+    holding=True,
+    time_critical=True,
+)
+CHOOSE = Step(
+    "choose",
+    steps.choose,
+    reads="identified candidates waiting_since_s",
+    adds="choice wait_s outcome reason",
+    computes=True,
+    holding=True,
+    time_critical=True,
+)
+EXECUTE = Step(
+    "execute",
+    steps.execute,
+    reads="held identified candidates choice",
+    adds="executed trials tails stopped predicted",
+    holding=True,
+)
+VERIFY = Step(
+    "verify",
+    steps.verify,
+    reads="candidates choice executed predicted stopped",
+    adds="passage outcome reason",
+    after=after_insertion,
+    computes=True,
+    holding=True,
+)
+BRING_BACK = Step("bring_back", steps.bring_back, adds=EVERYTHING, holding=True, may_pause=True)
+RELEASE = Step(
+    "release",
+    steps.release,
+    reads="outcome",
+    after=after_release,
+    may_pause=True,
+    with_rejected=True,
+)
 
 #: Steps of a film that was made without this cell.
 FILM, LOOK = "film", "look_at_film"
@@ -205,7 +273,13 @@ def measuring(motion: Measuring) -> Plan:
         execute=(
             GRASP,
             Step("approach", approach, holding=True, may_pause=True),
-            Step("measure", measure, after=after_measurement, holding=True),
+            Step(
+                "measure",
+                measure,
+                adds="held trials outcome reason",
+                after=after_measurement,
+                holding=True,
+            ),
             Step("go_back", steps.go_home, holding=True, may_pause=True, with_rejected=True),
             replace(RELEASE, act=steps.let_go, after=nothing, may_pause=False),
         ),
@@ -217,14 +291,17 @@ def filmed(filming: Filming, *, decides: bool) -> Plan:
 
     decides  choose an offset too: the hand came to where insertions begin
     """
-    film = Step(FILM, partial(measuring_steps.begin_film, filming), holding=True)
-    conclude = Step("conclude", measuring_steps.conclude, after=after_measurement, holding=True)
-    looking = (HOLD,) if decides else (Step(LOOK, measuring_steps.detect_in_film, holding=True),)
+    film = Step(FILM, partial(measuring_steps.begin_film, filming), adds="filming", holding=True)
+    conclude = Step(
+        "conclude", measuring_steps.conclude, adds="outcome", after=after_measurement, holding=True
+    )
+    look = replace(HOLD, name=LOOK, act=measuring_steps.detect_in_film, adds="held trials")
+    looking = HOLD if decides else replace(look, time_critical=False)
     return replace(
         INSERTING,
         aim=Outcome.MEASURED,
         resetting=(WARM_UP, CONNECT, RESET),
-        execute=(GRASP, film, *looking, IDENTIFY, *((CHOOSING,) if decides else ()), conclude),
+        execute=(GRASP, film, looking, IDENTIFY, *((CHOOSING,) if decides else ()), conclude),
         completing=(),
     )
 
@@ -236,7 +313,9 @@ def rehearsing(plan: Plan, task: Task, rate_hz: float, speed: float) -> Plan:
     raises   ValueError: a speed that is not > 0 and ≤ 1
     """
     moves = plan.movements(task, rate_hz, speed)
-    follow = [Step(m.name, partial(dry_run.follow, m), may_pause=True) for m in moves]
+    follow = [
+        Step(m.name, partial(dry_run.follow, m), adds="followed", may_pause=True) for m in moves
+    ]
     follow[-1] = replace(follow[-1], after=dry_run.after_dry_run)
     return replace(
         plan,
@@ -244,10 +323,12 @@ def rehearsing(plan: Plan, task: Task, rate_hz: float, speed: float) -> Plan:
         resetting=(
             replace(WARM_UP, act=dry_run.warm_up, once=False),
             CONNECT,
-            replace(RESET, act=dry_run.reset),
+            replace(RESET, act=dry_run.reset, adds="checks"),
         ),
         execute=(
-            replace(CHECK_PATHS, act=partial(dry_run.check_paths, moves), once=False),
+            replace(
+                CHECK_PATHS, act=partial(dry_run.check_paths, moves), adds="checks", once=False
+            ),
             *follow,
         ),
         speed=speed,

@@ -85,7 +85,7 @@ class StepRunner:
         progress.watch.holding = step.holding
         try:
             self._commands.check()
-            findings = step.act(progress.station, progress.findings)
+            findings = step.apply(progress.station, progress.findings)
             self._commands.check()
         except DeviceError:
             self._commands.check()  # a device that refuses because of a stop is not the cause

@@ -1,8 +1,8 @@
 """What each step does while a cable is inserted; `measuring_steps` has the others.
 
 With `waiting`, `filming`, `endings`, the `dry_run` and the `watch`, all that calls devices.
-Every step takes the station and what was found before it, and returns what is known after it;
-nothing is kept here.  Which steps there are, and in which order, is said in `plans`.
+Every step takes the station and the findings that it reads, and returns those that it adds;
+nothing is kept here.  `plans` says which steps there are, what each reads and adds, and the order.
 """
 
 from __future__ import annotations

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from cell.plan.measuring import Measuring, Move
-from cell.run.findings import Findings, required
-from cell.run.plans import INSERTING, Plan, Repeat, changing_over, measuring
+from cell.run.findings import Filming, Findings, required
+from cell.run.plans import INSERTING, Plan, Repeat, Step, changing_over, filmed, measuring
+from cell.run.station import Station
 from cell.settings import load_settings
 from cell.wiring.build import cell_task
 from drivers.interfaces import Pose
@@ -68,6 +70,29 @@ def test_steps_that_are_repeated_are_in_the_table_where_they_are_done_first() ->
     assert INSERTING.names[at - 1 : at + 3 : 3] == ("identify", "execute")
     assert [s.name for s in whole.before_repeat] == ["bring_back"]
     assert "bring_back" not in INSERTING.names, "most cables never come to it"
+
+
+FILMS = [filmed(Filming(0.0, 1.0, 2.0, 9), decides=decides) for decides in (True, False)]
+
+
+@pytest.mark.parametrize("plan", [INSERTING, measuring(MOTION), *FILMS])
+def test_what_a_step_reads_an_earlier_one_has_added(plan: Plan) -> None:
+    added = set[str]()
+    for step in plan.steps:
+        assert set(step.reads.split()) <= added, step.name
+        added |= set(step.adds.split())
+    assert added <= {field.name for field in fields(Findings)}
+
+
+def test_a_step_sees_what_it_reads_and_changes_what_it_adds() -> None:
+    def act(station: Station, findings: Findings) -> Findings:
+        assert (findings.stopped, findings.wait_s, findings.lead_s) == ("so", None, 2.0)
+        return replace(findings, lead_s=3.0, reason="unsaid")
+
+    step = Step("act", act, reads="stopped", adds="lead_s")
+    before = Findings(stopped="so", wait_s=1.0, lead_s=2.0)
+    after = step.apply(cast(Station, None), before)
+    assert (after.stopped, after.wait_s, after.lead_s, after.reason) == ("so", 1.0, 3.0, None)
 
 
 def test_a_step_that_comes_too_early_is_a_mistake_of_the_plan() -> None:
