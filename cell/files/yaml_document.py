@@ -8,7 +8,7 @@ import math
 import re
 import reprlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
@@ -212,6 +212,13 @@ def validate(document: Document, model: type[Model]) -> Model:
             if p.message != MISSING
             or (p.key.rpartition(".")[0], f"{p.key.rpartition('.')[2]!r}?") not in meant
         ]
+        # An entry that may be one of several things has a complaint of each.
+        entries: dict[tuple[int, str], Problem] = {}
+        for p in problems:
+            first = entries.get((p.line, p.key))
+            message = p.message if first is None else f"{first.message}; or {p.message}"
+            entries[p.line, p.key] = replace(p, message=message)
+        problems = [*entries.values()]
         problems.sort(key=lambda p: (p.line, p.column or 0))
         if len(problems) > MAX_PROBLEMS:
             left = error.error_count() - MAX_PROBLEMS
@@ -235,12 +242,12 @@ def _of_another_kind(document: Document, schema: dict[str, Any]) -> Problem | No
 
 
 def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) -> Problem:
-    # A tagged union puts its tag into the location; the file does not have it there.
+    kind, context = details["type"], details.get("ctx", {})
+    # A union puts a tag or a type into the location; the file does not have it there.
     key: Key = ()
     for part in details["loc"]:
-        if (*key, part) in document.places or part == details["loc"][-1]:
+        if (*key, part) in document.places or (part == details["loc"][-1] and kind == "missing"):
             key = (*key, part)
-    kind, context = details["type"], details.get("ctx", {})
     match kind:
         case "extra_forbidden":
             known = _known_keys(schema, details["loc"])

@@ -216,6 +216,14 @@ def test_a_mistyped_key_is_one_mistake(tmp_path: Path) -> None:
     assert len(told.splitlines()) == 1
 
 
+def test_an_entry_that_may_be_one_of_two_things_has_one_complaint(tmp_path: Path) -> None:
+    """It was said of `motion.start.StartSettings` and of `motion.start.literal['auto']`."""
+    told = complaint(tmp_path, FAKE.replace("motion:", "motion:\n  start: sometimes", 1))
+    assert len(told.splitlines()) == 1
+    assert "motion.start: must hold entries" in told
+    assert "; or input should be 'auto'" in told
+
+
 def test_axes_that_are_not_square_are_refused(tmp_path: Path) -> None:
     text = LINE3.replace("[0.0, 0.0, 1.0]", "[0.0, 0.6, 0.8]")
     assert "is not perpendicular to plane_y_axis" in complaint(tmp_path, text)
