@@ -1,4 +1,14 @@
-"""Noise of the camera: levels and correlations that the rest allows, the best by all frames."""
+"""The noise of the markers: which level and which correlation are used, and where that is decided.
+
+The noise of a coordinate is Gaussian with an AR(1) correlation between neighbouring frames, and a
+white share where values are rounded (`cell.identify.noise.Noise`).  `noise_model_of` estimates
+level and correlation from the frames at rest by restricted maximum likelihood, with a confidence
+set of both (`noise_likelihood`).  Given a fitted model, `noise_model_of_all_frames` chooses within
+that set by rest and motion together; `cell.lab.fit.remainder` first takes out of the motion what
+parameters and effects could explain.  Where a study states its level, that is kept, and
+`noise_model_of_residuals` bounds the correlation by that of the residuals.  Markers and trials have
+levels of their own where the frames at rest show it (`noise_levels`).
+"""
 
 from __future__ import annotations
 
