@@ -12,7 +12,7 @@ from cell.cable.assembly import assemble
 from cell.cable.clamp import pose_of
 from cell.cable.dynamics import increasing, simulate
 from cell.cable.geometry import Motion
-from cell.cable.hands import at_gripper
+from cell.cable.gripper_motions import at_gripper
 from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, Solver, threads
 from cell.cable.swing import Grid, Swing, move

@@ -11,7 +11,7 @@ from cell.cable.assembly import assemble, marker_weights
 from cell.cable.effects.base import Effect
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion, SmoothedMotion
-from cell.cable.hands import GripperMotions
+from cell.cable.gripper_motions import GripperMotions
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver, generalised_alpha
 from cell.cable.splines import Steps, fit

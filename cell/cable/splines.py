@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
 from cell.cable.compiling import compiled, inline
-from cell.cable.wrong_values import (
+from cell.cable.outliers import (
     ADJACENT,
     GLITCH,
     bridged,

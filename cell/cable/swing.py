@@ -17,7 +17,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.assembly import ParameterBlock, marker_weights
 from cell.cable.effects.own import run_engine
 from cell.cable.geometry import Motion
-from cell.cable.hands import GripperMotions
+from cell.cable.gripper_motions import GripperMotions
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, LanesError, Solver, generalised_alpha, threads
 from cell.cable.splines import Steps

@@ -13,10 +13,10 @@ from calib.errors import MisfitError, TooFewError
 from calib.grip import LEAST_POSES, GripFit, GripView, fit_grip
 from calib.plane import PlaneView
 from calib.store import StoredCalibration
+from cell.calibration.assistants import Assistant
 from cell.calibration.measure import Say, within_limits
 from cell.calibration.raw import NamedImage, ShownCell, ShownPose
 from cell.calibration.session import CalibrationSession, RestingView
-from cell.calibration.showing import Assistant
 from cell.settings import Settings
 from cell.settings.calibrated import devices_of
 from cell.settings.translate import vision_of

@@ -17,9 +17,9 @@ from calib.jaw_marks import JawObservation
 from calib.plane import PlaneView
 from calib.plate import find_plate
 from cell.cable.arrays import FloatArray
+from cell.calibration.assistants import BOARD_VIEWS, THREADS, Assistant, OnCoverage
 from cell.calibration.raw import DetectedMove, NamedImage, ShownCell, ShownPose
 from cell.calibration.session import CalibrationSession, FilmedMove
-from cell.calibration.showing import BOARD_VIEWS, THREADS, Assistant, OnCoverage
 from cell.plan.measuring import Move, least_duration_s, measuring_path
 from cell.settings import Settings
 from cell.settings.translate import vision_of

@@ -20,11 +20,11 @@ from calib.plane import PlaneView
 from calib.store import CalibrationFileError, StoredCalibration, load, save
 from calib.timing import Delay
 from cell.calibration import conclude, grip, measure, raw
+from cell.calibration.assistants import BOARD_VIEWS, Assistant, OnCoverage, Operator
 from cell.calibration.conclude import Drift
 from cell.calibration.measure import Say
 from cell.calibration.report import camera_report, cell_report, grip_report, time_report
 from cell.calibration.session import CalibrationSession, opened
-from cell.calibration.showing import BOARD_VIEWS, Assistant, OnCoverage, Operator
 from cell.files.atomic import write_whole
 from cell.files.input_error import InputError, Problem
 from cell.files.rescue import kept, remedy

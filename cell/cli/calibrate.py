@@ -219,7 +219,7 @@ def _workshop(
 
     gripped  a cable is gripped, so that it must be said of which product
     """
-    from cell.calibration.showing import write_coverage
+    from cell.calibration.assistants import write_coverage
     from cell.calibration.work import BrokenOffError, CalibrationJob
     from cell.files.input_error import InputError
     from cell.settings import load_settings

@@ -15,7 +15,7 @@ from cell.cable.solver import DivergedError, Solver
 from cell.cable.statics import UnsettledError
 from cell.cable.wrench import Gauge, RowMeans
 from cell.identify import gauss_newton
-from cell.identify.hand import GripperLogErrors, sampled_motions
+from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise, across, estimate_noise, still_frames
 from cell.identify.parameters import ParameterSpace

@@ -13,7 +13,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable, Motion, moves_from_s
 from cell.identify.fit import FitError, FitOptions, fit, still_noise
-from cell.identify.hand import GripperLogErrors, align_motion
+from cell.identify.gripper_errors import GripperLogErrors, align_motion
 from cell.identify.identified import Identified
 from cell.identify.model_class import ModelClass
 from cell.identify.paper import fit_as_paper

@@ -11,7 +11,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import STILL, Motion
 from cell.cable.solver import Solver
-from cell.identify.hand import GripperLogErrors, sampled_motions
+from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.identify.parameters import ParameterSpace, difference_points
 from cell.study.data import Trial
 

@@ -12,8 +12,8 @@ from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.plan.choose import ChoiceOptions, choose, forecast
-from cell.plan.closer import refined_candidates, widest_between
 from cell.plan.paths import executed_motion, insertion_path
+from cell.plan.refinement import refined_candidates, widest_between
 from cell.run.findings import Candidates, FilmedMotion
 from cell.run.station import Task, Timing
 from cell.run.trials import camera_offset_m_rad, moved

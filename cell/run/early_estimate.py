@@ -10,7 +10,7 @@ import numpy as np
 
 from cell.cable.solver import DivergedError, Solver, threads
 from cell.cable.statics import UnsettledError
-from cell.identify.hand import GripperLogErrors
+from cell.identify.gripper_errors import GripperLogErrors
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify, predict_frames
 from cell.plan.choose import choose, enough_frames

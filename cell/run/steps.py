@@ -28,7 +28,7 @@ from cell.plan.response import time_to_rest_s
 from cell.records.result import Outcome
 from cell.run.candidates import simulate_offsets
 from cell.run.clocks import delay_checks
-from cell.run.correcting import Corrector
+from cell.run.corrector import Corrector
 from cell.run.early_estimate import EarlyEstimator
 from cell.run.filming import capture, film
 from cell.run.findings import Filming, Findings, required

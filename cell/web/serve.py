@@ -17,7 +17,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 
 from calib.store import KINDS
-from cell.calibration import showing
+from cell.calibration import assistants
 from cell.files.input_error import InputError
 from cell.settings import load_settings
 from cell.web import cycles, heartbeat
@@ -260,7 +260,7 @@ def _calibration_routes(app: FastAPI, room: PagesContext) -> None:
         if given is None:
             return Response(status_code=404)
         reports = {*KINDS, *(f"grip.{product}" for product in settings.products)}
-        if name == showing.FILE and (given.folder / name).is_file():
+        if name == assistants.FILE and (given.folder / name).is_file():
             headers = {"cache-control": "no-store"}
             return FileResponse(given.folder / name, headers=headers)
         if name in reports and (given.folder / f"{name}.html").is_file():

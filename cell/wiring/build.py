@@ -41,7 +41,7 @@ from cell.settings.translate import (
 )
 from cell.wiring.emulated import EmulatedCell, runs_already
 from cell.wiring.ownership import owned
-from cell.wiring.shown import SimulatedAssistant
+from cell.wiring.simulated_assistant import SimulatedAssistant
 from cell.wiring.twins import Twins, build_twins
 from drivers.clock import RealClock
 from drivers.emulators.launch import EmulatorError

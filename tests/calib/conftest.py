@@ -7,7 +7,7 @@ import pytest
 
 from calib.board import Board, BoardView
 from calib.lens import Lens
-from cell.wiring.shown import board_poses
+from cell.wiring.simulated_assistant import board_poses
 from drivers.sim.pinhole import Pinhole
 
 SIZE_PX = (1280, 1024)

@@ -11,7 +11,7 @@ import pytest
 
 from calib.board import Board, board_pdf, find_board
 from calib.errors import WrongBoardError
-from cell.wiring.shown import board_patches, photograph_board
+from cell.wiring.simulated_assistant import board_patches, photograph_board
 from drivers.sim.render import RenderOptions
 from tests.calib.conftest import BOARD, lens_of, middle_m
 

@@ -10,7 +10,7 @@ import pytest
 
 from calib.camera import fit_camera, lens_difference, lens_spread
 from calib.errors import BlurredError, MisfitError, OneSidedError, TooFewError
-from cell.wiring.shown import board_poses
+from cell.wiring.simulated_assistant import board_poses
 from tests.calib.conftest import BOARD, SIZE_PX, lens_of, middle_m, standing, views_of
 
 

@@ -19,7 +19,7 @@ from cell.plan import correction
 from cell.plan.correction import Tail
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
-from cell.run import correcting
+from cell.run import corrector
 from cell.run.machine import MachineEvent
 from cell.settings import Settings, load_settings
 from cell.wiring.build import build_cell
@@ -149,7 +149,7 @@ def test_what_cannot_be_explained_is_not_corrected(
 def test_without_the_second_process_it_goes_on_as_it_was(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(correcting, "result_of", lambda job, commands: None)
+    monkeypatch.setattr(corrector, "result_of", lambda job, commands: None)
     result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.outcome is Outcome.INSERTED and result.corrections == ()
 
@@ -307,7 +307,7 @@ def test_a_change_that_came_too_late_is_told_again_for_later(
         result = it.cell.run_cycle(1)
     assert "told 3.0 ms after" in caplog.text
     assert result.corrections is not None and len(result.corrections) == 1
-    early_s, late_s = correcting.DEAD_S
+    early_s, late_s = corrector.DEAD_S
     assert asked[1] - asked[0] == pytest.approx(late_s - early_s)
     assert told[1] - told[0] == pytest.approx(late_s - early_s)
     assert result.corrections[0].from_s == asked[1]

@@ -46,7 +46,7 @@ from cell.calibration.raw import NamedImage, ShownCell, ShownPose
 from cell.settings import load_settings
 from cell.settings.calibrated import CIRCLE_95
 from cell.settings.translate import pose_of
-from cell.wiring.shown import board_patches, board_poses, photograph_board, plumb_line
+from cell.wiring.simulated_assistant import board_patches, board_poses, photograph_board, plumb_line
 from cell.wiring.twins import cable_shape, hidden_cable
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response

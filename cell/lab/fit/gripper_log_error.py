@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.identify.hand import GripperLogErrors, sampled_motions
+from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit
 from cell.study.data import Trial

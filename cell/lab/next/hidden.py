@@ -16,7 +16,7 @@ from cell.cable.model import CableModel
 from cell.cable.wrench import AS_POINTS
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.gaussian import covariance_root
-from cell.identify.hand import GripperLogErrors, sampled_motions
+from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.lab.data.gauges import with_gauges, without_gauges
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.whitening import whiteners_of

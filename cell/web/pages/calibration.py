@@ -196,7 +196,7 @@ class _CalibrationPage:
 
     def _coverage_s(self) -> float:
         """When the picture of the coverage was written, Unix time; 0 = never."""
-        from cell.calibration.showing import FILE
+        from cell.calibration.assistants import FILE
 
         assert self._settings.calibration is not None
         try:

@@ -27,7 +27,7 @@ from cell.calibration.conclude import camera_from, cell_from, doubts_about
 from cell.calibration.grip import views_of as grip_views
 from cell.calibration.raw import NamedImage, ShownCell, ShownPose
 from cell.settings import load_settings
-from cell.wiring.shown import board_patches, board_poses, photograph_board
+from cell.wiring.simulated_assistant import board_patches, board_poses, photograph_board
 from drivers.interfaces import Image, Pose
 from drivers.sim.render import JAW_MARKS_M, Patches, RenderOptions, render
 from tests.calib.conftest import BOARD, SIZE_PX, lens_of, middle_m, standing, views_of

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from cell.calibration import grip
+from cell.calibration.assistants import Operator
 from cell.calibration.session import RestingView
-from cell.calibration.showing import Operator
 from drivers.interfaces import Pose
 
 

@@ -15,7 +15,7 @@ from cell.identify.fit import (
     still_noise,
     variance_inflation,
 )
-from cell.identify.hand import GripperLogErrors
+from cell.identify.gripper_errors import GripperLogErrors
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.identify.whitener import Whitener

@@ -5,7 +5,7 @@ import pytest
 
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
-from cell.cable.hands import GripperMotions
+from cell.cable.gripper_motions import GripperMotions
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Motion
-from cell.identify.hand import GripperLogErrors, sampled_motions
+from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.study.hand_drift import HandDrift
 
 T_S = np.arange(0.0, 1.5, 0.002)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from calib.errors import CalibrationError
-from cell.calibration.showing import Operator
+from cell.calibration.assistants import Operator
 
 
 def test_nobody_at_the_terminal_is_an_error_with_its_remedy() -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.plan import closer
+from cell.plan import refinement
 from cell.plan.choose import Freedom
-from cell.plan.closer import ALIKE_S, MOST
 from cell.plan.paths import insertion_path
+from cell.plan.refinement import ALIKE_S, MOST
 from cell.settings import load_settings
 from cell.wiring.build import cell_task
 from drivers.interfaces import Pose
@@ -77,13 +77,13 @@ def test_a_cable_that_hangs_too_low_is_led_further():
 
 def test_the_coarse_look_promises_what_the_close_one_finds(monkeypatch):
     promised = []
-    widest = closer._widest
+    widest = refinement._widest
 
     def spy(margins_m, *places):
         promised.append(margins_m)
         return widest(margins_m, *places)
 
-    monkeypatch.setattr(closer, "_widest", spy)
+    monkeypatch.setattr(refinement, "_widest", spy)
     settings = narrow(1.0)
     task = free(cell_task(settings))
     cycle = fast_cycle(settings, 7, 5, task=task, only_chosen=True)
@@ -100,10 +100,10 @@ def test_the_coarse_look_promises_what_the_close_one_finds(monkeypatch):
 
 def test_places_between_are_exact_for_a_cubic():
     known = np.linspace(0.0, 0.01, 6)
-    fine, weights = closer._between(known, np.linspace(0.0, 0.01, 11))
+    fine, weights = refinement._between(known, np.linspace(0.0, 0.01, 11))
     assert weights @ known**3 == pytest.approx(fine**3, abs=1e-15)
     assert fine[-1] == pytest.approx(known[-1])
-    one, alone = closer._between(known[:1], known)
+    one, alone = refinement._between(known[:1], known)
     assert (one.tolist(), alone.tolist()) == ([0.0], [[1.0]])
 
 
