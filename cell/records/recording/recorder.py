@@ -256,9 +256,10 @@ class Recorder:
     def _report(self, report: Mapping[str, Any]) -> None:
         path = report["path"]
         if "error" in report:
-            self.note(
-                f"{path} is torn: {report['error']}; `cell recover {path}` reads what is there"
-            )
+            rest = "nothing of it is there any more"
+            if Path(path).parent.exists():
+                rest = f"`cell recover {path}` reads what is there"
+            self.note(f"{path} is torn: {report['error']}; {rest}")
         elif lost := [
             f"{n} {kind}" for kind in ("frames", "messages") if (n := report.get(f"lost_{kind}"))
         ]:

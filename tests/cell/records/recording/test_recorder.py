@@ -12,6 +12,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -361,3 +362,13 @@ def test_a_verification_that_is_killed_is_told_of(tmp_path, monkeypatch):
         report = recording.end(True, True)
     assert "SIGKILL" in report["error"]
     assert recover_in_place(tmp_path / form.PART).messages[form.IMAGE] == 1
+
+
+def test_what_is_gone_is_not_said_to_be_recoverable(tmp_path):
+    """A folder of records that somebody removed in mid-cycle."""
+    notes: list[str] = []
+    recorder = SimpleNamespace(note=notes.append)
+    for folder in (tmp_path, tmp_path / "gone"):
+        Recorder._report(recorder, {"path": str(folder / form.FILE), "error": "no such file"})
+    assert notes[0].endswith(f"`cell recover {tmp_path / form.FILE}` reads what is there")
+    assert notes[1].endswith("no such file; nothing of it is there any more")
