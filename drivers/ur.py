@@ -33,7 +33,8 @@ from drivers.interfaces import (
 )
 from drivers.plane_mount import PlaneMount
 from drivers.ur_child import MODES, ChildOptions
-from drivers.ur_kinematics import MODELS, check_reach, matrices_of, matrix_of
+from drivers.ur_kinematics import MODELS, check_reach
+from drivers.ur_pose import matrices_of, matrix_of
 from drivers.ur_process import ChildProcess, start_child
 from drivers.ur_robot import RobotOptions
 from drivers.ur_shared import COLUMNS, SharedColumn, Slot

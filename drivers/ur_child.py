@@ -27,7 +27,7 @@ import numpy as np
 from drivers.interfaces import ArmMode, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
-from drivers.ur_kinematics import pose_of
+from drivers.ur_pose import pose_of
 from drivers.ur_robot import RefusedError, Robot, RobotOptions
 from drivers.ur_shared import SharedState, Slot
 

@@ -33,7 +33,8 @@ from drivers.interfaces import Pose, Trajectory
 from drivers.plane_mount import PlaneMount
 from drivers.rtde_wire import DASHBOARD_PORT, FAULT_PORT, RTDE_PORT, SCRIPT_PORT
 from drivers.threads import GuardedThread, only_logged
-from drivers.ur_kinematics import MODELS, OutOfReachError, matrix_of
+from drivers.ur_kinematics import MODELS, OutOfReachError
+from drivers.ur_pose import matrix_of
 from drivers.ur_versions import has_dashboard, read_version
 
 #: Interval at which the jaws are asked whether they hold a cable, s.

@@ -14,7 +14,8 @@ from drivers.plane_mount import PlaneMount
 from drivers.sim.camera import CameraTwinOptions, Staging, photograph
 from drivers.sim.render import LightArray
 from drivers.sim.world import SimView
-from drivers.ur_kinematics import MODELS, matrix_of
+from drivers.ur_kinematics import MODELS
+from drivers.ur_pose import matrix_of
 
 _KEPT_S = 0.4  # poses and shapes older than this are forgotten; older pictures are not taken
 _FIRST_POSE_S = 5.0

@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from drivers.interfaces import FloatArray
-from drivers.ur_kinematics import UR5E, UrModel, matrix_of, pose_of
+from drivers.ur_kinematics import UR5E, UrModel
+from drivers.ur_pose import matrix_of, pose_of
 
 #: Where an arm stands at first, unless it is told otherwise.
 HOME_RAD = (0.0, -np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0)

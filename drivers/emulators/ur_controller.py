@@ -14,7 +14,8 @@ import numpy as np
 from drivers.emulators.ur_arm import HOME_RAD, Decelerate, Joints
 from drivers.emulators.ur_script import ControlScript, Effects, Registers, ScriptError
 from drivers.rtde_wire import OUTPUTS, REGISTERS, TYPES, Value
-from drivers.ur_kinematics import UR5E, UrModel, pose_of
+from drivers.ur_kinematics import UR5E, UrModel
+from drivers.ur_pose import pose_of
 
 #: Seconds of one controller cycle.
 CYCLE_S = 0.002

@@ -25,7 +25,8 @@ from drivers.emulators.ur_arm import (
 )
 from drivers.interfaces import FloatArray
 from drivers.rtde_wire import REGISTERS
-from drivers.ur_kinematics import OutOfReachError, matrix_of, pose_of
+from drivers.ur_kinematics import OutOfReachError
+from drivers.ur_pose import matrix_of, pose_of
 
 READY, DONE = 1, 2
 

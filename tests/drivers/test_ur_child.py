@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tempfile
 import time
 
@@ -91,3 +93,10 @@ def test_a_deadline_is_moved_the_shorter_way() -> None:
     assert clock.in_step(there_s + 5e-4) == pytest.approx(there_s + 5e-4 - 2e-5)
     assert clock.in_step(there_s - 5e-4) == pytest.approx(there_s - 5e-4 + 2e-5)
     assert clock.in_step(there_s + 5e-6) == pytest.approx(there_s)
+
+
+def test_the_child_starts_without_the_compiler() -> None:
+    """It takes longer to load than everything else, while the arm is connected."""
+    program = "import sys, drivers.ur_child; print('numba' in sys.modules, 'scipy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout == "False False\n", done.stderr

@@ -8,16 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from drivers.interfaces import LimitError, Trajectory
 from drivers.plane_mount import PlaneMount
-from drivers.ur_kinematics import (
-    MODELS,
-    UR5E,
-    OutOfReachError,
-    _rotation_vector,
-    check_reach,
-    matrices_of,
-    matrix_of,
-    pose_of,
-)
+from drivers.ur_kinematics import MODELS, UR5E, OutOfReachError, _rotation_vector, check_reach
+from drivers.ur_pose import matrices_of, matrix_of, pose_of
 
 READY = np.array([0.3, -1.4, 1.6, -1.8, -1.5, 0.2])
 

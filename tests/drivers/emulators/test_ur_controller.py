@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.emulators.ur_controller import Controller, ControllerOptions, Runtime, Safety
-from drivers.ur_kinematics import pose_of
+from drivers.ur_pose import pose_of
 
 PROGRAM = "global reg_offset_int = # int register offset\n0\n# RTDE Control script - Main loop #"
 

@@ -12,7 +12,7 @@ from drivers.emulators.ur_script import (
     Registers,
     ScriptError,
 )
-from drivers.ur_kinematics import pose_of
+from drivers.ur_pose import pose_of
 
 DT = 0.002
 
