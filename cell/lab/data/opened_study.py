@@ -27,7 +27,7 @@ SWING = 1.545
 STANDS_M = 1e-6
 
 
-#: Wrong values of a hand's log that are told of a column.
+#: Wrong values of a gripper log that are told of a column.
 TOLD = 3
 
 
@@ -63,7 +63,7 @@ def open_study(folder: Path) -> Study:
 
 
 def _left_out(log: Path, grip: Motion) -> list[str]:
-    """Of every column of a hand's log, what values are no motion: how many, where, how large."""
+    """Of every column of a gripper log, what values are no motion: how many, where, how large."""
     notes = []
     splines = dict(zip(("x_m", "y_m", "angle_rad"), grip.splines, strict=True))
     for column, spline in splines.items():

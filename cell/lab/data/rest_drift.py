@@ -1,4 +1,4 @@
-"""Test of a stated start: a cable said to begin in equilibrium that moves before its hand does."""
+"""Test of a stated start: a cable said to be in equilibrium that moves before its gripper does."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ VALUES = 100
 
 @dataclass(frozen=True)
 class RestDrift:
-    """How far a marker moves before the hand does, in what time, and the noise.
+    """How far a marker moves before the gripper does, in what time, and the noise.
 
     bearable  whether the trial tells its initial state: it has the frames, and the course before
-              the hand moves is smooth
+              the gripper moves is smooth
     """
 
     trial: str
@@ -51,7 +51,7 @@ class RestDrift:
 def rest_drifts(study: Study) -> Iterator[RestDrift]:
     """Of every trial that is said to begin in equilibrium and does not.
 
-    Not of one that is let go while the hand rests, which is named when a study is read.
+    Not of one that is let go while the gripper rests, which is named when a study is read.
     """
     for trial in study.trials:
         found = _drift(study, trial) if trial.start == "equilibrium" else None

@@ -1,4 +1,4 @@
-"""The unknown initial state of a trial, fitted with the cable: a hand's release is not logged.
+"""The unknown initial state of a trial, fitted with the cable: a release is not logged.
 
 A cable held straight is let go a few milliseconds before or after the time noted.  One that is
 held bent, or that moves already when the record begins, differs from its equilibrium by a few modes

@@ -1,4 +1,4 @@
-"""What whitens the trials of a study: noise, arc lengths, a hand's drift, tares of gauges."""
+"""What whitens the trials of a study: noise, arc lengths, drift of the log, tares of gauges."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class AllTrialsFit:
 
     @cached_property
     def systematic_error(self) -> SystematicError:
-        """By what the hand's log and the mesh may err."""
+        """By what the gripper log and the mesh may err."""
         return systematic_error(self.prepared, self.fit, fit_trials(self.prepared))
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Errors of the hand's log, as changes of the residuals of a model."""
+"""Errors of the gripper log, as changes of the residuals of a model."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit
 from cell.study.data import Trial
 
-#: Motions of the hand drawn for every trial.
+#: Motions of the gripper drawn for every trial.
 MOTIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class GripperLogError:
-    """Whitened changes of residuals by motions of the hand that are as likely as its log.
+    """Whitened changes of residuals by motions of the gripper that are as likely as its log.
 
     rows  per trial (motions, rows)
     """
@@ -29,7 +29,7 @@ class GripperLogError:
     def inflation(self, changes: Mapping[str, FloatArray]) -> float:
         """Variance of residuals along a direction, over that by noise alone; 1 or more.
 
-        A χ² of noise and hand together is so many times that of noise: what one effect more
+        A χ² of noise and log together is so many times that of noise: what one effect more
         explains along this direction is worth as much less.
         changes  per trial (rows,): the direction
         """
@@ -42,7 +42,7 @@ class GripperLogError:
         return 1.0 + by_hand / (MOTIONS * size)
 
     def square(self, trials: Sequence[Trial]) -> float:
-        """Expected χ² that the hand adds in trials."""
+        """Expected χ² that the log's error adds in trials."""
         return sum(float(np.sum(self.rows[t.name] ** 2)) for t in trials) / MOTIONS
 
     def residual_square(self, trials: Sequence[Trial], fit: Fit) -> float:

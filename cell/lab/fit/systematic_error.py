@@ -1,7 +1,7 @@
-"""Errors of a simulation and of the hand's log, in addition to the noise of the markers.
+"""Errors of a simulation and of the gripper log, in addition to the noise of the markers.
 
 With many frames an effect shows that moves a marker by a thousandth of the noise: far less than the
-mesh and the step of a simulation, or ten micrometres of noise in the hand's log, do.
+mesh and the step of a simulation, or ten micrometres of noise in the gripper log, do.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class SystematicError:
     mesh   (rows,) to what a simulation of twice the segments and half the step leaves, beyond what
            has been taken out of the study
     doubt  (rows,) the same whether taken out or not: a share `LEFT` of it may still be wrong
-    hands  (motions, rows) by other motions of the hand, as likely as its log
+    hands  (motions, rows) by other motions of the gripper, as likely as its log
     ends   (trials,) where the rows of each trial end
     """
 
     mesh: FloatArray
     doubt: FloatArray
-    hands: FloatArray
+    gripper_motions: FloatArray
     ends: NDArray[np.int_]
 
     def by_trial(self, rows: FloatArray) -> list[FloatArray]:
@@ -56,7 +56,7 @@ class SystematicError:
 
     def by_hand(self, answer: FloatArray) -> FloatArray:
         """(p, p) the hands' share of it: each trial's is wrong in its own way."""
-        pairs = zip(self.by_trial(self.hands), self.by_trial(answer), strict=True)
+        pairs = zip(self.by_trial(self.gripper_motions), self.by_trial(answer), strict=True)
         moved = [hands @ rows.T for hands, rows in pairs]
         return np.asarray(sum(m.T @ m for m in moved) / MOTIONS)
 

@@ -35,7 +35,7 @@ class Circumstances:
     independent       values per value of autocorrelated noise
     noise_m           what a right model leaves
     slow        slow values of the trials held out that are looked at; 0 = none
-    by_hand, by_hand_heldout   by which errors of the hand's log inflate a χ² of the effect
+    by_gripper_log, by_gripper_log_heldout  factor by which errors of the log inflate an effect's χ²
     """
 
     library: int

@@ -177,10 +177,12 @@ class LinearStudy:
         return noise_was_seen(self.all_trials.prepared)
 
     def covariance(self, functions: FloatArray) -> FloatArray:
-        """(n, n) of functions (n, rows) of the residual, by noise and the hand's log."""
+        """(n, n) of functions (n, rows) of the residual, by noise and the gripper log."""
         found = functions @ functions.T
         errs = self.all_trials.systematic_error
-        for hands, part in zip(errs.by_trial(errs.hands), errs.by_trial(functions), strict=True):
+        for hands, part in zip(
+            errs.by_trial(errs.gripper_motions), errs.by_trial(functions), strict=True
+        ):
             moved = part @ hands.T
             found = found + moved @ moved.T / MOTIONS
         return np.asarray(found)

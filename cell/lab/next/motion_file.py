@@ -30,7 +30,7 @@ class _Section(BaseModel):
 
 
 class MotionPose(_Section):
-    """Pose of the hand: x and y from the cell's home; the clamp angle itself, 0 = level."""
+    """Pose of the gripper: x and y from the cell's home; the clamp angle itself, 0 = level."""
 
     x_m: Finite
     y_m: Finite
@@ -87,7 +87,7 @@ def load_motion(path: Path, settings: Settings) -> Measuring:
 
 
 def hand_motion(path: Path, home: tuple[float, float]) -> tuple[str, Motion]:
-    """Name of the motion in a YAML file, and the hand's pose against time, in no cell's limits.
+    """Name of the motion in a YAML file, and the gripper's pose against time, in no cell's limits.
 
     home    x and y from which the file's are given, m
     raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy

@@ -20,10 +20,11 @@ from cell.study.hand_drift import HandDrift
 def planned_trials(
     prepared: PreparedStudy, hands: Sequence[tuple[str, Motion]], frame_s: float | None = None
 ) -> tuple[PreparedStudy, tuple[Trial, ...]]:
-    """Trials held out that begin at rest, for motions of the hand with a name each.
+    """Trials held out that begin at rest, for motions of the gripper with a name each.
 
     They show the coordinates that the study's trials show, at their rates, and rows of the wrench
-    if these have any.  The hand is known as exactly as there.  Nothing is lost; what is seen is 0.
+    if these have any.  The gripper's motion is known as exactly as there.  Nothing is lost; every
+    coordinate seen is 0.
 
     frame_s  between pictures; None = as usual in the study
     returns  the study, which knows of these trials' wrenches, and the trials
@@ -42,7 +43,7 @@ def usual_step_s(times_s: Sequence[FloatArray]) -> float:
 
 
 def _planned(study: Study, name: str, hand: Motion, frame_s: float | None) -> Trial:
-    """A trial of which nothing is known but the hand, and what will be seen when."""
+    """A trial of which nothing is known but the gripper's motion, and what will be seen when."""
     step_s = frame_s or usual_step_s([t.markers.t_s for t in study.trials])
     t_s = np.arange(hand.t_s[0] + step_s, hand.t_s[-1], step_s)
     every = _every(study)
@@ -78,7 +79,7 @@ def _wrench(study: Study, frames_s: FloatArray) -> Wrench | None:
 
 
 def _drift(study: Study, hand: Motion) -> HandDrift | None:
-    """Error of the hand's place as in the study's trials, while this hand moves."""
+    """Error of the gripper's place as in the study's trials, while it moves."""
     drifts = [t.hand_drift for t in study.trials if t.hand_drift is not None]
     if not drifts:
         return None
@@ -98,10 +99,10 @@ _NOISE = 1_000_000
 
 
 def with_motions(fits: FitCache, hands: Sequence[tuple[str, Motion]]) -> FitCache:
-    """The study with motions of the hand, each with its name, as further trials held out.
+    """The study with motions of the gripper, each with its name, as further trials held out.
 
-    They begin at rest.  Markers, wrench and hand are measured as in the study, at its usual rates
-    and with its noise, nothing lost.
+    They begin at rest.  Markers, wrench and gripper are measured at the study's usual rates, with
+    its noise, nothing lost.
 
     raises  ValueError: a name that a trial or another motion has; UnsimulatedError
     """

@@ -1,4 +1,4 @@
-"""Strokes of the hand that a cell can make, and a motion of them as a file."""
+"""Strokes of the gripper that a cell can make, and a motion of them as a file."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Stroke:
         )
 
     def motion(self) -> Motion:
-        """The hand's pose against time: still, a fifth-order polynomial, held."""
+        """The gripper's pose against time: still, a fifth-order polynomial, held."""
         t_s = np.arange(0.0, STILL_S + self.duration_s + HOLD_S, 1.0 / RATE_HZ)
         u = np.clip((t_s - STILL_S) / self.duration_s, 0.0, 1.0)
         s = quintic(u)

@@ -36,7 +36,7 @@ _MOST_POINTS = 1500
 def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
     """Shapes of the cable at times from the rest before the motion to the end, side by side.
 
-    All are drawn to one scale, in mm, and where they are; the hand's path and the tip's are grey.
+    All are drawn to one scale, in mm, and where they are; paths of gripper and tip are grey.
     """
     rows = _moments(trial, facts)
     hand = _hand_at(trial)
@@ -92,7 +92,7 @@ def courses(trial: Trial, facts: TrialFacts) -> go.Figure:
 
 
 def swing_figure(facts: TrialFacts) -> go.Figure | None:
-    """Amplitude of the tip by frequency after the hand has stopped; None if that was too short."""
+    """Amplitude of the tip by frequency after the gripper's stop; None if that was too short."""
     spectrum = facts.spectrum
     if spectrum is None or not spectrum.peaks_hz:
         return None

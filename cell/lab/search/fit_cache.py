@@ -186,7 +186,7 @@ class FitCache:
         return gained(self.prepared, small, large, self.gripper_log_error())
 
     def gripper_log_error(self) -> GripperLogError:
-        """What the log of the hand may be wrong by, near the baseline."""
+        """What the gripper log may be wrong by, near the baseline."""
         return gripper_log_error(self.prepared, self.base.fit)
 
     def screened(self, base: FittedModel) -> list[ScreenedEffect]:

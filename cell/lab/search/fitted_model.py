@@ -119,19 +119,19 @@ def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, Fl
 
 
 def gained(
-    prepared: PreparedStudy, small: FittedModel, large: FittedModel, hand: GripperLogError
+    prepared: PreparedStudy, small: FittedModel, large: FittedModel, log_error: GripperLogError
 ) -> Gain:
     """What `large` has over `small`, which lacks one of its effects.
 
-    hand  what the log of the hand may be wrong by: what could be that is worth as much less
+    log_error  what the gripper log may be wrong by: what could be that is worth as much less
     """
     effect = next(e for e in large.effects if e.name not in small.names)
     fall = small.fit.objective - large.fit.objective
-    worth = fall / hand.inflation(_change_fitted(prepared, small, large))
+    worth = fall / log_error.inflation(_change_fitted(prepared, small, large))
     held = 0.0
     if small.heldout and large.heldout:
         held = large.heldout.log_likelihood - small.heldout.log_likelihood
-        held /= hand.inflation(_change_heldout(prepared, small.heldout, large.heldout))
+        held /= log_error.inflation(_change_heldout(prepared, small.heldout, large.heldout))
     return Gain(
         delta_chi2=fall,
         p_value=p_value_of_fall(effect, worth),

@@ -21,7 +21,7 @@ from cell.lab.fit.series import (
 )
 from cell.study.data import Trial
 
-#: The swing is `early` for this long after the hand has stopped, then `late`.
+#: The swing is `early` for this long after the gripper has stopped, then `late`.
 EARLY_SWING_S = 0.3
 PHASES = ("still", "moving", "early swing", "late swing")
 
@@ -136,7 +136,7 @@ def phase_of(trial: Trial) -> NDArray[np.str_]:
 
 
 def _stop_s(motion: Motion) -> float:
-    """When the hand comes to rest for good: the onset of the motion run backwards."""
+    """When the gripper comes to rest for good: the onset of the motion run backwards."""
     t_s = motion.t_s
     mirrored = t_s[0] + t_s[-1]
     backward = Motion(

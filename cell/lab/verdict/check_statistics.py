@@ -48,7 +48,7 @@ def _judged_by_rest(evidence: Evidence) -> bool:
 
 
 def fitted_ratio(evidence: Evidence) -> Reading | None:
-    """Error on the trials fitted to, over that of noise and the hand's log together."""
+    """Error on the trials fitted to, over that of noise and the gripper log together."""
     if not _judged_by_rest(evidence):
         return None
     prepared, fit = evidence.prepared, evidence.final.fit
@@ -92,15 +92,15 @@ def residual_level(evidence: Evidence) -> Reading | None:
         return None
     prepared, final = evidence.prepared, evidence.final
     role: Literal["fit", "validate"] = "fit" if final.heldout is None else "validate"
-    trials, hand = prepared.study.role(role), evidence.fits.gripper_log_error()
+    trials, log_error = prepared.study.role(role), evidence.fits.gripper_log_error()
     if final.heldout is not None:
         chi2, count, rms_m = final.heldout.chi2, final.heldout.count, final.heldout.rms_m
-        by_hand = hand.square(trials)
+        by_log = log_error.square(trials)
     else:
         count = prepared.count(trials) - len(final.fit.q)
         chi2, rms_m = final.fit.chi2, final.fit.rms_m
-        by_hand = hand.residual_square(trials, final.fit)
-    expected = 1.0 + by_hand / count
+        by_log = log_error.residual_square(trials, final.fit)
+    expected = 1.0 + by_log / count
     chi2, rms_m = chi2 / expected, rms_m / float(np.sqrt(expected))
     ratio = max(rms_m / prepared.expected_m(role), float(np.sqrt(chi2 / count)))
     if ratio < evidence.rules.most_over_noise:

@@ -37,7 +37,7 @@ def p_values(
 ) -> dict[str, float] | None:
     """Of each check by name, Holm-corrected; None where a trial cannot be simulated.
 
-    A draw is white noise, and what mesh and hand may be wrong by, less what the parameters imitate.
+    A draw is white noise with errors of mesh and gripper log, less what the parameters imitate.
 
     limit   below which they will be said to fail
     raises  InputError: a statistic fails

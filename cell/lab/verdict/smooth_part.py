@@ -94,7 +94,7 @@ def noise_was_seen(prepared: PreparedStudy) -> bool:
 def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     """The same of a converged mesh, and less what the gripper log may be wrong by.
 
-    To first order: the parameters follow what mesh and hand change in the trials that they were
+    To first order: the parameters follow what mesh and log change in the trials that they were
     fitted to, and what stays of it is seen in those held out.
     """
     seen = smooth_part(prepared, fit)
@@ -121,11 +121,11 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
 
 
 def _each_alone(errors: SystematicError) -> list[FloatArray]:
-    """(motions, rows) by a hand's log that is wrong in one trial, of each of the trials."""
+    """(motions, rows) by a gripper log that is wrong in one trial, of each of the trials."""
     found = []
-    for part in np.split(np.arange(errors.hands.shape[1]), errors.ends[:-1]):
-        alone = np.zeros_like(errors.hands)
-        alone[:, part] = errors.hands[:, part] / np.sqrt(MOTIONS)
+    for part in np.split(np.arange(errors.gripper_motions.shape[1]), errors.ends[:-1]):
+        alone = np.zeros_like(errors.gripper_motions)
+        alone[:, part] = errors.gripper_motions[:, part] / np.sqrt(MOTIONS)
         found.append(alone)
     return found
 

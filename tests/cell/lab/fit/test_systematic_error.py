@@ -41,7 +41,7 @@ def test_most_of_what_a_fit_leaves_without_noise_is_its_mesh(quiet):
     mesh = wrong.mesh - answers @ (answers.T @ wrong.mesh)
     left = fit.solution.residual - answers @ (answers.T @ fit.solution.residual)
     assert np.linalg.norm(left + mesh) < 0.4 * np.linalg.norm(left)
-    assert not np.any(wrong.hands)
+    assert not np.any(wrong.gripper_motions)
 
 
 def test_other_hands_move_a_cable_as_much_as_the_noise_of_the_log_did(quiet):
@@ -54,6 +54,6 @@ def test_other_hands_move_a_cable_as_much_as_the_noise_of_the_log_did(quiet):
         real.append(prepared.all_white(noisy, [fit.model])[0] - there)
     noisy = replace(prepared, study=replace(quiet, trials=tuple(noisy)))
     wrong = systematic_error(noisy, fit, fit_trials(noisy))
-    expected, seen = (np.mean(np.sum(np.square(v), axis=1)) for v in (wrong.hands, real))
+    expected, seen = (np.mean(np.sum(np.square(v), axis=1)) for v in (wrong.gripper_motions, real))
     assert 0.5 < expected / seen < 2.0
     assert wrong.variance(there) > 0.0
