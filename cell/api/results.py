@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.table import TableData
 from cell.identify.identified import Identified
 from cell.lab.data.results import (
@@ -39,7 +39,7 @@ from cell.lab.report.wrench_report import wrenches_table
 from cell.lab.strength.compare import Comparison, comparisons_json
 from cell.lab.strength.kept_model import identified
 from cell.lab.verdict.doubts import interrupted_doubt
-from cell.study.wrench_file import COLUMNS
+from cell.study.wrench import COLUMNS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -217,7 +217,7 @@ def _write_csv(path: Path, heads: Sequence[str], rows: FloatArray) -> Path:
     new = [f for f in (path.parent, path.parent.parent) if not f.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        write_whole(path, "\n".join(lines) + "\n")
+        write_atomic(path, "\n".join(lines) + "\n")
     except OSError:
         with suppress(OSError):
             for folder in new:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calib.board import BoardView
 from calib.errors import CalibrationError
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 
 #: Views of the board.
 BOARD_VIEWS = 20
@@ -116,4 +116,4 @@ def write_coverage(folder: Path, views: Sequence[BoardView], image: NDArray[np.u
     """Write the picture into the folder of the calibration; on a full disk the former one stays."""
     data = cv2.imencode(".jpg", coverage_picture(views, image))[1]
     with suppress(OSError):
-        write_whole(folder / FILE, bytes(data))
+        write_atomic(folder / FILE, bytes(data))

@@ -25,9 +25,9 @@ from cell.calibration.conclude import Drift
 from cell.calibration.measure import Say
 from cell.calibration.report import camera_report, cell_report, grip_report, time_report
 from cell.calibration.session import CalibrationSession, opened
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError, Problem
-from cell.files.rescue import kept, remedy
+from cell.files.rescue import remedy, write_or_rescue
 from cell.settings import Settings
 from cell.settings.calibrated import (
     Calibrated,
@@ -347,11 +347,11 @@ class CalibrationJob:
     def _report(self, kind: str, page: str) -> None:
         path = calibration_file(self._settings, kind).with_suffix(".html")
         self._reports[kind] = path
-        self._keep(path, lambda place: write_whole(place, page))
+        self._keep(path, lambda place: write_atomic(place, page))
 
     def _keep(self, path: Path, write: Callable[[Path], None]) -> None:
         """Write a file of a result; what is wrong with it is one of the shortcomings."""
-        if trouble := kept(path, write):
+        if trouble := write_or_rescue(path, write):
             self._unwritten.append(trouble)
 
 

@@ -63,16 +63,16 @@ class _Commands(typer.core.TyperGroup):
     """
 
     def make_context(self, *given: Any, **named: Any) -> Any:
-        with _ending_told():
+        with _reporting_interruption():
             return super().make_context(*given, **named)
 
     def invoke(self, ctx: Any) -> Any:
-        with _ending_told():
+        with _reporting_interruption():
             return super().invoke(ctx)
 
 
 @contextmanager
-def _ending_told() -> Iterator[None]:
+def _reporting_interruption() -> Iterator[None]:
     """Typer ends without a word."""
     try:
         yield

@@ -71,18 +71,18 @@ def acknowledge(
     """
     from cell.records.folder import acknowledge_record
     from cell.records.ledger.entry import Acknowledgement
-    from cell.records.ledger.ledger import Wanted
+    from cell.records.ledger.ledger import LedgerQuery
     from cell.settings import load_settings
-    from cell.settings.referred import line_of
+    from cell.settings.provenance import line_name
 
     with refusing(), ledger_errors():
         if everything and folders:
             raise ValueError("give folders or --all, not both")
         settings = None if config is None else load_settings(config)
-        line = None if settings is None else line_of(settings)
+        line = None if settings is None else line_name(settings)
         said = Acknowledgement(datetime.now(UTC), by or _user(), note)
         with open_ledger(settings, ledger, create=True, must_exist=True) as listed:
-            wanted = Wanted(line=line, fault="", acknowledged=None if folders else False)
+            wanted = LedgerQuery(line=line, fault="", acknowledged=None if folders else False)
             faults = listed.listed(wanted)
             chosen = faults if everything else faults[-1:]
             if folders:

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from cell.cli.lab import refusing
-from cell.cli.ledger import LedgerPlace, Since, ledger_errors, moment
+from cell.cli.ledger import LedgerPlace, Since, ledger_errors, parse_time
 from cell.cli.shared import AsJson, MaybeConfig, group
 from cell.cli.streams import emit
 
@@ -40,7 +40,7 @@ def actions(
         if ledger is None and config is not None:
             given = load_settings(config).ledger
             place = (given.url if given is not None else None) or place
-        found = listed_actions(place, moment(since, datetime.now(UTC), "--since"), most)
+        found = listed_actions(place, parse_time(since, datetime.now(UTC), "--since"), most)
     if as_json:
         emit(json.dumps([a.to_json() for a in found], indent=2, ensure_ascii=False))
         return

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.cli.given import records_folder
+from cell.cli.arguments import records_folder
 from cell.cli.lab import Force, refusing, working
 from cell.cli.ledger import open_ledger
 from cell.cli.shared import AsJson, MaybeConfig, group
@@ -115,7 +115,7 @@ def _of_program(unreadable: str) -> Iterator[Item]:
 def _of_settings(config: Path | None, settings: Settings | None) -> Iterator[Item]:
     from cell.records.bundle import Item
     from cell.settings.promotion import history_of
-    from cell.settings.referred import files_of
+    from cell.settings.provenance import files_of
 
     if config is None:
         return
@@ -147,15 +147,15 @@ def _of_cycles(runs: Path, named: list[Path], newest: int, recordings: bool) -> 
 def _of_ledger(runs: Path, settings: Settings | None) -> Iterator[Item]:
     """The newest cycles and the faults as the ledger lists them, and what it was not told yet."""
     from cell.records.bundle import Item
-    from cell.records.ledger.error import LedgerError
+    from cell.records.ledger.entry import LedgerError
     from cell.records.ledger.export import csv_text
-    from cell.records.ledger.ledger import Wanted
+    from cell.records.ledger.ledger import LedgerQuery
     from cell.records.ledger.outbox import outbox_of
 
     url = None if settings is None or settings.ledger is None else settings.ledger.url
     try:
         with open_ledger(None, url or str(runs)) as ledger:
-            everything = Wanted()
+            everything = LedgerQuery()
             listed = ledger.listed(everything, _LISTED, estimates=True)
             faults = ledger.faults(everything)
     except LedgerError as error:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.lab import refusing, working
-from cell.cli.result_json import STDOUT, print_result
+from cell.cli.output import STDOUT, print_result
 from cell.cli.shared import (
     ALL_DONE,
     NOT_ALL_DONE,
@@ -162,11 +162,11 @@ def board(
 ) -> None:
     """Write the board as a PDF at full scale, with rulers to check the printout."""
     from calib.board import Board, board_pdf
-    from cell.files.atomic import write_whole
+    from cell.files.atomic import write_atomic
 
     with refusing(out, force=out.suffix.lower() == ".pdf"):
         board = Board(columns, rows, square_mm / 1e3, dictionary=dictionary, legacy=legacy)
-        write_whole(out, board_pdf(board))
+        write_atomic(out, board_pdf(board))
     print(f"{out}: print at 100 %, measure ten squares, put the result in calibration.square_m")
 
 

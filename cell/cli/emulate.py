@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +14,49 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.shared import NOT_ALL_DONE, Config, group, interrupted_once, refuse
-from cell.cli.typed import TypedLines
+
+
+class TypedLines:
+    """Lines of standard input as they come, without waiting for its end.
+
+    A process in the background of a terminal reads nothing, because that would halt it.
+    """
+
+    def __init__(self) -> None:
+        self._begun = b""
+        try:
+            self._descriptor = -1 if sys.stdin is None else sys.stdin.fileno()
+        except (OSError, ValueError):
+            self._descriptor = -1
+
+    def within(self, seconds: float) -> list[str]:
+        """Those that come within a time, without the blanks around them; empty ones are left out.
+
+        It returns with the first that comes.
+        """
+        if self._descriptor < 0 or not self._is_ours():
+            time.sleep(seconds)
+            return []
+        if not select.select([self._descriptor], [], [], seconds)[0]:
+            return []
+        try:
+            new = os.read(self._descriptor, 4096)
+        except OSError:
+            new = b""
+        if not new:  # it has ended, or the terminal is gone
+            self._descriptor = -1
+        *lines, self._begun = (self._begun + new).split(b"\n")
+        words = (line.decode(errors="replace").strip() for line in lines)
+        return [w for w in words if w]
+
+    def _is_ours(self) -> bool:
+        if not os.isatty(self._descriptor):
+            return True
+        try:
+            return os.tcgetpgrp(self._descriptor) == os.getpgrp()
+        except OSError:
+            return False
+
 
 if TYPE_CHECKING:
     from cell.wiring.faults import DeviceFaults
@@ -65,15 +109,15 @@ def emulate(
             typed = TypedLines()
             while os.getppid() == parent:
                 if ended := cell.ended():
-                    _say_ended(ended, config)
+                    _report_ended(ended, config)
                     raise typer.Exit(NOT_ALL_DONE)
                 for line in typed.within(0.2):
-                    _obey(faults, line)
+                    _apply(faults, line)
     except InputError as error:
         refuse(error)
 
 
-def _obey(faults: DeviceFaults, line: str) -> None:
+def _apply(faults: DeviceFaults, line: str) -> None:
     """Do what was typed; what is not understood is said, and changes nothing."""
     from cell.wiring.faults import REPAIR, read_fault
 
@@ -86,7 +130,7 @@ def _obey(faults: DeviceFaults, line: str) -> None:
         print(f"{error}; or {REPAIR}", file=sys.stderr)
 
 
-def _say_ended(ended: Sequence[str], config: Path) -> None:
+def _report_ended(ended: Sequence[str], config: Path) -> None:
     """Name the emulators that have ended, and what to do."""
     verb = "have" if len(ended) > 1 else "has"
     print(

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.delivery import deliver, json_files
-from cell.cli.given import folder_of, maybe_folder_of
+from cell.cli.arguments import folder_of, maybe_folder_of
 from cell.cli.lab import Force, refusing, show, working
-from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
+from cell.cli.output import STDOUT, Json, JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import BAD_INPUT, NOT_ALL_DONE, group, tell_notes
 
 if TYPE_CHECKING:
@@ -113,9 +112,8 @@ def _to_mujoco(
 ) -> None:
     """Write the XML and say how far the tips are apart; ends with 1 beyond the bar."""
     from cell.cable.solver import LanesError
-    from cell.exchange.export import export_to_mujoco
-    from cell.exchange.report import export_parts
-    from cell.files.atomic import write_whole
+    from cell.exchange.export import export_parts, export_to_mujoco
+    from cell.files.atomic import write_atomic
     from cell.files.input_error import InputError
 
     with refusing(), working("export") as progress:
@@ -132,7 +130,7 @@ def _to_mujoco(
         if print_result(data, as_json):
             show(*export_parts(done))
 
-    deliver(printed, (out, partial(write_whole, content=done.xml)), *json_files(data, as_json))
+    deliver(printed, (out, partial(write_atomic, content=done.xml)), *json_files(data, as_json))
     if as_json != STDOUT:
         show(f"written to {out}")
     if not done.within_bar:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.cli.delivery import deliver, json_files
-from cell.cli.given import maybe_folder_of
+from cell.cli.arguments import maybe_folder_of, taking
 from cell.cli.lab import (
     InModel,
     LineModel,
@@ -20,8 +19,7 @@ from cell.cli.lab import (
     show,
     working,
 )
-from cell.cli.options import taking
-from cell.cli.result_json import Json, JsonCommand, print_result
+from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import answering, group, tell_notes
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.given import records_folder
+from cell.cli.arguments import records_folder
 from cell.cli.lab import refusing
 from cell.cli.shared import MaybeConfig, group, refuse
 
@@ -76,7 +76,7 @@ def _settings(config: Path | None) -> tuple[Settings, Handshake, Path]:
 def _carrier(settings: Settings, said: Handshake, config: Path) -> Iterator[Carrier]:
     from cell.plant.handshake.controller import ControllerCarrier
     from cell.plant.handshake.modbus import ModbusCarrier
-    from cell.settings.check_plant import controller_of
+    from cell.settings.check import controller_of
     from cell.wiring.ownership import owned_outputs
 
     if said.carrier == "controller":

@@ -9,13 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.delivery import deliver, json_files
-from cell.cli.given import folder_of
+from cell.cli.arguments import Workers, folder_of, taking, workers
 from cell.cli.lab import Force, refusing, show, working
-from cell.cli.options import taking
-from cell.cli.result_json import Json, JsonCommand, print_result
+from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import NOT_ALL_DONE, group, stoppable, tell_notes
-from cell.cli.workers import Workers, workers
 from cell.files.words import counted
 
 if TYPE_CHECKING:
@@ -164,12 +161,14 @@ def _all(given: _Identify) -> None:
 
     deliver(printed, *json_files(data, given.out, given.as_json))
     if interrupted:
-        print(f"{_left(found)}; the same command goes on with {given.csv}", file=sys.stderr)
+        print(
+            f"{_residual_text(found)}; the same command goes on with {given.csv}", file=sys.stderr
+        )
         raise typer.Exit(interrupted.code)
     if found.outcomes["identified"] < found.done:
         raise typer.Exit(NOT_ALL_DONE)
 
 
-def _left(found: IdentifiedAll) -> str:
+def _residual_text(found: IdentifiedAll) -> str:
     left = found.recordings - found.done
     return f"{left} of {counted(found.recordings, 'recording')} {'is' if left == 1 else 'are'} left"

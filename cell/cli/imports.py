@@ -3,24 +3,94 @@
 from __future__ import annotations
 
 import os
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from cell.cli.delivery import deliver, json_files
-from cell.cli.import_recorded import RecordedImport, film_study, recordings_study
+from cell.cli.arguments import folder_in, taking
 from cell.cli.lab import refusing, show, working
-from cell.cli.options import taking
-from cell.cli.result_json import Json, JsonCommand, print_result
+from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, tell_notes
 from cell.files.overwriting import check_new_study, check_output
 from cell.files.words import counted
 
+
+@dataclass(frozen=True)
+class RecordedImport:
+    """Films or recordings, and where their study is to be.
+
+    hand           of a film: CSV of the hand, t_s, x_m, y_m, angle_rad
+    config         of a film: settings of the cell that filmed it
+    rate_hz        of a film: frames a second; None = as it says
+    first_frame_s  of a film: when it begins on the hand's clock
+    """
+
+    files: tuple[Path, ...]
+    out: Path
+    hand: Path | None
+    config: Path | None
+    rate_hz: float | None
+    first_frame_s: float
+    force: bool
+    as_json: Path | None
+
+
+def film_study(given: RecordedImport) -> NoReturn:
+    """A video of a cable becomes a recording, by the cell's own vision, and that a study."""
+    from cell.settings import load_settings
+    from cell.wiring.filmed import read_film, record_film
+
+    with refusing(), working("import") as progress:
+        if len(given.files) > 1 or given.config is None or given.hand is None:
+            raise ValueError(
+                "a video needs --config and --hand: how the camera sees, and where the hand was; "
+                "give one video at a time"
+            )
+        check_new_study(given.out, force=given.force)
+        film = given.files[0]
+        settings = load_settings(given.config)
+        read = read_film(film, given.hand, given.rate_hz, given.first_frame_s)
+        given.out.mkdir(parents=True, exist_ok=True)
+        recording = given.out / f"{film.stem}.mcap"
+        check_output(recording, force=given.force)
+        record_film(
+            read,
+            settings,
+            given.config,
+            recording,
+            lambda number, step: progress(step.replace("_", " ")),
+        )
+    recordings_study(given, [recording])
+
+
+def recordings_study(given: RecordedImport, recordings: list[Path]) -> NoReturn:
+    """Recordings of this program need no mapping."""
+    from cell.lab.data.merge_studies import merge_into
+
+    with refusing(), working("import"), ExitStack() as stack:
+        check_new_study(given.out, force=given.force)
+        folders = [folder_in(stack.enter_context, recording) for recording in recordings]
+        study, left_out = merge_into(given.out, folders)
+    notes = [*study.notes, *(f"left out: {line}" for line in left_out)]
+    trials = [{"name": t.name, "role": t.role, "start": t.start} for t in study.trials]
+    data = {"format": "cable-imported/1", "study": str(given.out), "trials": trials, "notes": notes}
+
+    def printed() -> None:
+        if print_result(data, given.as_json):
+            tell_notes(notes)
+            trials_said = counted(len(study.trials), "trial")
+            print(f"{given.out}: {trials_said} of {counted(len(recordings), 'recording')}")
+
+    deliver(printed, *json_files(data, given.as_json))
+    raise typer.Exit(ALL_DONE)
+
+
 if TYPE_CHECKING:
     from cell.lab.report.look_page import StudyOverview
-    from cell.study.imports.finding import Finding
+    from cell.study.imports.capture import Finding
     from cell.study.imports.trials import Files
     from cell.study.imports.understand import Understanding
     from cell.terminal.progress import ProgressLine
@@ -136,7 +206,7 @@ def _propose(options: ImportOptions) -> NoReturn:
     from cell.records.recording.form import BEGUN
     from cell.study.imports.mapping import FILE
     from cell.study.imports.mcap_file import metadata_names
-    from cell.study.imports.proposal import mapping_text
+    from cell.study.imports.write import mapping_text
 
     with refusing(), working("import") as progress:
         out = _folder(options)
@@ -163,16 +233,20 @@ def _propose(options: ImportOptions) -> NoReturn:
 
     def printed() -> None:
         if print_result(data, options.as_json):
-            show(*_proposal_lines(look), *_next(mapping_file, preview, command))
+            show(
+                *_proposal_lines(look),
+                f"{preview}: look at it",
+                f"{mapping_file}: check and edit it, then: {command}",
+            )
 
     from functools import partial
 
-    from cell.files.atomic import write_whole
+    from cell.files.atomic import write_atomic
     from cell.files.page import write_page
 
     deliver(
         printed,
-        (mapping_file, lambda path: write_whole(path, text)),
+        (mapping_file, lambda path: write_atomic(path, text)),
         (preview, partial(write_page, look_page(look))),
         *json_files(data, options.as_json),
     )
@@ -257,10 +331,6 @@ def _proposal_lines(look: StudyOverview) -> list[str]:
         if found
         for line in (head, *(f"  {s}" for s in found))
     ]
-
-
-def _next(mapping: Path, preview: Path, command: str) -> list[str]:
-    return [f"{preview}: look at it", f"{mapping}: check and edit it, then: {command}"]
 
 
 def _write(options: ImportOptions) -> NoReturn:

@@ -12,14 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.delivery import deliver, json_files
-from cell.cli.given import folder_of, folders_of
-from cell.cli.options import taking
-from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
+from cell.cli.arguments import Workers, folder_of, folders_of, taking, workers
+from cell.cli.output import STDOUT, Json, JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import BAD_INPUT, NOT_ALL_DONE, answering, group, stoppable, tell_notes
 from cell.cli.streams import OutputClosedError
-from cell.cli.workers import Workers, workers
-from cell.files.overwriting import check_apart, check_output
+from cell.files.overwriting import check_distinct, check_output
 from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
@@ -173,7 +170,7 @@ def compare(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Sought:
+class _CandidateOptions:
     """What is tried in a study."""
 
     effect: EffectOption = None
@@ -193,7 +190,7 @@ class _Sought:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Diagnose(_Sought):
+class _Diagnose(_CandidateOptions):
     """Options of `cell diagnose`."""
 
     studies: Annotated[
@@ -225,7 +222,7 @@ def diagnose(given: _Diagnose) -> None:
     Of several studies, each with a cable of its own, one answer is given, or why there is none.
     """
     if len(given.studies) > 1:
-        _diagnose_together(given)
+        _diagnose_jointly(given)
         return
     (study,) = given.studies
     from cell.api.lab import diagnosed, examined, rules_with, set_up
@@ -251,7 +248,7 @@ def diagnose(given: _Diagnose) -> None:
             examination = examined(fits, rules)
             if STDOUT not in results:
                 said = verdict_line(examination.diagnosis)
-                _say_at_once(said)
+                _print_early(said)
             progress("comparing the models with the trials")
             result = diagnosed(examination, study, every_step=given.report is not None)
         data = result.to_json()
@@ -265,14 +262,14 @@ def diagnose(given: _Diagnose) -> None:
         raise typer.Exit(interrupted.code)
 
 
-def _say_at_once(line: str) -> None:
+def _print_early(line: str) -> None:
     """Print a line before the rest is computed; who reads no more is told when all is printed."""
     with suppress(OutputClosedError, OSError, SystemExit):
         show(line)
         sys.stdout.flush()
 
 
-def _diagnose_together(given: _Diagnose) -> None:
+def _diagnose_jointly(given: _Diagnose) -> None:
     """One answer of several studies."""
     from cell.api.lab import rules_with
     from cell.api.several import found_together
@@ -390,7 +387,7 @@ def discover(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Suggest(_Sought):
+class _Suggest(_CandidateOptions):
     """Options of `cell suggest`."""
 
     study: StudyFolder
@@ -480,7 +477,7 @@ def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]
     """
     try:
         files = [output for output in outputs if output is not None and output != STDOUT]
-        check_apart(files)
+        check_distinct(files)
         for output in files:
             check_output(output, force=force)
         yield
@@ -508,8 +505,8 @@ def show(*parts: str | TableData) -> None:
     """Print texts as they are, and tables of which no number is cut."""
     from rich.console import Console
 
-    from cell.cli.text_table import text_table
     from cell.files.table import TableData
     from cell.terminal.fitting import show as show_on
+    from cell.terminal.fitting import text_table
 
     show_on(Console(), *(text_table(p) if isinstance(p, TableData) else p for p in parts))

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.cli.delivery import Delivery, deliver
+from cell.cli.arguments import taking
 from cell.cli.lab import Force, refusing
-from cell.cli.options import taking
+from cell.cli.output import Delivery, deliver
 from cell.cli.shared import AsJson, MaybeConfig, group
 from cell.cli.streams import emit
 from cell.files.words import counted
@@ -25,7 +25,7 @@ from cell.files.words import counted
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from cell.records.ledger.ledger import Ledger, Wanted
+    from cell.records.ledger.ledger import Ledger, LedgerQuery
     from cell.settings.model import Settings
 
 app = group()
@@ -93,20 +93,22 @@ class HistoryOptions:
         ),
     ] = None
 
-    def wanted(self, now: datetime) -> Wanted:
+    def query(self, now: datetime) -> LedgerQuery:
         """Which cycles are asked for.  Raises ValueError: an option is wrong."""
-        from cell.records.ledger.ledger import Wanted
+        from cell.records.ledger.ledger import LedgerQuery
         from cell.records.past_cycles import UNFINISHED
 
-        since = moment(self.since, now, "--since")
-        until = moment(self.until, now, "--until")
+        since = parse_time(self.since, now, "--since")
+        until = parse_time(self.until, now, "--until")
         if since is not None and until is not None and since >= until:
             raise ValueError(
                 f"--since {self.since} is not before --until {self.until}: no time is between; "
                 "exchange them"
             )
-        outcomes = [UNFINISHED if o == "unfinished" else _known(o) for o in self.outcome or ()]
-        return Wanted(
+        outcomes = [
+            UNFINISHED if o == "unfinished" else _checked_outcome(o) for o in self.outcome or ()
+        ]
+        return LedgerQuery(
             since=since,
             until=until,
             outcomes=tuple(outcomes),
@@ -134,9 +136,9 @@ def history(options: HistoryOptions) -> None:
         if options.faults and options.oee:
             raise ValueError("--faults and --oee are two answers; give one of them")
         now = datetime.now(UTC)
-        wanted = options.wanted(now)
+        wanted = options.query(now)
         with open_ledger(settings, options.ledger, create=bool(options.take_in)) as ledger:
-            taken = [_taken_in(ledger, folder, settings) for folder in options.take_in or ()]
+            taken = [_import_cycles(ledger, folder, settings) for folder in options.take_in or ()]
             data, parts = _answer(ledger, wanted, options, settings, now)
             exported = _exports(ledger, wanted, options)
 
@@ -161,13 +163,13 @@ def _settings(config: Path) -> Settings:
 
 def _answer(
     ledger: Ledger,
-    wanted: Wanted,
+    wanted: LedgerQuery,
     options: HistoryOptions,
     settings: Settings | None,
     now: datetime,
 ) -> tuple[Any, Sequence[RenderableType]]:
     """What is asked for, as plain data and as tables."""
-    from cell.terminal.ledger import cycles_parts, faults_parts, shifts_parts
+    from cell.terminal.past import cycles_parts, faults_parts, shifts_parts
 
     if options.faults:
         counted = ledger.faults(wanted)
@@ -219,15 +221,15 @@ def listed_cycles(settings: Settings, place: str | None, since: str | None) -> l
 
     raises  ValueError: the ledger cannot be read, or there are none
     """
-    from cell.records.ledger.ledger import TELLING, Wanted
+    from cell.records.ledger.ledger import TELLING, LedgerQuery
     from cell.records.result import Outcome
-    from cell.settings.referred import line_of
+    from cell.settings.provenance import line_name
 
     outcomes = (*TELLING, Outcome.MEASURED)
-    wanted = Wanted(
-        since=moment(since, datetime.now(UTC), "--since"),
+    wanted = LedgerQuery(
+        since=parse_time(since, datetime.now(UTC), "--since"),
         outcomes=tuple(o.value for o in outcomes),
-        line=line_of(settings),
+        line=line_name(settings),
         product=settings.product or "",
     )
     with ledger_errors(), open_ledger(settings, place) as ledger:
@@ -247,7 +249,7 @@ def listed_cycles(settings: Settings, place: str | None, since: str | None) -> l
 @contextmanager
 def ledger_errors() -> Iterator[None]:
     """Bad input, to a command that only asks."""
-    from cell.records.ledger.error import LedgerError
+    from cell.records.ledger.entry import LedgerError
 
     try:
         yield
@@ -255,7 +257,7 @@ def ledger_errors() -> Iterator[None]:
         raise ValueError(str(error)) from error
 
 
-def moment(said: str | None, now: datetime, option: str) -> datetime | None:
+def parse_time(said: str | None, now: datetime, option: str) -> datetime | None:
     """A time that was typed; None = none was.
 
     raises  ValueError: it is no time, or one from which on nothing can have been
@@ -282,7 +284,7 @@ def _time(said: str, now: datetime, option: str) -> datetime:
         raise ValueError(message) from error
 
 
-def _known(outcome: str) -> str:
+def _checked_outcome(outcome: str) -> str:
     from cell.records.result import Outcome
 
     if outcome not in set(Outcome):
@@ -291,17 +293,17 @@ def _known(outcome: str) -> str:
     return outcome
 
 
-def _taken_in(ledger: Ledger, folder: Path, settings: Settings | None) -> str:
+def _import_cycles(ledger: Ledger, folder: Path, settings: Settings | None) -> str:
     """Take in the cycles of a folder; what is said of it."""
     from cell.records.ledger.entry import entry_of_folder
-    from cell.settings.referred import line_of
+    from cell.settings.provenance import line_name
 
     if not folder.is_dir():
         raise ValueError(
             f"--import {folder}: is no folder of cycles; give the one that `cell run --out` "
             "wrote to"
         )
-    line = line_of(settings)
+    line = line_name(settings)
     known = {f"{c.line}/{c.folder.name}" for c in ledger.listed(_everything(line))}
     entries = [e for f in sorted(folder.iterdir()) if (e := entry_of_folder(f, line)) is not None]
     new = [e for e in entries if e.uid not in known]
@@ -312,13 +314,13 @@ def _taken_in(ledger: Ledger, folder: Path, settings: Settings | None) -> str:
     )
 
 
-def _everything(line: str) -> Wanted:
-    from cell.records.ledger.ledger import Wanted
+def _everything(line: str) -> LedgerQuery:
+    from cell.records.ledger.ledger import LedgerQuery
 
-    return Wanted(line=line)
+    return LedgerQuery(line=line)
 
 
-def _exports(ledger: Ledger, wanted: Wanted, options: HistoryOptions) -> list[Delivery]:
+def _exports(ledger: Ledger, wanted: LedgerQuery, options: HistoryOptions) -> list[Delivery]:
     """Files that are asked for."""
     from cell.records.ledger.export import need_parquet, write_csv, write_parquet
 

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.delivery import Delivery, deliver
-from cell.cli.given import folder_in
+from cell.cli.arguments import Workers, folder_in, taking, workers
 from cell.cli.lab import refusing, show, working
 from cell.cli.ledger import LedgerPlace, Since, listed_cycles
-from cell.cli.options import taking
+from cell.cli.output import Delivery, deliver
 from cell.cli.shared import (
     ALL_DONE,
     NOT_ALL_DONE,
@@ -28,7 +27,6 @@ from cell.cli.shared import (
     answering,
     group,
 )
-from cell.cli.workers import Workers, workers
 
 if TYPE_CHECKING:
     from cell.api.line import LearnResult
@@ -91,8 +89,8 @@ def learn(options: LearnOptions) -> None:
     from cell.lab.line.candidate import lines_of
     from cell.lab.line.learn import learn as learn_from
     from cell.lab.next.discover import Laws, laws_in
-    from cell.settings.line import other_lines
     from cell.settings.loading import load_product
+    from cell.settings.promotion import other_lines
     from cell.settings.translate import cable_of, identification_of
 
     known: list[LearningResult] = []
@@ -108,7 +106,7 @@ def learn(options: LearnOptions) -> None:
     ):
         settings = load_product(config, options.product)
         cable, identification = cable_of(settings), identification_of(settings)
-        asked = _Asked(options.runs or (), options.ledger, options.since)
+        asked = _CycleSelection(options.runs or (), options.ledger, options.since)
         cycles, left_out = read_cycles(asked.folders(settings, opened), cable, settings.product)
         lines = lines_of(cycles, settings)
         library = select_effects([], own).candidates
@@ -124,7 +122,7 @@ def learn(options: LearnOptions) -> None:
         result = learned.learned
         kept = more.keep(result.best.effects if result.best else ())
         ours = _LineOptions(config, settings.product)
-        again = _again(asked.words(), ours, out, own, laws)
+        again = _command_to_repeat(asked.words(), ours, out, own, laws)
         todo, motion = _asking(result, ours, out, again, progress)
     missed = [f"left out: {line}" for line in learned.left_out]
     for line in (*missed, *other_lines(lines, settings)):
@@ -192,7 +190,7 @@ class _LineOptions:
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _CycleSelection:
     """Of which cycles is learned: those given, and those of the ledger if it is asked."""
 
     given: Sequence[Path]
@@ -214,7 +212,7 @@ class _Asked:
         return [*self.given, *(w for name, value in options if value for w in (name, value))]
 
 
-def _again(
+def _command_to_repeat(
     asked: Sequence[object],
     line: _LineOptions,
     out: Path,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.given import records_folder
+from cell.cli.arguments import records_folder
 from cell.cli.lab import refusing
 from cell.cli.shared import MaybeConfig, group, refuse
 from cell.cli.streams import emit
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cell.plant.mqtt.form import PayloadForm
     from cell.plant.mqtt.outbox import MqttOutbox
     from cell.settings.model import Settings
-    from cell.settings.plant.mqtt import Mqtt
+    from cell.settings.plant import Mqtt
 
 app = group()
 
@@ -50,7 +50,7 @@ def mqtt(
     from cell.terminal.logs import warnings_to_terminal
 
     if schema:
-        from cell.plant.mqtt.schema import schema as of_messages
+        from cell.plant.mqtt.plain_json import schema as of_messages
 
         emit(json.dumps(of_messages(), ensure_ascii=False, indent=2))
         return
@@ -94,13 +94,12 @@ def _settings(config: Path | None) -> tuple[Settings, Mqtt]:
 
 
 def _adapter(settings: Settings, said: Mqtt, runs: Path, outbox: MqttOutbox) -> MqttAdapter:
-    from cell.plant.mqtt.access import password_of, tls_of
-    from cell.plant.mqtt.adapter import Access, MqttAdapter
+    from cell.plant.mqtt.adapter import Access, MqttAdapter, password_of, tls_of
     from cell.plant.mqtt.plain_json import PlainJson
     from cell.plant.mqtt.sparkplug import EdgeNode
-    from cell.settings.referred import line_of
+    from cell.settings.provenance import line_name
 
-    line = said.line or line_of(settings)
+    line = said.line or line_name(settings)
     if set(line) & set("/+#"):
         raise ValueError(f"{line!r} cannot be a part of a topic (/+#); give plant.mqtt.line")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.given import records_folder
+from cell.cli.arguments import records_folder
 from cell.cli.shared import BAD_INPUT, Config, MaybeConfig, group, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
 

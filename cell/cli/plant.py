@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from cell.cli.given import records_folder
+from cell.cli.arguments import records_folder
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, AsJson, Config, MaybeConfig, group, refuse
 from cell.cli.streams import emit
 
@@ -53,7 +53,7 @@ def status(
     from cell.plant.wire import LinkError
 
     line = _line_of(config)
-    client = Client(runs, timeout_s=_ANSWER_S, on_lost=_lost, on_there=_there)
+    client = Client(runs, timeout_s=_ANSWER_S, on_lost=_lost, on_there=_reconnected)
     try:
         now = client.status()
         _check_line(line, now, runs)
@@ -174,10 +174,10 @@ def _line_of(config: Path | None) -> str | None:
         return None
     from cell.files.input_error import InputError
     from cell.settings import load_settings
-    from cell.settings.referred import line_of
+    from cell.settings.provenance import line_name
 
     try:
-        return line_of(load_settings(config))
+        return line_name(load_settings(config))
     except InputError as error:
         refuse(error)
 
@@ -215,7 +215,7 @@ def _lost() -> None:
     print("the cell has ended, or says nothing any more; it is waited for", file=sys.stderr)
 
 
-def _there() -> None:
+def _reconnected() -> None:
     print("the cell is there again", file=sys.stderr)
 
 

@@ -11,19 +11,18 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from cell.cli.making import MadeCell
+from cell.cli.cell_factory import BuiltCell
 from cell.plant.children import Adapters, command_of
 from cell.plant.link import Handler, Link
 from cell.plant.messages import COMMANDS, CommandReply, Request, Status
-from cell.plant.orders import LATCHED, latch, refusal
-from cell.plant.reporter import Reporter
+from cell.plant.reporter import LATCHED, Reporter, latch, refusal
 from cell.plant.service import Service
 from cell.plant.wire import LinkError
 from cell.records.result import Result
 from cell.run.machine import MachineEvent
 from cell.run.plans import Plan
 from cell.settings.model import Settings
-from cell.settings.referred import calibration_hash, line_of
+from cell.settings.provenance import calibration_hash, line_name
 from cell.settings.translate import model_hash
 
 _LOG = logging.getLogger(__name__)
@@ -32,7 +31,7 @@ _LOG = logging.getLogger(__name__)
 class PlantEnd:
     """Lets programs beside a cell look at it and command it, while it runs."""
 
-    def __init__(self, made: MadeCell, runs: Path, settings: Settings) -> None:
+    def __init__(self, made: BuiltCell, runs: Path, settings: Settings) -> None:
         self._made = made
         self._cell = made.cell
         self._runs = runs
@@ -125,7 +124,7 @@ class PlantEnd:
             since_s=time.time(),
             product=self._made.products.usual,
             products=self._made.products.names,
-            line=line_of(self._settings),
+            line=line_name(self._settings),
             model=model_hash(self._settings.model),
             calibration=calibration_hash(self._settings),
             software=version("cable-cell"),

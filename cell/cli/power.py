@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cell.cli.delivery import deliver, json_files
+from cell.cli.arguments import Workers, taking, workers
 from cell.cli.lab import (
     Force,
     Known,
@@ -19,10 +19,8 @@ from cell.cli.lab import (
     show,
     working,
 )
-from cell.cli.options import taking
-from cell.cli.result_json import JsonCommand, print_result
+from cell.cli.output import JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import group, stoppable, tell_notes
-from cell.cli.workers import Workers, workers
 
 app = group()
 

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from cell.cli.delivery import deliver, json_files
+from cell.cli.arguments import taking
 from cell.cli.lab import Force, refusing, working
-from cell.cli.options import taking
-from cell.cli.result_json import Json, JsonCommand, print_result
+from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group
 from cell.files.rescue import why_not_written
 from cell.files.words import counted
@@ -227,7 +226,7 @@ def recover(
     def printed() -> None:
         if print_result(data, as_json):
             for recovered in done:
-                print(_told(recovered))
+                print(_recovered_text(recovered))
             if not done and not failed:
                 print("no torn recording was found")
 
@@ -237,7 +236,7 @@ def recover(
     raise typer.Exit(NOT_ALL_DONE if failed else ALL_DONE)
 
 
-def _told(recovered: Recovered) -> str:
+def _recovered_text(recovered: Recovered) -> str:
     messages = recovered.messages
     frames, poses = messages.get("/camera/image", 0), messages.get("/arm/measured", 0)
     text = f"{recovered.file}: {counted(frames, 'frame')}, {counted(poses, 'pose')}, verified"

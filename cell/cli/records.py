@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from cell.cli.delivery import deliver
-from cell.cli.given import folder_of
+from cell.cli.arguments import folder_of
 from cell.cli.lab import Force, refusing, working
+from cell.cli.output import deliver
 from cell.cli.shared import AsJson, group, refuse
 
 app = group()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.changes import another_model, changes
-from cell.cli.given import records_folder
-from cell.cli.options import taking
+from cell.cli.arguments import records_folder, taking
 from cell.cli.part_ids import SCANNED, part_ids
 from cell.cli.shared import (
     ALL_DONE,
@@ -29,7 +27,13 @@ from cell.cli.shared import (
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:
-    from cell.cli.making import MadeCell, Products
+    from cell.cli.cell_factory import Products
+    from cell.records.result import Result
+    from cell.settings.model import Settings
+
+
+if TYPE_CHECKING:
+    from cell.cli.cell_factory import BuiltCell, Products
     from cell.cli.plant_end import PlantEnd
     from cell.records.result import Result
     from cell.run.plans import Plan
@@ -148,7 +152,7 @@ def run(options: RunOptions) -> None:
     what it holds.  Press u to continue.  A hold never clears a stop.  Ctrl-C stops the arm and
     closes the record.
     """
-    from cell.cli.making import made_cell, products_in
+    from cell.cli.cell_factory import build_cell, products_in
     from cell.cli.plant_end import PlantEnd
     from cell.lab.next.motion_file import load_motion
     from cell.run.plans import INSERTING, measuring
@@ -164,8 +168,8 @@ def run(options: RunOptions) -> None:
     with _refusing_first(results):
         products = products_in(options.config, options.product)
         first = _first(products, options)
-        settings = products.whole if first is None else products.settings[first]
-        known = products.known[first] if first else calibrated(settings, options.config)
+        settings = products.default if first is None else products.settings[first]
+        known = products.calibrations[first] if first else calibrated(settings, options.config)
         motion = options.motion
         plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
         to_file(options.out.with_name(f"{options.out.name}.log"))
@@ -184,7 +188,7 @@ def run(options: RunOptions) -> None:
 
             speed = options.speed if options.dry_run else None
             check_arm_version(settings, options.config, options.out, speed)
-            made = made_cell(
+            made = build_cell(
                 products,
                 first,
                 known,
@@ -197,7 +201,9 @@ def run(options: RunOptions) -> None:
             plant = PlantEnd(made, options.out, settings)
             try:
                 if options.forever:
-                    stopped = plant.serve(plan, partial(_tell, options.as_json), options.config)
+                    stopped = plant.serve(
+                        plan, partial(_print_result, options.as_json), options.config
+                    )
                     raise typer.Exit(NOT_ALL_DONE if stopped else ALL_DONE)
                 shown.enter_context(plant.reachable())
                 if options.dry_run:
@@ -267,7 +273,7 @@ def _refuse_contradictions(options: RunOptions) -> None:
 
 
 def _results(
-    made: MadeCell, plant: PlantEnd, plan: Plan, progress: RunProgress, options: RunOptions
+    made: BuiltCell, plant: PlantEnd, plan: Plan, progress: RunProgress, options: RunOptions
 ) -> Iterator[Result]:
     """Results of one cycle after another, up to the first that fails; keys hold and go on.
 
@@ -299,8 +305,8 @@ def _results(
             plant.reporter.cycle(number, part, product)
             result = cell.run_cycle(number, plan, part)
             plant.reporter.result(result)
-            if not said and (said := another_model(options.config, made.products.whole)):
-                progress.say(said)
+            if not said and (said := another_model(options.config, made.products.default)):
+                progress.print_line(said)
             yield result
             if result.outcome is Outcome.FAILED:
                 return
@@ -317,13 +323,13 @@ def _orders(
         try:
             yield part, products.chosen(options.product, part)
         except ValueError as error:
-            progress.say(f"{error}; no cable is gripped")
+            progress.print_line(f"{error}; no cable is gripped")
             if options.part_id != SCANNED:
                 return
-    progress.say("no more ids are typed: the run ends")
+    progress.print_line("no more ids are typed: the run ends")
 
 
-def _tell(as_json: bool, result: Result) -> None:
+def _print_result(as_json: bool, result: Result) -> None:
     """One cycle of a service, in a line."""
     from cell.terminal.console import troubles
 
@@ -353,3 +359,107 @@ def _show(
     for result in results:
         what = "dry run" if dry_run else "cable"
         show(console, f"{what} {result.cycle}: {result.folder}")
+
+
+def changes(out: Path, results: Sequence[Result], config: Path, products: Products) -> list[str]:
+    """What has changed in the line's cycles, product by product, and what to do; also for a cable
+    that was rejected because the model misses it, and for a promoted model that does worse.
+    """
+    if not products.settings:
+        return _changes(out, results, config, products.default)
+    lines = []
+    for name, settings in products.settings.items():
+        of_it = [r for r in results if r.product == name]
+        lines += [f"{name}: {line}" for line in _changes(out, of_it, config, settings)]
+    return lines
+
+
+def _changes(out: Path, results: Sequence[Result], config: Path, settings: Settings) -> list[str]:
+    from cell.records.changed_model import newest_models, worsenings
+    from cell.records.chart import signals
+    from cell.records.ledger.entry import LedgerError
+    from cell.records.ledger.ledger import Ledger
+    from cell.records.mean_error import mean_error
+    from cell.settings.provenance import line_name
+
+    if not results or results[-1].model is None or settings.ledger is None:
+        return []
+    try:
+        ledger = Ledger(settings.ledger.url or out)
+        history = ledger.results(line_name(settings), settings.product)
+        ledger.close()
+    except LedgerError as error:
+        return [f"whether anything has changed cannot be said: {error}"]
+    of_model = [r for r in history if r.model == results[-1].model]
+    found, common = signals(of_model), mean_error(of_model)
+    lines = [*map(str, found), *([] if common is None else [str(common)])]
+    unforecast = common is not None or any(not s.of_cables for s in found)
+    learn = f"cell learn {out} --config {config}{_of(settings.product)}"
+    if unforecast or any(r.model_misses for r in results):
+        lines.append(f"to learn what the model lacks: {learn}")
+    elif found:
+        lines.append(
+            "each cable is identified anew, so forecasts follow; to test whether the model lacks "
+            f"anything now: {learn}"
+        )
+    worse = worsenings(history)
+    if worse:
+        models = newest_models(history)
+        assert models is not None, "it is worse than another"
+        lines += [*map(str, worse), _demotion_text(config, settings, models)]
+    return lines
+
+
+def another_model(config: Path, settings: Settings) -> str:
+    """That the settings' file has another model by now than this run was begun with; or ""."""
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+
+    try:
+        now, begun = _models(load_settings(config)), _models(settings)
+    except InputError:  # it is being edited: whoever reads it next says what is wrong
+        return ""
+    changed = [name for name, model in begun.items() if now.get(name, model) != model]
+    if not changed:
+        return ""
+    name = changed[0]
+    of = f" for {name}" if name else ""
+    return (
+        f"{config} has another model{of} by now, {now[name]}: the cycles of this run still use "
+        f"{begun[name]}, with which it was begun; end it and run again to use the new one"
+    )
+
+
+def _models(settings: Settings) -> dict[str, str]:
+    """Hash of every product's model, or that without products as of ""."""
+    from cell.settings.loading import products_of
+    from cell.settings.translate import model_hash
+
+    return {n: model_hash(s.model) for n, s in (products_of(settings) or {"": settings}).items()}
+
+
+def _of(product: str | None) -> str:
+    return "" if product is None else f" --product {product}"
+
+
+def _demotion_text(config: Path, settings: Settings, models: tuple[str, str]) -> str:
+    """Take a promoted model back if the settings say so; what was done, or can be.
+
+    models  hashes of the model that does worse, and of the one before it
+    """
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+    from cell.settings.promotion import undo
+
+    if not settings.promotion.withdraw:
+        with suppress(InputError):
+            now = _models(load_settings(config)).get(settings.product or "", models[0])
+            if now != models[0]:
+                return f"{config} has the model {now} by now, not {models[0]}"
+        of = _of(settings.product)
+        return f"to go back to the model before: cell promote --undo --config {config}{of}"
+    try:
+        entry = undo(config, settings.product, meant=models)
+    except InputError as error:
+        return f"the model cannot be taken back: {error}"
+    return f"withdrawn, as promotion.withdraw says: {config} has again the model of {entry}"

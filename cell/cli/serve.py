@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.given import records_folder
+from cell.cli.arguments import records_folder
 from cell.cli.shared import BAD_INPUT, MaybeConfig, group, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
 
@@ -102,20 +102,20 @@ def _serve(config: Path, runs: Path, at: _Address, file: Path) -> None:
 def _room(config: Path, runs: Path, accounts: object) -> PagesContext:
     """What the pages share.  Raises InputError: the settings are wrong."""
     from cell.plant.client import Client
+    from cell.plant.users import Users
     from cell.settings import load_settings
     from cell.web.audit import Audit, audit_file
-    from cell.web.camera import LiveCamera
-    from cell.web.control import Control
-    from cell.web.films import Films
+    from cell.web.camera import Films, LiveCamera
     from cell.web.guided import Guided
-    from cell.web.sessions import Sessions
-    from cell.web.users import Users
+    from cell.web.sessions import Control, Sessions
     from cell.web.visit import PagesContext
     from cell.web.watching import CellWatch
 
     settings = load_settings(config)
     watches: list[CellWatch] = []
-    client = Client(runs, on_lost=lambda: watches[0].lost(), on_there=lambda: watches[0].found())
+    client = Client(
+        runs, on_lost=lambda: watches[0].lost(), on_there=lambda: watches[0].reconnected()
+    )
     watch = CellWatch(client, settings, runs)
     watches.append(watch)
     sessions = Sessions(accounts.named) if isinstance(accounts, Users) else None

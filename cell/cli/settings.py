@@ -51,8 +51,7 @@ def init(
     from cell.files.atomic import write_new
     from cell.files.input_error import InputError
     from cell.settings import Settings, load_settings
-    from cell.settings.commented import commented
-    from cell.settings.starting import answered, questions
+    from cell.settings.starting import answered, commented, questions
 
     if out.exists():
         refuse(ValueError(f"{out}: exists already; give another file with -o, or move it away"))
@@ -60,9 +59,9 @@ def init(
         refuse(ValueError("--real and --emulated: give one of them"))
     kind: CellKind = "real" if real else "emulated" if emulated else "simulated"
     answers: dict[tuple[str, ...], Any] = {}
-    if not yes and _person_is_there():
+    if not yes and _is_interactive():
         for question in questions(kind):
-            answers[question.key] = _asked(kind, question, answers)
+            answers[question.key] = _prompted(kind, question, answers)
     try:
         text = commented(Settings.model_validate(answered(kind, answers)))
     except ValidationError as error:
@@ -174,21 +173,21 @@ def schema() -> None:
     print(json.dumps(Settings.model_json_schema(), indent=2, ensure_ascii=False))
 
 
-def _person_is_there() -> bool:
+def _is_interactive() -> bool:
     """Whether somebody can answer."""
     return sys.stdin.isatty()
 
 
-def _asked(kind: CellKind, question: Question, answers: Mapping[tuple[str, ...], Any]) -> Any:
+def _prompted(kind: CellKind, question: Question, answers: Mapping[tuple[str, ...], Any]) -> Any:
     """A right answer: whoever gives a wrong one is told why, and asked again."""
-    from cell.settings.starting import answer_of, default, wrong_answer
+    from cell.settings.starting import answer_of, answer_problem, default
 
     usual = default(kind, question.key)
     shown = ", ".join(map(str, usual)) if isinstance(usual, list) else str(usual)
     while True:
         text = typer.prompt(question.words, default=shown, type=str)
         answer = usual if text == shown else answer_of(text, usual)
-        wrong = wrong_answer(kind, {**answers, question.key: answer}, question.key)
+        wrong = answer_problem(kind, {**answers, question.key: answer}, question.key)
         if wrong is None:
             return answer
         print(f"{wrong}; answer again", file=sys.stderr)

@@ -84,7 +84,7 @@ def stoppable(stop: Callable[[], None]) -> Iterator[Interruption]:
         given.give(number)
         stop()
 
-    with _heard_by(ask, given):
+    with _interrupting(ask, given):
         yield given
 
 
@@ -114,7 +114,7 @@ def answering() -> Iterator[Interruption]:
 
     former = signal.signal(signal.SIGALRM, raise_outside)
     try:
-        with _heard_by(interrupt, given):
+        with _interrupting(interrupt, given):
             yield given
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -142,7 +142,7 @@ def _is_within(frame: FrameType | None) -> bool:
 
 
 @contextmanager
-def _heard_by(
+def _interrupting(
     handler: Callable[[int, FrameType | None], None], given: Interruption
 ) -> Iterator[None]:
     """Signals that end a command go to a handler; once one was given, no more are heard after.

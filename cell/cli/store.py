@@ -39,7 +39,7 @@ def upload(
     from cell.records.recording.store import RecordingStoreError, Store
     from cell.records.recording.uploads import bring, waiting
     from cell.settings import load_settings
-    from cell.settings.referred import line_of
+    from cell.settings.provenance import line_name
 
     failed = done = 0
     with refusing():
@@ -57,7 +57,7 @@ def upload(
             for number, recording in enumerate(found):
                 progress(str(recording), number, len(found))
                 try:
-                    done += bring(store, recording, line_of(settings), nullcontext) is not None
+                    done += bring(store, recording, line_name(settings), nullcontext) is not None
                 except (RecordingStoreError, OSError) as error:
                     failed += 1
                     print(f"{recording}: {error}", file=sys.stderr)

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.delivery import deliver, json_files
-from cell.cli.given import folder_of, folders_of
+from cell.cli.arguments import folder_of, folders_of
 from cell.cli.lab import Force, refusing, show, working
-from cell.cli.result_json import STDOUT, Json, JsonCommand, print_result
+from cell.cli.output import STDOUT, Json, JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, tell_notes
 from cell.files.overwriting import check_new_study
 from cell.files.words import counted
@@ -130,11 +129,10 @@ def _look(folder: Path) -> StudyOverview:
     from cell.lab.data.opened_study import open_study
     from cell.lab.data.rest_drift import rest_drifts
     from cell.lab.report.look_page import StudyOverview
-    from cell.study.facts import facts_of
+    from cell.study.facts import facts_of, oddities
     from cell.study.folder import study_as_it_is, study_folder
     from cell.study.imports.quality import slips
-    from cell.study.odd import oddities
-    from cell.study.wrench_facts import wrench_facts
+    from cell.study.wrench import wrench_facts
 
     study, problems = study_as_it_is(study_folder(folder))
     notes = list(study.notes)

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.cli.passwords import typed_password
 from cell.cli.shared import MaybeConfig, group, refuse
+
+
+def typed_password() -> str:
+    """Asked for twice at a terminal; elsewhere the first line of the standard input."""
+    if sys.stdin.isatty():
+        return str(typer.prompt("Password", hide_input=True, confirmation_prompt=True))
+    return sys.stdin.readline().rstrip("\r\n")
+
 
 app = group()
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from cell.cable.model import CableModel
-from cell.exchange.chain import Chain, chain_of, resting_bends
-from cell.exchange.expressible import LeftOut, expressible, unseen
+from cell.exchange.chain import Chain, OmittedEffect, chain_of, expressible, resting_bends, unseen
 from cell.exchange.mjcf import mjcf
 from cell.exchange.peer import (
     BAR_M,
@@ -23,6 +22,7 @@ from cell.exchange.peer import (
     engine_tip,
     stroke,
 )
+from cell.files.table import TableData
 
 #: Steps and numbers of links that are tried, the cheapest first.
 STEPS_S = (1e-3, 5e-4, 2.5e-4, 1e-4)
@@ -44,7 +44,7 @@ class Export:
     chain: Chain
     step_s: float
     effects: tuple[str, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[OmittedEffect, ...]
     differences: tuple[TipDifference, ...]
     missing: tuple[TipDifference, ...]
 
@@ -125,7 +125,7 @@ def _notes(
     origin: str,
     chain: Chain,
     effects: Sequence[str],
-    left: Sequence[LeftOut],
+    left: Sequence[OmittedEffect],
     differences: Sequence[TipDifference],
 ) -> list[str]:
     """The comment at the head of the file."""
@@ -147,3 +147,33 @@ def _notes(
             f"Tip in {one.name!r}: {far}, from the engine it was identified with ({reference})."
         )
     return notes
+
+
+def export_parts(done: Export) -> Iterator[TableData | str]:
+    """What is in the chain, what is not, and how far the tips are apart, mm."""
+    yield f"chain: {done.chain.links} links, steps of {done.step_s * 1e3:g} ms"
+    yield f"effects in it: {', '.join(done.effects) or 'none'}"
+    for effect in done.left_out:
+        yield f"left out: {effect.name}: {effect.reason}"
+    yield difference_table(done)
+    if not done.within_bar:
+        yield (
+            f"The tip differs by more than {BAR_M * 1e3:g} mm rms: give more --links, or check the "
+            "model."
+        )
+
+
+def difference_table(done: Export) -> TableData:
+    """Distances of the tips, motion by motion, mm; of the effects left out if there are any."""
+    heads = ["motion", "rms", "at most", *(["rms of what is left out"] if done.missing else [])]
+    rows = []
+    for i, one in enumerate(done.differences):
+        rows.append([one.name, _mm(one.rms_m), _mm(one.most_m)])
+        if done.missing:
+            rows[-1].append(_mm(done.missing[i].rms_m))
+    title = "Tip in MuJoCo, from the engine, mm"
+    return TableData(title, heads, rows, numbers=range(1, len(heads)))
+
+
+def _mm(length_m: float) -> str:
+    return "diverges" if length_m == np.inf else f"{length_m * 1e3:.3f}"

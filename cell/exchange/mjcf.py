@@ -7,6 +7,8 @@ XML reference, `joint/stiffness` (polynomial), `tendon/fixed` (dead band), `opti
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -14,6 +16,42 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Connector
 from cell.exchange.chain import Chain
+
+
+class NoMujocoError(ValueError):
+    """MuJoCo is not installed.  Scenario: `pip install cable-cell` without the extra `mujoco`."""
+
+
+def mujoco_library() -> Any:
+    """The module `mujoco`, whose springs may be polynomials.
+
+    raises  NoMujocoError: it is not installed, or too old
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise NoMujocoError(
+            "MuJoCo is needed for this: pip install 'cable-cell[mujoco]'"
+        ) from error
+    if not hasattr(mujoco.MjModel, "jnt_stiffnesspoly"):
+        raise NoMujocoError(
+            f"MuJoCo {mujoco.__version__} has no polynomial springs; a newer one is needed: "
+            "pip install -U 'cable-cell[mujoco]'"
+        )
+    return mujoco
+
+
+@contextmanager
+def without_log() -> Iterator[None]:
+    """MuJoCo's warnings are not written to MUJOCO_LOG.TXT in the folder where one works."""
+    mujoco = mujoco_library()
+    former = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(former)
+
 
 #: Added inertia of the hand's joints, kg and kg·m²: a cable of a gram then moves it by a billionth
 #: of what its motors do, and their control is the hand's acceleration.

@@ -13,8 +13,7 @@ from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.exchange.chain import Chain, resting_bends
-from cell.exchange.mjcf import mjcf, resting_qpos
-from cell.exchange.mujoco_library import mujoco_library, without_log
+from cell.exchange.mjcf import mjcf, mujoco_library, resting_qpos, without_log
 from cell.plan.measuring import quintic
 from cell.study.data import Study
 

@@ -2,19 +2,114 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
+from xml.parsers import expat
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.exchange.hinge_chain import HingeChain, Spring
-from cell.exchange.mjcf import CURVATURE_LENGTH
-from cell.exchange.mujoco_library import mujoco_library, without_log
-from cell.exchange.xml_lines import element_lines, line_in
+from cell.exchange.mjcf import CURVATURE_LENGTH, mujoco_library, without_log
 from cell.files.input_error import InputError
 from cell.files.text_file import read_text
+
+
+@dataclass(frozen=True, eq=False)
+class Spring:
+    """Of one hinge: a D + b D² + c D³ beyond a dead band, D in rad from it; moments in N·m.
+
+    low_rad, high_rad  ends of the dead band, from the bend free of load
+    """
+
+    low_rad: float
+    high_rad: float
+    coefficients: tuple[float, float, float]
+
+    def __call__(self, angle_rad: FloatArray) -> FloatArray:
+        """Moment that turns the hinge back, N·m, at bends from that free of load, rad."""
+        d = np.where(
+            angle_rad > self.high_rad,
+            angle_rad - self.high_rad,
+            np.minimum(angle_rad - self.low_rad, 0.0),
+        )
+        a, b, c = self.coefficients
+        return np.asarray(d * (a + d * (b + d * c)))
+
+
+@dataclass(frozen=True, eq=False)
+class HingeChain:
+    """What a file says of a chain of n hinges.  SI units; arc lengths from the clamp.
+
+    length_m            of the cable
+    arc_length_m        (n,) of the hinges
+    curvature_length_m  (n,) bend over curvature
+    springs             of every hinge
+    rest_rad            (n,) bends free of load
+    damping_n_m_s       (n,)
+    density_kg_per_m    that has weight
+    lines               (n,) where the hinges stand in the file
+    notes               what of the file is not read
+    """
+
+    length_m: float
+    arc_length_m: FloatArray
+    curvature_length_m: FloatArray
+    springs: tuple[tuple[Spring, ...], ...]
+    rest_rad: FloatArray
+    damping_n_m_s: FloatArray
+    density_kg_per_m: float
+    width_m: float
+    thickness_m: float
+    gravity_m_per_s2: float
+    lines: tuple[int, ...]
+    notes: tuple[str, ...]
+
+
+#: Elements that are joints.
+_JOINTS = ("joint", "freejoint")
+
+
+def element_lines(text: str) -> dict[tuple[str, str], int]:
+    """Lines, from 1, by element and name ('' without one); joints of bodies also by number.
+
+    A joint's number is that in document order, as MuJoCo numbers them: ('#joint', '0').  What
+    stands after a mistake has no lines.
+    """
+    found: dict[tuple[str, str], int] = {}
+    open_elements: list[str] = []
+    count = 0
+
+    def start(element: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        line = parser.CurrentLineNumber
+        inside_body = bool(open_elements) and open_elements[-1] in ("body", "worldbody")
+        if element not in _JOINTS or inside_body:
+            found.setdefault((element, attributes.get("name", "")), line)
+        if element in _JOINTS and inside_body:
+            found[("#joint", str(count))] = line
+            count += 1
+        open_elements.append(element)
+
+    def end(element: str) -> None:
+        open_elements.pop()
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    with suppress(expat.ExpatError):
+        parser.Parse(text, True)
+    return found
+
+
+def line_in(message: str) -> int:
+    """The line that a message of MuJoCo's names; 1 if it names none."""
+    named = re.search(r"\bline(?: number)?[ :=]+(\d+)", message, re.IGNORECASE)
+    return int(named[1]) if named else 1
+
 
 #: A chain of 1000 links in our own words has less.
 MAX_BYTES = 20_000_000
@@ -84,7 +179,7 @@ class _MjcfReader:
                     f"has damping {one:g} N·m·s/rad, must be 0 … {MOST_DAMPING_N_M_S:g}",
                     "mind the units",
                 )
-        self._tell_what_is_not_read(int(m.jnt_bodyid[joints[-1]]))
+        self._note_unread_elements(int(m.jnt_bodyid[joints[-1]]))
         return HingeChain(
             length,
             arc,
@@ -273,7 +368,7 @@ class _MjcfReader:
             float(2.0 * np.abs(across @ turn) @ size),
         )
 
-    def _tell_what_is_not_read(self, last: int) -> None:
+    def _note_unread_elements(self, last: int) -> None:
         """Notes of what the file has beside EI, N, viscosity and the datasheet.
 
         last  body of the last link

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def write_atomic(path: Path, content: str | bytes) -> None:
     """Make `content` the file at `path`, whole or not at all; folders above it are made.
 
     It is written beside the file and then takes its place, so that a reader meets the former file
@@ -48,7 +48,7 @@ def write_all(files: Mapping[Path, str | bytes]) -> None:
 
 
 def write_new(path: Path, content: str | bytes) -> None:
-    """As `write_whole`, but never over a file.  Raises OSError, FileExistsError among them."""
+    """As `write_atomic`, but never over a file.  Raises OSError, FileExistsError among them."""
     part = _part(path)
     try:
         part.write_bytes(_bytes(content))
@@ -82,3 +82,32 @@ def _take_back(parts: list[Path], made: list[Path]) -> None:
     for folder in sorted(made, key=lambda p: -len(p.parts)):
         with suppress(OSError):
             folder.rmdir()
+
+
+def named_folder(folder: Path) -> Path:
+    """The folder by its name: `.` and `..` become what they stand for.
+
+    raises  ValueError: the root of the file system, beside which there is no place; or a file
+    """
+    if folder.is_file():
+        raise ValueError(f"{folder}: is a file; give a folder")
+    named = folder.resolve() if folder.name in ("", "..") else folder
+    if not named.name:
+        raise ValueError(f"{folder}: has no name, and files stand beside it; give another folder")
+    return named
+
+
+def write_secret(path: Path, content: bytes) -> None:
+    """Make `content` the file at `path`, whole or not at all, and readable by its owner only.
+
+    raises  OSError: it cannot be written; nothing has changed
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(content)
+        part.replace(path)
+    finally:
+        with suppress(OSError):
+            part.unlink()

@@ -34,12 +34,12 @@ def check_output(path: Path, *, force: bool | None = None) -> None:
     there = next(p for p in path.absolute().parents if p.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
         raise ValueError(f"{path}: cannot be written, {there} is no folder that may be changed")
-    if path.exists() and not force and (kept := _why_kept(path)):
+    if path.exists() and not force and (kept := _why_protected(path)):
         remedy = "remove it" if force is None else "--force to overwrite it"
         raise ValueError(f"{path}: is there and {kept}; give another name, or {remedy}")
 
 
-def check_apart(paths: Sequence[Path]) -> None:
+def check_distinct(paths: Sequence[Path]) -> None:
     """Whether all of these are files of their own.  Raises ValueError: one would replace another.
 
     Scenario: `--report a.html -o a.html`.
@@ -60,7 +60,7 @@ def check_new_study(folder: Path, *, force: bool = False) -> None:
         )
 
 
-def _why_kept(path: Path) -> str:
+def _why_protected(path: Path) -> str:
     """Why a file is not overwritten unasked; empty = a command wrote it, or nothing is in it."""
     with path.open("rb") as file:
         start = file.read(200)

@@ -19,7 +19,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.figure_style import least_px
 from cell.files.table import TableData
 
@@ -94,4 +94,4 @@ def _environment(*templates: Path) -> Environment:
 
 def write_page(text: str, path: Path) -> None:
     """Write a page, whole or not at all."""
-    write_whole(path, text)
+    write_atomic(path, text)

@@ -42,8 +42,8 @@ def edited(path: Path, text: str, changes: Mapping[Names, Any]) -> str:
     for key, value in changes.items():
         text = _with(path, text, key, value)
         _set(wanted, key, value)
-    if changes and not _says(path, text, wanted):
-        raise _by_hand(path, tuple(changes)[-1])
+    if changes and not _has_value(path, text, wanted):
+        raise _edit_by_hand(path, tuple(changes)[-1])
     return mark + text
 
 
@@ -70,14 +70,14 @@ def _is_empty(node: Node) -> bool:
     return isinstance(node, ScalarNode) and node.style is None and node.value == ""
 
 
-def _says(path: Path, text: str, wanted: Any) -> bool:
+def _has_value(path: Path, text: str, wanted: Any) -> bool:
     try:
         return bool(document_of(text, path).data == wanted)
     except InputError:
         return False
 
 
-def _by_hand(path: Path, key: Names) -> InputError:
+def _edit_by_hand(path: Path, key: Names) -> InputError:
     message = "cannot be changed by itself as it is written here; edit the file"
     return InputError.at(path, message, key=dotted(key))
 
@@ -100,10 +100,10 @@ def _with(path: Path, text: str, key: Names, value: Any) -> str:
     try:
         node: Node | None = YAML(typ="safe", pure=True).compose(text)
     except YAMLError as error:
-        raise _by_hand(path, key) from error
+        raise _edit_by_hand(path, key) from error
     for depth, name in enumerate(key):
         if not isinstance(node, MappingNode):
-            raise _by_hand(path, key)
+            raise _edit_by_hand(path, key)
         pair = next(((k, v) for k, v in node.value if str(k.value) == name), None)
         if pair is None:
             return text if value is UNSET else _added(text, node, key[depth:], value)
@@ -118,7 +118,7 @@ def _with(path: Path, text: str, key: Names, value: Any) -> str:
                 text if value is UNSET else _replaced(text, *pair, _nested(key[depth + 1 :], value))
             )
         node = pair[1]
-    raise _by_hand(path, key)
+    raise _edit_by_hand(path, key)
 
 
 def _nested(key: Names, value: Any) -> Any:

@@ -44,7 +44,9 @@ class Adapters:
         self, commands: Mapping[str, Sequence[str]], told: Callable[[str, str], None]
     ) -> None:
         over = threading.Event()
-        self._kept = [_Kept(name, command, told, over) for name, command in commands.items()]
+        self._kept = [
+            _SupervisedAdapter(name, command, told, over) for name, command in commands.items()
+        ]
         self._over = over
 
     def start(self) -> None:
@@ -65,7 +67,7 @@ class Adapters:
                 ended.callback(kept.end, until_s)
 
 
-class _Kept(GuardedThread):
+class _SupervisedAdapter(GuardedThread):
     """One adapter: a thread that starts it and waits for its end.
 
     Linux ends the child with the thread that started it, so this one lives as long.
@@ -88,22 +90,22 @@ class _Kept(GuardedThread):
         self._troubled = False
 
     def _died(self, error: BaseException) -> None:
-        self._say(f"has ended, and is not started again: {said(error)}; restart the service")
+        self._report(f"has ended, and is not started again: {said(error)}; restart the service")
 
     def _keep(self) -> None:
         pause_s = FIRST_S
         while not self._over.is_set():
-            trouble, lived_s = self._once()
+            trouble, lived_s = self._run_once()
             if self._over.is_set():
                 return
             if lived_s >= WELL_S:
                 pause_s = FIRST_S
             if not self._troubled:
-                self._say(f"has ended: {trouble}; it is started again, at least every minute")
+                self._report(f"has ended: {trouble}; it is started again, at least every minute")
             self._over.wait(pause_s)
             pause_s = min(2.0 * pause_s, LONGEST_S)
 
-    def _once(self) -> tuple[str, float]:
+    def _run_once(self) -> tuple[str, float]:
         """Run it: why it ended, and how long it lived, s."""
         begun_s = time.monotonic()
         with self._lock:
@@ -120,11 +122,11 @@ class _Kept(GuardedThread):
             with suppress(subprocess.TimeoutExpired):
                 process.wait(WELL_S)
             if process.returncode is None:
-                self._say("")
+                self._report("")
         code = process.wait()
         return f"exit code {code}" if code >= 0 else f"signal {-code}", time.monotonic() - begun_s
 
-    def _say(self, trouble: str) -> None:
+    def _report(self, trouble: str) -> None:
         self._troubled = bool(trouble)
         _LOG.warning("adapter %s %s", self._adapter, trouble or "runs again")
         self._told(self._adapter, trouble)

@@ -88,14 +88,14 @@ class Client:
             kept, self._kept = self._kept, None
         if kept is not None:
             try:
-                return self._asked(*kept)
+                return self._request_status(*kept)
             except LinkError as error:
                 if isinstance(error.__cause__, TimeoutError):
                     raise
         stack = ExitStack()  # the cell has ended since; there may be another
-        return self._asked(stack, stack.enter_context(self._conversation()))
+        return self._request_status(stack, stack.enter_context(self._conversation()))
 
-    def _asked(self, stack: ExitStack, talk: _Conversation) -> Status:
+    def _request_status(self, stack: ExitStack, talk: _Conversation) -> Status:
         """The status; the conversation is kept if it is wanted again and none is kept."""
         with stack:
             status = status_of(talk.ask("status", None, "status"))
@@ -150,9 +150,9 @@ class Client:
         """
         with self._conversation() as talk:
             run, sequence = after or (None, None)
-            talk.say("follow", {"run": run, "sequence": sequence})
+            talk.send("follow", {"run": run, "sequence": sequence})
             while True:
-                yield talk.hear_what_happens()
+                yield talk.receive()
 
     def close(self) -> None:
         """End everything that is under way, from any thread; a client is closed for good."""
@@ -208,7 +208,7 @@ class _Conversation:
 
     def begin(self) -> None:
         """Greet each other."""
-        self.say("greeting", {"protocol": PROTOCOL})
+        self.send("greeting", {"protocol": PROTOCOL})
         spoken = self._expect("greeting").get("protocol")
         if spoken != PROTOCOL:
             raise ProtocolError(
@@ -217,14 +217,14 @@ class _Conversation:
 
     def ask(self, kind: str, data: Any, wanted: str) -> Any:
         """Say something; the answer, of the kind that is wanted."""
-        self.say(kind, data)
+        self.send(kind, data)
         return self._expect(wanted)
 
-    def say(self, kind: str, data: Any) -> None:
+    def send(self, kind: str, data: Any) -> None:
         """Send a line."""
         self._socket.sendall(line_of(kind, data))
 
-    def hear_what_happens(self) -> Notice | Status | None:
+    def receive(self) -> Notice | Status | None:
         """The next notice, the status that comes first, or a sign of life; waits for it."""
         self._socket.settimeout(SILENCE_S)
         kind, data = self._line()

@@ -20,8 +20,6 @@ from types import TracebackType
 from typing import Any
 from uuid import uuid4
 
-from cell.plant.connection import Journal
-from cell.plant.folded import possible_in, status_after
 from cell.plant.messages import (
     COMMANDS,
     CommandReply,
@@ -31,7 +29,8 @@ from cell.plant.messages import (
     Status,
     to_json,
 )
-from cell.plant.server import CommandServer
+from cell.plant.server import CommandServer, Journal
+from cell.plant.status_reducer import possible_in, status_after
 from cell.plant.wire import line_of, socket_of
 from cell.run.commands import INTERRUPTING, too_old
 from cell.run.machine import MachineEvent
@@ -111,8 +110,10 @@ class Link:
                 CommandServer(self.path, self.run, self._journal, self.status, self._ask)
             )
             threads = [
-                GuardedThread("link", partial(self._ring, server), lambda _: server.abandon()),
-                GuardedThread("requests", self._obey, lambda _: server.abandon()),
+                GuardedThread(
+                    "link", partial(self._publish_loop, server), lambda _: server.abandon()
+                ),
+                GuardedThread("requests", self._serve_requests, lambda _: server.abandon()),
             ]
             for thread in threads:
                 thread.start()
@@ -152,7 +153,7 @@ class Link:
         seconds[state] = seconds.get(state, 0.0) + now_s - self._since_s
         return seconds
 
-    def _ring(self, server: CommandServer) -> None:
+    def _publish_loop(self, server: CommandServer) -> None:
         """Take in what is published, and let the server send it, much at once."""
         goes_on = True
         while goes_on:
@@ -175,7 +176,7 @@ class Link:
     def _ask(self, request: Request, then: Callable[[CommandReply], None]) -> None:
         self._asked.put((request, then))
 
-    def _obey(self) -> None:
+    def _serve_requests(self) -> None:
         """Let the handler answer one request after another, unless it comes too late."""
         while (asked := self._asked.get()) is not None:
             request, then = asked

@@ -15,10 +15,127 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from cell.plant.connection import CellConnection, Journal, LaggingError
 from cell.plant.messages import PROTOCOL, CommandReply, Request, Status, to_json
-from cell.plant.wire import LinkError, has_unix_sockets, line_of, request_of
+from cell.plant.wire import (
+    HEARTBEAT_S,
+    LONGEST_LINE,
+    LinkError,
+    has_unix_sockets,
+    line_of,
+    read_line,
+    request_of,
+)
 from drivers.threads import GuardedThread, only_logged
+
+#: Notices that are kept for programs that come back.
+MOST_NOTICES = 10_000
+#: So much is taken from the journal at a time, bytes.
+_CHUNK = 1 << 16
+#: A program that does not read that many bytes of answers is disconnected.
+_MOST_UNREAD = 1 << 20
+
+
+class LaggingError(Exception):
+    """A program does not read.  Scenario: it was halted, and 10,000 notices have come since."""
+
+
+class Journal:
+    """The newest notices of a run, as lines; their sequence has no gap."""
+
+    def __init__(self) -> None:
+        self._lines: dict[int, bytes] = {}
+        self.newest = 0
+
+    def add(self, line: bytes) -> None:
+        """Append the next notice; the oldest goes."""
+        self._lines[self.newest + 1] = line
+        self.newest += 1  # now it may be looked for, by another thread
+        self._lines.pop(self.newest - MOST_NOTICES, None)
+
+    def has_all_after(self, sequence: int) -> bool:
+        """Whether it has every notice that came after this one."""
+        return self.newest - len(self._lines) <= sequence <= self.newest
+
+    def after(self, sequence: int) -> bytes:
+        """The line after one that is not the newest.  Raises KeyError: it has gone."""
+        return self._lines[sequence + 1]
+
+
+class CellConnection:
+    """A connected program.  Nothing here waits.
+
+    greeted  whether it has said which version it speaks
+    told     sequence of the newest notice that it got or is about to get; None = it does not follow
+    """
+
+    def __init__(self, connected: socket.socket) -> None:
+        self.socket = connected
+        self.socket.setblocking(False)
+        self.greeted = False
+        self.told: int | None = None
+        self.waits = False
+        self._sent_s = time.monotonic()
+        self._heard = b""
+        self._unsent = bytearray()
+
+    def close(self) -> None:
+        """Disconnect."""
+        self.socket.close()
+
+    def read(self) -> list[tuple[str, Any]]:
+        """What it has said by now.
+
+        raises  ConnectionError: it has gone; ValueError: it does not speak this protocol
+        """
+        try:
+            new = self.socket.recv(_CHUNK)
+        except BlockingIOError:
+            return []
+        if not new:
+            raise ConnectionResetError
+        *lines, self._heard = (self._heard + new).split(b"\n")
+        if len(self._heard) > LONGEST_LINE:
+            raise ValueError(f"a line is longer than {LONGEST_LINE} bytes")
+        return [read_line(line) for line in lines]
+
+    def put(self, line: bytes) -> None:
+        """Tell it something.  Raises LaggingError: it does not read."""
+        if len(self._unsent) > _MOST_UNREAD:
+            raise LaggingError
+        self._unsent += line
+
+    def alive_due_s(self) -> float:
+        """When it is to be told that the cell is alive, on the monotonic clock; inf = never."""
+        if self.told is None or self.waits:
+            return float("inf")
+        return self._sent_s + HEARTBEAT_S
+
+    def write(self, journal: Journal) -> None:
+        """Send what it takes now; `waits` = there is more.
+
+        raises  LaggingError: what comes next has left the journal; OSError: it has gone
+        """
+        self.waits = False
+        while True:
+            self._fill(journal)
+            if not self._unsent:
+                return
+            try:
+                sent = self.socket.send(self._unsent)
+            except BlockingIOError:
+                self.waits = True
+                return
+            del self._unsent[:sent]
+            self._sent_s = time.monotonic()
+
+    def _fill(self, journal: Journal) -> None:
+        while self.told is not None and self.told < journal.newest and len(self._unsent) < _CHUNK:
+            try:
+                self._unsent += journal.after(self.told)
+            except KeyError as error:
+                raise LaggingError from error
+            self.told += 1
+
 
 _LOG = logging.getLogger(__name__)
 
@@ -110,14 +227,14 @@ class CommandServer:
                 elif key.fileobj is self._woken:
                     self._woken.recv(4096)
                 elif events & selectors.EVENT_READ:
-                    self._hear(key.data)
+                    self._receive(key.data)
             while self._answers:
                 connection, answer = self._answers.popleft()
-                self._tell(connection, "answer", to_json(answer))
+                self._put(connection, "answer", to_json(answer))
             now_s = time.monotonic()
             for connection in tuple(self._connections):
                 if connection.alive_due_s() <= now_s:
-                    self._tell(connection, "alive", None)
+                    self._put(connection, "alive", None)
                 self._send(connection)
         for connection in tuple(self._connections):
             self._send(connection)  # what its program can still read
@@ -144,7 +261,7 @@ class CommandServer:
             return
         connection.put(self._greeting)
 
-    def _hear(self, connection: CellConnection) -> None:
+    def _receive(self, connection: CellConnection) -> None:
         try:
             for kind, data in connection.read():
                 if connection in self._connections:
@@ -164,7 +281,7 @@ class CommandServer:
                 raise ValueError(f"{spoken}; update the older of the two programs")
             connection.greeted = True
         elif kind == "status":
-            self._tell(connection, "status", to_json(self._status()))
+            self._put(connection, "status", to_json(self._status()))
         elif kind == "follow":
             self._follow(connection, data)
         elif kind == "request":
@@ -172,7 +289,7 @@ class CommandServer:
                 request = request_of(data)
             except ValueError as error:
                 refused = CommandReply(False, self._status().state, str(error))
-                self._tell(connection, "answer", to_json(refused))
+                self._put(connection, "answer", to_json(refused))
             else:
                 self._ask(request, lambda answer: self._answered(connection, answer))
         else:
@@ -185,17 +302,17 @@ class CommandServer:
             case {"run": status.run, "sequence": int(sequence)} if self._journal.has_all_after(
                 sequence
             ):
-                self._tell(connection, "alive", None)  # at once: it may have nothing else to say
+                self._put(connection, "alive", None)  # at once: it may have nothing else to say
                 connection.told = sequence
             case _:
-                self._tell(connection, "status", to_json(status))
+                self._put(connection, "status", to_json(status))
                 connection.told = status.sequence
 
     def _answered(self, connection: CellConnection, answer: CommandReply) -> None:
         self._answers.append((connection, answer))
         self.wake()
 
-    def _tell(self, connection: CellConnection, kind: str, data: Any) -> None:
+    def _put(self, connection: CellConnection, kind: str, data: Any) -> None:
         try:
             connection.put(line_of(kind, data))
         except LaggingError:
@@ -217,7 +334,7 @@ class CommandServer:
 
     def _refuse(self, connection: CellConnection, reason: str) -> None:
         """Disconnect it, and say why."""
-        self._tell(connection, "refused", reason)
+        self._put(connection, "refused", reason)
         self._send(connection)
         self._drop(connection)
 

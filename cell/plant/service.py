@@ -8,11 +8,10 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from cell.plant.left_behind import Mark, earlier_cycles
 from cell.plant.messages import CommandReply, FaultNotice, Request
-from cell.plant.orders import latch, refusal
-from cell.plant.reporter import Reporter
-from cell.plant.signs_of_life import SignsOfLife
+from cell.plant.reporter import Reporter, latch, refusal
+from cell.plant.systemd import Watchdog
+from cell.plant.unfinished_cycle import Mark, earlier_cycles
 from cell.records.folder import RecordError, acknowledge_record, cycle_of
 from cell.records.result import Result
 from cell.run.commands import InterruptedByCommandError, too_old
@@ -66,7 +65,7 @@ class Service:
         self._plan = plan
         self._products = products or {}
         self._select = select_product
-        self._life = SignsOfLife()
+        self._life = Watchdog()
         self._changed = threading.Condition()
         self._ending = threading.Event()
         self._over = threading.Event()
@@ -88,8 +87,8 @@ class Service:
             reporter.state(CellState.STOPPED)
             reporter.fault(fault)
         # whether it resets by itself when it begins: nothing waits for a person's word
-        self._fresh = not self._open
-        cell.machine.on_change = self._told
+        self._never_ran = not self._open
+        cell.machine.on_change = self._on_state
 
     # --- the link's threads -------------------------------------------------------------------
 
@@ -154,7 +153,7 @@ class Service:
             self._acknowledge(request)
             note = ""  # it is the acknowledgement's
         if command is MachineEvent.RESET:
-            self._fresh = False
+            self._never_ran = False
             self._begins = request
             self._cell.reset(request.by, note)
         return CommandReply(True, machine.state)
@@ -162,7 +161,7 @@ class Service:
     def _aborted(self, answer: CommandReply) -> CommandReply:
         """Into Aborted from Stopped: no cycle obeys it there, and a reset would take it back."""
         machine = self._cell.machine
-        if machine.state is not CellState.STOPPED or self._fresh:  # else a cycle obeys it
+        if machine.state is not CellState.STOPPED or self._never_ran:  # else a cycle obeys it
             return answer
         try:
             self._cell.check()
@@ -209,13 +208,13 @@ class Service:
 
     def run(self, told: Callable[[Result], None]) -> None:
         """Serve until `end`; `told` gets every result.  Raises RecordError; KeyboardInterrupt."""
-        tending = GuardedThread("tend", self._tend, self._untended)
+        tending = GuardedThread("tend", self._watchdog_loop, self._watchdog_died)
         tending.start()
         self._life.notifier.ready()
         try:
             while not self._ending.is_set():
-                self._select_wanted(tell=True)
-                if self._waits_for_person():
+                self._select_product(tell=True)
+                if self._wait_for_operator():
                     continue
                 result = self._prepared() or self._idle()
                 if result is not None:
@@ -225,14 +224,16 @@ class Service:
             self._over.set()
             tending.join()
 
-    def _waits_for_person(self) -> bool:
+    def _wait_for_operator(self) -> bool:
         """Wait while a person has to say something first; whether that was so."""
         with self._changed:
             state = self._cell.machine.state
-            if state is not CellState.ABORTED and (state is not CellState.STOPPED or self._fresh):
+            if state is not CellState.ABORTED and (
+                state is not CellState.STOPPED or self._never_ran
+            ):
                 return False
         while self._cell.machine.state is state and not self._ending.is_set():
-            self._wait_a_moment()
+            self._wait_briefly()
         return True
 
     def _prepared(self) -> Result | None:
@@ -240,7 +241,7 @@ class Service:
         self._mark.leave("the program or the computer ended while the cell was made ready")
         self._stop_if_late()
         with self._changed:  # a person may send a reset, too
-            self._fresh = False
+            self._never_ran = False
             if self._cell.machine.state is not CellState.RESETTING:
                 self._cell.machine.send(MachineEvent.RESET)
         result = self._cell.prepare(self._number, self._plan)
@@ -254,7 +255,7 @@ class Service:
                 self._cell.check()
                 if self._ending.is_set():
                     return None
-                self._wait_a_moment()
+                self._wait_briefly()
         except (InterruptedByCommandError, DeviceError) as error:
             # before anybody is told: the service may be killed at once
             self._mark.leave(str(error))
@@ -263,7 +264,7 @@ class Service:
                     return self._cell.leave_idle(error)
             self._mark.remove()  # a start came first: its cycle obeys what was given
         self._stop_if_late()
-        self._select_wanted(tell=False)  # as the start has told
+        self._select_product(tell=False)  # as the start has told
         return self._cell.run_prepared(self._part)
 
     def _stop_if_late(self) -> None:
@@ -291,7 +292,7 @@ class Service:
         if recorded:
             told(result)
 
-    def _select_wanted(self, *, tell: bool) -> None:
+    def _select_product(self, *, tell: bool) -> None:
         with self._changed:
             wanted, self._wanted = self._wanted, None
         if wanted is not None and wanted != self._product:
@@ -300,7 +301,7 @@ class Service:
             if tell:
                 self._reporter.product(wanted)
 
-    def _wait_a_moment(self) -> None:
+    def _wait_briefly(self) -> None:
         self._life.waiting()
         with self._changed:
             self._changed.wait(_LOOK_S)
@@ -312,22 +313,22 @@ class Service:
         self._life.step()
         self._reporter.step(number, step)
 
-    def _told(self, state: CellState) -> None:
+    def _on_state(self, state: CellState) -> None:
         self._life.step()
         if state is CellState.IDLE:  # before anybody is told: the service may be killed at once
             self._mark.remove()
         self._reporter.state(state)
         self._life.notifier.status(f"{state.value}, cycle {self._number}")
 
-    def _untended(self, error: BaseException) -> None:
+    def _watchdog_died(self, error: BaseException) -> None:
         """Systemd would kill the service in the middle of a motion: it stops and ends itself."""
         self._cell.command(MachineEvent.STOP, f"nobody tells that the service lives: {said(error)}")
         self._ending.set()
 
-    def _tend(self) -> None:
+    def _watchdog_loop(self) -> None:
         """Tell systemd that the service lives, and end a pause when the service is to end."""
         while not self._over.wait(_LOOK_S):
             paused = self._cell.machine.state in _UNHURRIED
-            self._life.tell(paused=paused)
+            self._life.notify(paused=paused)
             if self._ending.is_set() and paused:
                 self._cell.command(MachineEvent.STOP, "the service ends")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 
-from cell.files.secret_file import write_secret
+from cell.files.atomic import write_secret
 
 _Row = Mapping[str, str]
 
@@ -89,7 +89,7 @@ class Users:
         row = self._read().get(name)
         return None if row is None else User(name, Role[row["role"]])
 
-    def known(self, name: str, password: str) -> User | None:
+    def authenticate(self, name: str, password: str) -> User | None:
         """The user, if the password is right; else None, after the same time."""
         from argon2 import PasswordHasher
         from argon2.exceptions import Argon2Error, InvalidHashError

@@ -96,17 +96,17 @@ def read_line(line: bytes) -> tuple[str, Any]:
 
 def notice_of(data: Mapping[str, Any]) -> Notice:
     """Back from JSON.  Raises KeyError, TypeError, ValueError: not a notice."""
-    return Notice(**{**_known(Notice, data), "kind": MessageKind(data["kind"])})
+    return Notice(**{**_known_fields(Notice, data), "kind": MessageKind(data["kind"])})
 
 
 def answer_of(data: Mapping[str, Any]) -> CommandReply:
     """Back from JSON.  Raises KeyError, TypeError, ValueError: not an answer."""
-    return CommandReply(**{**_known(CommandReply, data), "state": CellState(data["state"])})
+    return CommandReply(**{**_known_fields(CommandReply, data), "state": CellState(data["state"])})
 
 
 def status_of(data: Mapping[str, Any]) -> Status:
     """Back from JSON.  Raises KeyError, TypeError, ValueError: not a status."""
-    known = _known(Status, data)
+    known = _known_fields(Status, data)
     known |= {
         "state": CellState(data["state"]),
         "mode": Mode(data["mode"]),
@@ -120,7 +120,7 @@ def status_of(data: Mapping[str, Any]) -> Status:
 
 def fault_of(data: Mapping[str, Any]) -> FaultNotice:
     """Back from JSON.  Raises TypeError: not a fault."""
-    return FaultNotice(**_known(FaultNotice, data))
+    return FaultNotice(**_known_fields(FaultNotice, data))
 
 
 def request_of(data: Any) -> Request:
@@ -130,7 +130,7 @@ def request_of(data: Any) -> Request:
     """
     if not isinstance(data, dict):
         raise ValueError("a request is an object")
-    known = _known(Request, data)
+    known = _known_fields(Request, data)
     asked_s = known.pop("asked_s", None)
     if type(asked_s) not in (int, float) or not math.isfinite(asked_s):
         raise ValueError("asked_s is missing: when it was asked, on the monotonic clock, s")
@@ -138,7 +138,7 @@ def request_of(data: Any) -> Request:
         wanted = str if name in ("by", "note") else str | None
         if not isinstance(value, wanted) or len(value or "") > LONGEST_TEXT:
             raise ValueError(f"{name} is no text of at most {LONGEST_TEXT} characters")
-        if not _is_whole(value or ""):
+        if not _is_valid_unicode(value or ""):
             raise ValueError(f"{name} is no text: it has half a character, {value!a}")
     if not known.get("by"):
         raise ValueError("by is missing: who asks")
@@ -150,11 +150,11 @@ def request_of(data: Any) -> Request:
     )
 
 
-def _is_whole(text: str) -> bool:
+def _is_valid_unicode(text: str) -> bool:
     """Whether a text can be told on and kept; JSON may hold one half of a pair alone."""
     return not any("\ud800" <= character <= "\udfff" for character in text)
 
 
-def _known(kind: type[Any], data: Mapping[str, Any]) -> dict[str, Any]:
+def _known_fields(kind: type[Any], data: Mapping[str, Any]) -> dict[str, Any]:
     """What this version knows; a newer one may say more."""
     return {f.name: data[f.name] for f in fields(kind) if f.name in data}

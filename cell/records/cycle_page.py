@@ -138,7 +138,7 @@ def _strip(recording: Recording) -> list[PagePicture]:
     chosen = set(np.linspace(0, count - 1, min(STRIP, count)).round().astype(int).tolist())
     shown = []
     first_s: float | None = None
-    for number, (frame, points) in enumerate(recording.frames_seen()):
+    for number, (frame, points) in enumerate(recording.detections()):
         first_s = frame.t_s if first_s is None else first_s
         if number not in chosen:
             continue

@@ -27,7 +27,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError
 from cell.files.text_file import read_json_object
 from cell.files.yaml_document import yaml_text
@@ -64,7 +64,7 @@ class Record:
         self._reserve = self.folder / _RESERVE
         with self._told():
             self.folder.mkdir(parents=True)
-            write_whole(self._reserve, bytes(RESERVE_BYTES))
+            write_atomic(self._reserve, bytes(RESERVE_BYTES))
         at = started.astimezone(UTC).isoformat()
         self._state: dict[str, Any] = {"format": FORMAT, "cycle": cycle, "closed": False}
         self._state["started"] = at
@@ -127,7 +127,7 @@ class Record:
 
     def _write(self, name: str, content: str | bytes) -> None:
         with self._told():
-            write_whole(self.folder / name, content)
+            write_atomic(self.folder / name, content)
 
     @contextmanager
     def _told(self) -> Iterator[None]:
@@ -187,7 +187,7 @@ def acknowledge_record(folder: Path, by: str, note: str) -> None:
         except InputError:
             path.replace(path.with_name(f"{path.name}.unreadable"))
         state["acknowledged"] = {"by": by, "note": note}
-        write_whole(path, _json(state))
+        write_atomic(path, _json(state))
     except OSError as error:
         raise RecordError(f"the record cannot be written: {error.strerror}: {path}") from error
 

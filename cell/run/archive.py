@@ -19,12 +19,12 @@ from cell.identify.identified import Identified
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry, entry_of_folder, estimates_of
 from cell.records.recording import form
 from cell.records.recording.retention import Retention
+from cell.records.recording.unpack import study_to_plain
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import FilmedMotion, Findings
 from cell.run.station import ProductTask, Station
 from cell.study.data import Study
-from cell.study.plain import study_to_plain
 
 #: Versions on which the last digit of a result may depend.
 _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
@@ -44,7 +44,7 @@ class EventSink(Protocol):
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
         """A message of a JSON topic."""
 
-    def seen(self, t_s: Sequence[float], points_px: FloatArray) -> None:
+    def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
         """The cable as it was seen in frames."""
 
     def end(self, keep: bool = True) -> None:
@@ -191,7 +191,7 @@ class CycleRecording:
         assert self._recording is not None
         nodes_m = np.array([sighting.nodes_m for sighting in filmed.sightings])
         points_px = station.task.view.to_pixels(nodes_m)
-        self._recording.recorder.seen([s.t_s for s in filmed.sightings], points_px)
+        self._recording.recorder.add_detections([s.t_s for s in filmed.sightings], points_px)
 
 
 def decision_of(findings: Findings) -> dict[str, Any]:

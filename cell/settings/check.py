@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -9,11 +10,12 @@ from scipy.special import ndtri
 
 from cell.cable.geometry import Cable
 from cell.files.input_error import Problem, did_you_mean
+from cell.files.words import counted
 from cell.files.yaml_document import Document, Key
-from cell.settings.check_film import film_problems
-from cell.settings.check_plant import plant_problems
+from cell.identify.noise import FEWEST_STILL_FRAMES
 from cell.settings.devices import OpenCvCameraSettings, SerialGripperSettings, UrArmSettings
 from cell.settings.model import REPEATABILITY_M, Settings
+from cell.settings.plant import Handshake
 
 #: Where an emulated camera may stream from.
 STREAM = re.compile(r"tcp://(127(?:\.\d{1,3}){3}):(\d{1,5})")
@@ -58,7 +60,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
     problems = [
         *_cable(document, settings),
         *_offsets(document, settings),
-        *_hand_within_limits(document, settings),
+        *_poses_within_limits(document, settings),
         *_brisker_than_limits(document, settings),
         *_devices(document, settings),
         *film_problems(document, settings),
@@ -97,7 +99,7 @@ def _offsets(document: Document, settings: Settings) -> list[Problem]:
     return []
 
 
-def _hand_within_limits(document: Document, settings: Settings) -> list[Problem]:
+def _poses_within_limits(document: Document, settings: Settings) -> list[Problem]:
     """Home, the lowest and the leftmost place of the hand, each against the cell's limits."""
     motion, limits, home = settings.motion, settings.limits, settings.motion.home
     lowered_m = home.y_m - motion.lower_m
@@ -356,3 +358,62 @@ def _wide_enough(document: Document, settings: Settings) -> list[Problem]:
             )
             problems.append(document.problem(("destination", name), message))
     return problems
+
+
+#: Frames of a swing; one is identified from some hundred.
+MAX_FRAMES = 5_000
+
+
+def film_problems(document: Document, settings: Settings) -> list[Problem]:
+    """What of times and frame rate lets no cable be identified, or too slowly."""
+    camera, motion = settings.camera, settings.motion
+    rate_hz = camera.frame_rate_hz
+    problems = []
+    at_rest = int(motion.still_s * rate_hz + 1e-9)
+    if at_rest < FEWEST_STILL_FRAMES:
+        least_s = math.ceil(100.0 * FEWEST_STILL_FRAMES / rate_hz) / 100.0
+        message = (
+            f"{motion.still_s:g} s at {rate_hz:g} Hz makes {counted(at_rest, 'frame')} of "
+            "the cable at rest; "
+            f"its noise is known from {FEWEST_STILL_FRAMES} or more, and without them every cable "
+            f"is rejected: give {least_s:g} s or more"
+        )
+        problems.append(document.problem(("motion", "still_s"), message))
+    longest_s = motion.longest_hold_s
+    frames = (motion.still_s + motion.lower_s + longest_s) * rate_hz
+    if frames > MAX_FRAMES:
+        message = (
+            f"{longest_s:g} s at {rate_hz:g} Hz makes {frames:.0f} frames of a swing, limit "
+            f"{MAX_FRAMES}; hold for a shorter time or film at a lower rate"
+        )
+        key: Key = ("hold_s",) if motion.hold is None else ("hold", "most_s")
+        problems.append(document.problem(("motion", *key), message))
+    exposure_s = getattr(camera, "exposure_s", None) or 0.0
+    if exposure_s > 1.0 / rate_hz:
+        message = f"{exposure_s:g} s is longer than a frame at {rate_hz:g} Hz"
+        problems.append(document.problem(("camera", "exposure_s"), message))
+    return problems
+
+
+def plant_problems(document: Document, settings: Settings) -> list[Problem]:
+    """Entries of the section `plant` that contradict others."""
+    handshake = _handshake(settings)
+    if handshake is None or handshake.carrier != "controller" or controller_of(settings):
+        return []
+    message = (
+        f"is missing: arm.kind is {settings.arm.kind!r}, so say which UR controller has the inputs "
+        "and outputs"
+    )
+    return [document.problem(("plant", "handshake", "host"), message)]
+
+
+def controller_of(settings: Settings) -> str | None:
+    """Address of the controller with the signals of the handshake; None = there is none."""
+    handshake = _handshake(settings)
+    if handshake is not None and handshake.host is not None:
+        return handshake.host
+    return settings.arm.host if isinstance(settings.arm, UrArmSettings) else None
+
+
+def _handshake(settings: Settings) -> Handshake | None:
+    return None if settings.plant is None else settings.plant.handshake

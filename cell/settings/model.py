@@ -36,8 +36,35 @@ from cell.settings.section import (
     Wait,
     increasing,
 )
-from cell.settings.workers import Workers
 from cell.settings.world import Emulated, WorldSettings
+from cell.workers.executor import place
+
+
+def scheduler(address: str) -> str:
+    """The address itself.  Raises ValueError: it is none."""
+    if not isinstance(place(address), str):
+        raise ValueError(f"{address!r} is no address of a scheduler; give tcp://host:8786")
+    return address
+
+
+class Workers(Section):
+    """Where many independent fits are done: on a cluster, or on cores of this computer."""
+
+    cluster: Annotated[str, AfterValidator(scheduler)] | None = None
+    """Address of a Dask scheduler, tcp://host:8786; null = this computer."""
+    cores: Annotated[int, Field(ge=1, le=1024)] | None = None
+    """Of this computer; null = all."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Workers:
+        if self.cluster is not None and self.cores is not None:
+            raise ValueError("has both `cluster` and `cores`; leave one out")
+        return self
+
+    @property
+    def place(self) -> str | int | None:
+        """Address or number of cores; None = all cores."""
+        return self.cluster if self.cluster is not None else self.cores
 
 
 class CableSettings(Section):
@@ -285,7 +312,7 @@ class Promotion(Section):
     """Whether it is taken back by itself, as by `cell promote --undo`; it is reported anyway."""
 
 
-def _told_apart(discs_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+def _distinguishable(discs_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
     from cell.vision.marks import JawMarks  # takes its time, and hardly anybody has other discs
 
     JawMarks(discs_m)
@@ -293,7 +320,9 @@ def _told_apart(discs_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, 
 
 
 Discs = Annotated[
-    tuple[tuple[Place, Place], ...], Field(min_length=3, max_length=12), AfterValidator(_told_apart)
+    tuple[tuple[Place, Place], ...],
+    Field(min_length=3, max_length=12),
+    AfterValidator(_distinguishable),
 ]
 
 

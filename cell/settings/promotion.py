@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterator
+import threading
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,87 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
-from cell.files.atomic import write_whole
+from calib.store import CalibrationFileError, load
+from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, document_of, read_yaml, validate, yaml_text
 from cell.files.yaml_edit import last_line
-from cell.settings.line import differences, line_of
+from cell.settings.calibrated import calibration_file, devices_of
 from cell.settings.loading import for_product, load_product, load_settings, settings_of
 from cell.settings.model import ModelSettings, Settings
 from cell.settings.translate import model_hash
+
+#: How fast a simulated world runs, and how finely, is not a property of its cables.
+PACE = ("real_time_factor", "segments")
+#: Calibrations of a line; those that were not made are left out.
+CALIBRATIONS = ("camera", "cell", "time", "grip")
+#: Differences that are told.
+TOLD = 3
+_MADE = "made"
+
+
+def line_identity(settings: Settings) -> dict[str, Any]:
+    """Data sheet, camera, arm, calibration and simulated world of a line, as plain data.
+
+    A calibration that was made is told by its dates: it is made anew, on the same line.  What is
+    typed instead is told by its numbers.
+    """
+    plain = settings.model_dump(mode="json", include={"cable", "camera", "arm", "world"})
+    world = {name: value for name, value in plain["world"].items() if name not in PACE}
+    return {
+        "cable": plain["cable"],
+        "devices": dict(devices_of(settings)),
+        "calibration": _calibration(settings, plain),
+        "world": world,
+    }
+
+
+def _calibration(settings: Settings, plain: Mapping[str, Any]) -> dict[str, Any]:
+    if settings.calibration is None:
+        camera, arm = plain["camera"], plain["arm"]
+        view, latency_s = camera.get("view"), camera.get("latency_s", 0.0)
+        return {"typed": {"view": view, "latency_s": latency_s, "lag_s": arm.get("lag_s")}}
+    made = {}
+    for kind in CALIBRATIONS:
+        try:
+            made[kind] = load(calibration_file(settings, kind), kind).made.isoformat()
+        except CalibrationFileError:  # whoever needs it says what is wrong
+            continue
+    return {_MADE: made}
+
+
+def differences(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
+    """What two lines differ in, in words, the first few; none if they are one line."""
+    were, are = dict(_leaves(theirs)), dict(_leaves(ours))
+    keys = sorted(k for k in {*were, *are} if not k.startswith(f"calibration.{_MADE}"))
+    apart = [key for key in keys if were.get(key) != are.get(key)]
+    told = [f"{key} {were.get(key)}, here {are.get(key)}" for key in apart[:TOLD]]
+    return told + ([f"{len(apart) - TOLD} more"] if len(apart) > TOLD else [])
+
+
+def other_lines(lines: Sequence[Mapping[str, Any]], settings: Settings) -> list[str]:
+    """Sentences of lines that are not that of the settings."""
+    ours = line_identity(settings)
+    return [
+        f"cycles of another line are among these: {'; '.join(apart)}"
+        for line in lines
+        if (apart := differences(line, ours))
+    ]
+
+
+def distinct(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Lines, none of them twice."""
+    return [line for i, line in enumerate(lines) if line not in lines[:i]]
+
+
+def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """All single values by their place."""
+    if isinstance(data, Mapping):
+        for name, value in data.items():
+            yield from _leaves(value, f"{key}.{name}" if key else str(name))
+    else:
+        yield key, data
+
 
 FORMAT = "cell-candidate/1"
 _KEY = "model"
@@ -117,8 +191,8 @@ def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool 
     changed = spliced(config, text, section, product)
     _check(config, changed, before, product)
     entry = next_entry(history_of(config), product)
-    write_whole(entry, text.encode())
-    write_whole(config, changed.encode())
+    write_atomic(entry, text.encode())
+    write_atomic(config, changed.encode())
     return entry
 
 
@@ -128,7 +202,7 @@ def _of_another_line(candidate: CandidateModel, settings: Settings) -> Iterator[
     if not candidate.lines:
         message = f"is missing: nothing says on which line it was learned; {remedy}"
         yield Problem(candidate.path, 1, None, "lines", message)
-    ours = line_of(settings)
+    ours = line_identity(settings)
     for line in candidate.lines:
         if apart := differences(line, ours):
             message = f"was learned on another line: {'; '.join(apart)}; {remedy}"
@@ -153,8 +227,8 @@ def undo(config: Path, product: str | None = None, *, meant: tuple[str, str] | N
             changed = spliced(config, text, former, product)
             restored = _hash(config, changed, product)
             if meant is not None:
-                _check_meant(config, meant, _hash(config, text, product), restored)
-            write_whole(config, changed.encode())
+                _check_expected(config, meant, _hash(config, text, product), restored)
+            write_atomic(config, changed.encode())
         entry.rename(entry.with_name(entry.name.replace(".yaml", ".undone.yaml")))
         if former != present:
             return entry
@@ -169,7 +243,7 @@ def _hash(config: Path, text: str, product: str | None) -> str:
     return model_hash((settings if product is None else for_product(settings, product)).model)
 
 
-def _check_meant(config: Path, meant: tuple[str, str], present: str, restored: str) -> None:
+def _check_expected(config: Path, meant: tuple[str, str], present: str, restored: str) -> None:
     """Raise InputError unless these are the model that is to go and the one to come back."""
     told = ""
     if present != meant[0]:
@@ -298,3 +372,45 @@ def read_exactly(path: Path) -> str:
     """The text of a file with its ends of lines and its mark.  Raises OSError; ValueError."""
     with path.open(encoding="utf-8", newline="") as file:
         return file.read()
+
+
+_LOCK = threading.Lock()
+
+
+class ChangedMeanwhileError(Exception):
+    """The file is not as it was when it was read.  Scenario: an editor has saved it since.
+
+    text  what is in it now
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__("the file was changed meanwhile")
+        self.text = text
+
+
+def versions_folder(config: Path) -> Path:
+    """Folder of the settings as they were before each writing."""
+    return config.with_name(f"{config.stem}.settings")
+
+
+def versions(config: Path) -> tuple[Path, ...]:
+    """Files that were replaced, the newest first."""
+    return tuple(sorted(versions_folder(config.resolve()).glob("[0-9]*.yaml"), reverse=True))
+
+
+def replace_settings(config: Path, before: str, after: str) -> Path:
+    """Write settings, whole or not at all; the former file is kept first.
+
+    before   text that the file must have still
+    returns  where the former file is kept
+    raises   ChangedMeanwhileError; OSError: it cannot be written; the file is as it was
+    """
+    config = config.resolve()
+    with _LOCK:
+        present = read_exactly(config)
+        if present != before:
+            raise ChangedMeanwhileError(present)
+        entry = next_entry(versions_folder(config))
+        write_atomic(entry, before.encode())
+        write_atomic(config, after.encode())
+    return entry

@@ -2,16 +2,54 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, Cable
-from cell.study.data import Trial
+from cell.study.data import Study, Trial
 from cell.study.facts import trial_facts
-from cell.study.pull import WEAK_M_PER_S2
+
+#: Gravity in the plane below this is no scale: a level plane that is 6° off has as much, m/s².
+WEAK_M_PER_S2 = 1.0
+#: ω² = 12.362 EI/(ρ L⁴) of a uniform clamped strip (β₁L = 1.8751), and the rigidity 0.4 ρ a L³ that
+#: a fit supposes first of a cable pulled by a.
+_FIRST_MODE, _SUPPOSED = 12.362, 0.4
+
+
+def swing_hz(study: Study) -> float | None:
+    """Median over trials of the tip's strongest frequency; None if no trial shows one."""
+    spectra = [trial_facts(t, study.arc_length_m).spectrum for t in study.trials]
+    seen = [s.peaks_hz[0] for s in spectra if s is not None and s.peaks_hz]
+    return float(np.median(seen)) if seen else None
+
+
+def with_pull(study: Study) -> Study:
+    """The study with the scale of its cable's stiffness.
+
+    raises  ValueError: gravity is weak, and no trial shows a swing
+    """
+    return replace(study, pull_m_per_s2=pull_m_per_s2(study))
+
+
+def pull_m_per_s2(study: Study) -> float | None:
+    """Acceleration under which a cable of this size would swing as it is seen to, m/s².
+
+    None where gravity in the plane is not weak: then it is the scale.
+    raises  ValueError: gravity is weak, and no trial shows a swing
+    """
+    if float(np.hypot(*study.gravity_m_per_s2)) >= WEAK_M_PER_S2:
+        return None
+    seen_hz = swing_hz(study)
+    if seen_hz is None:
+        raise ValueError(
+            "gravity in the plane is weak, and no trial shows a swing after the hand has stopped: "
+            "nothing tells the rigidity; record three swings after the motion"
+        )
+    return (2.0 * np.pi * seen_hz) ** 2 * study.cable.free_length_m / (_SUPPOSED * _FIRST_MODE)
+
 
 #: A hand's log may skip so many of its usual steps, and so many seconds, while the hand moves.
 GAP_STEPS, GAP_S = 5.0, 0.1
@@ -211,17 +249,17 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
         return None
     within_s = max(WITHIN_S, WITHIN * pace_s) + 2.0 * float(np.median(np.diff(t_s)))
     seen = np.asarray(np.isfinite(series_m).any(axis=1))
-    reach_m = np.nan_to_num(np.abs(_as_last_seen(beside_m))).max(axis=1)
+    reach_m = np.nan_to_num(np.abs(_forward_filled(beside_m))).max(axis=1)
     least_m = OF_NOISE * _noise_m(beside_m[:_REST])
     # an oscillation that grows passes one distance, of the hand or the cable, half a period late
     found = [
-        _apart(trial, cable, t_s, (reach_m, seen), within_s, max(share * away_m, least_m))
+        _beyond_search(trial, cable, t_s, (reach_m, seen), within_s, max(share * away_m, least_m))
         for share in SHARES
     ]
     return None if None in found else found[0]
 
 
-def _apart(
+def _beyond_search(
     trial: Trial,
     cable: Cable,
     t_s: FloatArray,
@@ -235,16 +273,16 @@ def _apart(
     """
     reach_m, seen = shown
     cable_s = _begins(t_s, reach_m > away_m)
-    hand_s = _hand_begins(trial, away_m, -np.inf)
+    hand_s = _gripper_start_s(trial, away_m, -np.inf)
     if cable_s is None or hand_s is None or cable_s <= t_s[_REST - 1]:
         return None
     if hand_s < t_s[0] and cable_s - t_s[0] < within_s:
         return None  # the film begins in the swing after a stroke: a turning point is no rest
     rests_s = float(t_s[seen & (t_s < cable_s)][-1])
     # The record may begin at a rest between two strokes.
-    next_s = _hand_begins(trial, away_m, float(t_s[0]))
+    next_s = _gripper_start_s(trial, away_m, float(t_s[0]))
     strokes = [hand_s, *([next_s] if next_s is not None and next_s > t_s[_REST - 1] else [])]
-    turned_s = _hand_begins(trial, away_m, -np.inf, cable.length_m)
+    turned_s = _gripper_start_s(trial, away_m, -np.inf, cable.length_m)
     strokes += [] if turned_s is None else [turned_s]
     if any(rests_s - within_s <= begins <= cable_s + within_s for begins in strokes):
         return None
@@ -265,7 +303,7 @@ def _pace_s(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> float | None
     return 1.0 / (2.0 * np.pi * min(spectrum.peaks_hz))
 
 
-def _as_last_seen(series_m: FloatArray) -> FloatArray:
+def _forward_filled(series_m: FloatArray) -> FloatArray:
     """Values (T, coordinates), each that is lost as it was seen last; nan before it was seen.
 
     Cameras that take turns see no marker in every row.
@@ -289,7 +327,9 @@ def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:
     return float(t_s[np.argmax(stays)]) if stays.any() else None
 
 
-def _hand_begins(trial: Trial, away_m: float, after_s: float, lever_m: float = 0.0) -> float | None:
+def _gripper_start_s(
+    trial: Trial, away_m: float, after_s: float, lever_m: float = 0.0
+) -> float | None:
     """When the hand has left the place where it was at a time, as far as its cable's is measured.
 
     Of a cable seen from one side alone a stroke to or from there shows late, or not at all.

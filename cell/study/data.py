@@ -125,7 +125,7 @@ class Study:
     filmed        markers are places along a centre line that the cell filmed, and how far along it
                   they are is no measurement
     pull_m_per_s2  acceleration as the cable's stiffness, where gravity in the plane is weak;
-                  None = gravity is.  See `cell.study.pull`
+                  None = gravity is.  See `cell.study.clocks`
     arc_length_std_m  (markers,) standard deviation of arc lengths; None = they are exact
     sensor         of the trials' wrenches, if any has one
     """

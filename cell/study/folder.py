@@ -17,15 +17,19 @@ from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_text
 from cell.files.words import counted
 from cell.files.yaml_document import Document, Key, document_of, read_yaml, validate, yaml_text
-from cell.study.checks import check_finite, check_reaches, check_times, check_whole
+from cell.study.checks import (
+    check_continuous,
+    check_covers,
+    check_finite,
+    check_times,
+    trial_problems,
+)
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import TrialName, datasheet_of, implausible_entries
 from cell.study.hand_drift import HandDriftSection
-from cell.study.judged import judged
 from cell.study.table import MAX_BYTES, Table, read_table, table_text
-from cell.study.wrench_file import FILE as WRENCH_FILE
-from cell.study.wrench_file import SensorEntry, read_wrench, sensor_entry, wrench_text
-from cell.study.wrench_plausible import force_factor
+from cell.study.wrench import FILE as WRENCH_FILE
+from cell.study.wrench import SensorEntry, force_factor, read_wrench, sensor_entry, wrench_text
 
 FORMAT = "cable-study/1"
 GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
@@ -144,7 +148,7 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
         except InputError as error:
             problems.extend(error.problems)
             continue
-        found, odd = judged(read, cable, arc_length_m[order], header.gravity_m_per_s2)
+        found, odd = trial_problems(read, cable, arc_length_m[order], header.gravity_m_per_s2)
         problems += found
         notes += odd
         if factor := force_factor(read, cable, float(arc_length_m.max()), sensor):
@@ -378,7 +382,7 @@ def _log(path: Path) -> Table:
             else f"is beyond ±{MAX_DISTANCE_M:g} m; give metres"
         ),
     )
-    check_whole(grip)
+    check_continuous(grip)
     return grip
 
 
@@ -420,7 +424,7 @@ def _read_trial(
     )
     source = Source(table.path, np.array(table.lines), order)
     markers = Markers(t_s, xy_m[:, order], source)
-    check_reaches(log, markers)
+    check_covers(log, markers)
     wrench = read_wrench(there, motion) if there.exists() else None
     drift = None if trial.hand_drift is None else trial.hand_drift.drift()
     return Trial(

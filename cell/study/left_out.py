@@ -1,4 +1,4 @@
-"""A study without the samples of its markers that are wrong, and what is told of these."""
+"""A study without the samples of markers and wrenches that are wrong, and notes of these."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from cell.study.data import Source, Study, Trial
-from cell.study.wrong_samples import wrong_samples
+from cell.study.wrench import COLUMNS, FILE, UNITS
+from cell.study.wrong_samples import outlier_distances
 
 #: A marker that is wrong in a larger share of its rows is badly tracked: that is no slip, and no
 #: noise either.  So many rows always may be wrong, as in a short trial.
-MOST_WRONG, FEW = 0.02, 3
+MAX_OUTLIER_SHARE, FEW = 0.02, 3
 #: Rows and columns that are told of a trial.
 TOLD = 3
 
 
-def without_wrong_samples(study: Study) -> Study:
+def without_outliers(study: Study) -> Study:
     """The study with samples that no cable shows as not seen, and with notes of them.
 
     raises  InputError: too many of a marker are wrong
     """
     wrong = [
-        wrong_samples(t.markers.t_s, t.markers.xy_m.reshape(len(t.markers.t_s), -1))
+        outlier_distances(t.markers.t_s, t.markers.xy_m.reshape(len(t.markers.t_s), -1))
         for t in study.trials
     ]
-    return leaving_out(study, wrong)
+    return without_samples(study, wrong)
 
 
-def leaving_out(study: Study, wrong: Sequence[FloatArray]) -> Study:
+def without_samples(study: Study, wrong: Sequence[FloatArray]) -> Study:
     """The study without what is wrong, and with a note for every trial that has such.
 
     wrong   per trial (times, channels), m: by how much samples lie apart, nan where one is right
@@ -60,14 +61,14 @@ def leaving_out(study: Study, wrong: Sequence[FloatArray]) -> Study:
     return replace(study, trials=tuple(trials), notes=(*study.notes, *notes))
 
 
-def most_wrong(seen: NDArray[np.int_]) -> NDArray[np.int_]:
+def most_outliers(seen: NDArray[np.int_]) -> NDArray[np.int_]:
     """Of so many rows seen, how many may be wrong."""
-    return np.asarray(np.maximum(FEW, np.floor(MOST_WRONG * seen)), dtype=int)
+    return np.asarray(np.maximum(FEW, np.floor(MAX_OUTLIER_SHARE * seen)), dtype=int)
 
 
-def limit_said(most: int) -> str:
+def limit_text(most: int) -> str:
     """The limit of wrong rows, as a message says it."""
-    return f"limit {MOST_WRONG:.0%}" if most > FEW else f"limit {most}"
+    return f"limit {MAX_OUTLIER_SHARE:.0%}" if most > FEW else f"limit {most}"
 
 
 def _across_only(trial: Trial, apart_m: FloatArray) -> FloatArray:
@@ -93,7 +94,7 @@ def _too_many(trial: Trial, apart_m: FloatArray, source: Source) -> Problem | No
     rows = np.asarray(np.isfinite(apart_m).any(axis=2))
     seen = np.isfinite(trial.markers.xy_m).any(axis=2).sum(axis=0)
     count = rows.sum(axis=0)
-    most = most_wrong(seen)
+    most = most_outliers(seen)
     if not np.any(count > most):
         return None
     marker = int(np.argmax(count - most))
@@ -106,7 +107,7 @@ def _too_many(trial: Trial, apart_m: FloatArray, source: Source) -> Problem | No
         None,
         source.column(marker, axis),
         f"{value_m:g} m lies {away_m * 1e3:+.2g} mm apart from the rows before and after it, as "
-        f"do {count[marker]} of this marker's {seen[marker]} rows; {limit_said(most[marker])}: "
+        f"do {count[marker]} of this marker's {seen[marker]} rows; {limit_text(most[marker])}: "
         "mend how the marker is tracked, or empty the cells where it is not",
     )
 
@@ -133,3 +134,59 @@ def _place(row: int, apart_m: FloatArray, source: Source) -> str:
     others = int(np.isfinite(apart_m).sum()) - 1
     more = f" and {others} more of its columns" if others else ""
     return f"line {source.lines[row]}, {column} by {apart_m[marker, axis] * 1e3:+.2g} mm{more}"
+
+
+#: Columns that one amplifier shows: forces, and the moment.
+_TOGETHER = (slice(0, 2), slice(2, 3))
+
+
+def without_wrench_outliers(study: Study, folder: Path) -> Study:
+    """The study with values of wrenches that no motion makes as not measured, and notes of them.
+
+    folder  of the study, for what is told
+    raises  InputError: too many of a column are wrong
+    """
+    trials, notes, problems = [], list(study.notes), []
+    for trial in study.trials:
+        if trial.wrench is None:
+            trials.append(trial)
+            continue
+        values, t_s = trial.wrench.values, trial.wrench.t_s
+        apart = np.concatenate([outlier_distances(t_s, values[:, c]) for c in _TOGETHER], axis=1)
+        there, file = np.isfinite(apart), folder / trial.name / FILE
+        if there.any():
+            notes.append(_note_of_wrench(file, apart))
+        problems += _too_many_of_wrench(file, trial, there)
+        left = replace(trial.wrench, values=np.where(there, np.nan, values))
+        trials.append(replace(trial, wrench=left))
+    if problems:
+        raise InputError(problems)
+    return replace(study, trials=tuple(trials), notes=tuple(notes))
+
+
+def _too_many_of_wrench(file: Path, trial: Trial, there: NDArray[np.bool_]) -> list[Problem]:
+    assert trial.wrench is not None
+    seen = np.isfinite(trial.wrench.values).sum(axis=0)
+    count, most = there.sum(axis=0), most_outliers(seen)
+    for i, name in enumerate(COLUMNS):
+        if count[i] > most[i]:
+            message = (
+                f"lies apart from the rows before and after it, as do {count[i]} of {seen[i]} "
+                f"rows; {limit_text(most[i])}: mend the sensor's record, or leave the column out"
+            )
+            return [Problem(file, int(np.argmax(there[:, i])) + 2, None, name, message)]
+    return []
+
+
+def _note_of_wrench(file: Path, apart: FloatArray) -> str:
+    """How many values are left out, where the first are, and by how much."""
+    places = np.argwhere(np.isfinite(apart))
+    shown = [
+        f"line {row + 2}, {COLUMNS[i]} by {apart[row, i]:+.2g} {UNITS[COLUMNS[i]]}"
+        for row, i in places[:TOLD]
+    ]
+    more = f" and {len(places) - TOLD} more" if len(places) > TOLD else ""
+    return (
+        f"{file}: {len(places)} values apart from the rows before and after, as no motion makes "
+        f"them: {', '.join(shown)}{more}; left out"
+    )

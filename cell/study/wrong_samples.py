@@ -54,17 +54,17 @@ class _Comparison:
 
     rows: Numbers
     channels: Numbers
-    apart_m: FloatArray
+    distance_m: FloatArray
     std: FloatArray
-    left_m: FloatArray
+    residual_m: FloatArray
     usual_m: FloatArray
 
     def times(self, noise_m: FloatArray) -> FloatArray:
         """Standard deviations of noise by which samples lie apart."""
-        return np.abs(self.apart_m) / (self.std * np.maximum(noise_m, _NOTHING_M))
+        return np.abs(self.distance_m) / (self.std * np.maximum(noise_m, _NOTHING_M))
 
 
-def wrong_samples(t_s: FloatArray, series_m: FloatArray) -> FloatArray:
+def outlier_distances(t_s: FloatArray, series_m: FloatArray) -> FloatArray:
     """By how much samples that are wrong lie apart from their curve, m; nan where one is right.
 
     t_s       (T,)
@@ -78,9 +78,9 @@ def wrong_samples(t_s: FloatArray, series_m: FloatArray) -> FloatArray:
     for _ in range(_MOST_ROUNDS):
         found = np.full_like(left, np.nan)
         for beside in BESIDE:
-            _look(t_s, left, least_m, (beside, 0), found)
+            _enter_outliers(t_s, left, least_m, (beside, 0), found)
         if np.isnan(found).all():
-            _look(t_s, left, least_m, (BESIDE[-1], OTHERS), found)
+            _enter_outliers(t_s, left, least_m, (BESIDE[-1], OTHERS), found)
         there = np.isfinite(found)
         if not there.any():
             break
@@ -95,7 +95,7 @@ def _step_m(values_m: FloatArray) -> float:
     return float(np.quantile(between, _OF_STEPS)) if len(between) else 0.0
 
 
-def _look(
+def _enter_outliers(
     t_s: FloatArray,
     series_m: FloatArray,
     least_m: FloatArray,
@@ -111,7 +111,7 @@ def _look(
     here, elsewhere = (HERE, ELSEWHERE) if others == 0 else (AMONG_OTHERS, AMONG_OTHERS)
     compared = [
         comparison
-        for rows, channels in _seen_alike(series_m)
+        for rows, channels in _by_missing_pattern(series_m)
         if len(rows) > 2 * beside + 1
         for comparison in _compared(t_s, series_m, rows, channels, beside, others)
     ]
@@ -119,7 +119,7 @@ def _look(
     # The same camera sees all: a marker that hardly moves shows less than its noise, if rounded.
     of_all_m = float(np.median(np.concatenate(usual_m))) if usual_m else 0.0
     for c in compared:
-        times = c.times(np.maximum(c.left_m, least_m[c.channels]))
+        times = c.times(np.maximum(c.residual_m, least_m[c.channels]))
         # One that is wrong makes those beside it seem to be: the worst goes first.
         padded = np.pad(times, ((beside, beside), (0, 0)))
         around = np.lib.stride_tricks.sliding_window_view(padded, 2 * beside + 1, axis=0)
@@ -127,10 +127,10 @@ def _look(
         noise_m = np.maximum(np.maximum(c.usual_m, of_all_m), least_m[c.channels])
         far &= c.times(noise_m) > elsewhere
         row, channel = np.nonzero(far)
-        out[c.rows[row], c.channels[channel]] = c.apart_m[far]
+        out[c.rows[row], c.channels[channel]] = c.distance_m[far]
 
 
-def _seen_alike(series_m: FloatArray) -> Iterator[tuple[Numbers, Numbers]]:
+def _by_missing_pattern(series_m: FloatArray) -> Iterator[tuple[Numbers, Numbers]]:
     """Rows, and the channels that are seen in exactly these."""
     seen = np.isfinite(series_m)
     alike: dict[bytes, list[int]] = {}
@@ -161,12 +161,12 @@ def _compared(
         seen_m = series_m[rows[:, None], part]
         y = np.take(seen_m, first[:, None] + np.arange(width), axis=0)
         y -= seen_m[:, None]
-        apart_m, std, left_m = _beside_curve(curve, y, own, others)
+        apart_m, std, left_m = _residuals_of_curve(curve, y, own, others)
         usual_m = np.quantile(left_m, SHARE, axis=0)
         yield _Comparison(rows, part, apart_m, std, left_m, usual_m)
 
 
-def _beside_curve(
+def _residuals_of_curve(
     curve: FloatArray, y: FloatArray, own: Numbers, others: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Samples beside curves fitted to those around them, without the `others` farthest from these.
@@ -179,14 +179,14 @@ def _beside_curve(
     each, beside = np.arange(len(y)), _Fit.of(curve, y)
     without_own = beside.without(own[:, None]) if others else beside
     for more in range(others - 1, -1, -1):
-        share = without_own.rest_m**2 / np.maximum(without_own.free, _FREE)
+        share = without_own.residual_m**2 / np.maximum(without_own.free, _FREE)
         share[np.broadcast_to(without_own.free <= _FREE, share.shape)] = 0.0
         farthest = np.argmax(share, axis=1)
         beside = beside.without(farthest)
         without_own = without_own.without(farthest) if more else without_own
     alone = np.maximum(beside.free[each, own], _FREE**2)
-    apart_m = beside.rest_m[each, own] / alone
-    square = np.sum(beside.rest_m**2, axis=1) - beside.rest_m[each, own] * apart_m
+    apart_m = beside.residual_m[each, own] / alone
+    square = np.sum(beside.residual_m**2, axis=1) - beside.residual_m[each, own] * apart_m
     freedom = y.shape[1] - curve.shape[2] - others - 1
     left_m = np.sqrt(np.maximum(square, 0.0) / freedom)
     return apart_m, 1.0 / np.sqrt(np.broadcast_to(alone, left_m.shape)), left_m
@@ -204,9 +204,9 @@ class _Fit:
     """
 
     curve: FloatArray
-    rest_m: FloatArray
+    residual_m: FloatArray
     free: FloatArray
-    left_out: tuple[FloatArray, ...] = ()
+    omitted: tuple[FloatArray, ...] = ()
 
     @staticmethod
     def of(curve: FloatArray, y: FloatArray) -> _Fit:
@@ -221,10 +221,10 @@ class _Fit:
         spike = self.curve @ here.transpose(0, 2, 1)
         np.negative(spike, out=spike)
         np.put_along_axis(spike, one, np.take_along_axis(spike, one, 1) + 1.0, 1)
-        for former in self.left_out:
+        for former in self.omitted:
             spike = spike - former * np.take_along_axis(former, one, 1)
         length = np.sqrt(np.maximum(np.take_along_axis(spike, one, 1), 0.0))
         spike *= np.where(length > _FREE, 1.0 / np.maximum(length, _FREE), 0.0)
-        own_m = np.take_along_axis(self.rest_m, one, 1) / np.maximum(length, _FREE)
+        own_m = np.take_along_axis(self.residual_m, one, 1) / np.maximum(length, _FREE)
         free = self.free - spike**2
-        return _Fit(self.curve, self.rest_m - spike * own_m, free, (*self.left_out, spike))
+        return _Fit(self.curve, self.residual_m - spike * own_m, free, (*self.omitted, spike))

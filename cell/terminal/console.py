@@ -117,10 +117,10 @@ class RunProgress:
         words = step.replace("_", " ")
         now_s = self._now_s()
         self._stage = self._stage.then(f"{words}, cables done", number - 1, self._cycles, now_s)
-        left = self._stage.left(now_s)
+        left = self._stage.remaining(now_s)
         self._progress.update(self._line, description=words, number=number, left=left)
 
-    def say(self, words: str) -> None:
+    def print_line(self, words: str) -> None:
         """Print a line that stays, above the one that moves on."""
         self._progress.console.print(words, markup=False, highlight=False, soft_wrap=True)
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.cells import cell_len
 from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
+
+from cell.files.table import TableData
 
 #: A column of words may be folded to this width before its table is taken apart.
 LEAST_WORDS = 12
@@ -82,3 +85,15 @@ def _text(cell: Any) -> Text:
 
 def _width(cell: Any) -> int:
     return max((cell_len(line) for line in _text(cell).plain.splitlines()), default=0)
+
+
+def text_table(data: TableData) -> Table:
+    """The table with its cells as they are: what stands in brackets is no markup."""
+    table = Table(title=data.title or None, box=SIMPLE_HEAD, caption=data.note or None)
+    for i, head in enumerate(data.heads):
+        table.add_column(head, justify="right" if i in data.numbers else "left")
+    for i, row in enumerate(data.rows):
+        table.add_row(*(Text(cell, data.colours.get(cell, "")) for cell in row))
+        if i in data.ends:
+            table.add_section()
+    return table

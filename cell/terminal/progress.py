@@ -39,7 +39,7 @@ class Stage:
     text: str
     done: int
     total: int
-    begun_s: float
+    started_s: float
     first: int = 0
     ends_s: float | None = None
     late: bool = False
@@ -50,12 +50,12 @@ class Stage:
             return Stage(text, done, total, now_s, done)
         if done in (self.done, self.first):
             return replace(self, text=text, done=done)
-        each_s = (now_s - self.begun_s) / (done - self.first)
+        each_s = (now_s - self.started_s) / (done - self.first)
         ends_s = now_s + each_s * (total - done)
         if done - self.first >= MANY:
             return replace(self, text=text, done=done, ends_s=ends_s, late=False)
         known_s = ends_s if self.ends_s is None else self.ends_s
-        late = self.late or ends_s > known_s + SLACK * (known_s - self.begun_s)
+        late = self.late or ends_s > known_s + SLACK * (known_s - self.started_s)
         return replace(self, text=text, done=done, ends_s=min(ends_s, known_s), late=late)
 
     def line(self, started_s: float, now_s: float) -> str:
@@ -64,11 +64,11 @@ class Stage:
         if self.total:
             words.append(f"{self.done} of {self.total}")
         words.append(f"{duration(now_s - started_s)} so far")
-        if left := self.left(now_s):
+        if left := self.remaining(now_s):
             words.append(f"{left} of this part" if left != LONGER else f"this part: {left}")
         return ", ".join(words)
 
-    def left(self, now_s: float) -> str:
+    def remaining(self, now_s: float) -> str:
         """About how long this part still takes; empty = not known yet."""
         if self.ends_s is None or not self.done < self.total:
             return ""

@@ -34,9 +34,9 @@ class CycleView:
     """
 
     cycle: int
-    begun: datetime | None
+    started: datetime | None
     part: str
-    says: str
+    summary: str
     good: bool
     numbers: TableData | None
     parameters: TableData | None
@@ -67,9 +67,9 @@ def cycle_view(folder: Path) -> CycleView:
             no_film = str(error)
     return CycleView(
         cycle=record.cycle,
-        begun=None if cycle_of(folder) is None else started_of(folder, record.state),
+        started=None if cycle_of(folder) is None else started_of(folder, record.state),
         part=(result.part if result else None) or "",
-        says=says,
+        summary=says,
         good=good,
         numbers=None if result is None else numbers_table(result),
         parameters=None if record.model is None else parameters_table(record.model),
@@ -141,3 +141,33 @@ def tip_chart(tip: Mapping[str, list[list[float]]], names: Mapping[str, str]) ->
             if (line := tip.get(key))
         ],
     }
+
+
+def cycle_folder(runs: Path, name: str) -> Path | None:
+    """Folder of a cycle in `runs`; None = the name is no cycle's, or leads elsewhere."""
+    folder = runs / name
+    if folder.name != name or cycle_of(folder) is None:
+        return None
+    return folder if folder.resolve().parent == runs.resolve() else None
+
+
+def newest_picture(folder: Path) -> Path | None:
+    """The picture that was written last; None = there is none."""
+    found = [p for p in folder.glob("*.png") if p.is_file() and not p.is_symlink()]
+    return max(found, key=lambda p: p.stat().st_mtime_ns, default=None)
+
+
+def picture(folder: Path, name: str) -> Path | None:
+    """A picture of a cycle by its file's name; None = there is none of this name."""
+    return next((p for p in folder.glob("*.png") if p.name == name and not p.is_symlink()), None)
+
+
+def report(folder: Path) -> str:
+    """The page of `cell report`.  Raises InputError: the folder cannot be read."""
+    from cell.records.cycle_page import cycle_page
+    from cell.records.folder import read_record
+    from cell.records.recording import form
+    from cell.records.recording.reading import read_recording
+
+    film = folder / form.FILE
+    return cycle_page(read_record(folder), read_recording(film) if film.exists() else None)

@@ -144,6 +144,6 @@ def _in(data: Any, key: Names) -> Any:
     return data
 
 
-def value_said(value: str, t: Translate) -> str:
+def value_text(value: str, t: Translate) -> str:
     """A value as the file has it, where it has it; else in a language."""
     return t(_WORDS[value]) if value in _WORDS else value

@@ -10,8 +10,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from cell.computer.peers import user_of_peer
+from cell.plant.users import Users
 from cell.web.sessions import LoginSession, Sessions, local_session
-from cell.web.users import Users
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]

@@ -35,11 +35,11 @@ class GuidedState:
 
     title: str = ""
     ask: str = ""
-    asked: int = 0
-    said: tuple[str, ...] = ()
+    question_number: int = 0
+    output: tuple[str, ...] = ()
     done: int = 0
     total: int = 0
-    begun_s: float = 0.0
+    started_s: float = 0.0
     code: int | None = 0
 
     @property
@@ -71,7 +71,7 @@ class Guided:
                 )
             except OSError as error:
                 return f"{command[0]}: {error.strerror}"
-            self.state = GuidedState(title, begun_s=time.time(), code=None)
+            self.state = GuidedState(title, started_s=time.time(), code=None)
             self._errors.clear()
         process = self._process
         follow = GuardedThread(
@@ -85,9 +85,13 @@ class Guided:
         """Answer the question of the number `to`; why that cannot be, or ""."""
         with self._lock:
             process = self._process
-            if not self.state.asked or self.state.asked != to or process is None:
+            if (
+                not self.state.question_number
+                or self.state.question_number != to
+                or process is None
+            ):
                 return "this was answered already, or is asked no more"
-            self.state = replace(self.state, ask="", asked=0)
+            self.state = replace(self.state, ask="", question_number=0)
         assert process.stdin is not None
         try:
             process.stdin.write(words.replace("\n", " ") + "\n")
@@ -116,7 +120,7 @@ class Guided:
     def _follow(self, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
         hear = GuardedThread(
-            "guided errors", partial(self._hear, process), partial(self._unheard, process)
+            "guided errors", partial(self._read_output, process), partial(self._unheard, process)
         )
         hear.start()
         for line in process.stdout:
@@ -125,9 +129,9 @@ class Guided:
                 now = self.state
                 if "ask" in message:
                     self._questions += 1
-                    now = replace(now, ask=str(message["ask"]), asked=self._questions)
+                    now = replace(now, ask=str(message["ask"]), question_number=self._questions)
                 if said := str(message.get("say", "")).strip():
-                    now = replace(now, said=(*now.said, said)[-_LINES:])
+                    now = replace(now, output=(*now.output, said)[-_LINES:])
                 if message.get("total"):
                     now = replace(now, done=int(message["done"]), total=int(message["total"]))
                 self.state = now
@@ -136,8 +140,8 @@ class Guided:
             pass
         code = process.wait()
         with self._lock:
-            last = (*self.state.said, *self._errors)[-_LINES:]
-            self.state = replace(self.state, ask="", asked=0, said=last, code=code)
+            last = (*self.state.output, *self._errors)[-_LINES:]
+            self.state = replace(self.state, ask="", question_number=0, output=last, code=code)
 
     def _unread(self, process: subprocess.Popen[str], error: BaseException) -> None:
         """Nobody reads what it says: it ends, and stops the arm."""
@@ -145,14 +149,14 @@ class Guided:
         with suppress(OSError), process:  # closes its pipes, and waits for its end
             pass
         with self._lock:
-            last = (*self.state.said, said(error))[-_LINES:]
-            self.state = replace(self.state, ask="", asked=0, said=last, code=-1)
+            last = (*self.state.output, said(error))[-_LINES:]
+            self.state = replace(self.state, ask="", question_number=0, output=last, code=-1)
 
     def _unheard(self, process: subprocess.Popen[str], error: BaseException) -> None:
         self._errors.append(said(error))
         process.terminate()
 
-    def _hear(self, process: subprocess.Popen[str]) -> None:
+    def _read_output(self, process: subprocess.Popen[str]) -> None:
         assert process.stderr is not None
         for line in process.stderr:
             self._errors.append(line.strip())
@@ -168,9 +172,9 @@ class OpenQuestion:
         self._guided = guided
         self._shown = self._read = 0
 
-    def look(self) -> bool:
+    def refresh(self) -> bool:
         """Take up what is asked now; whether it can be answered."""
-        asked = self._guided.state.asked
+        asked = self._guided.state.question_number
         self._read = asked if asked == self._shown else 0
         self._shown = asked
         return self._read != 0

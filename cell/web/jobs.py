@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.terminal.progress import EVERY_VARIABLE
 from drivers.threads import GuardedThread, said
 
@@ -102,18 +102,18 @@ class Job:
     step: int = 0
     progress: str = ""
     share: float | None = None
-    said: tuple[str, ...] = ()
+    output: tuple[str, ...] = ()
     printed: tuple[str, ...] = ()
     ended_s: float | None = None
 
 
 @dataclass(frozen=True)
-class Ran:
+class CompletedCommand:
     """A command that was run at once: its exit code, None = it took too long; what it printed."""
 
     code: int | None
     printed: str
-    said: str
+    output: str
 
 
 def child(words: Sequence[str]) -> subprocess.Popen[str]:
@@ -143,7 +143,7 @@ def end(process: subprocess.Popen[str]) -> None:
     process.wait()
 
 
-def run_at_once(words: Sequence[str], within_s: float) -> Ran:
+def run_command(words: Sequence[str], within_s: float) -> CompletedCommand:
     """Run a short command beside the jobs; it is ended after `within_s`."""
     process = child(words)
     try:
@@ -151,9 +151,9 @@ def run_at_once(words: Sequence[str], within_s: float) -> Ran:
     except subprocess.TimeoutExpired:
         end(process)
         process.communicate()
-        return Ran(None, "", "")
+        return CompletedCommand(None, "", "")
     most = MOST_LINES * LONGEST_LINE
-    return Ran(process.returncode, printed[:most], said[:most])
+    return CompletedCommand(process.returncode, printed[:most], said[:most])
 
 
 #: Starts a command, given by its words, in a process group of its own.
@@ -187,9 +187,9 @@ class Jobs:
     @property
     def moves(self) -> bool:
         """Whether a job that moves the arm has not ended."""
-        return any(j.task.moves and j.state in OPEN for j in self.seen())
+        return any(j.task.moves and j.state in OPEN for j in self.listed())
 
-    def seen(self) -> tuple[Job, ...]:
+    def listed(self) -> tuple[Job, ...]:
         """All jobs that are remembered, the newest first."""
         with self._changed:
             return tuple(reversed(self._jobs.values()))
@@ -292,8 +292,8 @@ class Jobs:
                 end(self._process)
             for job in self._jobs.values():
                 if job.state in OPEN:
-                    told = (*job.said, said(error))[-MOST_LINES:]
-                    self._put(replace(job, state=JobState.FAILED, said=told, ended_s=time.time()))
+                    told = (*job.output, said(error))[-MOST_LINES:]
+                    self._put(replace(job, state=JobState.FAILED, output=told, ended_s=time.time()))
             self._process = self._thread = None
 
     def _next(self) -> Job | None:
@@ -320,7 +320,7 @@ class Jobs:
             ended = replace(job, state=state, progress="", share=None, ended_s=time.time())
         if task.log is not None and ended.printed:
             with suppress(OSError):
-                write_whole(task.log, "\n".join(ended.printed) + "\n")
+                write_atomic(task.log, "\n".join(ended.printed) + "\n")
         with self._changed:
             self._put(ended)
 
@@ -329,7 +329,7 @@ class Jobs:
         try:
             process = self._start(words)
         except OSError as error:
-            self._hear(number, str(error), progress=False)
+            self._add_output(number, str(error), progress=False)
             return -1
         with self._changed:
             self._process = process
@@ -345,7 +345,9 @@ class Jobs:
             printing.start()
             begins = f"{words[0]}: "
             for line in _lines(process.stderr):
-                self._hear(number, line.removeprefix(begins), progress=line.startswith(begins))
+                self._add_output(
+                    number, line.removeprefix(begins), progress=line.startswith(begins)
+                )
             printing.join()
         code = process.wait()
         with self._changed:
@@ -353,11 +355,11 @@ class Jobs:
         end(process)  # what it may have left behind
         return code
 
-    def _hear(self, number: int, line: str, *, progress: bool) -> None:
+    def _add_output(self, number: int, line: str, *, progress: bool) -> None:
         with self._changed:
             job = self._jobs[number]
             if not progress:
-                self._put(replace(job, said=(*job.said, line)[-MOST_LINES:]))
+                self._put(replace(job, output=(*job.output, line)[-MOST_LINES:]))
                 return
             counted = _COUNTED.search(line)
             share = None if counted is None else int(counted[1]) / max(1, int(counted[2]))

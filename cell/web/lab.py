@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 
 from cell.cable.effects.remote import MARK
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError
 from cell.files.yaml_document import read_yaml
-from cell.web.jobs import OPEN, Jobs, Ran, run_at_once
+from cell.web.jobs import OPEN, CompletedCommand, Jobs, run_command
 from cell.web.workspace import Workspace, is_name
 
 #: A check of an effect may take so long, s.  Its own watch ends a law that is too slow, and counts
@@ -33,7 +33,7 @@ LONGEST_TEXT = 60_000
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckedFile:
     """What a check of a typed effect said.
 
     good   whether it can be fitted
@@ -42,7 +42,7 @@ class Checked:
     """
 
     good: bool
-    said: tuple[str, ...] = ()
+    output: tuple[str, ...] = ()
     law: str = ""
 
 
@@ -67,39 +67,39 @@ class Lab:
     ) -> None:
         self.jobs.__exit__()
 
-    def check_effect(self, name: str, text: str) -> Checked:
+    def check_effect(self, name: str, text: str) -> CheckedFile:
         """Check a typed effect as `cell effects --candidates` does, in a process of its own.
 
         One at a time; nothing of it stays.
         """
         if refused := refused_text(name, text):
-            return Checked(False, (refused,))
+            return CheckedFile(False, (refused,))
         with self._checking, TemporaryDirectory() as folder:
             for known_name, known, law in self._right:
                 if (known_name, known) == (name, text):
-                    return Checked(True, (), law)
+                    return CheckedFile(True, (), law)
             file = Path(folder) / f"{name}.py"
             file.write_text(text, encoding="utf-8")
-            ran = run_at_once(("effects", "--candidates", folder, "--json"), CHECK_S)
+            ran = run_command(("effects", "--candidates", folder, "--json"), CHECK_S)
             if ran.code == 0:
                 law = _law(ran.printed, name)
                 self._right.append((name, text, law))
-                return Checked(True, (), law)
+                return CheckedFile(True, (), law)
         if ran.code is None:
             busy = f"the check had no answer in {CHECK_S:g} s: this computer has too much to do; "
-            return Checked(False, (f"{busy}check again when jobs have ended",))
-        said = ran.said.replace(f"{folder}/", "").replace(_OF_FILES, _OF_PAGE).splitlines()
+            return CheckedFile(False, (f"{busy}check again when jobs have ended",))
+        said = ran.output.replace(f"{folder}/", "").replace(_OF_FILES, _OF_PAGE).splitlines()
         told = tuple(line.removeprefix("note: left out: ") for line in said or ["the check failed"])
-        return Checked(False, told)
+        return CheckedFile(False, told)
 
     def save_effect(self, name: str, text: str) -> str:
         """Keep a typed effect that its check has found right; why it is not kept, or ""."""
         checked = self.check_effect(name, text)
         if not checked.good:
-            return "\n".join(checked.said)
+            return "\n".join(checked.output)
         try:
-            write_whole(self.workspace.effects / MARK, "Effects here run in sandboxes only.\n")
-            write_whole(self.workspace.effects / f"{name}.py", text)
+            write_atomic(self.workspace.effects / MARK, "Effects here run in sandboxes only.\n")
+            write_atomic(self.workspace.effects / f"{name}.py", text)
         except OSError as error:
             return str(error)
         return ""
@@ -119,19 +119,19 @@ class Lab:
             if not self.workspace.inside(mapping.parent / path):
                 return f"{path!r}: is not in the lab's workspace; name a file that was uploaded"
         try:
-            write_whole(mapping, text)
+            write_atomic(mapping, text)
         except (OSError, ValueError) as error:
             return str(error)
         return ""
 
-    def promoted(self, words: Sequence[str]) -> Ran:
+    def promoted(self, words: Sequence[str]) -> CompletedCommand:
         """Run `cell promote`, one at a time."""
         with self._promoting:
-            return run_at_once(words, PROMOTE_S)
+            return run_command(words, PROMOTE_S)
 
     def tidy(self) -> None:
         """Remove what is old or too much, but what jobs are about."""
-        self.workspace.tidy({j.task.subject for j in self.jobs.seen() if j.state in OPEN})
+        self.workspace.tidy({j.task.subject for j in self.jobs.listed() if j.state in OPEN})
 
 
 def refused_text(name: str, text: str) -> str:

@@ -12,10 +12,10 @@ from starlette.datastructures import UploadFile
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
+from cell.plant.users import Role
 from cell.web.lab_tasks import PAGES, PREVIEW, LabTasks, Subject
-from cell.web.users import Role
 from cell.web.visit import PagesContext, Visit
-from cell.web.workspace import MOST_FILES, Taken, UploadError, is_name
+from cell.web.workspace import MOST_FILES, UploadError, UploadResult, is_name
 
 #: Pages of commands have scripts of their own; they may do nothing with this server's.
 _SANDBOX = {
@@ -31,7 +31,7 @@ def lab_routes(app: FastAPI, room: PagesContext) -> None:
     @app.post("/lab/upload")
     async def upload(request: Request) -> Response:
         visit = Visit(room, request.state.session, "", "en", str)
-        if not visit.may(Role.engineer):  # before anything of it is read
+        if not visit.has_role(Role.engineer):  # before anything of it is read
             return JSONResponse({"error": visit.do("lab upload", Role.engineer, str)}, 403)
         async with request.form(max_files=MOST_FILES, max_fields=1) as form:
             given = [f for f in form.getlist("files") if isinstance(f, UploadFile)]
@@ -46,7 +46,7 @@ def lab_routes(app: FastAPI, room: PagesContext) -> None:
 def _take(visit: Visit, files: Sequence[tuple[str, IO[bytes]]]) -> Response:
     """Keep an upload, and have a study looked at."""
     lab = visit.room.lab
-    taken: list[Taken] = []
+    taken: list[UploadResult] = []
 
     def act() -> str:
         try:
@@ -62,13 +62,13 @@ def _take(visit: Visit, files: Sequence[tuple[str, IO[bytes]]]) -> Response:
     (found,) = taken
     if found.is_study:
         subject = Subject(found.name, lab.workspace.studies / found.name)
-        lab.jobs.submit(LabTasks(lab.workspace, visit.room.config).look(subject), visit.name)
+        lab.jobs.submit(LabTasks(lab.workspace, visit.room.config).show_study(subject), visit.name)
     answer = {"name": found.name, "is_study": found.is_study, "files": list(found.files)}
     return JSONResponse(answer)
 
 
 def _page(request: Request, room: PagesContext, name: str, page: str) -> Response:
-    if not Visit(room, request.state.session, "", "en", str).may(Role.engineer):
+    if not Visit(room, request.state.session, "", "en", str).has_role(Role.engineer):
         return Response(status_code=403)
     workspace = room.lab.workspace
     path: Path | None = None

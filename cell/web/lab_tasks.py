@@ -64,7 +64,7 @@ class LabTasks:
     workspace: Workspace
     config: Path
 
-    def look(self, subject: Subject) -> JobTask:
+    def show_study(self, subject: Subject) -> JobTask:
         """Show a study before any fit."""
         out = self.workspace.results(subject.name)
         words = ("look", str(subject.folder), "-o", str(out / "look.html"))
@@ -75,7 +75,7 @@ class LabTasks:
         out = self.workspace.studies / name
         words = ("study", *map(str, cycles), "-o", str(out))
         return JobTask(
-            N_("Gather"), name, (words, self.look(Subject(name, out)).commands[0]), _SHOWN
+            N_("Gather"), name, (words, self.show_study(Subject(name, out)).commands[0]), _SHOWN
         )
 
     def propose(
@@ -92,7 +92,7 @@ class LabTasks:
     def write_study(self, subject: Subject) -> JobTask:
         """Make the study that a mapping describes."""
         words = ("import", str(subject.folder / MAPPING))
-        look = self.look(subject)
+        look = self.show_study(subject)
         return JobTask(
             N_("Make the study"), subject.name, (words, *look.commands), _SHOWN, look.log
         )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import signal
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +21,42 @@ from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Re
 from calib.store import KINDS
 from cell.calibration import assistants
 from cell.files.input_error import InputError
+from cell.plant.users import Role, Users
 from cell.settings import load_settings
-from cell.web import cycles, heartbeat
+from cell.web import cycle_view, heartbeat
 from cell.web.guard import COOKIE, LOGIN, Guard
 from cell.web.lab_routes import lab_routes
+from cell.web.pages import calibration, history, lab, live, settings
 from cell.web.pages.cycle import build as build_cycle
-from cell.web.registry import PAGES, Page
 from cell.web.theme import CSS, N_
-from cell.web.users import Role, Users
 from cell.web.visit import PagesContext, Visit
 from cell.web.wording import languages, preferred, translation
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of the menu.
+
+    title  in English, marked for the catalogues
+    role   the least that may open it
+    build  fills the page
+    """
+
+    path: str
+    title: str
+    icon: str
+    role: Role
+    build: Callable[[Visit], None]
+
+
+PAGES: tuple[Page, ...] = (
+    Page("/", N_("Live"), "precision_manufacturing", Role.watch, live.build),
+    Page("/history", N_("History"), "history", Role.watch, history.build),
+    Page("/lab", N_("Lab"), "science", Role.engineer, lab.build),
+    Page("/calibration", N_("Calibration"), "straighten", Role.engineer, calibration.build),
+    Page("/settings", N_("Settings"), "tune", Role.engineer, settings.build),
+)
+
 
 _LOG = logging.getLogger(__name__)
 
@@ -86,7 +114,7 @@ def application(room: PagesContext, users: Users, secure: bool) -> FastAPI:
 
     @ui.page("/cycle/{name}", title=_TITLE, dark=None)
     def cycle(request: Request, name: str) -> None:
-        if cycles.cycle_folder(room.runs, name) is None:
+        if cycle_view.cycle_folder(room.runs, name) is None:
             ui.label("no such cycle")
             return
         visit = _visit(room, request)
@@ -103,7 +131,7 @@ def _page_route(room: PagesContext, page: Page) -> None:
         visit = _visit(room, request)
         _framed(visit, request)
         with ui.column().classes("w-full max-w-7xl mx-auto p-2 gap-4"):
-            if visit.may(page.role):
+            if visit.has_role(page.role):
                 page.build(visit)
             else:
                 ui.label(visit.t("You may not see this page."))
@@ -171,9 +199,9 @@ def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) 
         async with request.form(max_files=0, max_fields=4, max_part_size=4096) as form:
             name, password = str(form.get("name", "")), str(form.get("password", ""))
         whos = (f"name {name[:60]}", f"from {request.client.host if request.client else ''}")
-        if not room.sessions.may_try(*whos):
+        if not room.sessions.login_allowed(*whos):
             return shown(request, N_("Too many wrong passwords; wait a minute."), 429)
-        user = await run_in_threadpool(users.known, name, password)
+        user = await run_in_threadpool(users.authenticate, name, password)
         room.audit.write(name[:60], "log in", user is not None)
         if user is None:
             return shown(request, N_("Name or password is wrong."), 401)
@@ -205,8 +233,8 @@ def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) 
 def _cycle_routes(app: FastAPI, room: PagesContext) -> None:
     @app.get("/cycles/{name}/newest.png")
     def picture(name: str) -> Response:
-        folder = cycles.cycle_folder(room.runs, name)
-        path = None if folder is None else cycles.newest_picture(folder)
+        folder = cycle_view.cycle_folder(room.runs, name)
+        path = None if folder is None else cycle_view.newest_picture(folder)
         return Response(status_code=404) if path is None else FileResponse(path)
 
     @app.get("/live/{number}.jpg")
@@ -219,7 +247,7 @@ def _cycle_routes(app: FastAPI, room: PagesContext) -> None:
 
     @app.get("/cycles/{name}/frames/{number}.jpg")
     def frame(name: str, number: int) -> Response:
-        folder = cycles.cycle_folder(room.runs, name)
+        folder = cycle_view.cycle_folder(room.runs, name)
         try:
             if folder is None:
                 raise IndexError(name)
@@ -231,18 +259,18 @@ def _cycle_routes(app: FastAPI, room: PagesContext) -> None:
 
     @app.get("/cycles/{name}/pictures/{picture}")
     def one(name: str, picture: str) -> Response:
-        folder = cycles.cycle_folder(room.runs, name)
-        path = None if folder is None else cycles.picture(folder, picture)
+        folder = cycle_view.cycle_folder(room.runs, name)
+        path = None if folder is None else cycle_view.picture(folder, picture)
         return Response(status_code=404) if path is None else FileResponse(path)
 
     @app.get("/cycles/{name}/report")
     def report(name: str) -> Response:
-        folder = cycles.cycle_folder(room.runs, name)
+        folder = cycle_view.cycle_folder(room.runs, name)
         if folder is None:
             return Response(status_code=404)
         with suppress(OSError):
             try:
-                return HTMLResponse(cycles.report(folder), headers=_SANDBOX)
+                return HTMLResponse(cycle_view.report(folder), headers=_SANDBOX)
             except InputError as error:
                 return Response(str(error), 422, media_type="text/plain")
         return Response("cannot be read", 422, media_type="text/plain")

@@ -1,4 +1,4 @@
-"""Sessions of people who have logged in: random tokens that this process knows, and that expire."""
+"""Sessions of people who have logged in, and which of their pages has control of the cell."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cell.web.users import Role, User
+from cell.plant.users import Role, User
 
 #: A session ends after so long without a request, and after so long in any case, s.
 IDLE_S, LONGEST_S = 30 * 60.0, 12 * 3600.0
@@ -29,8 +29,8 @@ class LoginSession:
 
     user: User
     key: str
-    begun_s: float
-    seen_s: float
+    started_s: float
+    last_used_s: float
 
 
 class Sessions:
@@ -75,13 +75,13 @@ class Sessions:
             if session is None:
                 return None
             user = self._named(session.user.name)
-            late = now - session.seen_s > IDLE_S or now - session.begun_s > LONGEST_S
+            late = now - session.last_used_s > IDLE_S or now - session.started_s > LONGEST_S
             if late or user is None:
                 del self._open[key]
                 return None
             session.user = user
             if used:
-                session.seen_s = now
+                session.last_used_s = now
             return session
 
     def end(self, token: str | None) -> None:
@@ -89,7 +89,7 @@ class Sessions:
         with self._lock:
             self._open.pop(_key(token or ""), None)
 
-    def may_try(self, *whos: str) -> bool:
+    def login_allowed(self, *whos: str) -> bool:
         """Whether a password may be looked at: not too many were wrong lately.
 
         It counts as wrong for this name and from this address until `right` is told, so that many
@@ -123,3 +123,53 @@ def local_session() -> LoginSession:
 
 def _key(token: str) -> str:
     return hashlib.sha256(token.encode()).hexdigest()
+
+
+#: A page that has not been heard of for so long has control no more, s.
+LOST_S = 30.0
+
+
+@dataclass(frozen=True)
+class Holder:
+    """Whoever has control: the page, and the person's name."""
+
+    page: str
+    name: str
+
+
+class Control:
+    """The right to command the cell; Stop is everybody's who may operate."""
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s = now_s
+        self._lock = threading.Lock()
+        self._holder: Holder | None = None
+        self._heard_s = 0.0
+
+    def take(self, page: str, name: str) -> Holder:
+        """Take control if it is free, or from another page of one's own; whoever has it then."""
+        with self._lock:
+            holder = self._present()
+            if holder is None or holder.name == name:
+                self._holder, self._heard_s = Holder(page, name), self._now_s()
+            assert self._holder is not None
+            return self._holder
+
+    def release(self, page: str) -> None:
+        """Give control back; nothing happens if somebody else has it."""
+        with self._lock:
+            if self._holder is not None and self._holder.page == page:
+                self._holder = None
+
+    def keep_alive(self, page: str) -> Holder | None:
+        """A page is still there; who has control, None = nobody."""
+        with self._lock:
+            holder = self._present()
+            if holder is not None and holder.page == page:
+                self._heard_s = self._now_s()
+            return holder
+
+    def _present(self) -> Holder | None:
+        if self._now_s() - self._heard_s > LOST_S:
+            self._holder = None
+        return self._holder

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+
+from nicegui import ui
 
 from cell.run.machine import CellState
 
@@ -87,3 +90,26 @@ header .nicegui-link { color: #ffffff; }
 .body--dark .diff .removed { background: #b3261e66; color: #ffdad6; }
 .q-btn:focus-visible, a:focus-visible { outline: 3px solid #f5b301; outline-offset: 2px; }
 """
+
+
+def table(
+    title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], numbers: Collection[int]
+) -> None:
+    """A card with a heading and a table.
+
+    numbers  columns that stand to the right
+    """
+    with ui.card().classes("w-full overflow-x-auto"):
+        ui.label(title).classes("text-xl font-bold").props("role=heading aria-level=2")
+        with ui.element("table").classes("plain-table"):
+            with ui.element("thead"), ui.element("tr"):
+                for number, head in enumerate(heads):
+                    with ui.element("th").classes("text-right" if number in numbers else ""):
+                        ui.label(head)
+            with ui.element("tbody"):
+                for row in rows:
+                    with ui.element("tr"):
+                        for number, cell in enumerate(row):
+                            place = ui.element("td")
+                            with place.classes("text-right" if number in numbers else ""):
+                                ui.label(cell).classes("whitespace-pre-line")

@@ -10,7 +10,7 @@ from typing import Any
 from cell.records.ledger.ledger import ListedCycle
 from cell.run.machine import MachineEvent
 from cell.web.theme import AWAY, LOOKS, N_, UNKNOWN, StateStyle
-from cell.web.watching import Seen
+from cell.web.watching import WatchedState
 from cell.web.wording import Translate
 
 #: Words of the steps of a cycle.
@@ -77,7 +77,7 @@ class LiveView:
     unknown_s since when nothing is known of the cell, Unix time; None = it says what it does
     """
 
-    look: StateStyle
+    style: StateStyle
     step: str
     step_s: float | None
     cycle: int
@@ -98,12 +98,12 @@ class LiveView:
     unknown_s: float | None = None
 
 
-def live_view(seen: Seen, now_s: float) -> LiveView:
+def live_view(seen: WatchedState, now_s: float) -> LiveView:
     """What the live page shows.
 
     now_s  Unix time
     """
-    status, there = seen.status, seen.there
+    status, there = seen.status, seen.connected
     step = (status.step if status else None) or ""
     last = (status.last if status else None) or {}
     fault = None
@@ -116,7 +116,7 @@ def live_view(seen: Seen, now_s: float) -> LiveView:
     if seen.unknown_s is not None:
         look = UNKNOWN
     return LiveView(
-        look=look,
+        style=look,
         step=STEPS.get(step, step.replace("_", " ")) if there else "",
         step_s=max(0.0, now_s - seen.step_since_s) if seen.step_since_s and there else None,
         cycle=status.cycle if status else 0,
@@ -158,7 +158,7 @@ def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def shift_texts(seen: Seen) -> dict[str, str]:
+def shift_texts(seen: WatchedState) -> dict[str, str]:
     """Yield and OEE of the shift, as texts; a dash where it has no meaning."""
     shift = seen.figures.shift if seen.figures else None
     if shift is None:

@@ -10,19 +10,17 @@ from pathlib import Path
 
 from cell.plant.client import Client
 from cell.plant.messages import Request
+from cell.plant.users import Role
 from cell.plant.wire import LinkError
 from cell.run.commands import too_old
 from cell.run.machine import MachineEvent
 from cell.settings.model import Settings
 from cell.web.audit import Audit
-from cell.web.camera import LiveCamera
-from cell.web.control import Control
-from cell.web.films import Films
+from cell.web.camera import Films, LiveCamera
 from cell.web.guided import Guided
 from cell.web.heartbeat import Heartbeats
 from cell.web.lab import Lab
-from cell.web.sessions import LoginSession, Sessions
-from cell.web.users import Role
+from cell.web.sessions import Control, LoginSession, Sessions
 from cell.web.watching import CellWatch
 from cell.web.wording import Translate
 from cell.web.workspace import Workspace
@@ -57,12 +55,12 @@ class PagesContext:
     @cached_property
     def lab(self) -> Lab:
         """What the lab's pages share; made when it is first asked for."""
-        return Lab(Workspace.beside(self.runs))
+        return Lab(Workspace.of_runs(self.runs))
 
     def with_devices(self, begin: Callable[[], str]) -> str:
         """Begin what moves the arm, unless something else has the devices; why not, or ""."""
         with self.taking:
-            if self.watch.seen.may_run:
+            if self.watch.state.may_run:
                 return "a cell runs and has the devices: end it first"
             if self.guided.state.runs:
                 return f"{self.guided.state.title} is under way"
@@ -92,7 +90,7 @@ class Visit:
         """Name of the person's account."""
         return self.session.user.name
 
-    def may(self, role: Role, *, used: bool = True) -> bool:
+    def has_role(self, role: Role, *, used: bool = True) -> bool:
         """Whether the session has this role still; `used`: a person has just done something."""
         session: LoginSession | None = self.session
         if self.room.sessions is not None:
@@ -116,7 +114,7 @@ class Visit:
         """
         denied = "you may not do this, or your session has ended"
         late = "" if asked_s is None else too_old(what, asked_s)
-        refused = (late or act()) if self.may(role) else denied
+        refused = (late or act()) if self.has_role(role) else denied
         try:
             self.room.audit.write(
                 self.name, what, not refused, "; ".join(filter(None, (note, refused)))
@@ -149,7 +147,7 @@ class Visit:
         what = "acknowledge" if event is None else event.value
 
         def act() -> str:
-            holder = self.room.control.heard(self.page)
+            holder = self.room.control.keep_alive(self.page)
             if event not in _ALWAYS and (holder is None or holder.page != self.page):
                 return "take control first: somebody else has it, or nobody"
             if len(part) > _LONGEST_PART or not part.isprintable():

@@ -11,16 +11,16 @@ from datetime import time as time_of_day
 from pathlib import Path
 
 from cell.plant.client import Client
-from cell.plant.folded import status_after
 from cell.plant.messages import MessageKind, Notice, Status
+from cell.plant.status_reducer import status_after
 from cell.plant.wire import NoCellError, ProtocolError
 from cell.records.ledger.actions import take_over
 from cell.records.ledger.effectiveness import Shift, shifts
-from cell.records.ledger.error import LedgerError
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.entry import LedgerError
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.settings.model import Settings
+from cell.settings.provenance import line_name
 from cell.settings.records import LedgerSettings as LedgerSettings
-from cell.settings.referred import line_of
 from cell.web.audit import audit_file
 from drivers.threads import GuardedThread, said
 
@@ -46,7 +46,7 @@ class ShiftFigures:
 
 
 @dataclass(frozen=True)
-class Seen:
+class WatchedState:
     """What is known of the cell at one moment.
 
     status        None = no cell was seen yet
@@ -57,7 +57,7 @@ class Seen:
     """
 
     status: Status | None = None
-    there: bool = False
+    connected: bool = False
     unknown_s: float | None = None
     step_since_s: float | None = None
     figures: ShiftFigures | None = None
@@ -66,14 +66,14 @@ class Seen:
     @property
     def may_run(self) -> bool:
         """Whether a cell runs, or one that says nothing may: it has the devices."""
-        return self.there or self.unknown_s is not None
+        return self.connected or self.unknown_s is not None
 
 
 class CellWatch:
     """Follows the cell within a `with`; `seen` is what is known, from any thread."""
 
     def __init__(self, client: Client, settings: Settings, runs: Path) -> None:
-        self._seen = Seen()
+        self._seen = WatchedState()
         self._client = client
         self._settings = settings
         self._runs = runs
@@ -92,41 +92,41 @@ class CellWatch:
         self._ask.set()
 
     @property
-    def seen(self) -> Seen:
+    def state(self) -> WatchedState:
         """What is known now."""
         client, seen = self._client, self._seen
         age_s, silent = time.monotonic() - client.heard_s, client.away is not None
         if silent and isinstance(client.away, NoCellError):
-            return replace(seen, there=False)
+            return replace(seen, connected=False)
         if seen.status is not None and (silent or age_s > UNKNOWN_S):
-            return replace(seen, there=False, unknown_s=time.time() - age_s)
+            return replace(seen, connected=False, unknown_s=time.time() - age_s)
         return seen
 
     def lost(self) -> None:
         """The cell is there no more: for the client's `on_lost`."""
         with self._lock:
-            self._seen = replace(self._seen, there=False)
+            self._seen = replace(self._seen, connected=False)
 
-    def found(self) -> None:
+    def reconnected(self) -> None:
         """It is there again as it was: for the client's `on_there`."""
         with self._lock:
-            self._seen = replace(self._seen, there=True)
+            self._seen = replace(self._seen, connected=True)
 
     def _follow(self) -> None:
         try:
             for message in self._client.follow():
                 with self._lock:
-                    self._seen = seen_after(self._seen, message)
+                    self._seen = state_after(self._seen, message)
                 if isinstance(message, Status) or message.kind is MessageKind.RESULT:
                     self._ask.set()
         except ProtocolError as error:
             _LOG.warning("%s", error)
             with self._lock:
-                self._seen = replace(self._seen, there=False, note=str(error))
+                self._seen = replace(self._seen, connected=False, note=str(error))
 
     def _blind(self, error: BaseException) -> None:
         with self._lock:
-            self._seen = replace(self._seen, there=False, note=said(error))
+            self._seen = replace(self._seen, connected=False, note=said(error))
 
     def _uncounted(self, error: BaseException) -> None:
         with self._lock:
@@ -148,17 +148,17 @@ class CellWatch:
             size = log.stat().st_size if log.exists() else 0
             if ledger is None or size == self._listed_bytes:
                 return
-            take_over(ledger.url or self._runs, log, line_of(self._settings))
+            take_over(ledger.url or self._runs, log, line_name(self._settings))
             self._listed_bytes = size
         except (LedgerError, OSError) as error:  # next time
             _LOG.info("%s", error)
 
 
-def seen_after(seen: Seen, message: Notice | Status) -> Seen:
+def state_after(seen: WatchedState, message: Notice | Status) -> WatchedState:
     """What is known after a message of the cell."""
     if isinstance(message, Status):
         begun = time.time() if message.step else None
-        return replace(seen, status=message, there=True, step_since_s=begun)
+        return replace(seen, status=message, connected=True, step_since_s=begun)
     if seen.status is None:
         return seen
     status = status_after(seen.status, message)
@@ -167,10 +167,10 @@ def seen_after(seen: Seen, message: Notice | Status) -> Seen:
         begun = message.time_s
     elif status.step is None:
         begun = None
-    return replace(seen, status=status, there=True, step_since_s=begun)
+    return replace(seen, status=status, connected=True, step_since_s=begun)
 
 
-def shift_begun(begins: tuple[str, ...], now: datetime) -> datetime:
+def shift_start(begins: tuple[str, ...], now: datetime) -> datetime:
     """When the shift under way began; `begins` of every day, local time."""
     times = [time_of_day.fromisoformat(t) for t in begins]
     days = (now.date() - timedelta(days=1), now.date())
@@ -183,8 +183,8 @@ def shift_figures(settings: Settings, runs: Path, now: datetime) -> ShiftFigures
     if settings.ledger is None:
         return None
     given: LedgerSettings = settings.ledger
-    begun = shift_begun(given.shifts, now)
-    wanted = Wanted(since=begun, line=line_of(settings))
+    begun = shift_start(given.shifts, now)
+    wanted = LedgerQuery(since=begun, line=line_name(settings))
     try:
         ledger = Ledger(given.url or runs)
         try:

@@ -39,7 +39,7 @@ class UploadError(ValueError):
 
 
 @dataclass(frozen=True)
-class Taken:
+class UploadResult:
     """What an upload was: a study, or files for `cell import`."""
 
     name: str
@@ -92,7 +92,7 @@ class Workspace:
         self.folder = folder
 
     @classmethod
-    def beside(cls, runs: Path) -> Workspace:
+    def of_runs(cls, runs: Path) -> Workspace:
         """That of the cell whose records are in `runs`; short where commands are typed."""
         whole = runs.resolve()
         folder = whole.with_name(f"{whole.name}.lab")
@@ -136,7 +136,7 @@ class Workspace:
         """Files of an upload, by name; none if there is no such upload."""
         return sorted(self.names(self.uploads / name)) if is_name(name) else []
 
-    def take(self, files: Sequence[tuple[str, IO[bytes]]]) -> Taken:
+    def take(self, files: Sequence[tuple[str, IO[bytes]]]) -> UploadResult:
         """Keep an upload: one archive, or files with the names that they have in their folder.
 
         raises  UploadError: nothing is kept; OSError: there is no room
@@ -149,11 +149,11 @@ class Workspace:
             names = _unpacked(files[0][1], draft / "files") if is_archive else _copied(files, draft)
             if not names:
                 raise UploadError("there is no file that could be read; give a study, or tables")
-            return self._kept(draft / "files", names, files[0][0] if is_archive else "")
+            return self._store(draft / "files", names, files[0][0] if is_archive else "")
         finally:
             shutil.rmtree(draft, ignore_errors=True)
 
-    def _kept(self, files: Path, names: list[PurePosixPath], archive: str) -> Taken:
+    def _store(self, files: Path, names: list[PurePosixPath], archive: str) -> UploadResult:
         studies = [name.parent for name in names if name.name == _STUDY]
         if len(studies) > 1:
             raise UploadError(f"{len(studies)} studies at once; upload one after another")
@@ -168,7 +168,7 @@ class Workspace:
         folder = _free(self.studies if studies else self.uploads, name or "upload")
         folder.parent.mkdir(parents=True, exist_ok=True)
         top.rename(folder)
-        return Taken(folder.name, bool(studies), kept)
+        return UploadResult(folder.name, bool(studies), kept)
 
     def tidy(self, used: Collection[str] = ()) -> list[str]:
         """Remove what is old, then the oldest until the folder is small enough; names removed.
@@ -179,7 +179,7 @@ class Workspace:
         found = [p for place in places if place.is_dir() for p in place.iterdir()]
         drafts = self.folder.glob(".upload-*") if self.folder.is_dir() else ()
         ages = sorted((_age_s(p), p) for p in (*found, *drafts))
-        sizes = {p: _bytes_of(p) for _, p in ages}
+        sizes = {p: sum(f.lstat().st_size for f in _files(p) if f.exists()) for _, p in ages}
         total, removed = sum(sizes.values()), []
         for age_s, path in reversed(ages):
             stale = age_s > (3600.0 if path.name.startswith(".") else LONGEST_S)
@@ -275,10 +275,6 @@ def _free(folder: Path, name: str) -> Path:
 
 def _files(folder: Path) -> Iterator[Path]:
     return (Path(at) / name for at, _, names in os.walk(folder) for name in names)
-
-
-def _bytes_of(folder: Path) -> int:
-    return sum(f.lstat().st_size for f in _files(folder) if f.exists())
 
 
 def _age_s(folder: Path) -> float:

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError
 from cell.records.result import Outcome, Result
 from cell.settings import Settings
@@ -112,7 +112,7 @@ def remember_dry_run(settings: Settings, runs: Path, results: Sequence[Result]) 
                 result.folder,
             )
             everything = [asdict(one) for one in (*passed_dry_runs(runs), passed)]
-            write_whole(runs / FILE, json.dumps(everything, indent=2) + "\n")
+            write_atomic(runs / FILE, json.dumps(everything, indent=2) + "\n")
 
 
 def passed_dry_runs(runs: Path) -> tuple[PassedDryRun, ...]:

@@ -30,7 +30,7 @@ from cell.run.station import ProductTask, Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
-from cell.settings.referred import calibration_hash, files_of, line_of
+from cell.settings.provenance import calibration_hash, files_of, line_name
 from cell.settings.translate import (
     arm_limits_of,
     cable_of,
@@ -73,7 +73,7 @@ def listed(settings: Settings, runs: Path) -> LedgerSetup | None:
         return None
     writer = LedgerWriter(LaterLedger(wanted.url or runs), outbox_of(runs))
     writer.start()
-    return LedgerSetup(writer, line_of(settings), software=version("cable-cell"))
+    return LedgerSetup(writer, line_name(settings), software=version("cable-cell"))
 
 
 def in_real_time(settings: Settings) -> bool:
@@ -107,7 +107,7 @@ def with_recorder(
 
 
 def _uploads(settings: Settings, url: str, runs: Path) -> Uploads:
-    uploads = Uploads(partial(Store, url), runs, line_of(settings))
+    uploads = Uploads(partial(Store, url), runs, line_name(settings))
     uploads.start()
     return uploads
 

@@ -252,7 +252,7 @@ class _ReplayedEvents:
         """Kept as it would be read from a file."""
         self._events.setdefault(topic, []).append(plain(data))
 
-    def seen(self, t_s: Sequence[float], points_px: Any) -> None:
+    def add_detections(self, t_s: Sequence[float], points_px: Any) -> None:
         """Follows from the rest."""
 
     def end(self, keep: bool = True) -> None:
@@ -320,6 +320,6 @@ def _software(recording: Recording, now: Mapping[str, str]) -> dict[str, tuple[s
     apart = ("cycle", "started", "host", "process", "format", form.EPOCH, form.RING)
     return {
         name: (said, now[name])
-        for name, said in recording.begun.items()
+        for name, said in recording.started.items()
         if name not in apart and name in now and now[name] != said
     }

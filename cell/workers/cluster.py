@@ -17,10 +17,9 @@ from uuid import uuid4
 
 from cell.cable.solver import one_core
 from cell.computer.memory import release_free_memory, use_one_arena
-from cell.workers.executor import Given, JobResult, Returned, WorkersError
+from cell.workers.executor import Job, JobResult, Returned, WorkersError
 from cell.workers.identity import WorkerIdentity, identity
-from cell.workers.job import done, result_of
-from cell.workers.shipping import know_own_effects, pack
+from cell.workers.shipping import done, know_own_effects, pack, result_of
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -55,8 +54,8 @@ class Cluster:
 
     def map(
         self,
-        function: Callable[[Given], Returned],
-        jobs: Iterable[Given],
+        function: Callable[[Job], Returned],
+        jobs: Iterable[Job],
         check: Callable[[], None] = lambda: None,
     ) -> Generator[JobResult[Returned]]:
         """See `Executor`."""
@@ -66,7 +65,7 @@ class Cluster:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Sending large graph")  # it is sent once
             # as the result of a job it is made again where the worker that had it is lost
-            task = self._client.submit(_kept, pack(function), key=f"{run}-function")
+            task = self._client.submit(_cached_function, pack(function), key=f"{run}-function")
         try:
             while True:
                 check()
@@ -211,7 +210,7 @@ def _some(jobs: Iterator[Any], count: int) -> Iterator[Any]:
             return
 
 
-def _kept(function: bytes) -> bytes:
+def _cached_function(function: bytes) -> bytes:
     return function
 
 

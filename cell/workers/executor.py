@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-Given = TypeVar("Given")
+Job = TypeVar("Job")
 Returned = TypeVar("Returned")
 Returned_co = TypeVar("Returned_co", covariant=True)
 
@@ -45,8 +45,8 @@ class Executor(Protocol):
 
     def map(
         self,
-        function: Callable[[Given], Returned],
-        jobs: Iterable[Given],
+        function: Callable[[Job], Returned],
+        jobs: Iterable[Job],
         check: Callable[[], None] = lambda: None,
     ) -> Generator[JobResult[Returned]]:
         """Results in the order of the jobs, each as soon as it and those before it are there.
@@ -61,3 +61,19 @@ class Executor(Protocol):
         raises    WorkersError: no worker is left, or one may not be used
         """
         ...
+
+
+#: How the address of a scheduler begins.
+SCHEMES = ("tcp://", "tls://")
+
+
+def place(text: str) -> str | int:
+    """Address of a scheduler, or a number of cores.  Raises WorkersError: it is neither."""
+    if text.startswith(SCHEMES) and text.rpartition(":")[2].isdecimal():
+        return text
+    if text.isdecimal() and int(text) > 0:
+        return int(text)
+    raise WorkersError(
+        f"--workers {text}: is neither a number of cores nor the address of a Dask scheduler; "
+        "give 2, or tcp://host:8786"
+    )

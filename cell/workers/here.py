@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Iterable
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing, contextmanager
 
 from cell.cable.solver import one_core, threads
 from cell.computer.forks import ProcessLostError, stream
 from cell.computer.watched import MOST_FORKS
-from cell.workers.executor import Executor, Given, JobResult, Returned
-from cell.workers.job import done, result_of
-from cell.workers.shipping import know_own_effects, pack
+from cell.workers.executor import Executor, Job, JobResult, Returned
+from cell.workers.shipping import done, know_own_effects, pack, result_of
 
 
 class OneAfterAnother:
@@ -21,8 +20,8 @@ class OneAfterAnother:
 
     def map(
         self,
-        function: Callable[[Given], Returned],
-        jobs: Iterable[Given],
+        function: Callable[[Job], Returned],
+        jobs: Iterable[Job],
         check: Callable[[], None] = lambda: None,
     ) -> Generator[JobResult[Returned]]:
         """See `Executor`."""
@@ -46,8 +45,8 @@ class LocalCores:
 
     def map(
         self,
-        function: Callable[[Given], Returned],
-        jobs: Iterable[Given],
+        function: Callable[[Job], Returned],
+        jobs: Iterable[Job],
         check: Callable[[], None] = lambda: None,
     ) -> Generator[JobResult[Returned]]:
         """See `Executor`."""
@@ -74,3 +73,22 @@ def this_computer(cores: int | None = None) -> Executor:
     if not sys.platform.startswith("linux"):  # only there a copy is what this process is
         return OneAfterAnother()
     return LocalCores(threads() if cores is None else cores)
+
+
+@contextmanager
+def executor(
+    where: str | int | None = None, tell: Callable[[str], None] = lambda note: None
+) -> Iterator[Executor]:
+    """An executor until it is left.
+
+    where   address of a scheduler, number of cores of this computer; None = all of its cores
+    tell    is told what a person should know of the workers
+    raises  WorkersError
+    """
+    if isinstance(where, str):
+        from cell.workers.cluster import cluster  # an extra, and a second to import
+
+        with cluster(where, tell) as found:
+            yield found
+    else:
+        yield this_computer(where)

@@ -17,7 +17,7 @@ from typing import Any
 from cell.cable.effects import Effect, load_effect
 from cell.cable.effects.remote import confine_effects, is_remote
 from cell.identify.model_class import ModelClass
-from cell.workers.executor import WorkersError
+from cell.workers.executor import JobResult, WorkersError
 
 #: Path at the client, hash, source, and whether it is confined.
 _Source = tuple[str, str, bytes, bool]
@@ -115,3 +115,28 @@ def _all_of(kind: type[Effect]) -> Iterator[type[Effect]]:
     for effect in kind.__subclasses__():
         yield effect
         yield from _all_of(effect)
+
+
+def done(function: bytes, job: bytes) -> bytes:
+    """Value and error of a job, packed; function and job are as they were packed, every time."""
+    value, error = None, None
+    try:
+        value = unpack(function)(unpack(job))
+    except Exception as raised:
+        error = raised
+    try:
+        packed = pack((value, error))
+        if error is not None:
+            unpack(packed)  # classes of errors with arguments of their own cannot be
+    except Exception as unsendable:
+        told = unsendable if error is None else error
+        return pack((None, RuntimeError(f"{type(told).__name__}: {told}")))
+    return packed
+
+
+def result_of(number: int, packed: bytes) -> JobResult[Any]:
+    """The result that `done` packed.  Raises WorkersError: the worker cannot do such jobs."""
+    value, error = unpack(packed)
+    if isinstance(error, WorkersError):
+        raise error
+    return JobResult(number, value, error)

@@ -10,7 +10,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from drivers.interfaces import (
 from drivers.plane_mount import PlaneMount
 from drivers.ur import UrArm
 from drivers.ur_shared import COLUMNS, SIZE_BYTES, SharedState, Slot
+from tests.waiting import wait_until
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this machine")
 
@@ -40,17 +40,10 @@ def arm(ur_options):
     it.close()
 
 
-def until(holds: Callable[[], object], seconds: float = 5.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.002)
-
-
 def set_moving(arm: UrArm, line, duration_s: float = 1.5) -> None:
     start = arm.state().pose
     arm.follow(line(dy_m=-0.05, start=start, duration_s=duration_s))
-    until(lambda: arm.state().pose.y_m < start.y_m - 0.01)
+    wait_until(lambda: arm.state().pose.y_m < start.y_m - 0.01)
 
 
 def lost(arm: UrArm) -> DeviceLostError:
@@ -90,9 +83,9 @@ def test_a_break_is_named_soon_the_arm_rests_and_comes_back(
     assert "connect again" in error.remedy
     time.sleep(1.2 if fault == "freeze" else 0.5)
     assert ur_emulator.request("state")["last_moved_s"] - broke_s < 0.2
-    until(lambda: _connects(arm))
+    wait_until(lambda: _connects(arm))
     arm.follow(line(dx_m=-0.01, start=arm.state().pose))
-    until(lambda: not arm.state().moving)
+    wait_until(lambda: not arm.state().moving)
 
 
 def _connects(arm: UrArm) -> bool:
@@ -131,7 +124,7 @@ def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, t
     )
     cell = subprocess.Popen([sys.executable, str(program), pickle.dumps(ur_options).hex()])
     try:
-        until(lambda: abs(ur_emulator.request("state")["speed"][2]) > 0.015, 15.0)
+        wait_until(lambda: abs(ur_emulator.request("state")["speed"][2]) > 0.015, 15.0)
     finally:
         killed_s = time.monotonic()
         cell.kill()
@@ -164,7 +157,7 @@ def test_the_child_outlives_neither_cell_nor_controller(
         child = int(cell.stdout.readline())
         cell.kill()
     ur_emulator.request(also, **({"seconds": 8.0} if also == "freeze" else {}))
-    until(lambda: not Path(f"/proc/{child}").exists(), 6.0)
+    wait_until(lambda: not Path(f"/proc/{child}").exists(), 6.0)
 
 
 def test_ctrl_c_at_the_terminal_does_not_reach_the_child(arm) -> None:
@@ -177,7 +170,7 @@ def test_a_stop_reaches_the_controller_soon(arm, ur_emulator, line) -> None:
     set_moving(arm, line)
     asked_s = time.monotonic()
     arm.stop("test")
-    until(lambda: not arm.state().moving)
+    wait_until(lambda: not arm.state().moving)
     events = ur_emulator.request("state")["events"]
     (stop_s,) = [e["t_s"] for e in events if e["what"] == "servo stop" and e["t_s"] > asked_s]
     assert stop_s - asked_s < 0.1
@@ -195,13 +188,13 @@ def test_after_a_controllers_stop_nothing_moves_by_itself(arm, ur_emulator, line
     """Hardware trap 4: the last pose must not be replayed when the program starts anew."""
     set_moving(arm, line)
     ur_emulator.request(op)
-    until(lambda: arm.state().mode is mode)
+    wait_until(lambda: arm.state().mode is mode)
     with pytest.raises(StoppedError, match=mode.value):
         arm.follow(line(start=arm.state().pose))
     time.sleep(0.1)
     rest = arm.state().pose
     ur_emulator.request("clear")
-    until(lambda: arm.state().mode is ArmMode.STOPPED)
+    wait_until(lambda: arm.state().mode is ArmMode.STOPPED)
     arm.reset()
     assert arm.state().mode is ArmMode.READY
     time.sleep(0.2)
@@ -211,7 +204,7 @@ def test_after_a_controllers_stop_nothing_moves_by_itself(arm, ur_emulator, line
 def test_local_control_is_a_state_with_a_remedy(arm, ur_emulator, line) -> None:
     ur_emulator.request("local", on=True)
     ur_emulator.request("end_program")
-    until(lambda: arm.state().mode is ArmMode.LOCAL_CONTROL)
+    wait_until(lambda: arm.state().mode is ArmMode.LOCAL_CONTROL)
     for act in (arm.reset, lambda: arm.follow(line(start=arm.state().pose))):
         with pytest.raises(StoppedError, match="remote control"):
             act()
@@ -226,8 +219,8 @@ def test_local_control_in_motion_stops_the_arm_though_the_controller_would_go_on
     set_moving(arm, line)
     asked_s = time.monotonic()
     ur_emulator.request("local", on=True)
-    until(lambda: arm.state().mode is ArmMode.LOCAL_CONTROL)
-    until(lambda: not arm.state().moving)
+    wait_until(lambda: arm.state().mode is ArmMode.LOCAL_CONTROL)
+    wait_until(lambda: not arm.state().moving)
     rest = arm.state().pose
     events = ur_emulator.request("state")["events"]
     stopped_s = [e["t_s"] for e in events if e["what"] == "servo stop"][-1]
@@ -240,7 +233,7 @@ def test_local_control_in_motion_stops_the_arm_though_the_controller_would_go_on
     time.sleep(0.2)
     assert arm.state().pose.y_m == pytest.approx(rest.y_m, abs=1e-4)
     arm.follow(line(dy_m=0.01, start=rest))
-    until(lambda: not arm.state().moving)
+    wait_until(lambda: not arm.state().moving)
     assert arm.state().pose.y_m == pytest.approx(rest.y_m + 0.01, abs=2e-4)
 
 
@@ -253,21 +246,21 @@ def test_a_dashboard_that_closes_once_is_asked_again_and_one_that_is_gone_is_a_l
     ur_emulator.request("refuse", on=True)
     ur_emulator.request("drop", ports=[29999])
     with pytest.raises(DeviceLostError, match="the dashboard does not tell who has control: Conn"):
-        until(lambda: arm.state().mode is not ArmMode.READY)
+        wait_until(lambda: arm.state().mode is not ArmMode.READY)
 
 
 def test_a_slider_below_full_speed_is_a_state_with_a_remedy(arm, ur_emulator, line) -> None:
     ur_emulator.request("speed_fraction", value=0.4)
-    until(lambda: arm.state().mode is ArmMode.REDUCED_SPEED)
+    wait_until(lambda: arm.state().mode is ArmMode.REDUCED_SPEED)
     for act in (arm.reset, lambda: arm.follow(line(start=arm.state().pose))):
         with pytest.raises(StoppedError, match=r"40% of the full speed; set the speed slider to"):
             act()
     time.sleep(0.5)
     assert ur_emulator.request("state")["runtime"] == "PLAYING", "its watchdog is fed all the same"
     ur_emulator.request("speed_fraction", value=1.0)
-    until(lambda: arm.state().mode is ArmMode.READY)
+    wait_until(lambda: arm.state().mode is ArmMode.READY)
     arm.follow(line(dy_m=-0.01, start=arm.state().pose))
-    until(lambda: not arm.state().moving)
+    wait_until(lambda: not arm.state().moving)
 
 
 @pytest.mark.parametrize("what", ["speed_fraction", "speed_scaling"])
@@ -275,12 +268,12 @@ def test_a_motion_that_is_slowed_is_broken_off_and_stays_so(arm, ur_emulator, li
     set_moving(arm, line)
     asked_s = time.monotonic()
     ur_emulator.request(what, value=0.7)
-    until(lambda: not arm.state().moving)
+    wait_until(lambda: not arm.state().moving)
     rest = arm.state().pose
     stops = [e["t_s"] for e in ur_emulator.request("state")["events"] if e["what"] == "servo stop"]
     assert 0.0 < stops[-1] - asked_s < 0.1
     ur_emulator.request(what, value=1.0)
-    until(lambda: arm.state().mode is ArmMode.STOPPED)
+    wait_until(lambda: arm.state().mode is ArmMode.STOPPED)
     with pytest.raises(StoppedError, match="it was slowed in motion; acknowledge and reset"):
         arm.follow(line(start=rest))
     arm.reset()
@@ -288,18 +281,18 @@ def test_a_motion_that_is_slowed_is_broken_off_and_stays_so(arm, ur_emulator, li
     assert arm.state().mode is ArmMode.READY
     assert arm.state().pose.y_m == pytest.approx(rest.y_m, abs=1e-4)
     arm.follow(line(dy_m=0.01, start=rest))
-    until(lambda: not arm.state().moving)
+    wait_until(lambda: not arm.state().moving)
     assert arm.state().pose.y_m == pytest.approx(rest.y_m + 0.01, abs=2e-4)
 
 
 def test_an_arm_without_power_or_with_its_brakes_on_says_so(arm, ur_emulator) -> None:
     ur_emulator.request("end_program")
     ur_emulator.request("brakes", on=True)
-    until(lambda: arm.state().mode is ArmMode.POWER_OFF)
+    wait_until(lambda: arm.state().mode is ArmMode.POWER_OFF)
     with pytest.raises(StoppedError, match="power_off; power on and release the brakes"):
         arm.reset()
     ur_emulator.request("brakes", on=False)
-    until(lambda: arm.state().mode is ArmMode.STOPPED)
+    wait_until(lambda: arm.state().mode is ArmMode.STOPPED)
     arm.reset()
     assert arm.state().mode is ArmMode.READY
     ur_emulator.request("brakes", on=True)
@@ -311,7 +304,7 @@ def test_an_arm_without_power_or_with_its_brakes_on_says_so(arm, ur_emulator) ->
 
 def test_a_program_that_ended_can_be_started_anew(arm, ur_emulator, line) -> None:
     ur_emulator.request("end_program")
-    until(lambda: arm.state().mode is ArmMode.STOPPED)
+    wait_until(lambda: arm.state().mode is ArmMode.STOPPED)
     with pytest.raises(StoppedError, match="program ended"):
         arm.follow(line(start=arm.state().pose))
     arm.reset()
@@ -404,16 +397,16 @@ def test_an_allowed_version_moves_stops_and_starts_again(
     try:
         asked = ur_emulator.request("state")["dashboard_lines"]
         arm.follow(line(dy_m=-0.01, start=arm.state().pose))
-        until(lambda: not arm.state().moving)
+        wait_until(lambda: not arm.state().moving)
         ur_emulator.request("protective_stop")
-        until(lambda: arm.state().mode is ArmMode.PROTECTIVE_STOP)
+        wait_until(lambda: arm.state().mode is ArmMode.PROTECTIVE_STOP)
         with pytest.raises(StoppedError, match="find the cause, unlock at the pendant"):
             arm.reset()
         ur_emulator.request("clear")
-        until(lambda: arm.state().mode is ArmMode.STOPPED)
+        wait_until(lambda: arm.state().mode is ArmMode.STOPPED)
         arm.reset()
         arm.follow(line(dy_m=0.01, start=arm.state().pose))
-        until(lambda: not arm.state().moving)
+        wait_until(lambda: not arm.state().moving)
         told = ur_emulator.request("state")["dashboard_lines"] - asked
         assert (told > 0) is version.startswith("5.")
     finally:
@@ -426,7 +419,7 @@ def test_what_polyscope_x_does_not_tell_is_said_to_a_person(newer, ur_emulator) 
     try:
         ur_emulator.request("end_program")
         ur_emulator.request("local", on=True)
-        until(lambda: arm.state().mode is ArmMode.STOPPED)  # whether it is local, nobody tells
+        wait_until(lambda: arm.state().mode is ArmMode.STOPPED)  # whether it is local, nobody tells
         with pytest.raises(StoppedError, match="program does not start; PolyScope X does not tell"):
             arm.reset()
         ur_emulator.request("local", on=False)

@@ -25,7 +25,13 @@ from typing import IO, Any
 ROOT = Path(__file__).parents[2]
 #: What a run and a service import sooner or later.
 MODULES = (
-    *("cell.wiring.build", "cell.cli", "cell.cli.making", "cell.cli.plant_end", "cell.lab.next"),
+    *(
+        "cell.wiring.build",
+        "cell.cli",
+        "cell.cli.cell_factory",
+        "cell.cli.plant_end",
+        "cell.lab.next",
+    ),
     *("cell.plant.children", "cell.plant.server", "cell.plant.service", "cell.plant.systemd"),
     *("cell.records.changed_model", "cell.records.ledger.migrations.upgrade"),
     *("cell.run.computer_check", "cell.terminal.keyboard", "cell.terminal.fitting"),

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.recording import form
 from cell.records.recording.reading import verify
 
@@ -64,7 +64,7 @@ def outcomes(copy: Path) -> list[str]:
 def listed(copy: Path) -> list[str]:
     ledger = Ledger(copy / "runs")
     try:
-        return [c.outcome for c in ledger.listed(Wanted())]
+        return [c.outcome for c in ledger.listed(LedgerQuery())]
     finally:
         ledger.close()
 

@@ -92,10 +92,10 @@ def test_a_hand_that_waits_waits_for_one_write_per_step(
 
     def counted(path: Path, content: str | bytes) -> None:
         written.append(path.name)
-        write_whole(path, content)
+        write_atomic(path, content)
 
-    write_whole = folder.write_whole
-    monkeypatch.setattr(folder, "write_whole", counted)
+    write_atomic = folder.write_atomic
+    monkeypatch.setattr(folder, "write_atomic", counted)
     deciding: list[str] = []
     it = live(
         {

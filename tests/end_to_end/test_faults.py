@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
 from cell.run.machine import CellState, EventRefusedError, MachineEvent
@@ -192,13 +192,13 @@ def test_a_full_disk_ends_the_cycle_with_a_closed_record_that_says_where_the_cab
         def write(path: Path, content: str | bytes) -> None:
             if (folder / "reserve").exists() or len(content) > 60_000:
                 raise OSError(errno.ENOSPC, "No space left on device")
-            write_whole(path, content)
+            write_atomic(path, content)
 
         def write_each(files: Mapping[Path, str | bytes], **_: object) -> None:
             for path, content in files.items():
                 write(path, content)
 
-        monkeypatch.setattr("cell.records.folder.write_whole", write)
+        monkeypatch.setattr("cell.records.folder.write_atomic", write)
         monkeypatch.setattr("cell.study.folder.write_all", write_each)
 
     it = live({"hold_and_capture": disk_full})

@@ -21,8 +21,9 @@ import pytest
 from cell.plant.client import Client
 from cell.plant.messages import CommandReply, Request
 from cell.run.machine import CellState, MachineEvent
+from tests.waiting import free_port, wait_until
 
-from .test_web import CONFIG, LivePage, answers, browser, free_port, until  # noqa: F401
+from .test_web import CONFIG, LivePage, answers, browser  # noqa: F401
 
 #: Prints every command that it obeys.
 CELL = """
@@ -73,7 +74,7 @@ class Process:
         os.kill(self._process.pid, signal.SIGSTOP)
         tasks = Path(f"/proc/{self._process.pid}/task")
         state = [t / "stat" for t in tasks.iterdir()]
-        until(lambda: all(s.read_text().rpartition(")")[2].split()[0] == "T" for s in state))
+        wait_until(lambda: all(s.read_text().rpartition(")")[2].split()[0] == "T" for s in state))
 
     def go_on(self) -> None:
         os.kill(self._process.pid, signal.SIGCONT)
@@ -103,7 +104,7 @@ def cell(runs: Path) -> Iterator[Process]:
 def served(runs: Path) -> Iterator[tuple[Process, int]]:
     port = free_port()
     process = Process("-m", "cell", "serve", "-c", CONFIG, "--runs", runs, "--port", port)
-    until(lambda: answers(port))
+    wait_until(lambda: answers(port))
     yield process, port
     process.end()
 
@@ -137,7 +138,7 @@ def opened(browser: Any, port: int) -> Screen:  # noqa: F811
     screen = Screen(browser)
     screen.reaches("Idle")
     screen.click("take")
-    until(lambda: screen.text("control") == "You have control.")
+    wait_until(lambda: screen.text("control") == "You have control.")
     return screen
 
 
@@ -159,11 +160,11 @@ def test_a_halted_server_is_seen_and_a_start_that_it_gets_late_is_refused(
     seen = screen.is_unknown_within(OLDEST_S + DRAWN_S)
     assert "No connection" in seen["plate"] and "State unknown since" in seen["plate"]
     assert (seen["state"], seen["pressed"]) == ("", 0)
-    until(lambda: "no answer. If it comes late it is refused" in screen.seen()["lost"])
+    wait_until(lambda: "no answer. If it comes late it is refused" in screen.seen()["lost"])
     assert screen.seen()["lost"].startswith("Start, ")
     server.go_on()
-    until(lambda: screen.seen()["state"] == "Idle")
-    until(lambda: "start was given" in screen.text_at("body"))
+    wait_until(lambda: screen.seen()["state"] == "Idle")
+    wait_until(lambda: "start was given" in screen.text_at("body"))
     assert asks.status().state is CellState.IDLE
     screen.click("start")
     screen.reaches("Execute")
@@ -194,7 +195,7 @@ def test_a_halted_cell_is_seen_and_obeys_nothing_that_it_gets_late(
         assert not browser.find_element("css selector", f"[data-test={command}]").is_enabled()
     time.sleep(1.5)  # until what was sent is too old
     cell.go_on()
-    until(lambda: screen.seen()["state"] == "Idle")
+    wait_until(lambda: screen.seen()["state"] == "Idle")
     assert Client(runs).send(Request(MachineEvent.STOP, "test")).accepted
     screen.reaches("Stopped")
     assert cell.end() == ["stop"]

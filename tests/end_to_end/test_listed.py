@@ -12,9 +12,8 @@ import pyarrow.parquet
 import pytest
 
 import cell
-from cell.records.ledger.entry import LedgerEntry
-from cell.records.ledger.error import LedgerError
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.entry import LedgerEntry, LedgerError
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.ledger.outbox import outbox_of
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Fault, Outcome, Result
@@ -35,9 +34,9 @@ def is_begun(place: Path) -> bool:
         return False
 
 
-def listed(place: Path, wanted: Wanted | None = None):
+def listed(place: Path, wanted: LedgerQuery | None = None):
     ledger = Ledger(place)
-    found = ledger.listed(wanted or Wanted(), estimates=True)
+    found = ledger.listed(wanted or LedgerQuery(), estimates=True)
     ledger.close()
     return found
 

@@ -32,7 +32,7 @@ from cell.lab.data import named_effects
 from cell.lab.next import discover
 from cell.lab.next.terms import admissible
 from cell.settings import load_settings
-from cell.settings.line import line_of
+from cell.settings.promotion import line_identity
 from cell.settings.translate import model_hash
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
@@ -178,7 +178,7 @@ def good(tmp_path_factory: pytest.TempPathFactory, quick_config: Path) -> Path:
     content = {
         "format": "cell-candidate/1",
         "beside": model_hash(load_settings(CONFIG).model),
-        "lines": [line_of(load_settings(CONFIG))],
+        "lines": [line_identity(load_settings(CONFIG))],
         "model": {
             "effects": [{"effect": "air_drag", "parameters": {"drag_coefficient": {"fixed": 1.9}}}]
         },

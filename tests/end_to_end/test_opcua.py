@@ -12,7 +12,8 @@ from asyncua import Client, ua
 from cell.plant.opcua import packml
 from cell.plant.opcua.server import OWN_URI
 from cell.settings.plant import OpcUa
-from tests.cell.plant.opcua.conftest import NAME, Seen, free_port, served, settings_with
+from tests.cell.plant.opcua.conftest import NAME, Seen, served, settings_with
+from tests.waiting import free_port
 
 from .forked import Forking
 

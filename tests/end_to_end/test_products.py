@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 import yaml
 
-from cell.cli.making import made_cell, products_in
-from cell.plant.folded import status_after
+from cell.cli.cell_factory import build_cell, products_in
 from cell.plant.messages import CommandReply, MessageKind, Notice, Request, Status
 from cell.plant.reporter import Reporter
 from cell.plant.service import Service
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.plant.status_reducer import status_after
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.result import Outcome, Result
 from cell.run.machine import CellState, MachineEvent
 from cell.settings.loading import load_product
@@ -57,9 +57,9 @@ def test_scanned_parts_are_made_by_turns_and_an_unknown_one_is_not(
         assert recorded["product"] == result["product"]
         assert json.loads((folder / "state.json").read_text())["product"] == result["product"]
     ledger = Ledger(runs)
-    assert [c.part for c in ledger.listed(Wanted(product="soft"))] == ["S-1", "S-2"]
-    assert [c.part for c in ledger.listed(Wanted(product="stiff"))] == ["T-1"]
-    line = ledger.listed(Wanted())[0].line
+    assert [c.part for c in ledger.listed(LedgerQuery(product="soft"))] == ["S-1", "S-2"]
+    assert [c.part for c in ledger.listed(LedgerQuery(product="stiff"))] == ["T-1"]
+    line = ledger.listed(LedgerQuery())[0].line
     assert [r.product for r in ledger.results(line, "stiff")] == ["stiff"]
     assert ledger.results(line) == [], "charts of no product see none of theirs"
     ledger.close()
@@ -106,8 +106,8 @@ def serving(config: Path, tmp_path: Path) -> Iterator[SimpleNamespace]:
             assert it.changed.wait_for(lambda: reached(it.status), 60.0), it.status
 
     products = products_in(config, None)
-    known = products.known["soft"]
-    it.made = made_cell(
+    known = products.calibrations["soft"]
+    it.made = build_cell(
         products, "soft", known, tmp_path / "runs", seed=1, cycles=None, on_step=on_step
     )
     it.status = Status("", 0, CellState.STOPPED, 0.0, products=products.names)

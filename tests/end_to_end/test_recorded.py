@@ -217,7 +217,7 @@ def test_a_killed_cell_leaves_all_but_the_last_instant(recorded_config, tmp_path
 def test_calibration_and_own_effects_are_in_it(quick, tmp_path):
     """A recording is enough, whatever becomes of the files that the settings named."""
     from cell.records.recording.unpack import restored_files
-    from cell.settings.referred import files_of
+    from cell.settings.provenance import files_of
 
     own = tmp_path / "own.py"
     own.write_text("an effect")

@@ -15,7 +15,7 @@ import pytest
 from cell.plant.client import Client
 from cell.plant.messages import MessageKind, Notice, Request, Status
 from cell.records.folder import Record, read_record
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.run.machine import CellState, MachineEvent
 
 from .conftest import run
@@ -171,7 +171,7 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     again.communicate(timeout=60)
     assert again.returncode == 0
     ledger = Ledger(runs)
-    *killed_cycles, stopped_cycle = ledger.listed(Wanted())
+    *killed_cycles, stopped_cycle = ledger.listed(LedgerQuery())
     ledger.close()
     assert {c.part for c in killed_cycles} == {"A-1", None}
     assert [(c.acknowledged.by, c.acknowledged.note) for c in killed_cycles] == [

@@ -16,7 +16,7 @@ import pytest
 from cell.plant.client import Client
 from cell.plant.messages import Request, Status
 from cell.run.machine import CellState, MachineEvent
-from tests.cell.plant.opcua.conftest import free_port, wait_until
+from tests.waiting import free_port, wait_until
 
 from .conftest import run
 from .forked import Forked

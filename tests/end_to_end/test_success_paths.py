@@ -31,12 +31,12 @@ from cell.lab.data import named_effects, prepared
 from cell.plant.users import Role, Users
 from cell.records.ledger.actions import take_over
 from cell.settings import load_settings
-from cell.settings.line import line_of
+from cell.settings.promotion import line_identity
 from cell.settings.translate import model_hash
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
 from cell.web.audit import Audit, audit_file
-from tests.cell.plant.opcua.conftest import free_port
+from tests.waiting import free_port
 
 from .conftest import run
 from .forked import Forking
@@ -234,7 +234,7 @@ def world(
     content = {
         "format": "cell-candidate/1",
         "beside": model_hash(settings.model),
-        "lines": [line_of(settings)],
+        "lines": [line_identity(settings)],
         "model": {"effects": [drag]},
         "gates": [{"gate": "forecasts unseen cables better", "passed": True, "found": "so"}],
     }

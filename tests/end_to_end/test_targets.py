@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cell.plant.opcua.conftest import free_port
+from tests.waiting import free_port
 
 ROOT = Path(__file__).parents[2]
 PRACTICE = ROOT.parent / "shared" / "data" / "practice"

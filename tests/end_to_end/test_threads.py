@@ -28,7 +28,7 @@ from cell.plant.client import Client
 from cell.plant.handshake.carrier import CarrierError
 from cell.plant.handshake.modbus import ModbusCarrier
 from cell.plant.link import Link
-from cell.plant.mqtt.taking import Taker
+from cell.plant.mqtt.adapter import OutboxFeeder
 from cell.plant.opcua import server as opcua_server
 from cell.plant.server import CommandServer
 from cell.plant.service import Service
@@ -42,14 +42,13 @@ from cell.records.recording.writer import RecordingWriter
 from cell.run.commands import Commands
 from cell.run.machine import MachineEvent
 from cell.run.waiting import result_of
-from cell.settings.plant import OpcUa
-from cell.settings.plant.handshake import Handshake
+from cell.settings.plant import Handshake, OpcUa
 from cell.terminal.keyboard import Keyboard
 from cell.web import guided as guided_module
 from cell.web.camera import LiveCamera
 from cell.web.guided import Guided
 from cell.web.jobs import Jobs, JobState
-from cell.web.watching import CellWatch, Seen
+from cell.web.watching import CellWatch, WatchedState
 from drivers import ur_dashboard
 from drivers.capture import StreamingCamera
 from drivers.interfaces import ConnectError
@@ -58,10 +57,11 @@ from drivers.threads import GuardedThread, only_logged
 from drivers.ur_child import _Child, _LostError
 from drivers.ur_dashboard import RemoteControl
 from drivers.ur_io import UrIo
-from tests.cell.plant.opcua.conftest import free_port, settings_with
+from tests.cell.plant.opcua.conftest import settings_with
 from tests.cell.plant.test_link import BEGUN, obeys
 from tests.cell.plant.test_service import service_of
 from tests.cell.web.test_jobs import newest, started, task
+from tests.waiting import free_port
 
 ROOT = Path(__file__).parents[2]
 _ROW = re.compile(r"\| `([\w/]+\.py)` \| `(\w+)` \| ([^|]+) \| ([^|]+) \| `(\w+)` \|")
@@ -273,8 +273,8 @@ def test_a_service_without_signs_of_life_ends(
     service._cell = SimpleNamespace(  # type: ignore[assignment]
         machine=service._cell.machine, command=lambda *c: commands.append(c)
     )
-    monkeypatch.setattr(Service, "_tend", boom)
-    monkeypatch.setattr(Service, "_waits_for_person", lambda self: not time.sleep(0.005))
+    monkeypatch.setattr(Service, "_watchdog_loop", boom)
+    monkeypatch.setattr(Service, "_wait_for_operator", lambda self: not time.sleep(0.005))
     service.run(lambda result: None)
     assert commands == [
         (MachineEvent.STOP, "nobody tells that the service lives: ValueError: boom")
@@ -289,7 +289,7 @@ def test_an_adapter_that_is_kept_no_more_is_told() -> None:
 
 def test_an_mqtt_adapter_that_takes_nothing_ends(tmp_path: Path) -> None:
     told: list[bool] = []
-    taker = Taker(tmp_path, SimpleNamespace(taken=boom), lambda: told.append(True))  # type: ignore[arg-type]
+    taker = OutboxFeeder(tmp_path, SimpleNamespace(taken=boom), lambda: told.append(True))  # type: ignore[arg-type]
     with taker:
         until(lambda: told)
     assert str(taker.error) == "ValueError: boom"
@@ -302,7 +302,7 @@ def test_an_opcua_server_that_shows_nothing_new_ends(
     async def fails(self: object) -> None:
         boom()
 
-    monkeypatch.setattr(opcua_server._Shown, what, boom if what == "follow" else fails)
+    monkeypatch.setattr(opcua_server._ViewPublisher, what, boom if what == "follow" else fails)
     settings = settings_with(OpcUa(port=free_port(), folder=tmp_path / "opcua"))
 
     async def serve() -> None:
@@ -316,10 +316,10 @@ def test_an_opcua_server_that_shows_nothing_new_ends(
 def test_a_page_whose_cell_is_followed_no_more_says_so(tmp_path: Path) -> None:
     client = SimpleNamespace(follow=boom, away=None, heard_s=0.0)
     watch = CellWatch(client, None, tmp_path)  # type: ignore[arg-type]
-    watch._seen = Seen(there=True, figures=SimpleNamespace())  # type: ignore[arg-type]
+    watch._seen = WatchedState(connected=True, figures=SimpleNamespace())  # type: ignore[arg-type]
     with watch:
-        until(lambda: not watch.seen.there and watch.seen.figures is None)
-    assert watch.seen.note == "ValueError: boom"
+        until(lambda: not watch.state.connected and watch.state.figures is None)
+    assert watch.state.note == "ValueError: boom"
 
 
 def test_a_picture_that_is_read_no_more_is_shown_no_more(tmp_path: Path) -> None:
@@ -334,7 +334,7 @@ def test_jobs_whose_thread_dies_have_failed() -> None:
     with Jobs(boom) as jobs:
         assert jobs.submit(task("pass"), "Ada") == ""
         until(lambda: newest(jobs).state is JobState.FAILED)
-        assert newest(jobs).said == ("ValueError: boom",)
+        assert newest(jobs).output == ("ValueError: boom",)
 
 
 def test_a_job_whose_output_is_read_no_more_ends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -360,7 +360,7 @@ def test_a_calibration_that_is_followed_no_more_ends(
     guided = Guided()
     assert guided.start("calibrate", [sys.executable, "-c", "import time; time.sleep(60)"]) == ""
     until(lambda: not guided.state.runs)
-    assert "ValueError: boom" in guided.state.said and guided.state.code != 0
+    assert "ValueError: boom" in guided.state.output and guided.state.code != 0
 
 
 def test_a_calibration_that_is_to_end_ends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -368,6 +368,6 @@ def test_a_calibration_that_is_to_end_ends(monkeypatch: pytest.MonkeyPatch) -> N
     guided = Guided()
     stubborn = "import signal, time; signal.signal(15, signal.SIG_IGN); print(); time.sleep(60)"
     guided.start("calibrate", [sys.executable, "-u", "-c", stubborn])
-    until(lambda: guided.state.said or guided._process)
+    until(lambda: guided.state.output or guided._process)
     assert guided.cancel() == ""
     until(lambda: not guided.state.runs)

@@ -19,12 +19,13 @@ from urllib.parse import urlencode, urlsplit
 import pytest
 
 from cell.plant.client import Client
+from cell.plant.users import Role, Users
 from cell.records.folder import Record
 from cell.records.recording import form
 from cell.records.recording.writer import RecordingWriter
 from cell.records.result import Outcome, Result
 from cell.web.audit import audit_file
-from cell.web.users import Role, Users
+from tests.waiting import free_port, wait_until
 
 from .conftest import _QUICK, _SMALL, CONFIG, WINDY, changed, unrecorded
 
@@ -36,22 +37,6 @@ FLAGS = (
 )
 #: Shown as text wherever it appears; run nowhere.
 PART = "<img src=x onerror=document.title='run'>"
-
-
-def free_port() -> int:
-    with socket.socket() as tried:
-        tried.bind(("127.0.0.1", 0))
-        return int(tried.getsockname()[1])
-
-
-def until(reached: Callable[[], Any], within_s: float = 90.0) -> Any:
-    """The first true result; polled ever more rarely, because each look costs processor time."""
-    end_s, pause_s = time.monotonic() + within_s, 0.05
-    while not (found := reached()):
-        assert time.monotonic() < end_s
-        time.sleep(pause_s)
-        pause_s = min(1.3 * pause_s, 0.5)
-    return found
 
 
 def answers(port: int) -> bool:
@@ -148,7 +133,7 @@ class LivePage:
                 time.sleep(0.1)
             return self.text(where) == said
 
-        until(done)
+        wait_until(done)
 
     def type(self, what: str, text: str) -> None:
         self._do(what, lambda element: element.send_keys(text))
@@ -167,7 +152,7 @@ class LivePage:
                 time.sleep(0.1)
             return said in self.text(where)
 
-        until(done)
+        wait_until(done)
 
     def _do(self, what: str, act: Callable[[Any], None], still: bool = False) -> None:
         """Once the element is there, and can be used; `still`: does not move as dialogs do."""
@@ -185,10 +170,10 @@ class LivePage:
                 return False
             return True
 
-        until(done)
+        wait_until(done)
 
     def reaches(self, state: str) -> None:
-        until(lambda: self.text("state") == state)
+        wait_until(lambda: self.text("state") == state)
 
 
 def live(browser: Any, started: Started, config: Path, runs: Path) -> tuple[LivePage, Client, int]:
@@ -196,7 +181,7 @@ def live(browser: Any, started: Started, config: Path, runs: Path) -> tuple[Live
     port = free_port()
     started("run", "-c", config, "--cycles", "forever", "--out", runs)
     started("serve", "-c", config, "--runs", runs, "--port", port)
-    until(lambda: answers(port))
+    wait_until(lambda: answers(port))
     browser.get(f"http://127.0.0.1:{port}/")
     page = LivePage(browser)
     page.reaches("Idle")
@@ -210,14 +195,14 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
 ) -> None:
     runs = tmp_path / "runs"
     page, cell, port = live(browser, started, config, runs)
-    until(lambda: page.text("control") == "You have control.")
+    wait_until(lambda: page.text("control") == "You have control.")
     for number in (1, 2, 3):
         page.type("part", f"{PART}{number}")
         page.click("start")
-        until(lambda number=number: cell.status().counts.get("inserted") == number)
+        wait_until(lambda number=number: cell.status().counts.get("inserted") == number)
         page.reaches("Idle")
     assert f"Part {PART}3" in page.text("cycle")
-    until(lambda: page.text("outcome") == "Newest cable: inserted")
+    wait_until(lambda: page.text("outcome") == "Newest cable: inserted")
 
     page.click("start")
     page.reaches("Execute")
@@ -225,11 +210,11 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
     page.reaches("Held")
     page.click("stop")
     page.reaches("Stopped")
-    until(lambda: page.text("cause") == "stop by web:local")
+    wait_until(lambda: page.text("cause") == "stop by web:local")
     page.type("by", "Ada")
     page.type("note", "cable taken out")
     page.click("acknowledge")
-    until(lambda: cell.status().fault is None)
+    wait_until(lambda: cell.status().fault is None)
     assert cell.status().state == "stopped"  # nothing moves before the reset
     page.click("reset")
     page.reaches("Idle")
@@ -238,11 +223,11 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
     assert [(d["action"], d["done"]) for d in done] == [(action, True) for action in actions]
 
     browser.get(f"http://127.0.0.1:{port}/history")
-    rows = until(lambda: browser.find_elements("css selector", "[data-test=cycles] tbody a"))
+    rows = wait_until(lambda: browser.find_elements("css selector", "[data-test=cycles] tbody a"))
     assert len(rows) == 4
     assert f"{PART}3" in page.text("cycles")
     rows[1].click()
-    until(lambda: "inserted at offset" in page.text("says"))
+    wait_until(lambda: "inserted at offset" in page.text("says"))
     assert "`recording: null`" in page.text("no-film")
     assert f"Part {PART}3" in page.text_at("main, .q-page")
     assert browser.title == "Cable cell"
@@ -261,17 +246,17 @@ def test_a_missed_cable_is_told_and_the_next_one_is_inserted(
     why = {"rejected": "probability", "missed": "the tip missed", "inserted": ""}
     for outcome in why:
         page.click("start")
-        until(lambda outcome=outcome: page.text("outcome") == f"Newest cable: {outcome}")
+        wait_until(lambda outcome=outcome: page.text("outcome") == f"Newest cable: {outcome}")
         assert why[outcome] in page.text("why")
         page.reaches("Idle")
         assert cell.status().fault is None
-    until(lambda: "1 × missed: the tip missed the destination by" in page.text("reasons"))
+    wait_until(lambda: "1 × missed: the tip missed the destination by" in page.text("reasons"))
     assert cell.status().counts == {"rejected": 1, "missed": 1, "inserted": 1}
 
     browser.get(f"http://127.0.0.1:{port}/history")
-    rows = until(lambda: browser.find_elements("css selector", "[data-test=cycles] tbody a"))
+    rows = wait_until(lambda: browser.find_elements("css selector", "[data-test=cycles] tbody a"))
     rows[1].click()  # the newest stands first
-    until(lambda: "the tip missed the destination by" in page.text("says"))
+    wait_until(lambda: "the tip missed the destination by" in page.text("says"))
 
 
 @pytest.fixture
@@ -326,7 +311,7 @@ def test_settings_are_written_a_film_is_seen_and_a_camera_calibrated(
     port, page = free_port(), LivePage(browser)
     at = f"http://127.0.0.1:{port}"
     started("serve", "-c", uncalibrated, "--runs", tmp_path / "runs", "--port", port)
-    until(lambda: answers(port))
+    wait_until(lambda: answers(port))
 
     browser.get(f"{at}/calibration")
     page.click_until("start-camera", "guided", "calibrate camera")
@@ -335,38 +320,38 @@ def test_settings_are_written_a_film_is_seen_and_a_camera_calibrated(
     browser.get(f"{at}/settings")
     page.type("search", "motion.hold_s")
     entries = browser.find_elements("css selector", ".entry")
-    until(lambda: sum(e.is_displayed() for e in entries) == 1)
+    wait_until(lambda: sum(e.is_displayed() for e in entries) == 1)
     page.enter_until("motion.hold_s", "31", "motion.hold_s:said", "less than or equal to 30")
     page.enter_until("motion.hold_s", "0.8", "checked", "Changes: 1. The settings are right.")
     serious = faults_of(browser)
     page.click("differences")
-    until(lambda: "+  hold_s: 0.8" in page.text_at(".diff"))
+    wait_until(lambda: "+  hold_s: 0.8" in page.text_at(".diff"))
     page.click("write")
-    until(lambda: "Changes: 0." in page.text("checked"))
+    wait_until(lambda: "Changes: 0." in page.text("checked"))
     written = uncalibrated.read_text("utf-8")
     assert "hold_s: 0.8" in written and "# the tip must pass it from right to left" in written
     assert "hold_s: 1.0" in (tmp_path / "cell.settings" / "0001.yaml").read_text("utf-8")
 
     browser.get(f"{at}/cycle/{film.name}")
-    until(lambda: page.text("time") == "0.000 s · 1/3")
+    wait_until(lambda: page.text("time") == "0.000 s · 1/3")
     page.type("slider", "\ue014\ue014")  # arrow right
-    until(lambda: page.text("time") == "2.000 s · 3/3")
+    wait_until(lambda: page.text("time") == "2.000 s · 3/3")
     shown = "const i = document.getElementById('film-frame'); return i.naturalWidth"
-    until(lambda: browser.execute_script(shown) == 64)
+    wait_until(lambda: browser.execute_script(shown) == 64)
     serious += faults_of(browser)
     page.click("keep")
-    until(lambda: page.text("kept") == "The film is kept for good.")
+    wait_until(lambda: page.text("kept") == "The film is kept for good.")
     assert (film / "keep").exists()
     for path in ("/", "/history"):
         browser.get(at + path)
-        until(lambda: browser.find_elements("css selector", "[role=heading]"))
+        wait_until(lambda: browser.find_elements("css selector", "[role=heading]"))
         serious += faults_of(browser)
 
     browser.switch_to.window(calibrating)
-    until(lambda: page.text("guided") == "calibrate camera: done")
+    wait_until(lambda: page.text("guided") == "calibrate camera: done")
     assert (tmp_path / "calib" / "camera.yaml").exists()
     assert "20 of 20" in page.text("guided-said") or "view 20" in page.text("guided-said")
-    until(lambda: "valid" in page.text_at(".plain-table"))
+    wait_until(lambda: "valid" in page.text_at(".plain-table"))
     serious += faults_of(browser)
     assert serious == []
 
@@ -379,7 +364,7 @@ def test_with_users_nothing_is_shown_before_the_login(
     started(
         "serve", "-c", config, "--runs", runs, "--port", port, "--users", tmp_path / "users.json"
     )
-    until(lambda: answers(port))
+    wait_until(lambda: answers(port))
 
     def ask(method: str, path: str, form: dict[str, str] | None = None, **headers: str) -> Any:
         connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)

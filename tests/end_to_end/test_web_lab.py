@@ -19,16 +19,17 @@ from cell.cable.model import CableModel
 from cell.cli import app
 from cell.files.yaml_document import yaml_text
 from cell.settings import load_settings
-from cell.settings.line import line_of
+from cell.settings.promotion import line_identity
 from cell.settings.translate import model_hash
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
 from cell.web.audit import audit_file
 from cell.web.workspace import Workspace
+from tests.waiting import free_port, wait_until
 
 from . import test_web
 from .conftest import CONFIG, WINDY, changed
-from .test_web import Started, answers, free_port, until
+from .test_web import Started, answers
 
 browser = test_web.browser
 started = test_web.started
@@ -88,7 +89,7 @@ def write_candidate(path: Path, config: Path, *, passed: bool) -> None:
         "beside": model_hash(settings.model),
         "model": {"effects": [drag]},
         "gates": [{"gate": "identifiable", "passed": passed, "found": "so"}],
-        "lines": [line_of(settings)],
+        "lines": [line_identity(settings)],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml_text(content), encoding="utf-8")
@@ -110,26 +111,28 @@ class LabPage:
             return ""
 
     def click(self, what: str) -> None:
-        button = until(lambda: self._shown(what))
+        button = wait_until(lambda: self._shown(what))
         self._browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
-        until(lambda: self._clicked(button))
+        wait_until(lambda: self._clicked(button))
 
     def upload(self, path: Path) -> None:
         kind = "folder" if path.is_dir() else "files"
         field = f"[data-test=drop][data-ready] [data-test=upload-{kind}]"
-        until(lambda: self._browser.find_elements("css selector", field))[0].send_keys(str(path))
+        wait_until(lambda: self._browser.find_elements("css selector", field))[0].send_keys(
+            str(path)
+        )
 
     def type_over_effect(self, text: str) -> None:
         from selenium.webdriver.common.keys import Keys
 
-        content = until(self._editor)  # which comes after its frame
+        content = wait_until(self._editor)  # which comes after its frame
         content.click()
         content.send_keys(Keys.CONTROL, "a")
         self._browser.execute_cdp_cmd("Input.insertText", {"text": text})
 
     def shows(self, what: str, text: str, within_s: float = 90.0) -> None:
         try:
-            until(lambda: text in self.text(what), within_s)
+            wait_until(lambda: text in self.text(what), within_s)
         except AssertionError:
             pytest.fail(f"{what}: {text!r} is not in {self.text(what)!r}")
 
@@ -178,7 +181,7 @@ def config(tmp_path: Path) -> Path:
 def opened(browser: Any, started: Started, config: Path, runs: Path) -> LabPage:
     port = free_port()
     started("serve", "-c", config, "--runs", runs, "--port", port)
-    until(lambda: answers(port))
+    wait_until(lambda: answers(port))
     browser.get(f"http://127.0.0.1:{port}/lab")
     return LabPage(browser)
 
@@ -187,7 +190,7 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     browser: Any, started: Started, config: Path, tmp_path: Path
 ) -> None:
     page = opened(browser, started, config, tmp_path / "runs")
-    lab = Workspace.beside(tmp_path / "runs")
+    lab = Workspace.of_runs(tmp_path / "runs")
     write_study(hidden_mass(), tmp_path / "hidden")
     page.upload(Path(shutil.make_archive(str(tmp_path / "hidden"), "zip", tmp_path / "hidden")))
     page.ended("Look · hidden")
@@ -253,7 +256,7 @@ def test_what_recorded_cycles_lack_is_learned_promoted_and_undone(
     words = ["run", "-c", str(config), "--cycles", "3", "--out", str(runs)]
     assert CliRunner().invoke(app, words).exit_code == 1  # two of them are not inserted
     page = opened(browser, started, config, runs)
-    lab = Workspace.beside(runs)
+    lab = Workspace.of_runs(runs)
 
     page.click("cycles-open")
     page.shows("cycles", "missed")
@@ -266,7 +269,7 @@ def test_what_recorded_cycles_lack_is_learned_promoted_and_undone(
         box.click()
     page.click("use-cycle")
     newest = max(r.parent.name for r in runs.glob("*/result.json"))
-    until(lambda: browser.current_url.endswith(f"?study={newest}"))
+    wait_until(lambda: browser.current_url.endswith(f"?study={newest}"))
 
     page.click("tab-compare")
     page.click("fit")

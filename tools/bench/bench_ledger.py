@@ -23,7 +23,7 @@ from cell.records.chart import signals
 from cell.records.ledger.effectiveness import shifts
 from cell.records.ledger.entry import LedgerEntry, LedgerEstimate
 from cell.records.ledger.export import rows_of
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.result import Fault, Outcome, Result
 
 LINE, CYCLE_S = "line3", 30.0
@@ -91,7 +91,7 @@ def filled(place: str | Path, count: int) -> Ledger:
 def questions(ledger: Ledger, count: int) -> dict[str, Callable[[], object]]:
     """What is asked, by name."""
     last = BEGUN + timedelta(seconds=CYCLE_S * count)
-    week = Wanted(since=last - timedelta(days=7))
+    week = LedgerQuery(since=last - timedelta(days=7))
     begins = [time_of_day(6), time_of_day(14), time_of_day(22)]
     new = iter(entries(10**9))
 
@@ -111,30 +111,30 @@ def questions(ledger: Ledger, count: int) -> dict[str, Callable[[], object]]:
         rows_of(ledger.listed(week, 1000, estimates=True))
 
     return {
-        "newest 20": lambda: (ledger.listed(Wanted(), 20), ledger.count(Wanted())),
+        "newest 20": lambda: (ledger.listed(LedgerQuery(), 20), ledger.count(LedgerQuery())),
         "newest 20 of a line": lambda: (
-            ledger.listed(Wanted(line=LINE), 20),
-            ledger.count(Wanted(line=LINE)),
+            ledger.listed(LedgerQuery(line=LINE), 20),
+            ledger.count(LedgerQuery(line=LINE)),
         ),
         "missed": lambda: (
-            ledger.listed(Wanted(outcomes=("missed",)), 20),
-            ledger.count(Wanted(outcomes=("missed",))),
+            ledger.listed(LedgerQuery(outcomes=("missed",)), 20),
+            ledger.count(LedgerQuery(outcomes=("missed",))),
         ),
         "one part": lambda: (
-            ledger.listed(Wanted(part="P00000100"), 20),
-            ledger.count(Wanted(part="P00000100")),
+            ledger.listed(LedgerQuery(part="P00000100"), 20),
+            ledger.count(LedgerQuery(part="P00000100")),
         ),
         "one fault": lambda: (
-            ledger.listed(Wanted(fault="arm.limit"), 20),
-            ledger.count(Wanted(fault="arm.limit")),
+            ledger.listed(LedgerQuery(fault="arm.limit"), 20),
+            ledger.count(LedgerQuery(fault="arm.limit")),
         ),
         "one model": lambda: (
-            ledger.listed(Wanted(model="3d4e5f"), 20),
-            ledger.count(Wanted(model="3d4e5f")),
+            ledger.listed(LedgerQuery(model="3d4e5f"), 20),
+            ledger.count(LedgerQuery(model="3d4e5f")),
         ),
-        "faults by code": lambda: ledger.faults(Wanted()),
+        "faults by code": lambda: ledger.faults(LedgerQuery()),
         "OEE of a week": lambda: shifts(ledger, week, begins, last),
-        "OEE of all": lambda: shifts(ledger, Wanted(), begins, last),
+        "OEE of all": lambda: shifts(ledger, LedgerQuery(), begins, last),
         "1000 cycles with parameters": exported,
         "write a cycle": write,
         "end of a run: charts, promoted model": end_of_run,

@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.cli.making import MadeCell, Products
+from cell.cli.cell_factory import BuiltCell, Products
 from cell.cli.plant_end import PlantEnd
 from cell.computer.abilities import StallProbe
 from cell.plant.client import Client
@@ -164,7 +164,7 @@ def measured(
         made = cell_with(settings, devices, Path(runs), on_step, archive=Archive(how))
         with ended, closing(made) as cell, ExitStack() as link:
             if linked is not None:
-                told.append(PlantEnd(MadeCell(cell, Products(settings)), linked, settings))
+                told.append(PlantEnd(BuiltCell(cell, Products(settings)), linked, settings))
                 link.enter_context(told[0].reachable())
             for number in range(1, cycles + 1):
                 player.recordings, player.late_s = to_parent.recv(), []

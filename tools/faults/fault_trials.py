@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.cli.making import MadeCell, Products
+from cell.cli.cell_factory import BuiltCell, Products
 from cell.cli.plant_end import PlantEnd
 from cell.plan import correction
 from cell.plan.correction import Tail
@@ -157,7 +157,7 @@ class FaultRig:
 
         self.devices.arm.revise = revise_amid_a_fault  # type: ignore[method-assign]
         self.cell: Cell = cell_with(settings, self.devices, runs, self._on_step)
-        self.plant = PlantEnd(MadeCell(self.cell, Products(settings)), runs, settings)
+        self.plant = PlantEnd(BuiltCell(self.cell, Products(settings)), runs, settings)
 
     def be_patient(self, silent_s: float, device: str = "") -> None:
         """Change how long the drivers of gripper and camera wait, but not that of `device`."""

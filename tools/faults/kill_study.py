@@ -30,7 +30,7 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from cell.records.ledger.ledger import Ledger, ListedCycle, Wanted
+from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
 from cell.records.past_cycles import UNFINISHED
 from cell.records.recording import form
 from cell.records.recording.reading import Recording, read_recording
@@ -172,7 +172,7 @@ def _listed(runs: Path) -> list[ListedCycle]:
             return []
     ledger = Ledger(runs)
     try:
-        return ledger.listed(Wanted())
+        return ledger.listed(LedgerQuery())
     finally:
         ledger.close()
 
@@ -183,9 +183,9 @@ def _known_until_s(recording: Recording) -> float:
         topics = [form.CYCLE, form.MEASURED]
         messages = make_reader(file).iter_messages(topics=topics, log_time_order=False)
         last_ns = max(
-            (m.log_time for _, _, m in messages), default=int(recording.begun[form.EPOCH])
+            (m.log_time for _, _, m in messages), default=int(recording.started[form.EPOCH])
         )
-    return (last_ns - int(recording.begun[form.EPOCH])) / 1e9
+    return (last_ns - int(recording.started[form.EPOCH])) / 1e9
 
 
 def _children(process: int) -> list[int]:

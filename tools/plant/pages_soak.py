@@ -38,7 +38,7 @@ from cell.records.ledger.ledger import Ledger
 from cell.records.recording import form
 from cell.run.machine import CellState, MachineEvent
 from cell.settings import load_settings
-from cell.settings.referred import line_of
+from cell.settings.provenance import line_name
 from tools.plant.adapter_kills import quick, service
 from tools.plant.browser import Browser, Pages
 
@@ -86,7 +86,7 @@ class Line:
 
     def __init__(self, told: Recorded, config: Path, runs: Path, cycle_s: float) -> None:
         self._told, self._runs, self._cycle_s = told, runs, cycle_s
-        self._line = line_of(load_settings(config))
+        self._line = line_name(load_settings(config))
         self.cycles = self.notices = 0
         self._folders: list[Path] = []
 

@@ -19,7 +19,7 @@ from cell.study.imports.hand_section import (
     AccelerationSection,
     AngleSection,
     AxesSection,
-    HandSection,
+    GripperSection,
     TextSection,
     TimeSection,
     TurnsSection,
@@ -33,7 +33,7 @@ from cell.study.imports.mapping import (
     TrialEntry,
     read_mapping,
 )
-from cell.study.imports.proposal import mapping_text
+from cell.study.imports.write import mapping_text
 from cell.study.table import table_text
 
 #: Of an accelerometer: noise of a sample and offset, m/s², samples a second.
@@ -73,7 +73,7 @@ def by_encoder(study: Study, radius_m: float, counts: int) -> Study:
         column="encoder", radians_per_unit=2.0 * np.pi / counts, axle_m=(0.0, 0.0),
         radius_m=radius_m,
     )  # fmt: skip
-    hand = HandSection(turns=turns, angle=AngleSection(follows=True), text=_TABLE, time=_TIME)
+    hand = GripperSection(turns=turns, angle=AngleSection(follows=True), text=_TABLE, time=_TIME)
     return _imported(study, hand, ("t_s", "encoder"), logs)
 
 
@@ -94,7 +94,7 @@ def by_accelerometer(study: Study, rng: np.random.Generator) -> Study:
         columns=["acc_x", "acc_y"], m_per_s2_per_unit=1.0, along="clamp", starts_at_m=(0.0, 0.0)
     )
     angle_section = AngleSection(column="angle", radians_per_unit=1.0)
-    hand = HandSection(acceleration=sensor, angle=angle_section, text=_TABLE, time=_TIME)
+    hand = GripperSection(acceleration=sensor, angle=angle_section, text=_TABLE, time=_TIME)
     return _imported(study, hand, ("t_s", "acc_x", "acc_y", "angle"), logs)
 
 
@@ -105,7 +105,7 @@ def _at(grip: Motion, rate_hz: float) -> tuple[np.ndarray, list[np.ndarray]]:
 
 
 def _imported(
-    study: Study, hand: HandSection, columns: Sequence[str], logs: Sequence[np.ndarray]
+    study: Study, hand: GripperSection, columns: Sequence[str], logs: Sequence[np.ndarray]
 ) -> Study:
     """By files and a mapping, which may state less of a study than it has."""
     names = [f"m{i}" for i in range(len(study.arc_length_m))]

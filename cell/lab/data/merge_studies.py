@@ -16,7 +16,7 @@ from cell.identify.noise import still_frames
 from cell.lab.data.cycles import measured
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder, write_study
-from cell.study.left_out import without_wrong_samples
+from cell.study.left_out import without_outliers
 
 #: Datasheets of the same cable agree to this.
 SAME = 1e-6
@@ -122,7 +122,7 @@ def _read(run: Path) -> _Cycle:
     folder = study_folder(run)
     study = read_study(folder)
     if folder != run:
-        study = without_wrong_samples(replace(study, filmed=True))
+        study = without_outliers(replace(study, filmed=True))
     settings = run / "settings.yaml"
     return _Cycle(
         run.resolve().name, folder, study, read_yaml(settings) if settings.exists() else None

@@ -11,13 +11,11 @@ from cell.cable.geometry import STILL, Motion, moves_from_s
 from cell.files.input_error import InputError, Problem
 from cell.identify.noise import still_frames
 from cell.lab.data.rest_drift import with_tested_starts
+from cell.study.clocks import WEAK_M_PER_S2, with_pull
 from cell.study.data import Study, Trial
-from cell.study.facts import facts_of, trial_facts
+from cell.study.facts import facts_of, stated_oddly, trial_facts
 from cell.study.folder import read_study, study_folder
-from cell.study.left_out import without_wrong_samples
-from cell.study.odd import stated_oddly
-from cell.study.pull import WEAK_M_PER_S2, with_pull
-from cell.study.wrench_slips import without_slips
+from cell.study.left_out import without_outliers, without_wrench_outliers
 
 #: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
 SWING = 1.545
@@ -58,8 +56,8 @@ def open_study(folder: Path) -> Study:
     facts = facts_of(study.trials, study.arc_length_m)
     stated = None if study.filmed else stated_oddly(facts, study.noise_std_m)
     told += [] if stated is None else [f"{folder / 'study.yaml'}: {stated}"]
-    study = without_slips(replace(study, notes=(*study.notes, *told)), folder)
-    return with_tested_starts(without_wrong_samples(study))
+    study = without_wrench_outliers(replace(study, notes=(*study.notes, *told)), folder)
+    return with_tested_starts(without_outliers(study))
 
 
 def _left_out(log: Path, grip: Motion) -> list[str]:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.plain import plain
 
 Verdict = Literal["complete", "missing", "unexplained", "cannot_tell"]
@@ -271,4 +271,4 @@ def agreement_json(agreement: Sequence[Agreement]) -> list[dict[str, Any]]:
 
 def write_json(content: dict[str, Any], path: Path) -> None:
     """Write plain data as JSON, whole or not at all."""
-    write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_atomic(path, json.dumps(content, indent=1, allow_nan=False) + "\n")

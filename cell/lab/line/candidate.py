@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.yaml_document import yaml_text
 from cell.identify.model_class import source_of
 from cell.lab.data.cycles import RecordedCycle
@@ -18,9 +18,8 @@ from cell.lab.line.gates import Judgement
 from cell.lab.line.learn import LearningResult
 from cell.lab.line.learning_checks import learning_outcomes, learning_verdict
 from cell.settings import Settings, load_settings
-from cell.settings.line import distinct, line_of
 from cell.settings.model import ModelSettings
-from cell.settings.promotion import FORMAT
+from cell.settings.promotion import FORMAT, distinct, line_identity
 from cell.settings.translate import model_hash
 
 
@@ -31,7 +30,7 @@ def lines_of(cycles: Sequence[RecordedCycle], settings: Settings) -> list[dict[s
     """
     recorded = [c.folder / "settings.yaml" for c in cycles]
     return distinct(
-        [line_of(load_settings(path) if path.exists() else settings) for path in recorded]
+        [line_identity(load_settings(path) if path.exists() else settings) for path in recorded]
     )
 
 
@@ -68,7 +67,7 @@ def write_candidate(
         "lines": list(lines),
         "cycles": [str(c.folder.resolve()) for c in result.cycles],
     }
-    write_whole(path, yaml_text(content))
+    write_atomic(path, yaml_text(content))
 
 
 def section(result: LearningResult, present: ModelSettings) -> ModelSettings:

@@ -17,10 +17,10 @@ from cell.identify.individual import (
 from cell.lab.data.named_effects import select_effects
 from cell.settings import load_settings
 from cell.settings.translate import identification_of
+from cell.study.clocks import with_pull
 from cell.study.data import Study
 from cell.study.folder import read_study, study_folder
-from cell.study.left_out import without_wrong_samples
-from cell.study.pull import with_pull
+from cell.study.left_out import without_outliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ def study_to_identify(folder: Path) -> Study:
     """
     study = read_study(study_folder(folder))
     if study_folder(folder) == folder:  # what the cell filmed is judged across the cable alone
-        study = without_wrong_samples(study)
+        study = without_outliers(study)
     if not study.role("fit"):
         message = "no trial has `role: fit`; mark the one to identify the cable from"
         raise InputError.at(folder, message, key="trials")

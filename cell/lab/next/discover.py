@@ -12,7 +12,7 @@ import numpy as np
 
 from cell.cable.effects import Effect, library, load_effect, unscreened
 from cell.cable.effects.base import Parameter
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.lab.data.thresholds import Rules
 from cell.lab.diagnosis import diagnose
 from cell.lab.next.terms import NAMESPACE, Term, admissible
@@ -114,7 +114,7 @@ class Discovery:
 
     def write(self, path: Path) -> None:
         """Write the effect's file, whole or not at all."""
-        write_whole(path, self.source)
+        write_atomic(path, self.source)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.yaml_document import yaml_text
 from cell.lab.next.strokes import FORMAT, HOLD_S, STILL_S, Stroke
 from cell.settings.surroundings import Surroundings
@@ -80,4 +80,4 @@ def write_motion(suggestion: Suggestion, path: Path) -> None:
         ],
         "hold_s": HOLD_S,
     }
-    write_whole(path, yaml_text(content))
+    write_atomic(path, yaml_text(content))

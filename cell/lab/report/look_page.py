@@ -19,7 +19,7 @@ from cell.files.words import counted
 from cell.lab.report.wrench_report import wrench_facts_table, wrench_figure
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts
-from cell.study.wrench_facts import WrenchFacts
+from cell.study.wrench import WrenchFacts
 
 #: Shapes of a film strip, and of a line of it.
 STRIP, IN_LINE = 10, 5

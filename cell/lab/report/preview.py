@@ -10,14 +10,13 @@ import numpy as np
 from cell.files.input_error import InputError
 from cell.files.yaml_document import Document
 from cell.lab.report.look_page import StudyOverview
-from cell.study.facts import facts_of
+from cell.study.facts import facts_of, oddities
+from cell.study.imports.capture import Finding, Sure
 from cell.study.imports.convert import study_of, trials_of
-from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.mapping import ReadMapping
 from cell.study.imports.quality import slips
 from cell.study.imports.trials import Files
 from cell.study.imports.understand import Understanding
-from cell.study.odd import oddities
 
 _HEADS = {
     Sure.WANTED: "To be filled in:",
@@ -36,7 +35,9 @@ def preview_of(
     """
     read = ReadMapping(understood.mapping, Document(mapping_file, {}, {(): (1, 1)}))
     captures = {f.file: f.capture for f in files}
-    captures |= {f.hand_file: f.hand for f in files if f.hand_file and f.hand is not None}
+    captures |= {
+        f.gripper_file: f.gripper for f in files if f.gripper_file and f.gripper is not None
+    }
     trials, problems = trials_of(read, captures)
     notes = [note for capture in captures.values() for note in capture.notes]
     if not problems and not any(f.sure is Sure.WANTED for f in understood.findings):

@@ -16,7 +16,7 @@ from cell.lab.report.wording import chance
 from cell.lab.strength.compare import Comparison
 from cell.lab.strength.wrench_residual import WrenchResidual
 from cell.study.data import Wrench
-from cell.study.wrench_facts import WrenchFacts
+from cell.study.wrench import WrenchFacts
 
 #: In the order of the columns of `wrench.csv`.
 NAMES = ("force x", "force y", "moment")

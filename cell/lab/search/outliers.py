@@ -15,8 +15,8 @@ from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import residuals_m
 from cell.study.data import Study
-from cell.study.left_out import leaving_out
-from cell.study.wrong_samples import wrong_samples
+from cell.study.left_out import without_samples
+from cell.study.wrong_samples import outlier_distances
 
 #: One that is left out shows others, which the fit had followed.
 _MOST_ROUNDS = 3
@@ -36,7 +36,7 @@ def without_outliers(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
         study = as_measured(fits.prepared)
         if not any(np.isfinite(w).any() for w in wrong.values()):
             break
-        cleaner = leaving_out(study, [wrong[t.name] for t in study.trials])
+        cleaner = without_samples(study, [wrong[t.name] for t in study.trials])
         told = (*told, *cleaner.notes[len(study.notes) :])
         fits = _with_study(fits, cleaner)
     return fits, told
@@ -53,7 +53,7 @@ def _wrong(fits: FitCache) -> dict[str, FloatArray]:
         if t.name in left and np.any(np.isfinite(left[t.name])):
             whole = left[t.name].reshape(joined.markers.xy_m.shape)
             errors = prepared.of_markers(joined, whole).reshape(len(t.markers.t_s), -1)
-            found[t.name] = wrong_samples(t.markers.t_s, errors)
+            found[t.name] = outlier_distances(t.markers.t_s, errors)
     return nothing | found
 
 

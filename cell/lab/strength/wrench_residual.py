@@ -13,7 +13,7 @@ from cell.lab.data.gauges import Gauges
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.series import ljung_box
 from cell.study.data import Trial
-from cell.study.wrench_file import COLUMNS
+from cell.study.wrench import COLUMNS
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,8 @@ import time
 from pathlib import Path
 
 from cell.plant.client import Client
-from cell.plant.handshake.carrier import Carrier, CarrierError
-from cell.plant.handshake.rules import Ask, Memory, away, look, not_obeyed, obeyed
-from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
+from cell.plant.handshake.carrier import UNKNOWN, Carrier, CarrierError, Inputs, Outputs
+from cell.plant.handshake.rules import Ask, Memory, evaluate, inputs_lost, not_obeyed, obeyed
 from cell.plant.messages import Request, Status
 from cell.plant.wire import LinkError, ProtocolError
 from cell.run.commands import OLDEST_S
@@ -55,9 +54,9 @@ class HandshakeAdapter:
             while not self._over.is_set():
                 self._news.wait(_LOOK_S)
                 self._news.clear()
-                self.look()
+                self.poll()
         finally:
-            self._tell(UNKNOWN)
+            self._write_outputs(UNKNOWN)
             self._over.set()
             self._client.close()
             following.join(_ANSWER_S)
@@ -66,7 +65,7 @@ class HandshakeAdapter:
         """End soon; safe in a signal's handler."""
         self._over.set()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Look once.  Raises ProtocolError.
 
         An input has changed since the look before: so old are the commands that follow from it.
@@ -77,16 +76,16 @@ class HandshakeAdapter:
             self._no_edges_until_s = self._looked_s + OLDEST_S
         inputs, status, before = self._inputs(), self._status(), self._memory
         if inputs is None:
-            self._memory = away(before)
-            self._tell(UNKNOWN)
+            self._memory = inputs_lost(before)
+            self._write_outputs(UNKNOWN)
             return
         if self._looked_s < self._no_edges_until_s:
-            before = away(before)
-        asks, outputs, after = look(inputs, status, before)
-        self._tell(outputs)
+            before = inputs_lost(before)
+        asks, outputs, after = evaluate(inputs, status, before)
+        self._write_outputs(outputs)
         for ask in asks:
             if self._ask(ask, asked_s):
-                self._tell(obeyed(ask, outputs))
+                self._write_outputs(obeyed(ask, outputs))
             else:
                 after = not_obeyed(ask, before, after)
         self._memory = after
@@ -95,9 +94,9 @@ class HandshakeAdapter:
         try:
             inputs = self._carrier.read()
         except CarrierError as error:
-            self._say("plc", f"the PLC is away: {error}; nothing is started")
+            self._warn_once("plc", f"the PLC is away: {error}; nothing is started")
             return None
-        self._say("plc", "")
+        self._warn_once("plc", "")
         return inputs
 
     def _status(self) -> Status | None:
@@ -106,9 +105,9 @@ class HandshakeAdapter:
         except ProtocolError:
             raise
         except LinkError as error:
-            self._say("cell", f"the cell is away: {error}; it is waited for")
+            self._warn_once("cell", f"the cell is away: {error}; it is waited for")
             return None
-        self._say("cell", "")
+        self._warn_once("cell", "")
         return status
 
     def _ask(self, ask: Ask, asked_s: float) -> bool:
@@ -118,23 +117,23 @@ class HandshakeAdapter:
             asked = Request(ask.command, self._by, ask.note, product=ask.product, asked_s=asked_s)
             answer = self._client.send(asked)
         except LinkError as error:
-            self._say(what, f"{what}: what became of it is not known: {error}")
+            self._warn_once(what, f"{what}: what became of it is not known: {error}")
             return False
-        self._say(what, "" if answer.accepted else f"{what}: {answer.reason}")
+        self._warn_once(what, "" if answer.accepted else f"{what}: {answer.reason}")
         if answer.accepted:
             _LOG.info("%s %s: %s", what, ask.note, answer.state.value)
         return answer.accepted
 
-    def _tell(self, outputs: Outputs) -> None:
+    def _write_outputs(self, outputs: Outputs) -> None:
         try:
             self._carrier.write(outputs)
         except CarrierError as error:
-            self._say("plc", f"the PLC is away: {error}; nothing is started")
+            self._warn_once("plc", f"the PLC is away: {error}; nothing is started")
         if outputs != self._outputs:
             _LOG.info("told: %s", outputs)
             self._outputs = outputs
 
-    def _say(self, about: str, what: str) -> None:
+    def _warn_once(self, about: str, what: str) -> None:
         """Warn once of what has changed; empty = all is well."""
         before = self._said.get(about, "")
         if what == before:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Self
 
-from cell.plant.handshake.carrier import Heard, bits_of, inputs_of
-from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
-from cell.settings.plant.handshake import Handshake, signals_of
+from cell.plant.handshake.carrier import UNKNOWN, Inputs, LatestBits, Outputs, bits_of, inputs_of
+from cell.settings.plant import Handshake, signals_of
 from drivers.ur_io import UrIo
 
 
@@ -18,7 +17,7 @@ class ControllerCarrier:
 
     def __init__(self, said: Handshake, host: str) -> None:
         self._said = said
-        self._heard = Heard(said.silence_s, f"{host} reports nothing for {said.silence_s:g} s")
+        self._heard = LatestBits(said.silence_s, f"{host} reports nothing for {said.silence_s:g} s")
         ours = [at.number for _, at in signals_of(said.outputs)]
         self._io = UrIo(host, ours, self._heard.take, self._heard.lose, said.silence_s)
         self.write(UNKNOWN)

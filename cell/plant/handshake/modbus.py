@@ -15,9 +15,16 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from typing import Self
 
-from cell.plant.handshake.carrier import CarrierError, Heard, bits_of, inputs_of
-from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
-from cell.settings.plant.handshake import Handshake, InputSignals, OutputSignals, signals_of
+from cell.plant.handshake.carrier import (
+    UNKNOWN,
+    CarrierError,
+    Inputs,
+    LatestBits,
+    Outputs,
+    bits_of,
+    inputs_of,
+)
+from cell.settings.plant import Handshake, InputSignals, OutputSignals, signals_of
 from drivers.threads import GuardedThread, said
 
 #: Functions that are answered; all others have nothing behind them.
@@ -46,7 +53,7 @@ class ModbusCarrier:
 
     def __init__(self, said: Handshake) -> None:
         self._said = said
-        self._heard = Heard(said.silence_s, f"the PLC writes nothing for {said.silence_s:g} s")
+        self._heard = LatestBits(said.silence_s, f"the PLC writes nothing for {said.silence_s:g} s")
         self._lock = threading.Lock()
         self._coils: set[int] = set()
         self._wired = frozenset(at.number for _, at in signals_of(said.inputs))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from cell.plant.handshake.signals import Inputs, Outputs
+from cell.plant.handshake.carrier import Inputs, Outputs
 from cell.plant.messages import Status
 from cell.records.result import Outcome
 from cell.run.machine import CellState, MachineEvent
@@ -104,7 +104,7 @@ class PlcInputs:
         return "" if self.inputs.downstream_ready else "downstream"
 
     @property
-    def is_suspended_here(self) -> bool:
+    def suspended_by_plc(self) -> bool:
         """Whether the cell is suspended, or is to be, because of the machines beside it."""
         if self.memory.pause is MachineEvent.SUSPEND:
             return self.is_in(CellState.EXECUTE) or self.status.state in _SUSPENDING
@@ -137,7 +137,7 @@ class PlcInputs:
         return self.status.products[number - 1] if number else None
 
     @property
-    def may_start(self) -> bool:
+    def start_allowed(self) -> bool:
         """Whether a start would be obeyed."""
         return (
             self.is_in(CellState.IDLE)
@@ -173,12 +173,14 @@ RULES = (
             and now.memory.pause is not MachineEvent.SUSPEND
         ),
     ),
-    Rule(MachineEvent.UNSUSPEND, lambda now: not now.obstacle and now.is_suspended_here),
-    Rule(MachineEvent.START, lambda now: now.rose("start") and now.memory.ready and now.may_start),
+    Rule(MachineEvent.UNSUSPEND, lambda now: not now.obstacle and now.suspended_by_plc),
+    Rule(
+        MachineEvent.START, lambda now: now.rose("start") and now.memory.ready and now.start_allowed
+    ),
 )
 
 
-def look(
+def evaluate(
     inputs: Inputs, status: Status | None, memory: Memory
 ) -> tuple[tuple[Ask, ...], Outputs, Memory]:
     """What is asked of the cell, what the PLC is told, and what is remembered.
@@ -188,7 +190,7 @@ def look(
     """
     if status is None:
         missed = replace(inputs, stop=inputs.stop and memory.before.stop)
-        outcome = _kept(inputs, memory)
+        outcome = _held_outcome(inputs, memory)
         outputs = Outputs(fault=True, done=outcome in _DONE, rejected=outcome in _REJECTED)
         after = replace(memory, before=missed, ready=False, outcome=outcome, cleared=False)
         return (), outputs, replace(after, start=inputs.start)
@@ -197,7 +199,7 @@ def look(
     ask = next((_ask(rule, now) for rule in RULES if rule.applies(now)), None)
     busy = status.state in _BUSY
     outputs = Outputs(
-        ready=now.may_start and not inputs.start,
+        ready=now.start_allowed and not inputs.start,
         busy=busy,
         done=memory.outcome in _DONE and not busy,  # the result comes while Complete
         rejected=memory.outcome in _REJECTED and not busy,
@@ -213,7 +215,7 @@ def look(
     return () if ask is None else (ask,), outputs, memory
 
 
-def away(memory: Memory) -> Memory:
+def inputs_lost(memory: Memory) -> Memory:
     """What is remembered when the inputs are not known: edges begin anew, results stay."""
     return replace(memory, before=Memory().before, ready=False, cleared=False)
 
@@ -252,14 +254,14 @@ def _ask(rule: Rule, now: PlcInputs) -> Ask:
     return Ask(rule.command)
 
 
-def _kept(inputs: Inputs, memory: Memory) -> Outcome | None:
+def _held_outcome(inputs: Inputs, memory: Memory) -> Outcome | None:
     """The outcome that is still told: until start changes."""
     return memory.outcome if inputs.start == memory.start else None
 
 
 def _with_result(inputs: Inputs, status: Status, memory: Memory) -> Memory:
     """Memory with the result of a cycle that has ended since the last look."""
-    results, outcome = sum(status.counts.values()), _kept(inputs, memory)
+    results, outcome = sum(status.counts.values()), _held_outcome(inputs, memory)
     same = status.run == memory.run
     if same and results > memory.results and status.last is not None:
         outcome = Outcome(status.last["outcome"])

@@ -9,19 +9,160 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import socket
 import ssl
+import stat
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cell.plant.client import Client
 from cell.plant.messages import Status
 from cell.plant.mqtt.form import EndOfSessionError, Message, PayloadForm, PublishedState
-from cell.plant.mqtt.outbox import MqttOutbox
-from cell.plant.mqtt.taking import Taker
-from cell.settings.plant.mqtt import Mqtt
+from cell.plant.mqtt.outbox import MqttOutbox, OutboxError
+from cell.plant.wire import LinkError
+from cell.settings.plant import Mqtt, MqttTls
+from drivers.threads import GuardedThread, said
+
+#: Environment variable of the password.
+PASSWORD = "CELL_MQTT_PASSWORD"
+
+
+def password_of(settings: Mqtt) -> str | None:
+    """The password; None = no user is named.
+
+    raises  ValueError: there is none, or others may read it
+    """
+    if settings.user is None:
+        return None
+    if settings.password_file is None:
+        if PASSWORD not in os.environ:
+            raise ValueError(
+                f"plant.mqtt.user: there is no password of {settings.user!r}; put it into the "
+                f"environment variable {PASSWORD}, or name a password_file"
+            )
+        return os.environ[PASSWORD]
+    path = settings.password_file
+    try:
+        mode = path.stat().st_mode
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"plant.mqtt.password_file: {path} cannot be read: {error}") from error
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise ValueError(
+            f"plant.mqtt.password_file: others may use {path} (mode {stat.S_IMODE(mode):o}); "
+            f"`chmod 600 {path}`"
+        )
+    if not text.strip():
+        raise ValueError(f"plant.mqtt.password_file: {path} is empty; write the password into it")
+    return text.splitlines()[0]
+
+
+def tls_of(settings: MqttTls | None) -> ssl.SSLContext | None:
+    """Certificates that are trusted and shown.  Raises ValueError: a file is missing or is none."""
+    if settings is None:
+        return None
+    try:
+        context = ssl.create_default_context(cafile=settings.ca)
+    except (OSError, ssl.SSLError) as error:
+        raise ValueError(
+            f"plant.mqtt.tls.ca: {settings.ca}: {error}; give a file of certificates, PEM"
+        ) from error
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    if settings.certificate is not None:
+        try:
+            context.load_cert_chain(settings.certificate, settings.key, password=lambda: b"")
+        except (OSError, ssl.SSLError) as error:
+            raise ValueError(
+                f"plant.mqtt.tls.certificate: {settings.certificate}: {error}; give a certificate "
+                "and its key without a password, PEM"
+            ) from error
+    return context
+
+
+#: After a failure of the disk it is tried again, s.
+_AGAIN_S = 1.0
+
+
+class OutboxFeeder:
+    """Follows a cell within a `with`.
+
+    runs    folder of the cell's records
+    outbox  where notices are put
+    tell    called, from the thread, when there is something new
+    """
+
+    def __init__(self, runs: Path, outbox: MqttOutbox, tell: Callable[[], None]) -> None:
+        self._client = Client(runs, on_lost=self._lost, on_there=self._reconnected)
+        self._outbox = outbox
+        self._tell = tell
+        self._over = threading.Event()
+        self._thread = GuardedThread("taker", self._run, self._died)
+        self.is_cell = False
+        self.error: LinkError | None = None
+
+    def __enter__(self) -> OutboxFeeder:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._client.close()
+        self._thread.join(5.0)
+
+    def status(self) -> Status | None:
+        """State of the cell now; None = it is not reached."""
+        try:
+            return self._client.status()
+        except LinkError:
+            return None
+
+    def _lost(self) -> None:
+        self.is_cell = False
+        _LOG.warning("the cell is away: it is waited for")
+        self._tell()
+
+    def _reconnected(self) -> None:
+        if not self.is_cell:
+            self.is_cell = True
+            self._tell()
+
+    def _died(self, error: BaseException) -> None:
+        """The adapter ends with this error, and is started again."""
+        self.error = LinkError(said(error))
+        self._tell()
+
+    def _run(self) -> None:
+        after, asked = self._outbox.newest(), ""
+        while not self._over.is_set():
+            try:
+                for message in self._client.follow(after):
+                    self._reconnected()
+                    if not isinstance(message, Status):
+                        self._outbox.put(message)
+                        after = message.run, message.sequence
+                        self._tell()
+                    elif message.sequence == 0 or asked == message.run:
+                        after = message.run, message.sequence
+                        self._outbox.start_after(after)
+                    else:  # what this run has told before, as far as the cell still knows it
+                        asked = message.run
+                        after = asked, 0
+                        break
+            except OutboxError as error:
+                _LOG.error("%s; tried again", error)
+                after = self._outbox.newest() if after is None else after
+                self._over.wait(_AGAIN_S)
+            except LinkError as error:
+                if not self._over.is_set():
+                    self.error = error
+                    self._tell()
+                return
+
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -94,19 +235,19 @@ class MqttAdapter:
         def tell() -> None:
             loop.call_soon_threadsafe(self._news.set)
 
-        with Taker(self._runs, self._outbox, tell) as taker:
+        with OutboxFeeder(self._runs, self._outbox, tell) as taker:
             while not self._over.is_set():
                 begun_s = loop.time()
                 try:
                     await self._connection(taker)
                 except* (MqttError, EndOfSessionError) as errors:
-                    self._tell_once(f"broker: {errors.exceptions[0]}")
+                    self._warn_once(f"broker: {errors.exceptions[0]}")
                 if loop.time() - begun_s > _ANSWER_S:
                     pause_s = _FIRST_S
                 await self._pause(pause_s)
                 pause_s = min(2.0 * pause_s, self._settings.retry_s)
 
-    async def _connection(self, taker: Taker) -> None:
+    async def _connection(self, taker: OutboxFeeder) -> None:
         """One connection to the broker, until it is lost or the adapter ends."""
         import aiomqtt
 
@@ -128,24 +269,26 @@ class MqttAdapter:
             ) as client,
             asyncio.TaskGroup() as tasks,
         ):
-            hearing = tasks.create_task(self._hear(client, form))
-            for topic in form.asked:
+            hearing = tasks.create_task(self._receive(client, form))
+            for topic in form.subscriptions:
                 await client.subscribe(topic, qos=1)
-            self._tell_once("broker: connected")
+            self._warn_once("broker: connected")
             await self._deliver(client, form, taker)
             hearing.cancel()
 
-    async def _hear(self, client: aiomqtt.Client, form: PayloadForm) -> None:
+    async def _receive(self, client: aiomqtt.Client, form: PayloadForm) -> None:
         """Take in what was asked for; raises MqttError as soon as the broker is lost."""
         async for message in client.messages:
             payload = message.payload if isinstance(message.payload, bytes) else b""
-            if not message.retain or message.topic.value != form.asked[0]:
-                self._is_born_anew |= form.hear(message.topic.value, payload)
+            if not message.retain or message.topic.value != form.subscriptions[0]:
+                self._is_born_anew |= form.receive(message.topic.value, payload)
             self._news.set()
 
-    async def _deliver(self, client: aiomqtt.Client, form: PayloadForm, taker: Taker) -> None:
+    async def _deliver(
+        self, client: aiomqtt.Client, form: PayloadForm, taker: OutboxFeeder
+    ) -> None:
         self._news.clear()
-        while not form.may_begin() and not self._over.is_set():
+        while not form.can_publish() and not self._over.is_set():
             await self._wait()
             self._news.clear()
         self._is_born_anew, reached, told_s, is_told = True, False, 0.0, True
@@ -155,7 +298,7 @@ class MqttAdapter:
                 raise taker.error
             if self._is_born_anew or taker.is_cell != reached:
                 self._is_born_anew, reached = False, taker.is_cell
-                await self._send(client, form, form.birth(await self._known(taker)))
+                await self._send(client, form, form.birth(await self._published_state(taker)))
             waiting = self._outbox.first()
             if waiting is not None:
                 await self._send(client, form, form.of_notice(waiting.notice))
@@ -163,10 +306,10 @@ class MqttAdapter:
                 is_told = False
             elif not is_told and time.monotonic() - told_s >= _STATUS_S:
                 told_s, is_told = time.monotonic(), True
-                await self._send(client, form, form.of_status(await self._known(taker)))
+                await self._send(client, form, form.of_status(await self._published_state(taker)))
             else:
                 await self._wait(None if is_told else _STATUS_S)
-        await self._send(client, form, form.farewell(await self._known(taker)))
+        await self._send(client, form, form.farewell(await self._published_state(taker)))
 
     async def _send(
         self, client: aiomqtt.Client, form: PayloadForm, messages: Sequence[Message]
@@ -176,9 +319,9 @@ class MqttAdapter:
             await client.publish(message.topic, message.payload, message.qos, message.retain)
         if any(message.qos == 0 for message in messages):
             # the broker answers in order: it has what was sent before
-            await client.subscribe(form.asked[0], qos=1)
+            await client.subscribe(form.subscriptions[0], qos=1)
 
-    async def _known(self, taker: Taker) -> PublishedState:
+    async def _published_state(self, taker: OutboxFeeder) -> PublishedState:
         if (status := await asyncio.to_thread(taker.status)) is not None:
             self._status = status
         return PublishedState(self._status, taker.is_cell, self._outbox.dropped(), time.time())
@@ -199,7 +342,7 @@ class MqttAdapter:
         except TimeoutError:
             return
 
-    def _tell_once(self, said: str) -> None:
+    def _warn_once(self, said: str) -> None:
         if said != self._said:
             self._said = said
             _LOG.warning("%s; %d messages wait", said, self._outbox.count())

@@ -45,12 +45,12 @@ class PayloadForm(Protocol):
     asked        topics that it subscribes to
     """
 
-    asked: Sequence[str]
+    subscriptions: Sequence[str]
 
     def will(self) -> Message:
         """What the broker says when the adapter is lost; a new connection begins with it."""
 
-    def may_begin(self) -> bool:
+    def can_publish(self) -> bool:
         """Whether somebody is there to be told."""
 
     def birth(self, known: PublishedState) -> list[Message]:
@@ -65,7 +65,7 @@ class PayloadForm(Protocol):
     def farewell(self, known: PublishedState) -> list[Message]:
         """What is said before the adapter ends."""
 
-    def hear(self, topic: str, payload: bytes) -> bool:
+    def receive(self, topic: str, payload: bytes) -> bool:
         """Take in a message of a topic that was asked for; whether a birth is to follow.
 
         raises  EndOfSessionError: the connection is to be ended

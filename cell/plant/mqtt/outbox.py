@@ -135,13 +135,13 @@ class MqttOutbox:
             )
             self._count -= removed.rowcount
 
-    def taken(self) -> tuple[str, int] | None:
+    def newest(self) -> tuple[str, int] | None:
         """Run and sequence of the newest notice that was put; None = none yet."""
         with self._reading():
             row = self._database.execute("SELECT run, sequence FROM taken").fetchone()
         return None if row is None else (row[0], row[1])
 
-    def begin_at(self, taken: tuple[str, int]) -> None:
+    def start_after(self, taken: tuple[str, int]) -> None:
         """What came before this run and sequence is not to be had."""
         with self._writing():
             self._database.execute("INSERT OR REPLACE INTO taken VALUES (1, ?, ?)", taken)

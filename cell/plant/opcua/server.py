@@ -17,16 +17,16 @@ from importlib.metadata import version
 from pathlib import Path
 
 from asyncua import ua
+from asyncua.common.event_objects import TransitionEvent
+from asyncua.server.event_generator import EventGenerator
 
 from cell.plant.client import Client
 from cell.plant.messages import MessageKind, Notice, Status
 from cell.plant.opcua import packml
-from cell.plant.opcua.access import GuardedServer
-from cell.plant.opcua.arrival import TimedServer
-from cell.plant.opcua.certificates import own_certificate
-from cell.plant.opcua.commands import Methods
-from cell.plant.opcua.events import Transitions
-from cell.plant.opcua.space import AddressSpace
+from cell.plant.opcua.access import GuardedServer, own_certificate
+from cell.plant.opcua.commands import Methods, TimedServer
+from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES, active_states, transition_between
+from cell.plant.opcua.space import AddressSpace, Ids
 from cell.plant.opcua.types import add_types
 from cell.plant.opcua.unit import Unit, tags_of
 from cell.plant.opcua.view import PackmlView
@@ -35,8 +35,52 @@ from cell.plant.users import all_users
 from cell.plant.wire import ProtocolError
 from cell.settings import Settings
 from cell.settings.plant import OpcUa
-from cell.settings.referred import line_of
+from cell.settings.provenance import line_name
 from drivers.threads import GuardedThread
+
+#: Severity of a transition, and of one that a fault or a stop has brought about.
+_USUAL, _GRAVE = 100, 700
+
+
+class Transitions:
+    """Tells clients of transitions."""
+
+    def __init__(self, space: AddressSpace, unit: Unit, generators: list[EventGenerator]) -> None:
+        self._space, self._unit, self._generators = space, unit, generators
+
+    @classmethod
+    async def at(cls, space: AddressSpace, unit: Unit) -> Transitions:
+        """Events of the server, whose sources are the state machines of a unit."""
+        generators = []
+        for path in MACHINE_PATHS:
+            event = TransitionEvent(sourcenode=unit.id_of(path), message="")
+            generators.append(
+                await space.server.get_event_generator(event, emitting_node=Ids.Server)
+            )
+        return cls(space, unit, generators)
+
+    async def publish(self, before: PackmlView, after: PackmlView, at_s: float) -> None:
+        """Tell of the transition between two views, at a Unix time."""
+        if before.status is None or after.status is None:
+            return
+        was, now = before.status.state, after.status.state
+        level, name, known = transition_between(was, now)
+        event, machine = self._generators[level].event, MACHINES[level]
+        ids = {s.name: self._space.node_id(s.id) for s in machine.states}
+        source, target = active_states(was)[level], active_states(now)[level]
+        event.Transition, event.FromState, event.ToState = map(
+            ua.LocalizedText, (name, source, target)
+        )
+        for field, value in (
+            ("FromState/Id", ids[source]),
+            ("ToState/Id", ids[target]),
+            ("Transition/Id", None if known is None else self._space.node_id(known.id)),
+        ):
+            setattr(event, field, ua.Variant(value))  # a field of any type is a variant in one
+        event.Severity = _GRAVE if target in ("Aborting", "Stopping") else _USUAL
+        message = f"{was.value} to {now.value}"
+        await self._generators[level].trigger(datetime.fromtimestamp(at_s, UTC), message)
+
 
 _LOG = logging.getLogger(__name__)
 
@@ -55,7 +99,7 @@ class _CellReturned(Enum):
 
 
 #: What the thread that follows hands over; None = the cell was lost.
-_Heard = Notice | Status | _CellReturned | None
+_Message = Notice | Status | _CellReturned | None
 
 _PLAIN = ua.SecurityPolicyType.NoSecurity
 _ENCRYPTED = [
@@ -96,10 +140,10 @@ async def running(settings: Settings, runs: Path, users: Path = USERS) -> AsyncI
     if opcua is None:
         raise ValueError("the settings have no section plant.opcua; add one, it may be empty: {}")
     ideal_s = None if settings.ledger is None else settings.ledger.ideal_cycle_s
-    tags = tags_of(line_of(settings), None if ideal_s is None else 60.0 / ideal_s)
+    tags = tags_of(line_name(settings), None if ideal_s is None else 60.0 / ideal_s)
     _forward_messages()
     try:
-        server = await _made(opcua, users)
+        server = await _configured_server(opcua, users)
     except OSError as error:
         raise ValueError(
             f"{error.filename or opcua.folder}: {error.strerror or error}; name another folder in "
@@ -109,8 +153,8 @@ async def running(settings: Settings, runs: Path, users: Path = USERS) -> AsyncI
     space = AddressSpace(server, standard, own)
     add_types(space)
     unit = Unit(space, opcua.name, tags)
-    shown = _Shown(unit, await Transitions.at(space, unit))
-    client = Client(runs, on_lost=shown.lost, on_there=shown.found)
+    shown = _ViewPublisher(unit, await Transitions.at(space, unit))
+    client = Client(runs, on_lost=shown.lost, on_there=shown.reconnected)
     Methods(space, unit, client.send, lambda: shown.view, shown.refused)
     await _listen(server, opcua)
     loop, owner = asyncio.get_running_loop(), asyncio.current_task()
@@ -139,7 +183,7 @@ def _failed(task: asyncio.Task[None]) -> bool:
     return not task.cancelled() and task.exception() is not None
 
 
-async def _made(opcua: OpcUa, users: Path) -> TimedServer:
+async def _configured_server(opcua: OpcUa, users: Path) -> TimedServer:
     """A server that does not listen yet.  Raises OSError: its files cannot be written."""
     accounts = all_users(users, opcua.folder)
     server = TimedServer(iserver=GuardedServer(accounts, opcua.folder, opcua.is_loopback))
@@ -170,7 +214,7 @@ async def _listen(server: TimedServer, opcua: OpcUa) -> None:
         ) from error
 
 
-class _Shown:
+class _ViewPublisher:
     """What is shown to clients: the view of the cell, and how it goes on."""
 
     def __init__(self, unit: Unit, transitions: Transitions) -> None:
@@ -178,7 +222,7 @@ class _Shown:
         self.closed = False
         self._unit, self._transitions = unit, transitions
         self._loop = asyncio.get_running_loop()
-        self._heard: asyncio.Queue[_Heard] = asyncio.Queue()
+        self._heard: asyncio.Queue[_Message] = asyncio.Queue()
         self._turn = asyncio.Lock()
 
     def follow(self, client: Client) -> None:
@@ -186,23 +230,23 @@ class _Shown:
         while not self.closed:
             try:
                 for message in client.follow():
-                    self._hear(message)
+                    self._receive(message)
             except ProtocolError as error:
                 _LOG.error("%s", error)
-                self._hear(None)
+                self._receive(None)
                 time.sleep(_AGAIN_S)
 
     def lost(self) -> None:
         """The cell is there no more; from the thread that follows."""
         _LOG.warning("the cell has ended, or was lost")
-        self._hear(None)
+        self._receive(None)
 
-    def found(self) -> None:
+    def reconnected(self) -> None:
         """It is there again as it was; from the thread that follows."""
         _LOG.warning("the cell is there again")
-        self._hear(_CellReturned.AGAIN)
+        self._receive(_CellReturned.AGAIN)
 
-    def _hear(self, message: _Heard) -> None:
+    def _receive(self, message: _Message) -> None:
         with suppress(RuntimeError):  # the loop is closed: nobody looks any more
             self._loop.call_soon_threadsafe(self._heard.put_nowait, message)
 
@@ -233,13 +277,13 @@ class _Shown:
                 except Exception:  # one message must not end the server
                     _LOG.exception("%s", message)
 
-    async def _take(self, message: _Heard) -> None:
+    async def _take(self, message: _Message) -> None:
         before, at_s, now_s = self.view, time.time(), time.monotonic()
         match message:
             case None:
                 self.view = before.lost(now_s)
             case _CellReturned():
-                self.view = before.found()
+                self.view = before.reconnected()
             case Status():
                 self.view = before.after_status(message, now_s, at_s)
             case Notice():
@@ -247,7 +291,7 @@ class _Shown:
                 self.view = before.after_notice(message)
         await self._unit.show(self.view, at_s, now_s)
         if isinstance(message, Notice) and message.kind is MessageKind.STATE:
-            await self._transitions.tell(before, self.view, at_s)
+            await self._transitions.publish(before, self.view, at_s)
 
 
 class _Forward(logging.Handler):

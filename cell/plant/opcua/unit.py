@@ -9,11 +9,18 @@ from typing import Any
 from asyncua import ua
 
 from cell.plant.opcua import packml
-from cell.plant.opcua.cell_tags import CELL_TAGS
 from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES
-from cell.plant.opcua.packml_tags import admin_tags, machine_tags, status_tags
 from cell.plant.opcua.space import AddressSpace, Ids, NodeKind
-from cell.plant.opcua.tag import NO_CELL, Missing, Tag, of_view
+from cell.plant.opcua.tags import (
+    CELL_TAGS,
+    NO_CELL,
+    Missing,
+    Tag,
+    admin_tags,
+    machine_tags,
+    of_view,
+    status_tags,
+)
 from cell.plant.opcua.types import reference_of, structure_class
 from cell.plant.opcua.view import PackmlView
 

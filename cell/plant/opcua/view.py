@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from cell.plant.folded import status_after
 from cell.plant.messages import FaultNotice, MessageKind, Notice, Status
 from cell.plant.opcua.machines import transition_between
+from cell.plant.status_reducer import status_after
 
 #: So many faults are remembered.
 FAULTS = 32
@@ -44,7 +44,7 @@ class PackmlView:
     seconds: Mapping[str, float] = field(default_factory=dict)
     counted_s: float = 0.0
     entered_s: float = 0.0
-    begun_s: float | None = None
+    started_s: float | None = None
     cycle_s: float | None = None
     faults: tuple[PastFault, ...] = ()
     acknowledged: str = ""
@@ -70,7 +70,7 @@ class PackmlView:
             entered_s=now_s - max(0.0, unix_s - status.since_s),
         )
         if self.status is None or self.status.run != status.run:
-            view = replace(view, begun_s=None, cycle_s=None, transitions={})
+            view = replace(view, started_s=None, cycle_s=None, transitions={})
         known = any(past.fault == status.fault for past in self.faults)
         return view if status.fault is None or known else view._with_fault(status.fault)
 
@@ -83,9 +83,9 @@ class PackmlView:
             case MessageKind.STATE:
                 return view._after_transition(self, notice.ran_s)
             case MessageKind.CYCLE:
-                return replace(view, begun_s=notice.ran_s)
-            case MessageKind.RESULT if self.begun_s is not None:
-                return replace(view, begun_s=None, cycle_s=notice.ran_s - self.begun_s)
+                return replace(view, started_s=notice.ran_s)
+            case MessageKind.RESULT if self.started_s is not None:
+                return replace(view, started_s=None, cycle_s=notice.ran_s - self.started_s)
             case MessageKind.FAULT if view.status is not None and view.status.fault is not None:
                 return view._with_fault(view.status.fault)
             case MessageKind.ACKNOWLEDGED:
@@ -98,11 +98,11 @@ class PackmlView:
         """The view when the cell is there no more: nothing is counted on."""
         return replace(self, lost_s=now_s)
 
-    def found(self) -> PackmlView:
+    def reconnected(self) -> PackmlView:
         """The view when the same cell is there again, and nothing has happened meanwhile."""
         return replace(self, lost_s=None)
 
-    def known_s(self, now_s: float) -> float:
+    def last_known_s(self, now_s: float) -> float:
         """Now, or when the cell was lost."""
         return now_s if self.lost_s is None else min(now_s, self.lost_s)
 
@@ -112,7 +112,7 @@ class PackmlView:
         if self.status is not None:
             state = self.status.state.value
             seconds[state] = seconds.get(state, 0.0) + max(
-                0.0, self.known_s(now_s) - self.counted_s
+                0.0, self.last_known_s(now_s) - self.counted_s
             )
         return seconds
 

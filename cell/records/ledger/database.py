@@ -16,8 +16,8 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 from sqlalchemy.exc import NoSuchModuleError as NoDialectError
 
-from cell.files.named import named_folder
-from cell.records.ledger.error import LedgerError
+from cell.files.atomic import named_folder
+from cell.records.ledger.entry import LedgerError
 from cell.records.ledger.tables import HEAD
 
 #: How the file of a ledger ends.

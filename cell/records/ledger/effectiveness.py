@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, time, timedelta
 from typing import Any
 
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.result import Outcome
 
 #: Share of insertions that are as quick as the ideal cycle, where none is given.
@@ -71,7 +71,7 @@ class Shift:
 
 def shifts(
     ledger: Ledger,
-    wanted: Wanted,
+    wanted: LedgerQuery,
     begins: Sequence[time],
     now: datetime,
     ideal_s: float | None = None,

@@ -14,6 +14,10 @@ from cell.records.folder import cycle_of, started_of
 from cell.records.result import Outcome, Result
 
 
+class LedgerError(Exception):
+    """The ledger cannot be used.  Scenario: the plant's database server is being updated."""
+
+
 @dataclass(frozen=True)
 class LedgerEstimate:
     """A parameter of a cable, with its 95 % interval; None = not known.  SI units."""

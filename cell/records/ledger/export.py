@@ -8,7 +8,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.records.ledger.ledger import ListedCycle
 
 
@@ -30,7 +30,7 @@ def csv_text(cycles: Sequence[ListedCycle]) -> str:
 
 def write_csv(cycles: Sequence[ListedCycle], path: Path) -> None:
     """The same as a file, UTF-8.  Raises OSError."""
-    write_whole(path, csv_text(cycles))
+    write_atomic(path, csv_text(cycles))
 
 
 def write_parquet(cycles: Sequence[ListedCycle], path: Path) -> None:
@@ -42,7 +42,7 @@ def write_parquet(cycles: Sequence[ListedCycle], path: Path) -> None:
     columns = {name: [row.get(name) for row in rows] for name in names}
     sink = pyarrow.BufferOutputStream()
     pyarrow.parquet.write_table(pyarrow.table(columns), sink)
-    write_whole(path, sink.getvalue().to_pybytes())
+    write_atomic(path, sink.getvalue().to_pybytes())
 
 
 def need_parquet() -> None:

@@ -44,7 +44,7 @@ RUNNING = frozenset({"resetting", "starting", "execute", "completing", "complete
 
 
 @dataclass(frozen=True)
-class Wanted:
+class LedgerQuery:
     """Which cycles are asked for; None or empty = all.
 
     since, until   of their beginning; with a time zone
@@ -181,7 +181,7 @@ class Ledger:
         return results
 
     def listed(
-        self, wanted: Wanted, most: int | None = None, *, estimates: bool = False
+        self, wanted: LedgerQuery, most: int | None = None, *, estimates: bool = False
     ) -> list[ListedCycle]:
         """Cycles that are asked for, oldest first; of too many the newest.
 
@@ -202,14 +202,14 @@ class Ledger:
             known = _estimates(connection, asked) if estimates else {}
         return [self._cycle(row, known.get(row.id, ())) for row in rows]
 
-    def count(self, wanted: Wanted) -> dict[str, int]:
+    def count(self, wanted: LedgerQuery) -> dict[str, int]:
         """Number of cycles that are asked for, by outcome."""
         asked = _of_cycles(select(cycles.c.outcome, func.count()), wanted)
         asked = asked.group_by(cycles.c.outcome)
         with told(self._engine), self._engine.connect() as connection:
             return {outcome or UNFINISHED: n for outcome, n in connection.execute(asked)}
 
-    def faults(self, wanted: Wanted) -> list[tuple[str, int, str]]:
+    def faults(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
         """Reason code, number of cycles and newest cause of what has ended them; most first."""
         number = func.count().label("number")
         newest = func.max(faults.c.cycle_id).label("newest")
@@ -230,7 +230,7 @@ class Ledger:
         with told(self._engine), self._engine.connect() as connection:
             return [(code, n, cause) for code, n, cause in connection.execute(asked)]
 
-    def not_inserted(self, wanted: Wanted) -> list[tuple[str, int, str]]:
+    def not_inserted(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
         """Outcome, number of cycles and newest reason of those rejected and missed; most first."""
         ended = select(cycles.c.outcome, cycles.c.id, cycles.c.reason).where(
             cycles.c.outcome.in_((Outcome.REJECTED.value, Outcome.MISSED.value))
@@ -248,14 +248,14 @@ class Ledger:
         with told(self._engine), self._engine.connect() as connection:
             return [(outcome, n, reason or "") for outcome, n, reason in connection.execute(asked)]
 
-    def span(self, wanted: Wanted) -> tuple[datetime, datetime] | None:
+    def span(self, wanted: LedgerQuery) -> tuple[datetime, datetime] | None:
         """When the first and the last cycle that are asked for began; None = there are none."""
         asked = _of_cycles(select(func.min(cycles.c.ordered), func.max(cycles.c.ordered)), wanted)
         with told(self._engine), self._engine.connect() as connection:
             first, last = connection.execute(asked).one()
         return None if first is None else (_aware(first), _aware(last))
 
-    def work(self, wanted: Wanted) -> tuple[dict[str, int], float]:
+    def work(self, wanted: LedgerQuery) -> tuple[dict[str, int], float]:
         """Of cycles that were to insert a cable: number by outcome, and time at work in all, s."""
         asked = _of_cycles(
             select(
@@ -267,7 +267,7 @@ class Ledger:
             rows = connection.execute(asked.group_by(cycles.c.outcome)).all()
         return {o: n for o, n, _ in rows}, float(sum(s for *_, s in rows))
 
-    def quick_cycle_s(self, wanted: Wanted, share: float) -> float | None:
+    def quick_cycle_s(self, wanted: LedgerQuery, share: float) -> float | None:
         """Time at work that this share of the insertions needed at most, s; None = no insertion."""
         at_work = _of_cycles(select(cycles.c.running_s), wanted).where(
             cycles.c.outcome == Outcome.INSERTED.value, cycles.c.running_s.is_not(None)
@@ -325,7 +325,7 @@ _FAULT_COLUMNS = [faults.c[k] for k in ("step", "cause", "device", "remedy", "ca
 _SEEN_COLUMNS = [acknowledgements.c[k].label(f"seen_{k}") for k in ("at", "by", "note")]
 
 
-def _of_cycles(asked: Select[Any], wanted: Wanted) -> Select[Any]:
+def _of_cycles(asked: Select[Any], wanted: LedgerQuery) -> Select[Any]:
     """A question to cycles alone, unless parts or faults are asked for."""
     asked = asked.select_from(cycles)
     if wanted.part is not None:
@@ -337,7 +337,7 @@ def _of_cycles(asked: Select[Any], wanted: Wanted) -> Select[Any]:
     return asked.where(*_conditions(wanted))
 
 
-def _conditions(wanted: Wanted) -> list[ColumnElement[bool]]:
+def _conditions(wanted: LedgerQuery) -> list[ColumnElement[bool]]:
     found: list[ColumnElement[bool]] = []
     if wanted.since is not None:
         found.append(cycles.c.ordered >= _utc(wanted.since))

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from cell.files.atomic import write_new
 from cell.files.words import counted
-from cell.records.ledger.entry import LedgerEntry
-from cell.records.ledger.error import LedgerError
+from cell.records.ledger.entry import LedgerEntry, LedgerError
 from drivers.threads import GuardedThread, said
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from mcap.records import Chunk, Message, MessageIndex
 from mcap.stream_reader import breakup_chunk
 from numpy.typing import NDArray
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError
 from cell.files.yaml_document import read_yaml
 from cell.records.recording import form
@@ -152,12 +152,12 @@ def why_no_film(folder: Path) -> str:
 def keep_recording(folder: Path, kept: bool) -> None:
     """Mark a cycle's recording as kept for good, or no longer.  Raises OSError."""
     if kept:
-        write_whole(folder / KEPT, "")
+        write_atomic(folder / KEPT, "")
     else:
         (folder / KEPT).unlink(missing_ok=True)
 
 
-def is_kept(folder: Path) -> bool:
+def is_protected(folder: Path) -> bool:
     """Whether a cycle's recording is kept for good."""
     return (folder / KEPT).exists()
 

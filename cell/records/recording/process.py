@@ -20,8 +20,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cell.records.recording.one_recording import RecordingUnderWay
 from cell.records.recording.ring import RingReader
+from cell.records.recording.writer import RecordingSession
 from drivers.threads import GuardedThread, said
 
 #: The computer is left to vision and identification whenever they want it.
@@ -37,7 +37,7 @@ class RingConsumer:
         self._ring = ring
         self._wake = wake
         self._status = status
-        self._recording: RecordingUnderWay | None = None
+        self._recording: RecordingSession | None = None
         self._parent_ended = False
         self._ending: list[GuardedThread] = []
 
@@ -67,7 +67,7 @@ class RingConsumer:
             case ("begin", path, begun):
                 if self._recording is not None:
                     self._end(True, False)
-                self._recording = RecordingUnderWay(Path(path), begun)
+                self._recording = RecordingSession(Path(path), begun)
             case ("end", keep):
                 self._end(keep, True)
             case _ if self._recording is not None:

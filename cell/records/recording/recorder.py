@@ -178,7 +178,7 @@ class Recorder:
             columns = (poses.t_s, poses.x_m, poses.y_m, poses.angle_rad)
             self._put(("poses", topic, np.stack(columns, axis=-1)))
 
-    def seen(self, t_s: Sequence[float], points_px: FloatArray) -> None:
+    def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
         """The cable as it was seen in frames: (n, points, 2) column and row, nan = not seen."""
         self._put(("seen", tuple(t_s), points_px))
 

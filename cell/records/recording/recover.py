@@ -24,7 +24,6 @@ from zstandard import ZstdDecompressor, ZstdError
 
 from cell.files.input_error import InputError
 from cell.records.recording import form
-from cell.records.recording.one_recording import RecordingUnderWay
 from cell.records.recording.reading import (
     MAGIC,
     UNREADABLE,
@@ -34,7 +33,7 @@ from cell.records.recording.reading import (
     verify,
 )
 from cell.records.recording.ring import RingReader, open_somewhere
-from cell.records.recording.writer import Sink, open_mcap
+from cell.records.recording.writer import RecordingSession, Sink, open_mcap
 
 _HEAD_BYTES = 9  # opcode, length
 #: Of a chunk: its head; where the name of the compression begins; the most that one may hold.
@@ -83,14 +82,14 @@ def torn_recordings(place: Path) -> list[Path]:
     raises  InputError: there is no such place
     """
     if place.is_file():
-        return [] if _is_whole_file(place) else [place]
+        return [] if _is_complete_file(place) else [place]
     if not place.is_dir():
         raise InputError.at(place, "is missing; give a recording or a folder")
     parts = (p for p in place.rglob(form.PART) if not being_written(p))
     return sorted([*parts, *(p for p in place.rglob(form.FILE) if lacks_end(p))])
 
 
-def _is_whole_file(path: Path) -> bool:
+def _is_complete_file(path: Path) -> bool:
     try:
         verify(path)
     except (TornRecordingError, OSError):
@@ -149,8 +148,8 @@ def recover(source: Path, target: Path) -> Recovered:
         try:
             reached = copy.take_all(source)
             if not copy.complete:
-                copy.take_begun_chunk(source, reached)
-                if (rest := _rest_in_memory(source)) is not None:
+                copy.copy_partial_chunk(source, reached)
+                if (rest := _remaining_in_ring(source)) is not None:
                     copy.take_all(rest)
             copy.close()
         except RuntimeError as error:  # of the writing library, which drops the cause
@@ -180,7 +179,7 @@ def recover(source: Path, target: Path) -> Recovered:
     )
 
 
-def _rest_in_memory(source: Path) -> Path | None:
+def _remaining_in_ring(source: Path) -> Path | None:
     """What the recorder of a torn recording was given and has not written, as a file beside it.
 
     It belongs to the recording that was begun last.  One that was begun in that memory and not on
@@ -196,7 +195,7 @@ def _rest_in_memory(source: Path) -> Path | None:
         reader = RingReader(descriptor)
         begins_at = reader.position
         reports = _write_what_waits(reader, rest, begun)
-        if refused := next((r for r in reports if not _is_whole(r)), None):
+        if refused := next((r for r in reports if not _is_complete(r)), None):
             reader.position = begins_at  # it stays in memory, for the next try
             for one in (Path(r["path"]) for r in reports):
                 one.unlink(missing_ok=True)
@@ -223,7 +222,7 @@ def _started_s(begun: Mapping[str, str]) -> float:
     return datetime.fromisoformat(said).timestamp() if said else 0.0
 
 
-def _is_whole(report: Mapping[str, Any]) -> bool:
+def _is_complete(report: Mapping[str, Any]) -> bool:
     return "error" not in report and not report["lost_frames"] and not report["lost_messages"]
 
 
@@ -235,15 +234,15 @@ def _write_what_waits(
     rest, begun  of the recording to which the first of it belongs
     """
     rest.unlink(missing_ok=True)  # of a try that failed
-    recording: RecordingUnderWay | None = RecordingUnderWay(rest, begun, part=rest)
-    ended: list[RecordingUnderWay] = []
+    recording: RecordingSession | None = RecordingSession(rest, begun, part=rest)
+    ended: list[RecordingSession] = []
     while (taken := reader.take()) is not None:
         header, payload = taken
         match header:
             case ("begin", path, said):
                 ended += [recording] if recording else []
                 Path(path).with_name(form.PART).unlink(missing_ok=True)
-                recording = RecordingUnderWay(Path(path), said)
+                recording = RecordingSession(Path(path), said)
             case ("end", *_):
                 ended += [recording] if recording else []
                 recording = None
@@ -299,7 +298,7 @@ class _Copy:
                     self.complete = True
         return reached
 
-    def take_begun_chunk(self, source: Path, at: int) -> None:
+    def copy_partial_chunk(self, source: Path, at: int) -> None:
         """Take the whole messages of a chunk that was not ended."""
         with source.open("rb") as file:
             file.seek(at)
@@ -314,7 +313,7 @@ class _Copy:
         with suppress(ZstdError), ZstdDecompressor().stream_reader(packed) as stream:
             while block := stream.read(65536):
                 inside += block
-        for record in _whole_records(inside):
+        for record in _complete_records(inside):
             self._take(record)
 
     def close(self) -> None:
@@ -397,7 +396,7 @@ def _records(source: Path) -> Iterator[tuple[records.McapRecord, int]]:
                     return
 
 
-def _whole_records(inside: bytes) -> Iterator[records.McapRecord]:
+def _complete_records(inside: bytes) -> Iterator[records.McapRecord]:
     """Records at the beginning of a chunk's content, up to one that is not all there."""
     at = 0
     while at + _HEAD_BYTES <= len(inside):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.records.recording import form
 
 _LOG = logging.getLogger(__name__)
@@ -133,7 +133,7 @@ def remove_recording(path: Path, why: str) -> None:
     path.unlink(missing_ok=True)
     said = {"at": datetime.now().astimezone().isoformat(timespec="seconds"), "why": why}
     with suppress(OSError):  # the disk is full
-        write_whole(path.with_name(form.REMOVED), json.dumps(said, ensure_ascii=False))
+        write_atomic(path.with_name(form.REMOVED), json.dumps(said, ensure_ascii=False))
 
 
 def _known(path: Path) -> _Known | None:

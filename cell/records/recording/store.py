@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from cell.files.atomic import write_whole
+from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError
 from cell.files.rescue import NO_ROOM
 from cell.files.text_file import read_json_object
@@ -157,7 +157,7 @@ def fetch(stored: Stored, target: Path, progress: Callable[[float], None]) -> No
 
 def mark(folder: Path, stored: Stored) -> None:
     """Say in a cycle's folder where its recording is.  Raises OSError."""
-    write_whole(folder / form.STORED, _json(stored))
+    write_atomic(folder / form.STORED, _json(stored))
 
 
 def stored_of(folder: Path) -> Stored | None:

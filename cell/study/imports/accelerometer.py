@@ -47,7 +47,7 @@ class NotIntegrableError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Sensed:
+class AccelerometerSamples:
     """What a sensor showed.
 
     t_s         (T,)
@@ -58,7 +58,7 @@ class Sensed:
     """
 
     t_s: FloatArray
-    shown: FloatArray
+    specific_force: FloatArray
     measured: tuple[bool, bool]
     angle_rad: FloatArray
     gravity: tuple[float, float]
@@ -71,14 +71,16 @@ class Sensed:
     @property
     def digit(self) -> FloatArray:
         """(2,) smallest step between readings; 0 where nothing is measured."""
-        steps = np.abs(np.diff(self.shown, axis=0))
+        steps = np.abs(np.diff(self.specific_force, axis=0))
         least = np.min(steps, axis=0, initial=np.inf, where=steps > 0.0)
         return np.where(np.isfinite(least), least, 0.0)
 
     def accelerations(self) -> FloatArray:
         """(T, 2) in the sensor's axes with the sensor's offset, without gravity's part, m/s²."""
-        turned = turned_by(-self.angle_rad, np.broadcast_to(self.gravity, self.shown.shape))
-        return np.asarray((self.shown + turned) * self.measured)
+        turned = turned_by(
+            -self.angle_rad, np.broadcast_to(self.gravity, self.specific_force.shape)
+        )
+        return np.asarray((self.specific_force + turned) * self.measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,7 @@ class Integrated:
 
 
 @dataclass(frozen=True)
-class _Rests:
+class _MotionRows:
     """First row of the motion, and first of the rest after it."""
 
     begin: int
@@ -110,7 +112,10 @@ def turned_by(angle_rad: FloatArray, vectors: FloatArray) -> FloatArray:
 
 
 def integrated(
-    sensed: Sensed, limit_m: float, ends_m: tuple[float, float] | None = None, gain_std: float = 0.0
+    sensed: AccelerometerSamples,
+    limit_m: float,
+    ends_m: tuple[float, float] | None = None,
+    gain_std: float = 0.0,
 ) -> Integrated:
     """The path of a hand between two rests.
 
@@ -121,7 +126,7 @@ def integrated(
               saturation, too few samples, an end that is missed by more than noise explains
     """
     inner = sensed.accelerations()
-    rests = _rests(sensed, inner)
+    rests = _motion_rows(sensed, inner)
     if rests is None:
         return Integrated(np.zeros_like(inner), None)
     _check_saturation(sensed, rests)
@@ -140,7 +145,7 @@ def integrated(
     return Integrated(path_m, drift)
 
 
-def _rests(sensed: Sensed, inner: FloatArray) -> _Rests | None:
+def _motion_rows(sensed: AccelerometerSamples, inner: FloatArray) -> _MotionRows | None:
     """Where the motion begins and ends; None if there is none.  Raises NotIntegrableError."""
     count, step_s = len(inner), sensed.step_s
     rest = max(REST_ROWS, int(np.ceil(REST_S / step_s)))
@@ -181,12 +186,12 @@ def _rests(sensed: Sensed, inner: FloatArray) -> _Rests | None:
                 f"record: there is no rest {where} the motion, limit {rest * step_s:.2g} s; record "
                 "the hand at rest there, for only then its velocity is known"
             )  # fmt: skip
-    return _Rests(begin - margin, end + margin)
+    return _MotionRows(begin - margin, end + margin)
 
 
-def _check_saturation(sensed: Sensed, rests: _Rests) -> None:
+def _check_saturation(sensed: AccelerometerSamples, rests: _MotionRows) -> None:
     for axis in range(2):
-        values = sensed.shown[rests.begin : rests.end, axis]
+        values = sensed.specific_force[rests.begin : rests.end, axis]
         steps, span = np.abs(np.diff(values)), float(np.ptp(values))
         if not sensed.measured[axis] or span < 1e-6:
             continue
@@ -206,7 +211,7 @@ def _check_saturation(sensed: Sensed, rests: _Rests) -> None:
                 )
 
 
-def _check_gaps(sensed: Sensed, rests: _Rests) -> None:
+def _check_gaps(sensed: AccelerometerSamples, rests: _MotionRows) -> None:
     steps_s = np.diff(sensed.t_s[rests.begin : rests.end + 1])
     longest = int(np.argmax(steps_s))
     if steps_s[longest] > _GAP * sensed.step_s:
@@ -217,7 +222,7 @@ def _check_gaps(sensed: Sensed, rests: _Rests) -> None:
         )
 
 
-def _noise(sensed: Sensed, inner: FloatArray, rests: _Rests) -> FloatArray:
+def _noise(sensed: AccelerometerSamples, inner: FloatArray, rests: _MotionRows) -> FloatArray:
     """(2,) one-sided density of the noise at rest along the sensor's axes, m/s²/√Hz.
 
     Of means over tenths of both rests where these vary more than white noise makes them.
@@ -241,7 +246,11 @@ def _turned_noise(noise: FloatArray, angle_rad: float) -> FloatArray:
 
 
 def _offset(
-    sensed: Sensed, inner: FloatArray, rests: _Rests, noise: FloatArray, limit_m: float
+    sensed: AccelerometerSamples,
+    inner: FloatArray,
+    rests: _MotionRows,
+    noise: FloatArray,
+    limit_m: float,
 ) -> FloatArray:
     """(2,) the sensor's offset, by both rests.  Raises NotIntegrableError: they differ."""
     parts = [inner[rows] for rows in rests.rows]
@@ -263,7 +272,7 @@ def _offset(
     return np.asarray((means[0] * seconds[0] + means[1] * seconds[1]) / sum(seconds))
 
 
-def _path(t_s: FloatArray, outer: FloatArray, rests: _Rests, every: int) -> FloatArray:
+def _path(t_s: FloatArray, outer: FloatArray, rests: _MotionRows, every: int) -> FloatArray:
     """(T, 2) path by every so many samples, velocity 0 at both ends of the motion."""
     at_s = t_s[rests.begin : rests.end + 1 : every]
     if at_s[-1] < t_s[rests.end]:
@@ -277,7 +286,11 @@ def _path(t_s: FloatArray, outer: FloatArray, rests: _Rests, every: int) -> Floa
 
 
 def _check_velocity(
-    sensed: Sensed, outer: FloatArray, rests: _Rests, noise: FloatArray, limit_m: float
+    sensed: AccelerometerSamples,
+    outer: FloatArray,
+    rests: _MotionRows,
+    noise: FloatArray,
+    limit_m: float,
 ) -> None:
     """Raise NotIntegrableError where the hand would not stop by far more than noise explains."""
     rows = slice(rests.begin, rests.end + 1)
@@ -297,9 +310,13 @@ def _check_velocity(
 
 
 def _check_rate(
-    sensed: Sensed, outer: FloatArray, path_m: FloatArray, rests: _Rests, noise: FloatArray,
+    sensed: AccelerometerSamples,
+    outer: FloatArray,
+    path_m: FloatArray,
+    rests: _MotionRows,
+    noise: FloatArray,
     limit_m: float,
-) -> None:  # fmt: skip
+) -> None:
     """Raise NotIntegrableError where half of the samples would make another path."""
     moved_s = float(sensed.t_s[rests.end] - sensed.t_s[rests.begin])
     if rests.end - rests.begin < 8:
@@ -318,7 +335,11 @@ def _check_rate(
 
 
 def _closed(
-    sensed: Sensed, path_m: FloatArray, rests: _Rests, drift: HandDrift, ends_m: FloatArray
+    sensed: AccelerometerSamples,
+    path_m: FloatArray,
+    rests: _MotionRows,
+    drift: HandDrift,
+    ends_m: FloatArray,
 ) -> FloatArray:
     """The likeliest path that ends where it is known to.  Raises NotIntegrableError."""
     missed_m = ends_m - path_m[-1]

@@ -2,15 +2,90 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass, field
+from datetime import datetime
+from enum import Enum
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem, did_you_mean
-from cell.study.imports.cells import Decimal
+
+Decimal = Literal[".", ","]
+
+#: Words that programs write where nothing was seen.
+NOT_SEEN = frozenset(
+    ("", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "-", "--", ".", "?", "missing", "lost")
+)
+_NUMBER = {
+    ".": re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
+    ",": re.compile(r"[-+]?(?:\d+(?:,\d+)?|,\d+)(?:[eEdD][-+]?\d+)?"),
+}
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
+#: A date and a time; a date alone is none.
+_MOMENT = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}(?:\.\d+)?(?:Z|[-+]\d{2}:?\d{2})?")
+
+
+def number(cell: str, decimal: Decimal) -> float | None:
+    """The number in a cell; nan where nothing was seen, None where something else stands.
+
+    A date with a time becomes seconds since 1970, a time of day seconds since midnight.
+    """
+    text = cell.strip().replace("−", "-")
+    if _NUMBER[decimal].fullmatch(text):
+        value = float(text.replace(",", ".").replace("d", "e").replace("D", "e"))
+        return value if math.isfinite(value) else None
+    if text.lower() in NOT_SEEN:
+        return math.nan
+    if found := _CLOCK.fullmatch(text):
+        hours, minutes, seconds = found.groups()
+        return 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
+    return _time_of_day_s(text) if _MOMENT.fullmatch(text) else None
+
+
+def is_number(cell: str, decimal: Decimal) -> bool:
+    """Whether a cell holds a number, and not only a word for none."""
+    value = number(cell, decimal)
+    return value is not None and value == value
+
+
+def _time_of_day_s(text: str) -> float | None:
+    try:
+        return datetime.fromisoformat(text).timestamp()
+    except ValueError:
+        return None
+
+
+class Sure(Enum):
+    """Where something that was understood comes from."""
+
+    SAID = "said"
+    """The file states it."""
+    SEEN = "seen"
+    """The data show it."""
+    GUESSED = "guessed"
+    """It is usual, or only indicated: somebody must check it."""
+    WANTED = "wanted"
+    """It cannot be known from the file: somebody must give it."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence, and the entry of the mapping that it is about."""
+
+    entry: str
+    sentence: str
+    sure: Sure
+
+    def to_json(self) -> dict[str, str]:
+        """Plain data."""
+        return {"entry": self.entry, "sentence": self.sentence, "sure": self.sure.value}
+
 
 #: Stands for a column of time where a file has none.
 ROW_NUMBER = "row number"

@@ -9,11 +9,9 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
-from cell.study.imports.capture import Capture
+from cell.study.imports.capture import Capture, Finding, Sure
 from cell.study.imports.contents import Contents, Point
-from cell.study.imports.finding import Finding, Sure
-from cell.study.imports.lost import lost_rows, means_lost
-from cell.study.imports.shape import chain, middle, rest_rows
+from cell.study.imports.shape import chain, lost_rows, means_lost, middle, rest_rows
 
 #: A point stays if it moves by less than this share of what the farthest moves.
 STAYS = 1e-3
@@ -33,7 +31,7 @@ class Chosen:
     """
 
     markers: tuple[Point, ...]
-    hand: Point | None
+    gripper: Point | None
     second: Point | None
     of_root: bool
     lost: tuple[float, ...]
@@ -48,11 +46,11 @@ def choose(
     """
     points = _same_dimension(capture, inside)
     lost = _lost([capture, *others], points)
-    raw = {p.name: seen_places(capture, p.columns, lost, p.of_hand) for p in points}
-    _check_apart(capture, points, raw)
+    raw = {p.name: detected_places(capture, p.columns, lost, p.on_gripper) for p in points}
+    _check_distinct(capture, points, raw)
     findings = [_lost_finding(v) for v in lost]
-    named = [p for p in points if p.of_hand]
-    cable = [p for p in points if not p.of_hand]
+    named = [p for p in points if p.on_gripper]
+    cable = [p for p in points if not p.on_gripper]
     if not cable and len(named) > 1:  # a cable all of whose points are called after the hand
         named, cable = named[:1], named[1:]
     cable, still, told = _moving(cable, raw)
@@ -65,7 +63,7 @@ def choose(
         order = _from_end(cable, raw)
         findings.append(_order_finding(order))
         return Chosen(tuple(order), None, None, False, lost), findings
-    hand, second = _hand(named, cable, raw, inside)
+    hand, second = _gripper_points(named, cable, raw, inside)
     if hand is not None:
         findings.append(
             Finding("hand", f"{hand.name!r} is the gripping point, by its name", Sure.GUESSED)
@@ -91,7 +89,7 @@ def choose(
     return Chosen(tuple(order[1:]), order[0], None, True, lost), findings
 
 
-def _check_apart(capture: Capture, points: Sequence[Point], raw: dict[str, FloatArray]) -> None:
+def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, FloatArray]) -> None:
     """Raise InputError where two points have the same places in all rows: they are one."""
     for i, first in enumerate(points):
         for second in points[i + 1 :]:
@@ -105,7 +103,7 @@ def _check_apart(capture: Capture, points: Sequence[Point], raw: dict[str, Float
                 )
 
 
-def seen_places(
+def detected_places(
     capture: Capture, columns: Sequence[str], lost: Sequence[float], of_hand: bool = False
 ) -> FloatArray:
     """(rows, 2 or 3) in the file's unit and axes, nan where the point was not seen."""
@@ -166,7 +164,7 @@ def _reach(places: FloatArray) -> float:
     return float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) else float("nan")
 
 
-def _hand(
+def _gripper_points(
     named: Sequence[Point],
     cable: Sequence[Point],
     raw: dict[str, FloatArray],

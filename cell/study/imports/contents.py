@@ -27,7 +27,7 @@ class Point:
     unit: str
 
     @property
-    def of_hand(self) -> bool:
+    def on_gripper(self) -> bool:
         """Whether its name says that it is on what holds the cable."""
         return bool(HAND.intersection(self.name.split()))
 
@@ -56,10 +56,10 @@ class Contents:
     unused: tuple[str, ...]
 
     @property
-    def senses_hand(self) -> bool:
+    def has_gripper_sensor(self) -> bool:
         """Whether a sensor of the hand is there, and no place of it."""
         by_sensor = bool(self.encoders or self.accelerations)
-        return by_sensor and not any(p.of_hand for p in self.points)
+        return by_sensor and not any(p.on_gripper for p in self.points)
 
     def point(self, name: str) -> Point | None:
         """The point of a name."""
@@ -80,8 +80,8 @@ def contents(capture: Capture) -> Contents:
         (n, m) for n, m in said if m.kind is ColumnKind.ANGLE and n not in of_quaternions
     )
     encoders = tuple((n, m) for n, m in said if m.kind is ColumnKind.ENCODER)
-    accelerations = _accelerations(said, {p.name for p in points if not p.of_hand})
-    if any(p.of_hand for p in points):  # then an encoder can only tell how it is turned
+    accelerations = _accelerations(said, {p.name for p in points if not p.on_gripper})
+    if any(p.on_gripper for p in points):  # then an encoder can only tell how it is turned
         angles += tuple((n, m) for n, m in encoders if m.unit in RADIANS)
     used = {n for n, _ in encoders + accelerations}
     used |= {n for p in points for n in p.columns} | {n for n, _ in chosen} | {n for n, _ in angles}

@@ -13,10 +13,11 @@ from cell.cable.geometry import Cable, Motion
 from cell.files.input_error import InputError, Problem
 from cell.files.words import counted
 from cell.files.yaml_document import Key
+from cell.study.checks import trial_problems
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
 from cell.study.imports.capture import Capture, TextForm
-from cell.study.imports.hand_path import HandPath, hand_path
+from cell.study.imports.hand_path import GripperPath, gripper_path
 from cell.study.imports.hand_section import (
     TextSection,
     TimeSection,
@@ -26,7 +27,6 @@ from cell.study.imports.places import out_of_plane_m, places_m
 from cell.study.imports.quality import Measured, examined
 from cell.study.imports.read import read_capture
 from cell.study.imports.scales import WRONG_UNIT, other_rate
-from cell.study.judged import judged
 
 #: A unit of angles below this is no radian.
 _DEGREES = 0.1
@@ -71,7 +71,9 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
             continue
         found, told = examined(measured, cable, arcs[order])
         if not found:
-            found, more = judged(measured.trial, cable, arcs[order], mapping.gravity_m_per_s2)
+            found, more = trial_problems(
+                measured.trial, cable, arcs[order], mapping.gravity_m_per_s2
+            )
             told = [*told, *more]
         problems += found
         notes += [*measured.notes, *told]
@@ -227,7 +229,7 @@ def _motion(
     captures: Dictionary[str, Capture],
     zero_s: float,
     markers: Markers,
-) -> tuple[Motion, HandPath]:
+) -> tuple[Motion, GripperPath]:
     """Pose of the gripping point, and how it is known.
 
     raises  InputError: it is missing somewhere, or on no clock
@@ -235,7 +237,7 @@ def _motion(
     mapping, hand = read.mapping, read.mapping.hand
     capture = captures[entry.hand_file or entry.file]
     t_s = times_s(capture, hand.time or mapping.time) - zero_s + entry.clock_offset_s
-    path = hand_path(read, entry, capture, t_s)
+    path = gripper_path(read, entry, capture, t_s)
     xy_m, angle_rad = path.xy_m, path.angle_rad
     known = np.isfinite(xy_m).all(axis=1) & np.isfinite(angle_rad)
     if np.count_nonzero(known) < 2:

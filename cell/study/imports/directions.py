@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.study.imports.finding import Finding, Sure
+from cell.study.imports.capture import Finding, Sure
 from cell.study.imports.hand_section import AxesSection
 from cell.study.imports.shape import bend
 

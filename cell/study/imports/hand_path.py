@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.files.yaml_document import Key
 from cell.study.hand_drift import HandDrift
-from cell.study.imports.accelerometer import REST_ROWS, NotIntegrableError, Sensed, integrated
+from cell.study.imports.accelerometer import (
+    REST_ROWS,
+    AccelerometerSamples,
+    NotIntegrableError,
+    integrated,
+)
 from cell.study.imports.capture import Capture
-from cell.study.imports.encoder import place_m, turn_of
-from cell.study.imports.hand_section import AccelerationSection
-from cell.study.imports.lost import lost_rows
+from cell.study.imports.hand_section import AccelerationSection, TurnsSection
 from cell.study.imports.mapping import ReadMapping, TrialEntry
 from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
+from cell.study.imports.shape import lost_rows
 
 Flags = NDArray[np.bool_]
 
@@ -31,7 +35,7 @@ _RATE_HZ = 2000.0
 
 
 @dataclass(frozen=True, eq=False)
-class HandPath:
+class GripperPath:
     """Gripping point (rows, 2), m, and clamp angle (rows,), rad; nan = not known.
 
     drift  what the place may be wrong by; None = its rows show it
@@ -43,7 +47,9 @@ class HandPath:
     note: str = ""
 
 
-def hand_path(read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: FloatArray) -> HandPath:
+def gripper_path(
+    read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: FloatArray
+) -> GripperPath:
     """The hand of a trial.
 
     capture  with the hand, and t_s (rows,) its times on the study's clock
@@ -63,17 +69,17 @@ def hand_path(read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: Float
     if hand.columns is not None:
         xy_m = places_m(capture, hand.columns, axes, scale, mapping.lost, unseen=0.0, of_hand=True)
         xy_m = xy_m + hand.origin_m
-        note = _told_lost(read, entry, capture)
+        note = _lost_rows_text(read, entry, capture)
     else:
         xy_m = np.broadcast_to(np.array(hand.fixed_m, dtype=np.float64), (len(t_s), 2))
     if angle_rad is None:
         second = hand.angle.towards or ()
         towards = places_m(capture, second, axes, scale, mapping.lost, of_hand=True)
         angle_rad = angle_towards(xy_m, towards + hand.origin_m, hand.angle.offset_rad)
-    return HandPath(xy_m, angle_rad, note=note)
+    return GripperPath(xy_m, angle_rad, note=note)
 
 
-def _told_lost(read: ReadMapping, entry: TrialEntry, capture: Capture) -> str:
+def _lost_rows_text(read: ReadMapping, entry: TrialEntry, capture: Capture) -> str:
     """How many rows of the hand are left out for its place is a value of `lost`; empty if none."""
     lost, columns = read.mapping.lost, read.mapping.hand.columns or []
     rows = lost_rows(capture.at([c for c in columns if c is not None]), lost, of_hand=True)
@@ -92,7 +98,7 @@ def _turned(
     capture: Capture,
     t_s: FloatArray,
     angle_rad: FloatArray | None,
-) -> HandPath:
+) -> GripperPath:
     """The hand of a trial by its axle's encoder; angle None: the clamp turns with the arm."""
     hand = read.mapping.hand
     turns = hand.turns
@@ -102,7 +108,7 @@ def _turned(
     follows = angle_rad is None
     angle_rad = turn.angle_rad + hand.angle.offset_rad if angle_rad is None else angle_rad
     if turn.count_rad == 0.0 or turn.moves is None:
-        return HandPath(xy_m, angle_rad)
+        return GripperPath(xy_m, angle_rad)
     cable_m = read.mapping.cable.free_length_m or 1.0
     reach_m = (turns.radius_m or 0.0) + cable_m * follows
     if turn.count_rad * reach_m > MOST_DRIFT * cable_m:
@@ -121,24 +127,24 @@ def _turned(
         axle_m=turns.axle_m or (0.0, 0.0),
         clamp_turns=follows,
     )
-    return HandPath(xy_m, angle_rad, drift)
+    return GripperPath(xy_m, angle_rad, drift)
 
 
 def _integrated(
     read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: FloatArray, angle_rad: FloatArray
-) -> HandPath:
+) -> GripperPath:
     """The hand of a trial by its accelerometer."""
     mapping = read.mapping
     section = mapping.hand.acceleration
     assert section is not None
     angle_rad = _between(t_s, angle_rad)
-    shown, measured = _shown(read, section, capture)
+    shown, measured = _specific_force(read, section, capture)
     known = np.isfinite(shown).all(axis=1) & np.isfinite(angle_rad)
     rows = np.flatnonzero(known)
     turns = section.along == "clamp"
     if len(rows) < 2:
         raise capture.error(0, "shows acceleration in fewer than 2 rows; give its columns", "hand")
-    sensed = Sensed(
+    sensed = AccelerometerSamples(
         t_s[known],
         shown[known],
         measured,
@@ -161,7 +167,7 @@ def _integrated(
     step = max(1, int(1.0 / (_RATE_HZ * sensed.step_s)))
     xy_m = np.full((len(t_s), 2), np.nan)
     xy_m[rows[::step]] = begins_m + found.path_m[::step]
-    return HandPath(
+    return GripperPath(
         xy_m, angle_rad, found.drift, _note(entry, capture, xy_m, t_s, found.drift, cable_m)
     )
 
@@ -174,7 +180,7 @@ def _between(t_s: FloatArray, angle_rad: FloatArray) -> FloatArray:
     return np.interp(t_s, t_s[known], angle_rad[known], left=np.nan, right=np.nan)
 
 
-def _shown(
+def _specific_force(
     read: ReadMapping, section: AccelerationSection, capture: Capture
 ) -> tuple[FloatArray, tuple[bool, bool]]:
     """(rows, 2) specific force along right and up, and which of the two is measured."""
@@ -185,12 +191,12 @@ def _shown(
     return shown, (bool(seen[:, 0].any()), bool(seen[:, 1].any()))
 
 
-def _check_gravity(read: ReadMapping, sensed: Sensed) -> None:
+def _check_gravity(read: ReadMapping, sensed: AccelerometerSamples) -> None:
     """Raise InputError where what the sensor shows at rest is neither gravity nor nothing."""
     gravity = float(np.hypot(*sensed.gravity))
     if not all(sensed.measured) or gravity == 0.0:
         return
-    rest = sensed.shown[:REST_ROWS].mean(axis=0)
+    rest = sensed.specific_force[:REST_ROWS].mean(axis=0)
     size = float(np.hypot(*rest))
     key: Key = ("hand", "acceleration", "m_per_s2_per_unit")
     if size < _NONE * gravity:
@@ -243,3 +249,69 @@ def _note(
         f"{f' and a gain known to {drift.gain_std:.1%}' if drift.gain_std else ''}. "
         "The study states it, and the lab allows for it"
     )
+
+
+#: Numbers are counts if they are whole multiples of one step, within this share of it.
+_WHOLE = 1e-3
+#: Whole numbers up to which double precision tells all of them apart.
+_MOST = 2.0**53
+
+
+def count_of(values: FloatArray) -> float:
+    """The step in whole numbers of which all values (rows,) are apart; 0 = there is none."""
+    different = np.unique(values[np.isfinite(values)])
+    if len(different) < 3:
+        return 0.0
+    steps = np.diff(different)
+    if np.all(different == np.round(different)) and np.abs(different).max() < _MOST:
+        return float(np.gcd.reduce(steps.astype(np.int64)))
+    count = float(steps.min())
+    whole = np.abs(steps / count - np.round(steps / count)) < _WHOLE
+    return count if whole.all() and count > 1e-9 * float(np.abs(different).max()) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """Turn of an arm: 0 = it points to the left, positive = pointing down.
+
+    angle_rad  (rows,) nan = unknown
+    count_rad  of one count; 0 = the numbers are no counts
+    moves      rows that show it leave its first and reach its last place; None = it does not move
+    """
+
+    angle_rad: FloatArray
+    count_rad: float
+    moves: tuple[int, int] | None
+
+
+def turn_of(capture: Capture, turns: TurnsSection) -> Turn:
+    """The turn that an encoder shows.
+
+    One that begins anew after a whole turn is followed over it.  Counts are dithered over their
+    width, so that what reads them sees the error that they have.
+    source  Widrow & Kollár, Quantization Noise, 2008, ch. 19 (dither)
+    raises  InputError: there is no such column
+    """
+    values, unit = capture.column(turns.column), turns.radians_per_unit or 1.0
+    angle = values * unit + turns.offset_rad
+    known = np.isfinite(angle)
+    count_rad = count_of(values) * abs(unit)
+    if not known.any():
+        return Turn(angle, count_rad, None)
+    whole = np.unwrap(angle[known])
+    whole = whole - 2.0 * np.pi * np.round(whole[0] / (2.0 * np.pi))
+    away = [np.abs(whole - whole[end]) > 1.5 * count_rad for end in (0, -1)]
+    rows = np.flatnonzero(known)
+    moves = None
+    if away[0].any() and away[1].any():
+        moves = int(rows[np.argmax(away[0])]), int(rows[len(rows) - 1 - np.argmax(away[1][::-1])])
+    dither = np.random.default_rng(len(rows)).uniform(-0.5, 0.5, len(rows))
+    angle[known] = whole + count_rad * dither * (moves is not None)
+    return Turn(angle, count_rad, moves)
+
+
+def place_m(turn: FloatArray, turns: TurnsSection) -> FloatArray:
+    """(rows, 2) gripping point at turns (rows,) of the arm, in the study's frame."""
+    axle_m = np.array(turns.axle_m or (0.0, 0.0))
+    out = np.column_stack([-np.cos(turn), -np.sin(turn)])
+    return np.asarray(axle_m + (turns.radius_m or 0.0) * out)

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.study.imports.capture import Capture
+from cell.study.imports.capture import Capture, Finding, Sure
 from cell.study.imports.contents import HAND, Contents, Point
-from cell.study.imports.finding import Finding, Sure
 from cell.study.imports.hand_section import BODY_AXES, AngleSection, AxesSection
 from cell.study.imports.places import body_axis, continuous
 from cell.study.imports.units import RADIANS
@@ -57,7 +56,7 @@ class _PoseReader:
 
     unit: str
     sign: float
-    seen: bool
+    is_measured: bool
     quarters: int
     rest_rad: float
     off_rad: float
@@ -152,12 +151,12 @@ def _of_column(
     stated = unit in RADIANS
     matters = float(np.nanmax(np.abs(values))) * RADIANS[word] > 1e-3
     which = "positive = down" if s > 0 else "positive = up, turned round"
-    why = "the cable turns with it" if best.seen else "the cable's root at rest agrees best"
+    why = "the cable turns with it" if best.is_measured else "the cable's root at rest agrees best"
     if not matters:
         why = "it is 0 throughout"
     if best.quarters and not findings:
         which += f", turned by {90 * best.quarters}°"
-    sure = Sure.SEEN if best.seen or not matters else Sure.GUESSED
+    sure = Sure.SEEN if best.is_measured or not matters else Sure.GUESSED
     sentence = (
         f"the clamp angle is column {name!r} in {word}{', as the file says' if stated else ''}"
     )

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cell.files.input_error import Problem
 from cell.files.yaml_document import Document, Key
-from cell.study.imports.cells import Decimal
+from cell.study.imports.capture import Decimal
 
 BodyAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 BODY_AXES: tuple[BodyAxis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -109,7 +109,7 @@ class AngleSection(SectionPart):
     offset_rad: Finite = 0.0
 
 
-class HandSection(SectionPart):
+class GripperSection(SectionPart):
     """The gripping point.  What is not given here is as for the markers.
 
     columns    of the gripping point, null = it stays at its origin along this one; or
@@ -138,15 +138,15 @@ class HandSection(SectionPart):
     @property
     def unfinished(self) -> bool:
         """Whether entries of its place must be filled in."""
-        return bool(wanted_of_hand(self))
+        return bool(entries_to_fill_in(self))
 
-    def standing_still(self) -> HandSection:
+    def standing_still(self) -> GripperSection:
         """The same, fixed, for what can be shown without its path."""
         still = {"fixed_m": (0.0, 0.0), "angle": AngleSection(constant_rad=0.0)}
         return self.model_copy(update={**dict.fromkeys(WAYS), **still})
 
 
-def wanted_of_hand(hand: HandSection) -> list[tuple[Key, str]]:
+def entries_to_fill_in(hand: GripperSection) -> list[tuple[Key, str]]:
     """Entries that are left to be filled in, and how they are found out."""
     entries: list[tuple[Key, Any, str]] = []
     if (turns := hand.turns) is not None:
@@ -167,7 +167,7 @@ def wanted_of_hand(hand: HandSection) -> list[tuple[Key, str]]:
     return [(("hand", *key), remedy) for key, value, remedy in entries if value is None]
 
 
-def hand_problems(document: Document, hand: HandSection) -> list[Problem]:
+def gripper_problems(document: Document, hand: GripperSection) -> list[Problem]:
     """Ways to say one thing, of which exactly one must be given."""
     angle, problems = hand.angle, []
     given = [name for name in WAYS if getattr(hand, name) is not None]

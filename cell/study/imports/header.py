@@ -9,8 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import CapturedColumn
-from cell.study.imports.cells import number
+from cell.study.imports.capture import CapturedColumn, number
 from cell.study.imports.units import METRES, unit_of
 
 Lines = Sequence[tuple[int, tuple[str, ...]]]
@@ -43,7 +42,7 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
     width = len(row)
     rows = [(line, _without_remark(cells)) for line, cells in lines]
     rows = [(line, cells) for line, cells in rows if any(c.strip() for c in cells)]
-    rate_hz, unit = _said(rows)
+    rate_hz, unit = _stated_rate_and_unit(rows)
     units = [""] * width
     naming = list(rows)
     if naming and (found := _units_row(naming[-1][1], width)) is not None:
@@ -152,7 +151,7 @@ def _joined(parts: Sequence[Sequence[str]]) -> list[str]:
     return [name or f"column {i}" for i, name in enumerate(names, 1)]
 
 
-def _said(rows: Lines) -> tuple[float | None, str]:
+def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
     """Rate and unit of length that remarks state."""
     rate_hz, unit = None, ""
     for _, cells in rows:

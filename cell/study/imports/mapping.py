@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -11,26 +11,70 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field
 
+from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Start
 from cell.files.input_error import InputError, Problem
 from cell.files.words import counted
 from cell.files.yaml_document import Document, Key, read_yaml, validate
+from cell.study.data import Study, Wrench
 from cell.study.entries import TrialName
 from cell.study.hand_drift import HandDriftSection
+from cell.study.imports.capture import Capture
 from cell.study.imports.hand_section import (
     AxesSection,
     Columns,
     Finite,
-    HandSection,
+    GripperSection,
     Name,
     Positive,
     SectionPart,
     TextSection,
     TimeSection,
-    hand_problems,
-    wanted_of_hand,
+    entries_to_fill_in,
+    gripper_problems,
 )
-from cell.study.imports.wrench_section import WrenchSection, wrench_problems
+from cell.study.wrench import SensorEntry, sensor_entry
+
+
+class WrenchSection(SensorEntry):
+    """What a study says of its sensor, and where its values are.
+
+    columns  of force x, force y and moment; null = not measured
+    newtons_per_unit, newton_metres_per_unit  negative: the sensor shows what acts on the hand
+    """
+
+    columns: Annotated[list[Name | None], Field(min_length=3, max_length=3)]
+    newtons_per_unit: Finite = 1.0
+    newton_metres_per_unit: Finite = 1.0
+
+    def wrench(self, capture: Capture, t_s: FloatArray) -> Wrench | None:
+        """What a file shows of it; None = nothing.  Raises InputError: there is no such column."""
+        units = (self.newtons_per_unit, self.newtons_per_unit, self.newton_metres_per_unit)
+        values = np.full((len(t_s), len(units)), np.nan)
+        for axis, (name, unit) in enumerate(zip(self.columns, units, strict=True)):
+            if name is not None:
+                values[:, axis] = capture.column(name) * unit
+        shown = np.isfinite(values).any(axis=1)
+        return Wrench(t_s[shown], values[shown]) if shown.any() else None
+
+
+def wrench_section(study: Study, names: Sequence[str]) -> WrenchSection | None:
+    """The section of a study whose wrenches are in columns of these names; None = it has none."""
+    wrenches = [t.wrench for t in study.trials if t.wrench is not None]
+    if not wrenches:
+        return None
+    there = np.any([np.isfinite(w.values).any(axis=0) for w in wrenches], axis=0)
+    columns = [name if seen else None for name, seen in zip(names, there, strict=True)]
+    return WrenchSection(columns=columns, **sensor_entry(study.sensor))
+
+
+def wrench_problems(document: Document, section: WrenchSection | None) -> list[Problem]:
+    """That nothing of it is given."""
+    if section is None or any(section.columns):
+        return []
+    message = "are all null; name one, or leave wrench out"
+    return [document.problem(("wrench", "columns"), message)]
+
 
 FORMAT: Final = "cable-import/1"
 FILE = "import.yaml"
@@ -114,7 +158,7 @@ class Mapping(SectionPart):
     metres_per_unit: Positive | None
     lost: tuple[Finite, ...] = ()
     axes: AxesSection
-    hand: HandSection
+    hand: GripperSection
     wrench: WrenchSection | None = None
     markers: Annotated[list[MarkerEntry], Field(min_length=1)]
     trials: Annotated[list[TrialEntry], Field(min_length=1)]
@@ -164,7 +208,7 @@ def read_mapping(path: Path) -> ReadMapping:
     problems = [
         *_missing(document, mapping),
         *_axes(document, mapping),
-        *hand_problems(document, mapping.hand),
+        *gripper_problems(document, mapping.hand),
         *_twice(document, mapping),
         *_of_sensors(document, mapping),
         *wrench_problems(document, mapping.wrench),
@@ -182,14 +226,14 @@ def _missing(document: Document, mapping: Mapping) -> list[Problem]:
          "measure the cable from the gripping point to its tip"),
         (("cable", "line_density_kg_per_m"), cable.line_density_kg_per_m,
          "weigh a piece and divide its mass by its length"),
-        (("time", "seconds_per_unit"), _said_of_all(mapping, lambda of: of.time),
+        (("time", "seconds_per_unit"), _seconds_per_unit(mapping, lambda of: of.time),
          "give 1 / frames a second, such as 0.01 for 100"),
         (("metres_per_unit",), mapping.metres_per_unit,
          "give 0.001 for millimetres; for pixels, the length of one in metres"),
     ]  # fmt: skip
     if mapping.hand.time is not None:
         key = ("hand", "time", "seconds_per_unit")
-        wanted.append((key, _said_of_all(mapping, lambda of: of.hand.time), wanted[2][2]))
+        wanted.append((key, _seconds_per_unit(mapping, lambda of: of.hand.time), wanted[2][2]))
     for i, marker in enumerate(mapping.markers):
         where: Key = ("markers", i, "arc_length_m")
         wanted.append((where, marker.arc_length_m, "measure it along the cable from the clamp"))
@@ -200,7 +244,7 @@ def _missing(document: Document, mapping: Mapping) -> list[Problem]:
     ]
     problems += [
         document.problem(key, f"is not known from the file: {remedy}")
-        for key, remedy in wanted_of_hand(mapping.hand)
+        for key, remedy in entries_to_fill_in(mapping.hand)
     ]
     if cable.diameter_m is None and (cable.width_m is None or cable.thickness_m is None):
         message = "its section is not known from the file: give width_m and thickness_m of a flat "
@@ -208,7 +252,7 @@ def _missing(document: Document, mapping: Mapping) -> list[Problem]:
     return problems
 
 
-def _said_of_all(
+def _seconds_per_unit(
     mapping: Mapping, section: Callable[[Mapping], TimeSection | None]
 ) -> float | None:
     """Seconds a unit of a trial's times; None where a trial has none."""

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.files.input_error import Problem
-from cell.study.checks import MAX_TRIAL_S, exchanged
+from cell.study.checks import MAX_TRIAL_S, exchange_problem
 from cell.study.clocks import GAP_S, GAP_STEPS, cut_off, gap
 from cell.study.data import Source, Study, Trial
 from cell.study.imports.capture import Capture
-from cell.study.left_out import without_wrong_samples
+from cell.study.left_out import without_outliers
 from cell.study.plausible import SLACK
 
 Flags = NDArray[np.bool_]
@@ -41,7 +41,7 @@ class Measured:
 
     trial: Trial
     capture: Capture
-    seen: Flags
+    detected: Flags
     across_m: FloatArray | None
     notes: tuple[str, ...] = ()
 
@@ -54,7 +54,7 @@ class Measured:
 
     def problem(self, row: int, message: str, key: str = "") -> Problem:
         """A complaint about a row of the trial."""
-        return self.capture.problem(int(np.flatnonzero(self.seen)[row]), message, key)
+        return self.capture.problem(int(np.flatnonzero(self.detected)[row]), message, key)
 
 
 def examined(
@@ -66,10 +66,10 @@ def examined(
     """
     problems = [
         problem
-        for check in (_too_long, _hand_gap, _same_values, _stays)
+        for check in (_too_long, _gripper_gap, _same_values, _stays)
         if (problem := check(measured)) is not None
     ]
-    if not problems and (places := exchanged(measured.trial.markers)):
+    if not problems and (places := exchange_problem(measured.trial.markers)):
         problems.append(places)
     if not problems and (longer := _longer_than_cable(measured, cable, arc_length_m)):
         problems.append(longer)
@@ -77,14 +77,14 @@ def examined(
         problems.append(across)
     if problems:
         return problems, []
-    told = [_told_across(measured, cable), _held(measured)]
+    told = [_width_text(measured, cable), _held(measured)]
     return [], [sentence for sentence in told if sentence]
 
 
 def slips(study: Study) -> list[str]:
     """What is told of single wrong samples.  Raises InputError: there are too many of them."""
     before = len(study.notes)
-    return list(without_wrong_samples(study).notes[before:])
+    return list(without_outliers(study).notes[before:])
 
 
 def _too_long(measured: Measured) -> Problem | None:
@@ -99,13 +99,13 @@ def _too_long(measured: Measured) -> Problem | None:
     )
 
 
-def _hand_gap(measured: Measured) -> Problem | None:
+def _gripper_gap(measured: Measured) -> Problem | None:
     """A hand that moves while nothing is known of it."""
     grip = measured.trial.grip
     poses = np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad])
     found = gap(poses)
     if found is None:
-        return _hand_beyond(measured, poses)
+        return _markers_beyond_log(measured, poses)
     limit_s = max(GAP_S, GAP_STEPS * found.usual_s)
     row = int(np.searchsorted(measured.trial.markers.t_s, found.to_s))
     return measured.problem(
@@ -118,7 +118,7 @@ def _hand_gap(measured: Measured) -> Problem | None:
     )
 
 
-def _hand_beyond(measured: Measured, poses: FloatArray) -> Problem | None:
+def _markers_beyond_log(measured: Measured, poses: FloatArray) -> Problem | None:
     """A hand that moves where its log ends or begins, and markers that are seen beyond."""
     markers = measured.trial.markers
     rows = np.flatnonzero(np.isfinite(markers.xy_m).any(axis=(1, 2)))
@@ -218,7 +218,7 @@ def _across(measured: Measured, cable: Cable) -> Problem | None:
     )
 
 
-def _told_across(measured: Measured, cable: Cable) -> str:
+def _width_text(measured: Measured, cable: Cable) -> str:
     away_m = _out_of_plane_m(measured)
     if away_m is None:
         return ""

@@ -1,15 +1,124 @@
-"""Reads a file of measurements by the kind that its name says it is."""
+"""Reads a file of measurements by its kind: C3D, TRC, recordings, delimited tables."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from cell.files.input_error import InputError
-from cell.study.imports.c3d import read_c3d
-from cell.study.imports.capture import Capture, TextForm
+from cell.files.text_file import read_text
+from cell.study.imports.capture import Capture, CapturedColumn, TextForm, number
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.mcap_file import read_mcap
-from cell.study.imports.trc import read_trc
+from cell.study.imports.units import METRES, unit_of
+from cell.study.table import MAX_BYTES
+
+#: Keys that the second line may hold; the third has their values.
+_KEYS = ("DataRate", "Units")
+
+
+def read_trc(path: Path) -> Capture:
+    """Read a TRC file: columns Frame, Time and X, Y, Z of every marker.
+
+    raises  InputError: it is no TRC file, or a line is wrong
+    source  OpenSim, "Marker (.trc) files"
+    """
+    lines = read_text(path, MAX_BYTES).splitlines()
+    if len(lines) < 5 or not lines[0].startswith("PathFileType"):
+        message = "is no TRC file: its first line does not begin with PathFileType"
+        raise InputError.at(path, f"{message}; export it again")
+    said = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    missing = [key for key in _KEYS if not said.get(key, "").strip()]
+    if missing:
+        message = f"{missing[0]} is not stated; add it to lines 2 and 3"
+        raise InputError.at(path, message, line=2)
+    rate_hz = number(said["DataRate"], ".")
+    unit = unit_of(said["Units"])
+    if rate_hz is None or not rate_hz > 0.0:
+        message = f"DataRate {said['DataRate']!r} is no rate; give frames a second"
+        raise InputError.at(path, message, line=3)
+    if unit not in METRES:
+        message = f"Units {said['Units']!r} is no length; give one of {', '.join(METRES)}"
+        raise InputError.at(path, message, line=3)
+    markers = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
+    twice = next((m for m in markers if markers.count(m) > 1), None)
+    if twice is not None:
+        message = f"{twice!r} names two markers; give each a name of its own"
+        raise InputError.at(path, message, line=4)
+    names = ["Frame", "Time", *(f"{m} {axis}" for m in markers for axis in "XYZ")]
+    values, numbers = _rows(path, lines, names)
+    units = ["", "s", *[unit] * (3 * len(markers))]
+    columns = tuple(CapturedColumn(n, u) for n, u in zip(names, units, strict=True))
+    return Capture(path, columns, values, numbers, rate_hz, unit)
+
+
+def _rows(path: Path, lines: list[str], names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Values and line numbers of the rows below the header."""
+    rows, numbers = [], []
+    for line, text in enumerate(lines[5:], 6):
+        cells = text.split("\t")
+        while len(cells) > len(names) and not cells[-1].strip():
+            cells.pop()
+        if not any(c.strip() for c in cells):
+            continue
+        # Nothing at the end of a line: the last markers are not seen.
+        cells += [""] * (len(names) - len(cells) if len(cells) > 1 else 0)
+        if len(cells) != len(names):
+            message = f"has {len(cells)} cells between tabs, the header names {len(names)} columns"
+            raise InputError.at(path, f"{message}; mend the line", line=line)
+        found = [number(c, ".") for c in cells]
+        if None in found:
+            bad = found.index(None)
+            message = f"{cells[bad]!r} is not a number; give one, or nothing where nothing was seen"
+            raise InputError.at(path, message, line=line, key=names[bad])
+        rows.append(found)
+        numbers.append(line)
+    if not rows:
+        message = "has no rows below its header; export it again"
+        raise InputError.at(path, message, line=len(lines))
+    return np.array(rows, dtype=np.float64), np.array(numbers, dtype=np.intp)
+
+
+def read_c3d(path: Path) -> Capture:
+    """Read the points of a C3D file: columns Time and X, Y, Z of every point.
+
+    raises  InputError: it is no C3D file or has no points, or ezc3d is not installed
+    """
+    try:
+        import ezc3d
+    except ImportError as error:
+        message = "needs ezc3d to be read: pip install 'cable-cell[import]'"
+        raise InputError.at(path, message) from error
+    if not path.is_file():
+        raise InputError.at(path, "cannot be read: there is no such file; check the name")
+    try:
+        content = ezc3d.c3d(str(path))
+    except Exception as error:  # its reader, in C++, raises what it likes of a damaged file
+        message = f"is no C3D file or is damaged ({error}); export it again"
+        raise InputError.at(path, message) from error
+    parameters = content["parameters"]["POINT"]
+    xyz = np.asarray(content["data"]["points"][:3], dtype=np.float64)  # (3, points, frames)
+    if xyz.shape[1] == 0 or xyz.shape[2] == 0:
+        raise InputError.at(path, "holds no points; export the places of markers")
+    rate_hz = float(parameters["RATE"]["value"][0])
+    if not rate_hz > 0.0:
+        raise InputError.at(path, f"POINT:RATE is {rate_hz:g}; export it with frames a second")
+    labels = [str(label).strip() for label in parameters["LABELS"]["value"]]
+    labels += [f"point {i}" for i in range(len(labels), xyz.shape[1])]
+    labels = labels[: xyz.shape[1]]
+    twice = next((label for label in labels if labels.count(label) > 1), None)
+    if twice is not None:
+        message = f"{twice!r} labels two points; give each a label of its own and export it again"
+        raise InputError.at(path, message)
+    units = parameters.get("UNITS", {"value": []})["value"]
+    unit = unit_of(str(units[0])) if len(units) else ""
+    frames = np.arange(xyz.shape[2])
+    columns = [CapturedColumn("Time", "s")]
+    columns += [CapturedColumn(f"{label} {axis}", unit) for label in labels for axis in "XYZ"]
+    values = np.column_stack([frames / rate_hz, xyz.transpose(2, 1, 0).reshape(len(frames), -1)])
+    return Capture(path, tuple(columns), values, frames + 1, rate_hz, unit, counted="frame")
+
 
 #: Endings of names of text tables.
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc")

@@ -1,24 +1,30 @@
-"""What is proposed for a hand that a file tells by an encoder or an accelerometer."""
+"""What is proposed for a hand with a file of its own, or with an encoder or accelerometer."""
 
 from __future__ import annotations
 
+from collections.abc import Set
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from cell.study.imports.capture import Capture
+from cell.cable.arrays import FloatArray
+from cell.study.imports.capture import Capture, Finding, Sure
+from cell.study.imports.choosing import detected_places
 from cell.study.imports.column_names import Meaning
-from cell.study.imports.contents import Contents
-from cell.study.imports.finding import Finding, Sure
+from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.hand_pose import Root, clamp_angle
 from cell.study.imports.hand_section import (
     AccelerationSection,
     AngleSection,
     AxesSection,
-    HandSection,
+    GripperSection,
+    TextSection,
     TurnsSection,
-    wanted_of_hand,
+    entries_to_fill_in,
 )
+from cell.study.imports.scales import metres_per_unit, time_section
+from cell.study.imports.shape import AWAY, FEWEST_REST, arc_lengths
 from cell.study.imports.units import METRES, RADIANS
 
 #: m/s² that one of a unit is, and standard gravity within this share tells an unnamed one.
@@ -28,13 +34,13 @@ _WITHIN = 0.1
 _REST = 20
 
 
-def hand_by_sensor(
+def sensor_section(
     capture: Capture,
     inside: Contents,
     axes: AxesSection,
     root: Root,
     of_file: dict[str, Any],
-) -> tuple[HandSection, list[Finding]]:
+) -> tuple[GripperSection, list[Finding]]:
     """The hand's section with null where somebody must fill it in, and why.
 
     axes     of the markers
@@ -47,14 +53,14 @@ def hand_by_sensor(
         plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
         angle, told = clamp_angle(capture, inside, plane, root, None, "")
         unit = METRES[inside.encoders[0][1].unit]
-        section = HandSection(columns=columns, axes=plane, metres_per_unit=unit, angle=angle)
+        section = GripperSection(columns=columns, axes=plane, metres_per_unit=unit, angle=angle)
         findings += told
     else:
         section, findings = _turning(capture, inside, axes, root)
     section = section.model_copy(update=of_file)
     findings += [
         Finding("hand", f"give {'.'.join(map(str, key))}: {remedy}", Sure.WANTED)
-        for key, remedy in wanted_of_hand(section)
+        for key, remedy in entries_to_fill_in(section)
     ]
     return section, findings
 
@@ -70,7 +76,7 @@ def _linear(inside: Contents) -> tuple[list[str | None], list[Finding]]:
 
 def _turning(
     capture: Capture, inside: Contents, axes: AxesSection, root: Root
-) -> tuple[HandSection, list[Finding]]:
+) -> tuple[GripperSection, list[Finding]]:
     name, said = next((n, m) for n, m in inside.encoders if m.unit not in METRES)
     unit = RADIANS.get(said.unit)
     turns = TurnsSection(column=name, radians_per_unit=unit, axle_m=None, radius_m=None)
@@ -81,14 +87,14 @@ def _turning(
             "the clamp turns with the arm, and the cable leaves along it; else give offset_rad"
         )
         findings.append(Finding("hand.angle", sentence, Sure.GUESSED))
-        return HandSection(turns=turns, angle=AngleSection(follows=True)), findings
+        return GripperSection(turns=turns, angle=AngleSection(follows=True)), findings
     angle, told = clamp_angle(capture, inside, axes, root, None, "")
-    return HandSection(turns=turns, angle=angle), [*findings, *told]
+    return GripperSection(turns=turns, angle=angle), [*findings, *told]
 
 
 def _by_acceleration(
     capture: Capture, inside: Contents, axes: AxesSection, root: Root
-) -> tuple[HandSection, list[Finding]]:
+) -> tuple[GripperSection, list[Finding]]:
     """Which of the columns is up, by gravity at rest, and their unit."""
     found: tuple[tuple[str, Meaning], ...] = inside.accelerations[:3]
     names = [n for n, _ in found]
@@ -105,7 +111,7 @@ def _by_acceleration(
         columns=columns, m_per_s2_per_unit=unit, along="clamp", starts_at_m=None
     )
     angle, told = clamp_angle(capture, inside, axes, root, None, "")
-    return HandSection(acceleration=sensor, axes=own, angle=angle), [*findings, *told]
+    return GripperSection(acceleration=sensor, axes=own, angle=angle), [*findings, *told]
 
 
 def _unit(stated: str, size: float) -> tuple[float | None, Sure, str]:
@@ -136,3 +142,110 @@ def _axes(
     shown = names[k] if k < len(names) else "none of these"
     why = "it shows gravity at rest" if shows_gravity else "none shows gravity at rest"
     return AxesSection(right=right.tolist(), up=up.tolist()), f"up is {shown}: {why}"
+
+
+#: A chain from the hand on is the cable's if it is longer than the free length by this share at
+#: most; where no unit is stated, and shorter by that.
+TIP, _SHORTER = 0.02, 0.3
+#: Of a hand's distances from its first place: what is beyond are single wrong rows.
+_MOST = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class GripperFile:
+    """A file of the hand.
+
+    point  the gripping point; None = it has none
+    rest   (d,) where that rests at first, in the file's unit and axes; None = it never does
+    """
+
+    capture: Capture
+    inside: Contents
+    point: Point | None
+    initial: FloatArray | None
+
+
+def gripper_file(capture: Capture) -> GripperFile:
+    """What a file of the hand holds."""
+    inside = contents(capture)
+    named = [p for p in inside.points if p.on_gripper] or list(inside.points)
+    if not named:
+        return GripperFile(capture, inside, None, None)
+    return GripperFile(
+        capture, inside, named[0], _initial_place(detected_places(capture, named[0].columns, ()))
+    )
+
+
+def _initial_place(places: FloatArray) -> FloatArray | None:
+    """(d,) where a point (rows, d) is until it moves; None if it does so from the first row on."""
+    seen = places[np.isfinite(places).all(axis=1)]
+    if len(seen) < FEWEST_REST:
+        return None
+    away = np.linalg.norm(seen - np.median(seen[:FEWEST_REST], axis=0), axis=1)
+    moves = away > AWAY * np.quantile(away, _MOST)
+    rests = int(np.argmax(moves)) if moves.any() else len(seen)
+    return np.asarray(np.median(seen[:rests], axis=0)) if rests >= FEWEST_REST else None
+
+
+def first_point(
+    hand: GripperFile, shape: FloatArray, units: Set[str], free_length_m: float | None
+) -> FloatArray | None:
+    """(d,) where the hand rests, in the markers' unit, if both are in one frame; None if not.
+
+    They are if the chain from the hand on is no longer than the cable.
+
+    shape   (points, d) of the markers at rest, from the hand to the tip, in the file's unit
+    units   that the file states for them
+    """
+    point, rest = hand.point, hand.initial
+    if free_length_m is None or point is None or rest is None or len(rest) != shape.shape[1]:
+        return None
+    stated = next((u for u in sorted(units) if u in METRES), "")
+    for unit in [stated] if stated else METRES:
+        place = rest * (METRES[point.unit] / METRES[unit] if point.unit in METRES else 1.0)
+        chain_m = METRES[unit] * float(arc_lengths(np.vstack([place, shape])[None])[-1])
+        least_m = 0.0 if stated else free_length_m / (1.0 + _SHORTER)
+        if least_m <= chain_m <= free_length_m * (1.0 + TIP):
+            return np.asarray(place)
+    return None
+
+
+def section_of_file(
+    hand: GripperFile, axes: AxesSection, root: Root, scale: float | None
+) -> tuple[GripperSection, list[Finding]]:
+    """The section of a hand with a file of its own.  Raises InputError: it tells no hand."""
+    capture, inside, point = hand.capture, hand.inside, hand.point
+    time, told = time_section(capture, inside, None)
+    form = capture.form
+    text = None if form is None else TextSection(separator=form.separator, decimal=form.decimal)
+    of_file: dict[str, Any] = {"text": text, "time": time}
+    if point is None and inside.has_gripper_sensor:
+        section, findings = sensor_section(capture, inside, axes, root, of_file)
+        return section, [*told, *findings]
+    if point is None:
+        message = (
+            "has no x and y of the hand; name two columns as hand_x and hand_y, that of its axle's "
+            "encoder as encoder, or those of an accelerometer on it as acc_x and acc_y. Columns: "
+        )
+        raise capture.error(0, f"{message}{', '.join(capture.names[:12])}")
+    sentence = f"{point.name!r} of {capture.path.name} is the gripping point"
+    findings = [Finding("hand", sentence, Sure.GUESSED)]
+    same = len(point.columns) == len(axes.up)
+    own = None if same else AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
+    if not same:
+        sentence = "the hand's file has its own axes: right and up are its first and second"
+        findings.append(Finding("hand.axes", sentence, Sure.GUESSED))
+    at = detected_places(capture, point.columns, ())
+    extent = float(np.nanmax(np.abs(at)))
+    unit, finding = metres_per_unit({point.unit}, extent, None) if point.unit else (scale, None)
+    of_this = [*told, *([finding] if finding else [])]
+    findings += [replace(f, sentence=f"{capture.path.name}: {f.sentence}") for f in of_this]
+    angle, told = clamp_angle(capture, inside, axes, root, None, point.name)
+    section = GripperSection(
+        columns=list(point.columns),
+        angle=angle,
+        metres_per_unit=unit,
+        axes=own,
+        **of_file,
+    )
+    return section, [*findings, *told]

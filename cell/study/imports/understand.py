@@ -9,20 +9,24 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.study.entries import MAX_ARC_STD_FRACTION
-from cell.study.imports.arc_std import ROUNDED_M, arc_length_stds
-from cell.study.imports.capture import Capture
-from cell.study.imports.choosing import Chosen, choose, seen_places
+from cell.study.imports.capture import Capture, Finding, Sure
+from cell.study.imports.choosing import Chosen, choose, detected_places
 from cell.study.imports.column_names import is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.directions import find_axes
-from cell.study.imports.finding import Finding, Sure
-from cell.study.imports.hand_file import TIP, HandFile, first_point, hand_elsewhere, hand_file
 from cell.study.imports.hand_pose import Root, clamp_angle
-from cell.study.imports.hand_section import AxesSection, HandSection
+from cell.study.imports.hand_section import AxesSection, GripperSection
 from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
-from cell.study.imports.scales import metres_per_unit, time_section
-from cell.study.imports.sensed_hand import hand_by_sensor
+from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
+from cell.study.imports.sensed_hand import (
+    TIP,
+    GripperFile,
+    first_point,
+    gripper_file,
+    section_of_file,
+    sensor_section,
+)
 from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
 from cell.study.imports.trials import Files, text_section, trial_entries
 
@@ -64,22 +68,22 @@ class _Scene:
     xy_m: FloatArray
     arcs: FloatArray
     shape: FloatArray
-    from_hand: bool
+    from_gripper: bool
 
 
 def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     """Propose a mapping.  Raises InputError: a file has no points or no hand, or is disordered."""
     first = trials[0]
     inside = contents(first.capture)
-    apart = None if first.hand is None else hand_file(first.hand)
-    elsewhere = apart is not None or inside.senses_hand
+    apart = None if first.gripper is None else gripper_file(first.gripper)
+    elsewhere = apart is not None or inside.has_gripper_sensor
     others = [files.capture for files in trials[1:]]
     chosen, findings = choose(first.capture, inside, elsewhere, others)
     time, told = time_section(first.capture, inside, stated.rate_hz)
     findings = [*told, *findings]
     times_s(first.capture, time)  # in disorder nothing below means anything
-    points = [*([chosen.hand] if chosen.hand else []), *chosen.markers]
-    raw = _seen(first.capture, points, chosen)
+    points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
+    raw = _detected(first.capture, points, chosen)
     shape, units = _shape(raw), {p.unit for p in points}
     begins = None
     if apart is not None and len(raw[rest_rows(raw)]):
@@ -89,13 +93,13 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     scale, finding = metres_per_unit(units, extent, stated.free_length_m)
     axes, told = find_axes(raw, shape)
     findings += [finding, *told]
-    scene = _scene(raw, axes, scale or 1.0, begins, chosen.hand is not None)
+    scene = _scene(raw, axes, scale or 1.0, begins, chosen.gripper is not None)
     arcs, told = _arcs(scene, chosen, stated, known=scale is not None)
     findings += told
-    chain_m = _chain(raw, begins if scene.from_hand else None) * (scale or 1.0)
+    chain_m = _chain(raw, begins if scene.from_gripper else None) * (scale or 1.0)
     stds, told = _arc_stds(chain_m, scene, chosen, stated, arcs)
     findings += told
-    hand, told = _hand(first, apart, inside, chosen, axes, scene, scale)
+    hand, told = _gripper(first, apart, inside, chosen, axes, scene, scale)
     findings += told
     mapping = Mapping(
         format=FORMAT,
@@ -113,18 +117,18 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
             )
             for p, arc, std in zip(chosen.markers, arcs, stds, strict=True)
         ],
-        trials=[TrialEntry(name=t.name, file=t.file, hand_file=t.hand_file) for t in trials],
+        trials=[TrialEntry(name=t.name, file=t.file, hand_file=t.gripper_file) for t in trials],
     )
     entries, told = trial_entries(trials, mapping, stated.rate_hz)
-    findings += [*told, *_wanted(mapping), *_unused(inside, chosen, first.capture)]
+    findings += [*told, *_missing_entries(mapping), *_unused(inside, chosen, first.capture)]
     return Understanding(mapping.model_copy(update={"trials": entries}), tuple(findings))
 
 
-def _seen(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
+def _detected(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
     """(rows, points, d) where points are seen, in the file's unit and axes."""
-    of_hand = (chosen.hand, chosen.second)
+    of_hand = (chosen.gripper, chosen.second)
     return np.stack(
-        [seen_places(capture, p.columns, chosen.lost, of_hand=p in of_hand) for p in points],
+        [detected_places(capture, p.columns, chosen.lost, of_hand=p in of_hand) for p in points],
         axis=1,
     )
 
@@ -173,8 +177,8 @@ def _arcs(
         sentence = "where the markers are along the cable is known with the unit of length"
         return [None] * len(chosen.markers), [Finding("markers", sentence, Sure.WANTED)]
     lengths, length_m = scene.arcs, stated.free_length_m
-    how = "" if chosen.hand is not None else ", from the hand's place at rest on"
-    if not scene.from_hand:
+    how = "" if chosen.gripper is not None else ", from the hand's place at rest on"
+    if not scene.from_gripper:
         if length_m is None:
             sentence = "where the markers are along the cable needs --free-length"
             return [None] * len(lengths), [Finding("markers", sentence, Sure.WANTED)]
@@ -218,8 +222,8 @@ def _arc_stds(
     if last_m is None or places_m.shape[1] < _A_LINE:
         return [None] * len(arcs), []
     length_m = stated.free_length_m or last_m
-    stds = arc_length_stds(places_m, length_m, scene.from_hand)
-    beyond_m = float(scene.arcs[-1]) - last_m if scene.from_hand else 0.0
+    stds = arc_length_stds(places_m, length_m, scene.from_gripper)
+    beyond_m = float(scene.arcs[-1]) - last_m if scene.from_gripper else 0.0
     findings = []
     if beyond_m > max(stds[-1], ROUNDED_M):  # a tip is on the cable, though the curve is longer
         stds[-1] = min(
@@ -247,30 +251,30 @@ def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
     )
 
 
-def _hand(
+def _gripper(
     first: Files,
-    elsewhere: HandFile | None,
+    elsewhere: GripperFile | None,
     inside: Contents,
     chosen: Chosen,
     axes: AxesSection,
     scene: _Scene,
     scale: float | None,
-) -> tuple[HandSection, list[Finding]]:
+) -> tuple[GripperSection, list[Finding]]:
     """The gripping point and the clamp angle, from the same file or another one."""
     if elsewhere is not None:
-        return hand_elsewhere(elsewhere, axes, _root_at_rest(scene), scale)
-    if inside.senses_hand:
-        return hand_by_sensor(first.capture, inside, axes, _root_at_rest(scene), {})
-    hand = chosen.hand
+        return section_of_file(elsewhere, axes, _root_at_rest(scene), scale)
+    if inside.has_gripper_sensor:
+        return sensor_section(first.capture, inside, axes, _root_at_rest(scene), {})
+    hand = chosen.gripper
     assert hand is not None
     root = _root(scene)
     second = None
     if chosen.second is not None:
-        rest = _shape(_seen(first.capture, (hand, chosen.second), chosen))
+        rest = _shape(_detected(first.capture, (hand, chosen.second), chosen))
         line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
         second = chosen.second, _angle_of(line)
     angle, findings = clamp_angle(first.capture, inside, axes, root, second, hand.name)
-    return HandSection(columns=list(hand.columns), angle=angle), findings
+    return GripperSection(columns=list(hand.columns), angle=angle), findings
 
 
 def _root_at_rest(scene: _Scene) -> Root:
@@ -294,7 +298,7 @@ def _angle_of(direction: FloatArray) -> float:
     return float(np.arctan2(-direction[1], -direction[0]))
 
 
-def _wanted(mapping: Mapping) -> list[Finding]:
+def _missing_entries(mapping: Mapping) -> list[Finding]:
     """What a file of places cannot tell of a cable."""
     found = []
     if mapping.cable.line_density_kg_per_m is None:
@@ -310,7 +314,10 @@ def _wanted(mapping: Mapping) -> list[Finding]:
 def _unused(inside: Contents, chosen: Chosen, capture: Capture) -> list[Finding]:
     """Columns that nothing is made of."""
     used = {n for p in chosen.markers for n in p.columns}
-    points = [*([chosen.hand] if chosen.hand else []), *([chosen.second] if chosen.second else [])]
+    points = [
+        *([chosen.gripper] if chosen.gripper else []),
+        *([chosen.second] if chosen.second else []),
+    ]
     used |= {n for p in points for n in p.columns}
     rest = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
     if not rest:

@@ -1,11 +1,13 @@
-"""Writes an imported study, verified by reading it back; and a study as wide tables."""
+"""Writes an imported study, its proposed mapping, and a study as wide tables."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +15,15 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.files.atomic import write_all
 from cell.files.input_error import InputError
+from cell.files.yaml_document import yaml_text
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, thinned, write_study
 from cell.study.hand_drift import HandDriftSection
+from cell.study.imports.capture import Finding, Sure
 from cell.study.imports.hand_section import (
     AngleSection,
     AxesSection,
-    HandSection,
+    GripperSection,
     TextSection,
     TimeSection,
 )
@@ -30,11 +34,59 @@ from cell.study.imports.mapping import (
     Mapping,
     MarkerEntry,
     TrialEntry,
+    wrench_section,
 )
-from cell.study.imports.proposal import mapping_text
-from cell.study.imports.wrench_section import wrench_section
 from cell.study.table import table_text
-from cell.study.wrench_file import COLUMNS
+from cell.study.wrench import COLUMNS
+
+_WIDTH = 98
+#: What is left out where it is not given; of the cable all is shown, to be filled in.
+_MARK = {Sure.SAID: "stated", Sure.SEEN: "seen", Sure.GUESSED: "GUESS", Sure.WANTED: "GIVE"}
+
+
+def mapping_text(mapping: Mapping, findings: Sequence[Finding], command: str) -> str:
+    """The mapping file.
+
+    command  that makes the study of it
+    """
+    lines = [
+        "# What `cell import` understood.  Check what says GUESS, fill in what says GIVE.",
+        "# Then:",
+        f"#     {command}",
+    ]
+    for key, value in _plain(mapping).items():
+        about = [f for f in findings if f.entry.split(".")[0] == key]
+        if about or isinstance(value, dict | list):
+            lines.append("")
+        for finding in about:
+            lines += _comment(f"{_MARK[finding.sure]}: {finding.sentence}")
+        lines.append(yaml_text({key: value}, inline=isinstance(value, dict | list)).rstrip())
+    return "\n".join(lines) + "\n"
+
+
+def _plain(mapping: Mapping) -> dict[str, Any]:
+    """Entries that are given, and those that must be filled in."""
+    data = mapping.model_dump(mode="json", exclude_defaults=True)
+    cable = mapping.cable.model_dump(mode="json")
+    if mapping.cable.connector is None:
+        del cable["connector"]
+    if mapping.cable.diameter_m is None:
+        del cable["diameter_m"]
+    else:
+        cable = {k: v for k, v in cable.items() if k not in ("width_m", "thickness_m")}
+    data["cable"] = cable
+    data["gravity_m_per_s2"] = list(mapping.gravity_m_per_s2)
+    data["trials"] = [
+        {"role": t.role, "start": t.start} | t.model_dump(mode="json", exclude_defaults=True)
+        for t in mapping.trials
+    ]
+    order = [name for name in type(mapping).model_fields if name in data]
+    return {name: data[name] for name in order}
+
+
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="#   ")
+
 
 _POSE = ("t_s", "x_m", "y_m", "angle_rad")
 _FRAME = "frame"
@@ -110,7 +162,7 @@ def write_wide(study: Study, folder: Path) -> list[Path]:
     """
     names = _marker_names(len(study.arc_length_m))
     mapping = _mapping_of(study, names)
-    if any(_shows_none(t).any() for t in study.trials):
+    if any(_without_markers(t).any() for t in study.trials):
         mapping = mapping.model_copy(update={"frames": _FRAME})
     columns = _columns(names, mapping)
     files: dict[Path, str | bytes] = {
@@ -136,7 +188,7 @@ def _columns(names: Sequence[str], mapping: Mapping) -> dict[str, int]:
     return {name: number for number, name in enumerate(every) if name in kept}
 
 
-def _shows_none(trial: Trial) -> NDArray[np.bool_]:
+def _without_markers(trial: Trial) -> NDArray[np.bool_]:
     """(T,) frames in which no marker was seen."""
     return np.asarray(~np.isfinite(trial.markers.xy_m).any(axis=(1, 2)))
 
@@ -174,7 +226,7 @@ def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
         time=TimeSection(column="time_s", seconds_per_unit=1.0),
         metres_per_unit=1.0,
         axes=AxesSection(right=[1.0, 0.0], up=[0.0, 1.0]),
-        hand=HandSection(
+        hand=GripperSection(
             columns=["hand_x_m", "hand_y_m"],
             angle=AngleSection(column="hand_angle_rad", radians_per_unit=1.0),
         ),

@@ -2,20 +2,99 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
 
 from nicegui import run, ui
 
+from calib.store import KINDS, CalibrationFileError, StoredCalibration, load
 from cell.files.input_error import InputError
+from cell.plant.users import Role
 from cell.settings import load_settings
+from cell.settings.calibrated import bounds_of, calibration_file, complaint_of
+from cell.settings.loading import products_of
 from cell.settings.model import Settings
-from cell.web.calibration_view import WORDS, CalibrationPart, parts
 from cell.web.guided import OpenQuestion, calibrate_command
 from cell.web.heartbeat import on_press
-from cell.web.pages.tables import table
-from cell.web.theme import BLUE, GREEN, N_, RED
-from cell.web.users import Role
+from cell.web.theme import BLUE, GREEN, N_, RED, table
 from cell.web.visit import Visit
+
+#: Words of what is calibrated.
+WORDS = {
+    "camera": N_("Camera: lens"),
+    "cell": N_("Cell: map from pixels to the plane"),
+    "time": N_("Time: latency and lag"),
+    "grip": N_("Grip: gripping point, clamp angle, free length"),
+}
+#: Ending of an error's name → unit that people read, how many of it are one SI unit.
+_UNITS = {"m": ("mm", 1e3), "s": ("ms", 1e3), "rad": ("°", 180.0 / math.pi), "px": ("px", 1.0)}
+#: The error of a lens that is shown beside those that are bounded.
+_ALSO = ("spread_95_px", "noise_px", "held_out_rms_m")
+
+
+@dataclass(frozen=True)
+class CalibrationPart:
+    """One calibration.
+
+    name   of its file, without the ending
+    made   local time; None = there is none
+    valid  whether `cell run` may use it
+    why    why not, or ""
+    errors heading → value with its bound
+    """
+
+    kind: str
+    name: str
+    made: datetime | None
+    age_h: float
+    most_h: float
+    valid: bool
+    why: str
+    errors: tuple[tuple[str, str], ...]
+
+
+def parts(settings: Settings, now: datetime | None = None) -> tuple[CalibrationPart, ...]:
+    """All calibrations of a cell, in the order in which they are made; a grip for each product."""
+    now = now or datetime.now(UTC)
+    each = [(kind, settings) for kind in KINDS if kind != "grip"]
+    each += [("grip", of) for of in products_of(settings).values() or [settings]]
+    return tuple(_part(kind, of, now) for kind, of in each)
+
+
+def _part(kind: str, settings: Settings, now: datetime) -> CalibrationPart:
+    wanted = settings.calibration
+    assert wanted is not None
+    most_h = wanted.time_max_age_h if kind == "time" else 24.0 * wanted.max_age_days
+    path = calibration_file(settings, kind)
+    name = path.stem
+    if not path.exists():
+        return CalibrationPart(kind, name, None, math.nan, most_h, False, "", ())
+    try:
+        stored = load(path, kind)
+        why = complaint_of(stored, wanted, settings, now) or ""
+        errors = _errors(stored, settings)
+    except (CalibrationFileError, ValueError) as error:
+        return CalibrationPart(kind, name, None, math.nan, most_h, False, str(error), ())
+    made = stored.made.astimezone()
+    return CalibrationPart(kind, name, made, stored.age_h(now), most_h, not why, why, errors)
+
+
+def _errors(stored: StoredCalibration, settings: Settings) -> tuple[tuple[str, str], ...]:
+    assert settings.calibration is not None
+    bounds = bounds_of(settings.calibration)
+    found = []
+    for name in (*bounds, *_ALSO):
+        if name not in stored.error:
+            continue
+        unit, size = _UNITS[name.rpartition("_")[2]]
+        text = f"{float(stored.error[name]) * size:.3g} {unit}"
+        if name in bounds:
+            text += f" ≤ {bounds[name] * size:.3g} {unit}"
+        found.append((name.rpartition("_")[0].replace("_95", " 95 %").replace("_", " "), text))
+    return tuple(found)
+
 
 #: The page is brought up to date so often, s.
 _EVERY_S = 0.5
@@ -64,7 +143,7 @@ class _CalibrationPage:
         self._update()
 
     def _update(self) -> None:
-        if not self._visit.may(Role.engineer, used=False):
+        if not self._visit.has_role(Role.engineer, used=False):
             ui.navigate.to("/login")
             return
         for update in self._updates:
@@ -127,7 +206,7 @@ class _CalibrationPage:
                         buttons.append(button)
 
         def update() -> None:
-            there = room.watch.seen.may_run
+            there = room.watch.state.may_run
             runs.set_visibility(there)
             for button in buttons:
                 button.set_enabled(not there and not room.guided.state.runs)
@@ -143,7 +222,9 @@ class _CalibrationPage:
             def act() -> str:
                 return visit.room.with_devices(lambda: visit.room.guided.start(title, command))
 
-            self._told(await run.io_bound(visit.do, title, Role.engineer, act, asked_s=asked_s))
+            self._notify_refusal(
+                await run.io_bound(visit.do, title, Role.engineer, act, asked_s=asked_s)
+            )
 
         return start
 
@@ -176,14 +257,14 @@ class _CalibrationPage:
             ended = "" if state.runs else self._ended(state.code)
             title.text = f"{t(state.title)}: {ended}" if ended else t(state.title)
             ask.text = t(state.ask)
-            answers.set_visibility(self._question.look())
+            answers.set_visibility(self._question.refresh())
             bar.set_visibility(state.runs and state.total > 0)
             bar.value = state.done / state.total if state.total else 0.0
-            said.text = "\n".join(map(t, state.said[-(4 if state.runs else 12) :]))
+            said.text = "\n".join(map(t, state.output[-(4 if state.runs else 12) :]))
             cancel.set_visibility(state.runs)
             written_s = self._coverage_s()
-            picture.set_visibility(written_s > state.begun_s)
-            if written_s > max(state.begun_s, shown[0]):
+            picture.set_visibility(written_s > state.started_s)
+            if written_s > max(state.started_s, shown[0]):
                 shown[0] = written_s
                 picture.props(f'src="/calibration/coverage.jpg?{written_s}"')
 
@@ -207,7 +288,7 @@ class _CalibrationPage:
     def _answer(self, words: str) -> Callable[[float], Awaitable[None]]:
         async def answer(asked_s: float) -> None:
             to = self._visit.room.guided.state.ask
-            self._told(
+            self._notify_refusal(
                 await run.io_bound(
                     self._visit.do,
                     "answer calibration",
@@ -222,11 +303,11 @@ class _CalibrationPage:
 
     async def _cancel(self) -> None:
         guided = self._visit.room.guided
-        self._told(
+        self._notify_refusal(
             await run.io_bound(self._visit.do, "cancel calibration", Role.engineer, guided.cancel)
         )
 
-    def _told(self, refused: str | None) -> None:
+    def _notify_refusal(self, refused: str | None) -> None:
         if refused:
             words = self._t(refused)
             ui.notify(words, type="negative", multi_line=True, close_button=self._t("Close"))

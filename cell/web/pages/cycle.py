@@ -11,15 +11,13 @@ from nicegui import run, ui
 
 from cell.files.input_error import InputError
 from cell.files.table import TableData
+from cell.plant.users import Role
 from cell.records.recording import form
-from cell.records.recording.film import is_kept, keep_recording
+from cell.records.recording.film import is_protected, keep_recording
 from cell.records.recording.retention import remove_recording
 from cell.run.machine import CellState
-from cell.web.cycle_view import CycleView, cycle_view, tip_chart
-from cell.web.cycles import cycle_folder
-from cell.web.pages.tables import table
-from cell.web.theme import BLUE, LOOKS, N_, RED
-from cell.web.users import Role
+from cell.web.cycle_view import CycleView, cycle_folder, cycle_view, tip_chart
+from cell.web.theme import BLUE, LOOKS, N_, RED, table
 from cell.web.views import STEPS
 from cell.web.visit import Visit
 
@@ -78,11 +76,11 @@ class _CyclePage:
     async def fill(self) -> None:
         """Show the cycle as it is now."""
         folder = cycle_folder(self._visit.room.runs, self._name)
-        if folder is None or not self._visit.may(Role.watch):
+        if folder is None or not self._visit.has_role(Role.watch):
             ui.navigate.to("/history")
             return
         try:
-            found = await run.io_bound(_found, self._visit, folder)
+            found = await run.io_bound(_load_cycle, self._visit, folder)
         except InputError as error:
             with self._place:
                 ui.label(str(error)).classes("wrong break-words")
@@ -105,9 +103,9 @@ class _CyclePage:
         t = self._t
         title = f"{t('Cable')} {view.cycle}"
         ui.label(title).classes("text-2xl").props("role=heading aria-level=1")
-        said = ui.label(t(view.says)).classes("text-lg break-words").props("data-test=says")
+        said = ui.label(t(view.summary)).classes("text-lg break-words").props("data-test=says")
         said.classes(add="" if view.good else "wrong")
-        begun = f"{view.begun:%Y-%m-%d %H:%M:%S}" if view.begun else ""
+        begun = f"{view.started:%Y-%m-%d %H:%M:%S}" if view.started else ""
         part = f"{t('Part')} {view.part}" if view.part else ""
         ui.label(" · ".join(filter(None, (begun, part, self._name)))).classes("break-all")
 
@@ -122,8 +120,8 @@ class _CyclePage:
                 self._player(times)
                 for gap in view.gaps:
                     ui.label(f"{t('Frames that are missing')}: {t(gap)}").classes("break-words")
-            if not view.no_film and self._visit.may(Role.engineer):
-                self._kept()
+            if not view.no_film and self._visit.has_role(Role.engineer):
+                self._show_retention()
 
     def _player(self, times: tuple[float, ...]) -> None:
         t, base = self._t, f"/cycles/{self._name}/frames"
@@ -143,9 +141,9 @@ class _CyclePage:
         ui.run_javascript(f"film.stop(); film.times = {given}; film.base = {base!r}; film.at = 0;")
 
     @ui.refreshable_method
-    def _kept(self) -> None:
+    def _show_retention(self) -> None:
         t = self._t
-        kept = is_kept(self._visit.room.runs / self._name)
+        kept = is_protected(self._visit.room.runs / self._name)
         with ui.row().classes("items-center"):
             words = t("The film is kept for good.") if kept else t("The film may be removed.")
             ui.label(words).props("data-test=kept")
@@ -153,7 +151,7 @@ class _CyclePage:
             async def keep() -> None:
                 what = "release recording" if kept else "keep recording"
                 await self._did(what, lambda folder: keep_recording(folder, not kept))
-                self._kept.refresh()
+                self._show_retention.refresh()
 
             label = t("Keep no longer") if kept else t("Keep for good")
             ui.button(label, on_click=keep).props("outline data-test=keep")
@@ -246,7 +244,7 @@ def _word(t: Callable[[str], str], kind: str, name: str) -> str:
     return t(STEPS.get(name, name.replace("_", " ")))
 
 
-def _found(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...]]:
+def _load_cycle(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...]]:
     """The cycle, and the times of its frames.  Raises InputError."""
     view = cycle_view(folder)
     times: tuple[float, ...] = ()

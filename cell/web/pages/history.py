@@ -6,14 +6,14 @@ from datetime import UTC, datetime, timedelta
 
 from nicegui import run, ui
 
+from cell.plant.users import Role
 from cell.records.chart import signals
-from cell.records.ledger.error import LedgerError
-from cell.records.ledger.ledger import Ledger, ListedCycle, Wanted
+from cell.records.ledger.entry import LedgerError
+from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 from cell.settings.model import Settings
-from cell.settings.referred import line_of
-from cell.web.users import Role
+from cell.settings.provenance import line_name
 from cell.web.views import WORDS, error_chart, history_row
 from cell.web.visit import Visit
 from cell.web.wording import Translate
@@ -29,7 +29,7 @@ _LINK = """
 </q-td>
 """
 
-Found = tuple[list[ListedCycle], list[str], str]
+HistoryRows = tuple[list[ListedCycle], list[str], str]
 
 
 def build(visit: Visit) -> None:
@@ -39,7 +39,7 @@ def build(visit: Visit) -> None:
     with ui.row().classes("items-end w-full"):
         names: dict[str | None, str] = {
             None: t("all"),
-            **{o: t(WORDS[o]) for o in (*_outcomes(), UNFINISHED)},
+            **{o: t(WORDS[o]) for o in (*(o.value for o in Outcome), UNFINISHED)},
         }
         outcome = ui.select(names, label=t("Outcome"), value=None).classes("w-48")
         days = ui.select({d: f"{d} d" if d else t("all") for d in _DAYS}, label=t("Since"), value=7)
@@ -74,19 +74,19 @@ def build(visit: Visit) -> None:
     table.add_slot("body-cell-started", _LINK)
 
     async def refresh() -> None:
-        if not visit.may(Role.watch):
+        if not visit.has_role(Role.watch):
             ui.navigate.to("/login")
             return
         since = datetime.now(UTC) - timedelta(days=days.value) if days.value else None
         outcomes = (outcome.value,) if outcome.value else ()
-        wanted = Wanted(
+        wanted = LedgerQuery(
             since=since,
             outcomes=outcomes,
-            line=line_of(visit.room.settings),
+            line=line_name(visit.room.settings),
             part=(part.value or "").strip() or None,
             product=product.value,
         )
-        found = await run.io_bound(_found, visit, wanted)
+        found = await run.io_bound(_query, visit, wanted)
         if found is None:
             return
         cycles, changes, error = found
@@ -103,11 +103,7 @@ def build(visit: Visit) -> None:
     ui.timer(0.05, refresh, once=True)
 
 
-def _outcomes() -> tuple[str, ...]:
-    return tuple(o.value for o in Outcome)
-
-
-def _found(visit: Visit, wanted: Wanted) -> Found:
+def _query(visit: Visit, wanted: LedgerQuery) -> HistoryRows:
     """Cycles that are asked for, what charts say of the line, and why there are none."""
     settings = visit.room.settings
     if settings.ledger is None:
@@ -131,7 +127,7 @@ def changes_of(ledger: Ledger, settings: Settings, product: str | None, t: Trans
     names: list[str | None] = [*settings.products] if product is None else [product]
     found = []
     for name in names or [None]:
-        results = ledger.results(line_of(settings), name)
+        results = ledger.results(line_name(settings), name)
         newest = [r for r in results if r.model == results[-1].model]
         found += [f"{name}: {t(str(s))}" if name else t(str(s)) for s in signals(newest)]
     return found

@@ -8,11 +8,11 @@ from datetime import datetime
 
 from nicegui import run, ui
 
+from cell.plant.users import Role
 from cell.run.machine import MachineEvent
-from cell.web.cycles import cycle_folder, newest_picture
+from cell.web.cycle_view import cycle_folder, newest_picture
 from cell.web.heartbeat import on_press
 from cell.web.theme import AMBER, AWAY, BLUE, GREEN, N_, RED
-from cell.web.users import Role
 from cell.web.views import (
     WORDS,
     LiveView,
@@ -55,7 +55,7 @@ class _Live:
                 self._state()
                 self._fault()
                 self._adapters()
-                if self._visit.may(Role.operate):
+                if self._visit.has_role(Role.operate):
                     self._commands()
                 self._camera()
                 self._newest()
@@ -67,10 +67,10 @@ class _Live:
         self._update()
 
     def _update(self) -> None:
-        if not self._visit.may(Role.watch, used=False):
+        if not self._visit.has_role(Role.watch, used=False):
             ui.navigate.to("/login")
             return
-        view = live_view(self._visit.room.watch.seen, time.time())
+        view = live_view(self._visit.room.watch.state, time.time())
         for update in self._updates:
             update(view)
 
@@ -83,14 +83,14 @@ class _Live:
             unrecorded.classes("text-xl").props("data-test=unrecorded")
 
         def update(view: LiveView) -> None:
-            card.style(f"background-color: {view.look.ground}; color: {view.look.letters}")
-            word.text = self._t(view.look.word)
+            card.style(f"background-color: {view.style.ground}; color: {view.style.letters}")
+            word.text = self._t(view.style.word)
             seconds = "" if view.step_s is None else f" · {view.step_s:.0f} s"
             waits = ", ".join(self._t(WORDS.get(w, w)) for w in view.waiting)
             step.text = f"{self._t(view.step)}{seconds}" if view.step else self._t(view.note)
             if waits and not view.step:
                 step.text = f"{self._t('Waits for')} {waits}"
-            if view.look is AWAY:
+            if view.style is AWAY:
                 step.text = self._t(view.note) or self._t(
                     "Start it with cell run --cycles forever."
                 )
@@ -126,12 +126,12 @@ class _Live:
                     button = ui.button(t(word), icon=icon, color=colour)
                     button.classes("big-button").props(f"data-test={event.value}")
                     button.props(f"text-color={'black' if event is MachineEvent.HOLD else 'white'}")
-                    on_press(visit.heartbeats, button, t(word), self._given(event, part))
+                    on_press(visit.heartbeats, button, t(word), self._command_handler(event, part))
                     buttons[event] = button
             ui.label(t("Stop is not an emergency stop: that is the red button at the robot."))
 
         def update(view: LiveView) -> None:
-            holder = visit.room.control.heard(page)
+            holder = visit.room.control.keep_alive(page)
             mine = holder is not None and holder.page == page
             who.text = (
                 t("You have control.")
@@ -156,20 +156,22 @@ class _Live:
             holder = visit.room.control.take(visit.page, visit.name)
             return "" if holder.page == visit.page else f"{holder.name} has control"
 
-        self._told(visit.do("take control", Role.operate, act))
+        self._notify_refusal(visit.do("take control", Role.operate, act))
         self._update()
 
-    def _given(self, event: MachineEvent, part: ui.input) -> Callable[[float], Awaitable[None]]:
+    def _command_handler(
+        self, event: MachineEvent, part: ui.input
+    ) -> Callable[[float], Awaitable[None]]:
         async def give(asked_s: float) -> None:
             code = (part.value or "").strip() if event is MachineEvent.START else ""
-            self._told(await run.io_bound(self._visit.command, event, asked_s, code))
+            self._notify_refusal(await run.io_bound(self._visit.command, event, asked_s, code))
             if event is MachineEvent.START:
                 part.value = ""
             self._update()
 
         return give
 
-    def _told(self, refused: str | None) -> None:
+    def _notify_refusal(self, refused: str | None) -> None:
         if refused:
             words = self._t(refused)
             ui.notify(words, type="negative", multi_line=True, close_button=self._t("Close"))
@@ -180,26 +182,31 @@ class _Live:
             heading = ui.label().classes("text-xl font-bold")
             cause = ui.label().classes("text-lg break-words").props("data-test=cause")
             remedy = ui.label().classes("whitespace-pre-line break-words")
-            operates = self._visit.may(Role.operate)
+            operates = self._visit.has_role(Role.operate)
             if operates:
-                by = ui.input(t("Your name"), value=self._own_name()).classes("w-full")
+                by = ui.input(
+                    t("Your name"),
+                    value="" if self._visit.room.sessions is None else self._visit.name,
+                ).classes("w-full")
                 note = ui.input(t("What you found and did")).classes("w-full")
                 by.props("maxlength=60 data-test=by")
                 note.props("maxlength=500 data-test=note")
 
                 async def acknowledge(asked_s: float) -> None:
                     if not (by.value.strip() and note.value.strip()):
-                        self._told(t("Give your name, and what you found and did."))
+                        self._notify_refusal(t("Give your name, and what you found and did."))
                         return
                     words = (by.value.strip(), note.value.strip())
                     refused = await run.io_bound(self._visit.acknowledge, asked_s, *words)
-                    self._told(refused)
+                    self._notify_refusal(refused)
                     if not refused:
                         note.value = ""
                     self._update()
 
                 async def reset(asked_s: float) -> None:
-                    self._told(await run.io_bound(self._visit.command, MachineEvent.RESET, asked_s))
+                    self._notify_refusal(
+                        await run.io_bound(self._visit.command, MachineEvent.RESET, asked_s)
+                    )
                     self._update()
 
                 word = N_("Acknowledge: nothing moves")
@@ -213,7 +220,7 @@ class _Live:
 
         def update(view: LiveView) -> None:
             asked = MachineEvent.CLEAR in view.buttons or "acknowledgement" in view.waiting
-            may_reset = MachineEvent.RESET in view.buttons and view.look.word == "Stopped"
+            may_reset = MachineEvent.RESET in view.buttons and view.style.word == "Stopped"
             card.set_visibility(view.fault is not None or asked or may_reset)
             if operates:
                 for element in (by, note, saying):
@@ -225,9 +232,6 @@ class _Live:
                 heading.text, cause.text, remedy.text = fault_texts(view.fault, t)
 
         self._updates.append(update)
-
-    def _own_name(self) -> str:
-        return "" if self._visit.room.sessions is None else self._visit.name
 
     def _camera(self) -> None:
         t, camera = self._t, self._visit.room.camera

@@ -202,7 +202,7 @@ def test_a_full_disk_costs_no_comparison_and_leaves_no_empty_folder(
 
     model, left = tmp_path / "model.json", tmp_path / "left"
     cell.fit(folder).write(model)
-    monkeypatch.setattr("cell.api.results.write_whole", full)
+    monkeypatch.setattr("cell.api.results.write_atomic", full)
     asked = ["compare", str(folder), "--model", str(model), "--residuals", str(left)]
     done = CliRunner().invoke(app, asked)
     assert done.exit_code == 1

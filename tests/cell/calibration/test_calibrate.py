@@ -178,7 +178,7 @@ def test_on_a_full_disk_a_calibration_is_said_and_kept_elsewhere(folder, tmp_pat
         path.write_text("kept")
 
     monkeypatch.setattr("cell.calibration.work.save", full)
-    monkeypatch.setattr("cell.calibration.work.write_whole", full)
+    monkeypatch.setattr("cell.calibration.work.write_atomic", full)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     (recorded,) = (folder / "calib" / "recorded").glob("time-*")
     code, out, told = called(

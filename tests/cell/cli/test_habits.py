@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from cell.cli import app
-from cell.cli.result_json import Json, JsonCommand
+from cell.cli.output import Json, JsonCommand
 from cell.settings import load_settings
 
 
@@ -47,7 +47,7 @@ def test_init_asks_nothing_without_a_terminal_and_the_file_checks(real, tmp_path
 
 
 def test_init_takes_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cell.cli.settings._person_is_there", lambda: True)
+    monkeypatch.setattr("cell.cli.settings._is_interactive", lambda: True)
     path = tmp_path / "mine.yaml"
     answers = ["0.12", "", "", "", "", "", "-0.05, 0.02", ""]
     done = cell("init", "-o", path, given="\n".join(answers) + "\n")
@@ -61,7 +61,7 @@ def test_init_checks_each_answer_when_it_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """They were checked after the last one, all were lost with the first wrong one."""
-    monkeypatch.setattr("cell.cli.settings._person_is_there", lambda: True)
+    monkeypatch.setattr("cell.cli.settings._is_interactive", lambda: True)
     path = tmp_path / "mine.yaml"
     wrong_and_right = [
         *("100", "-3", "0.12", "", "", "", "0.3", "a, [", "-0.135, -0.13", "", "", ""),
@@ -83,7 +83,7 @@ def test_init_checks_each_answer_when_it_is_given(
 def test_init_writes_nothing_if_the_answers_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cell.cli.settings._person_is_there", lambda: True)
+    monkeypatch.setattr("cell.cli.settings._is_interactive", lambda: True)
     done = cell("init", "-o", tmp_path / "no.yaml", given="-3\n")
     assert done.exit_code != 0
     assert "cable.free_length_m: input should be greater than 0" in done.stderr

@@ -96,7 +96,7 @@ def test_an_input_that_ends_before_an_answer_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As by Ctrl-D in a question of `init`: nothing is written."""
-    monkeypatch.setattr("cell.cli.settings._person_is_there", lambda: True)
+    monkeypatch.setattr("cell.cli.settings._is_interactive", lambda: True)
     done = CliRunner().invoke(app, ["init", "-o", str(tmp_path / "cell.yaml")], input="")
     assert done.exit_code == 2
     assert "the input ended before an answer: nothing is done" in done.stderr

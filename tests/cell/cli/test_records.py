@@ -12,9 +12,9 @@ from typer.testing import CliRunner, Result
 from cell.cli import app
 from cell.records.folder import Record
 from cell.records.ledger.entry import LedgerEntry
-from cell.records.ledger.ledger import Ledger
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.recording import form
-from cell.records.result import Outcome
+from cell.records.result import Fault, Outcome
 from cell.records.result import Result as CycleResult
 
 CONFIG = Path("config/fake.yaml").absolute()
@@ -163,3 +163,27 @@ def test_a_page_is_said_to_be_written_once_it_is(
     assert done.exit_code == 1
     assert "written to" not in done.stdout
     assert f"{page}: cannot be written: " in done.stderr
+
+
+NAME = "20261102T063000.000-1"
+
+
+def test_a_cycle_of_the_same_name_on_another_line_stays_open(tmp_path: Path) -> None:
+    """Two lines that a PLC starts at once share a ledger: nobody had looked at the other one."""
+    ledger, at = Ledger(tmp_path / "plant", create=True), datetime(2026, 11, 2, 6, 30, tzinfo=UTC)
+    fault = Fault("lower", "the arm was stopped", "arm", code="arm.stopped")
+    for line in ("line3", "line4"):
+        folder = tmp_path / line / NAME
+        result = CycleResult(1, Outcome.FAILED, str(folder), fault=fault)
+        ledger.write([LedgerEntry(line, 1, folder, at, "inserted", ended=at, result=result)])
+
+    def acknowledge(folder: Path) -> str:
+        words = ["acknowledge", str(folder), "--ledger", str(tmp_path / "plant"), "--by", "Ada"]
+        done = CliRunner().invoke(app, words)
+        return f"{done.exit_code} {done.stderr}"
+
+    said = acknowledge(tmp_path / NAME)  # where neither is
+    assert said.startswith(f"2 {NAME}: is a cycle of line3 and of line4")
+    assert acknowledge(tmp_path / "line4" / NAME) == "0 "
+    assert [c.line for c in ledger.listed(LedgerQuery(fault="", acknowledged=False))] == ["line3"]
+    ledger.close()

@@ -1,17 +1,20 @@
 """Exported chains in MuJoCo beside the project's engine."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from cell.cable.effects import Effect, Parameter, library, unscreened
 from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3
 from cell.cable.geometry import Connector
-from cell.exchange.chain import chain_of, resting_bends
-from cell.exchange.export import SHARE, export_to_mujoco
+from cell.exchange.chain import chain_of, expressible, resting_bends, unseen
+from cell.exchange.description import description
+from cell.exchange.export import SHARE, export_parts, export_to_mujoco
 from cell.exchange.mjcf import HAND, mjcf
 from cell.exchange.peer import BAR_M, Reference, compare, difference, engine_tip, stroke
-from cell.exchange.report import export_parts
+from cell.exchange.springs import TIP_ERROR_M, law, springs_for
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -156,3 +159,104 @@ def test_masses_and_air_are_those_of_the_model(flat_model):
     weight = compiled.body_mass * (1.0 - compiled.body_gravcomp)
     assert weight.sum() == pytest.approx(0.0074 * 0.1 + 5e-5 + 1e-6, rel=1e-9)
     assert compiled.opt.density == pytest.approx(3.0 * AIR_DENSITY_KG_PER_M3)
+
+
+EXPRESSED = {
+    *("air_drag", "stress_relaxation", "natural_curvature", "rest_shape"),
+    *("tip_mass", "grip_angle", "grip_compliance", "grip_slip", "added_mass"),
+}
+ALL = library() | unscreened()
+
+
+@pytest.mark.parametrize("name", sorted(ALL))
+def test_every_effect_is_expressed_or_left_out_with_a_reason(flat_model, name):
+    model = replace(flat_model().model, effects=(ALL[name].active(),))
+    kept, left = expressible(model)
+    assert [a.effect.name for a in kept.effects] == [name] * (name in EXPRESSED)
+    assert [one.name for one in left] == [name] * (name not in EXPRESSED)
+    assert all(one.reason for one in left)
+
+
+def test_inertia_across_alone_is_left_out(flat_model):
+    across = ALL["added_mass"].active(kg_per_m=1e-4, along=0.0)
+    _, left = expressible(replace(flat_model().model, effects=(across,)))
+    assert "across" in left[0].reason
+
+
+def test_a_users_own_effect_counts_by_its_hooks(flat_model):
+    class Sticker(Effect):
+        name = "sticker"
+        parameters = (Parameter("mass_kg", "kg", 0.0, 1.0, 0.0, (1e-5,)),)
+
+        @staticmethod
+        def tip_mass(cable, p):
+            return p.mass_kg
+
+    model = replace(flat_model().model, effects=(Sticker.active(mass_kg=2e-5),))
+    kept, left = expressible(model)
+    assert kept.effects == model.effects
+    assert left == ()
+
+
+def test_only_the_cameras_effects_are_unseen(flat_model):
+    effects = tuple(ALL[n].active() for n in ("camera_latency", "bending_hysteresis"))
+    seen = unseen(replace(flat_model().model, effects=effects))
+    assert [a.effect.name for a in seen.effects] == ["bending_hysteresis"]
+
+
+LENGTH_M = 0.1
+
+
+def test_linear_law_is_one_linear_spring():
+    springs = springs_for(1.0, LENGTH_M)
+    assert springs.linear.tolist() == [1.0]
+    assert springs.cubic_m2.tolist() == [0.0]
+
+
+@pytest.mark.parametrize("exponent", [0.8, 0.9, 0.97, 1.05, 1.15, 1.3])
+def test_springs_follow_the_law(exponent):
+    springs = springs_for(exponent, LENGTH_M)
+    k = np.linspace(-np.pi / LENGTH_M, np.pi / LENGTH_M, 4001)
+    secant = law(k, exponent) / np.where(k == 0.0, 1.0, k)
+    error = (springs(k) - law(k, exponent)) / np.where(k == 0.0, 1.0, secant)
+    # uniform bending by the error moves a tip by error · L²/2
+    assert np.sqrt(np.mean(error**2)) * LENGTH_M**2 / 2 < TIP_ERROR_M
+    assert np.allclose(springs(-k), -springs(k), atol=1e-12)
+
+
+@pytest.mark.parametrize("exponent", [0.8, 1.3])
+def test_springs_are_linear_and_stiff_beyond_their_range(exponent):
+    springs = springs_for(exponent, LENGTH_M)
+    far = springs(springs.range_1_per_m * np.array([2.0, 3.0, 4.0, 10.0]))
+    slopes = np.diff(far) / (springs.range_1_per_m * np.array([1.0, 1.0, 6.0]))
+    assert np.allclose(slopes, slopes[0], rtol=1e-6)
+    assert slopes[0] > 0.2
+
+
+def test_a_reader_can_compute_the_moment_from_it_alone(flat_model):
+    model = flat_model(2, 0.93, air_drag={"drag_coefficient": 2.0})
+    data = json.loads(json.dumps(description(model), allow_nan=False))
+    assert data["format"] == "cable-model/1"
+    bending = data["bending"]
+    assert bending["rigidity_n_m2"] == pytest.approx(model.values[:6].tolist())
+    assert bending["arc_length_m"] == pytest.approx(np.linspace(0.0, 0.1, 6).tolist())
+    k, ke, ref = 4.0, bending["k_e_1_per_m"], bending["k_ref_1_per_m"]
+    power = (bending["exponent"] - 1.0) / 2.0
+    moment = bending["rigidity_n_m2"][0] * k * ((k**2 + ke**2) / ref**2) ** power
+    assert moment == pytest.approx(model.values[0] * 4.0 * (16.01 / 100.0) ** -0.035, rel=1e-9)
+
+
+def test_effects_and_covariance_have_names_units_and_laws(flat_model):
+    model = flat_model(2, air_drag={"drag_coefficient": 2.0}, tip_mass={"mass_kg": 1e-5})
+    data = description(model)
+    drag, tip = data["effects"]
+    assert drag["parameters"][0]["value"] == pytest.approx(2.0)
+    assert "v_n" in drag["law"]
+    assert tip["parameters"][0]["unit"] == "kg"
+    covariance = data["covariance"]
+    assert covariance["names"] == list(model.space.names)
+    assert covariance["coordinates"][0] == "natural logarithm"
+    assert covariance["coordinates"][-1] == "as it is, kg"
+    assert np.shape(covariance["matrix"]) == (len(model.mean),) * 2
+    low, high = model.interval()
+    assert data["bending"]["exponent_interval"] == [low[6], high[6]]

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
-from cell.files.overwriting import check_apart, check_new_study, check_output
+from cell.files.overwriting import check_distinct, check_new_study, check_output
 from cell.files.page import page
 
 
@@ -75,6 +75,6 @@ def test_the_commands_harm_no_study(tmp_path: Path) -> None:
 def test_two_results_in_one_file_are_refused(tmp_path: Path) -> None:
     """The second took the place of the first, without a word."""
     a, same = tmp_path / "a.json", tmp_path / "below" / ".." / "a.json"
-    check_apart([a, tmp_path / "b.json"])
+    check_distinct([a, tmp_path / "b.json"])
     with pytest.raises(ValueError, match="is given for two results"):
-        check_apart([a, same])
+        check_distinct([a, same])

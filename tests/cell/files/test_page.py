@@ -1,15 +1,20 @@
 """Pages escape what they are given, need no network, and hold pictures and figures as data."""
 
 import json
+import math
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from jinja2 import UndefinedError
 
 from cell.files.figure_style import laid_out
 from cell.files.page import PagePicture, Plot, code, page
+from cell.files.plain import plain
 from cell.files.table import TableData
 
 TEMPLATE = """{% extends "page.html" %}{% from "parts.html" import table, plot, pictures %}
@@ -55,3 +60,31 @@ def test_what_a_template_lacks_is_an_error(tmp_path: Path) -> None:
 
 def test_what_stands_between_backticks_is_code_and_is_escaped() -> None:
     assert code("a `b<c` d<e") == "a <code>b&lt;c</code> d&lt;e"
+
+
+class Colour(StrEnum):
+    RED = "red"
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ({"a": (1, 2.5)}, {"a": [1, 2.5]}),
+        (np.array([[0.1, np.nan]]), [[0.1, None]]),
+        (np.float64(0.3), 0.3),
+        (np.int64(3), 3),
+        (np.bool_(True), True),
+        (math.inf, None),
+        ([Colour.RED, None, "x"], ["red", None, "x"]),
+        (np.array(["a"]), ["a"]),
+    ],
+)
+def test_becomes_what_json_writes(value: object, expected: object) -> None:
+    """Each kind of value that results and messages hold."""
+    assert json.loads(json.dumps(plain(value), allow_nan=False)) == expected
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False)))
+def test_keeps_every_bit(values: list[float]) -> None:
+    """Finite numbers are read back as they were."""
+    assert json.loads(json.dumps(plain(np.array(values)))) == values

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import pytest
 from cell.plant import children
 from cell.plant.child import NICE
 from cell.plant.children import Adapters
-from tests.cell.plant.opcua.conftest import free_port
+from tests.waiting import free_port, wait_until
 
 Told = list[tuple[str, str]]
 
@@ -24,13 +23,6 @@ Told = list[tuple[str, str]]
 PROGRAM = (
     "import os, sys, time, signal; print(os.getpid(), file=open(sys.argv[1], 'a'), flush=True)"
 )
-
-
-def wait_until(reached: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + 60.0
-    while not reached():
-        assert time.monotonic() < until_s
-        time.sleep(0.01)
 
 
 def command(file: Path, then: str) -> list[str]:

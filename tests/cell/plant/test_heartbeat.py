@@ -8,49 +8,35 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from cell.plant.client import Client
 from cell.plant.messages import PROTOCOL, Notice, Status
+from cell.plant.mqtt.adapter import OutboxFeeder
 from cell.plant.mqtt.outbox import MqttOutbox
-from cell.plant.mqtt.taking import Taker
 from cell.plant.wire import LinkError, line_of, socket_of
 from cell.settings.plant import OpcUa
 from cell.web.watching import CellWatch
-from tests.cell.plant.opcua.conftest import (
-    NAME,
-    FakeCell,
-    Seen,
-    Site,
-    free_port,
-    served,
-    settings_with,
-)
+from tests.cell.plant.opcua.conftest import NAME, FakeCell, Seen, Site, served, settings_with
+from tests.waiting import free_port, wait_until
 
 #: A cell in a process of its own; a line on its standard input is a notice.
 CELL = """
 import sys
 from pathlib import Path
-from cell.plant import connection
+from cell.plant import server
 from cell.plant.link import Link
 from cell.plant.messages import MessageKind, Status
 from cell.run.machine import CellState
-connection.HEARTBEAT_S = 0.1
+server.HEARTBEAT_S = 0.1
 with Link(Path(sys.argv[1]), Status('', 0, CellState.IDLE, 0.0), None) as link:
     print(flush=True)
     for line in sys.stdin:
         link.publish(MessageKind.PRODUCT, {'product': line.strip()})
 """
-
-
-def wait_until(reached: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + 20.0
-    while not reached():
-        assert time.monotonic() < until_s
-        time.sleep(0.005)
 
 
 def halted(stat: Path) -> bool:
@@ -192,23 +178,23 @@ def test_a_halted_cell_is_shown_as_lost_by_all_who_show_it(
     monkeypatch.setattr("cell.plant.client.SILENCE_S", 1.0)
     runs, port = tmp_path / "runs", free_port()
     settings = settings_with(OpcUa(port=port, folder=tmp_path / "opcua", name=NAME))
-    client = Client(runs, on_lost=lambda: watch.lost(), on_there=lambda: watch.found())
+    client = Client(runs, on_lost=lambda: watch.lost(), on_there=lambda: watch.reconnected())
     watch = CellWatch(client, settings.model_copy(update={"ledger": None}), runs)
     outbox = MqttOutbox(tmp_path / "outbox", 1000)
 
     async def shown(seen: Seen) -> None:
         cell.publish("long")  # after it nothing is told any more
         await seen.until("Cell.Connected", True)
-        wait_until(lambda: watch.seen.there and taker.is_cell and outbox.count() == 1)
+        wait_until(lambda: watch.state.connected and taker.is_cell and outbox.count() == 1)
         cell.halt()
         await seen.until("Cell.Connected", False)
-        wait_until(lambda: not watch.seen.there and not taker.is_cell)
+        wait_until(lambda: not watch.state.connected and not taker.is_cell)
         cell.go_on()
         await seen.until("Cell.Connected", True)
         assert await seen.read("Cell.State") == "idle"
-        wait_until(lambda: watch.seen.there and taker.is_cell)
+        wait_until(lambda: watch.state.connected and taker.is_cell)
 
-    with served(settings, runs) as loop, watch, Taker(runs, outbox, lambda: None) as taker:
+    with served(settings, runs) as loop, watch, OutboxFeeder(runs, outbox, lambda: None) as taker:
         Site(FakeCell(tmp_path / "none"), port, tmp_path / "opcua", runs, loop).look(shown)
     client.close()
     outbox.close()

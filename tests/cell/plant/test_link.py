@@ -8,19 +8,20 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
 import pytest
 
-from cell.plant import connection
+from cell.plant import server
 from cell.plant.client import Client
 from cell.plant.link import Link
 from cell.plant.messages import PROTOCOL, CommandReply, MessageKind, Notice, Request, Status
 from cell.plant.server import CommandServer
 from cell.plant.wire import LinkError, NoCellError, ProtocolError, line_of, socket_of
 from cell.run.machine import CellState, MachineEvent
+from tests.waiting import wait_until
 
 BEGUN = Status(run="", sequence=0, state=CellState.STOPPED, since_s=0.0, line="line 1")
 
@@ -49,13 +50,6 @@ def client(runs: Path) -> Iterator[Client]:
 
 def goes_to(link: Link, state: CellState) -> Notice:
     return link.publish(MessageKind.STATE, {"state": state.value, "step": None, "since": 5.0})
-
-
-def wait_until(reached: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + 20.0
-    while not reached():
-        assert time.monotonic() < until_s
-        time.sleep(0.005)
 
 
 def test_notices_that_follow_each_other_are_sent_together_and_in_order(
@@ -131,7 +125,7 @@ def test_without_continuity_a_status_comes_first(
 def test_who_asks_for_more_than_is_kept_gets_a_status(
     runs: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection, "MOST_NOTICES", 10)
+    monkeypatch.setattr(server, "MOST_NOTICES", 10)
     with Link(runs, BEGUN, obeys) as link:
         for _ in range(30):
             goes_to(link, CellState.IDLE)
@@ -358,7 +352,7 @@ def follower(runs: Path) -> socket.socket:
 def test_programs_that_do_not_read_are_disconnected_and_the_others_lose_nothing(
     link: Link, runs: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection, "MOST_NOTICES", 1500)
+    monkeypatch.setattr(server, "MOST_NOTICES", 1500)
     stalled = [follower(runs) for _ in range(50)]
     heard: list[Notice | Status] = []
     thread = threading.Thread(target=lambda: heard.extend(client.follow()))
@@ -383,7 +377,7 @@ def test_a_program_is_not_taken_for_lagging_while_a_notice_is_put_into_the_journ
     """Two threads meet there: one adds a notice while the other sends what there is."""
     here, there = socket.socketpair()
     with here, there:
-        program, journal = connection.CellConnection(here), connection.Journal()
+        program, journal = server.CellConnection(here), server.Journal()
         program.told = 0
 
         class Lines(dict[int, bytes]):

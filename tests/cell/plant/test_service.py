@@ -121,7 +121,7 @@ def test_acknowledging_moves_nothing_and_the_reset_that_follows_does(
         (MessageKind.ACKNOWLEDGED, {"by": "Ada", "note": "cable taken out"}),
         (MessageKind.WAITING, {"waiting_for": ["reset"]}),
     ]
-    assert not service._fresh  # else it would make itself ready now
+    assert not service._never_ran  # else it would make itself ready now
     assert "there is nothing to acknowledge" in service.answer(word).reason
     assert ask(service, MachineEvent.ABORT).accepted
     assert service.answer(word).state is CellState.STOPPED

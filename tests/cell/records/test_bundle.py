@@ -16,8 +16,7 @@ from cell.files.yaml_document import yaml_text
 from cell.records.bundle import Item, items_of_cycle, items_of_log, without_secrets, write_bundle
 from cell.records.recording import form
 from cell.settings import load_settings
-from cell.settings.plant import Plant
-from cell.settings.plant.mqtt import Mqtt
+from cell.settings.plant import Mqtt, Plant
 from cell.settings.records import LedgerSettings
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cli.changes import another_model, changes
-from cell.cli.making import Products
+from cell.cli.cell_factory import Products
+from cell.cli.run import another_model, changes
 from cell.records.changed_model import worsenings
 from cell.records.folder import Record
 from cell.records.ledger.entry import entry_of_folder
@@ -18,7 +18,7 @@ from cell.records.ledger.ledger import Ledger
 from cell.records.result import Outcome, Result
 from cell.settings import load_settings
 from cell.settings.promotion import promote, read_candidate
-from cell.settings.referred import line_of
+from cell.settings.provenance import line_name
 from cell.settings.translate import model_hash
 
 ROOT = Path(__file__).parents[3]
@@ -92,7 +92,7 @@ def worse_line(tmp_path: Path, withdraw: bool) -> tuple[Path, str, str, Callable
         record = Record(runs, result.cycle, begun + timedelta(seconds=i))
         found.append(result)
         record.close(result)
-    line = line_of(settings)
+    line = line_name(settings)
     ledger = Ledger(runs, create=True)
     ledger.write([entry_of_folder(f, line) for f in sorted(runs.iterdir())], of_now=False)
     ledger.close()

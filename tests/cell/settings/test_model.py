@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from cell.files.input_error import InputError
 from cell.settings import load_settings
+from cell.settings.model import Workers
+from cell.settings.plant import Plant
 from cell.settings.translate import cable_of, identification_of, model_class_of, model_hash
 
 FAKE = (Path(__file__).parents[3] / "config" / "fake.yaml").read_text(encoding="utf-8")
@@ -139,3 +142,47 @@ def test_a_mistake_is_named(tmp_path: Path, old: str, new: str, line: int, said:
     problem = caught.value.problems[0]
     assert said in str(problem)
     assert problem.line == FAKE.count("\n") + 1 + line
+
+
+@pytest.mark.parametrize(
+    ("said", "place"),
+    [
+        ({}, None),
+        ({"cores": 3}, 3),
+        ({"cluster": "tcp://scheduler:8786"}, "tcp://scheduler:8786"),
+    ],
+)
+def test_a_place_is_a_cluster_or_cores(said, place):
+    assert Workers.model_validate(said).place == place
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ({"cluster": "scheduler:8786"}, "give 2, or tcp://host:8786"),
+        ({"cluster": "3"}, "is no address of a scheduler; give tcp://host:8786"),
+        ({"cores": 0}, "greater than or equal to 1"),
+        ({"cluster": "tcp://a:1", "cores": 2}, "has both `cluster` and `cores`; leave one out"),
+    ],
+)
+def test_what_is_no_place_is_refused(said, message):
+    with pytest.raises(ValidationError, match=message):
+        Workers.model_validate(said)
+
+
+def test_what_is_started_has_its_section() -> None:
+    assert Plant().start == ()
+    assert Plant.model_validate({"start": ["opcua"], "opcua": {}}).start == ("opcua",)
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ({"start": ["mqtt"]}, "start names mqtt, which has no section; add mqtt: to plant"),
+        ({"start": ["opcua", "opcua"], "opcua": {}}, "start names opcua twice; once is enough"),
+        ({"start": ["profinet"]}, "'opcua', 'mqtt' or 'handshake'"),
+    ],
+)
+def test_what_cannot_be_started_is_refused(said: dict[str, object], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        Plant.model_validate(said)

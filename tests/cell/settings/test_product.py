@@ -16,7 +16,7 @@ from cell.settings import load_settings
 from cell.settings.calibrated import calibration_file
 from cell.settings.loading import for_product, load_product, products_of
 from cell.settings.product import product_for, product_of_part
-from cell.settings.referred import calibration_hash
+from cell.settings.provenance import calibration_hash
 from cell.settings.translate import model_hash
 
 ROOT = Path(__file__).parents[3]

@@ -14,9 +14,20 @@ from cell.files.input_error import InputError
 from cell.files.overwriting import check_output
 from cell.files.yaml_document import yaml_text
 from cell.settings import load_settings
-from cell.settings.line import differences, line_of, other_lines
 from cell.settings.loading import for_product, load_product
-from cell.settings.promotion import history_of, promote, read_candidate, spliced, undo
+from cell.settings.promotion import (
+    ChangedMeanwhileError,
+    differences,
+    history_of,
+    line_identity,
+    other_lines,
+    promote,
+    read_candidate,
+    replace_settings,
+    spliced,
+    undo,
+    versions,
+)
 from cell.settings.translate import model_hash
 
 CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
@@ -30,7 +41,7 @@ def candidate(tmp_path: Path, config: Path, model: dict, *, passed: bool = True)
         "beside": model_hash(load_settings(config).model),
         "model": model,
         "gates": [{"gate": "forecasts unseen cables better", "passed": passed, "found": "so"}],
-        "lines": [line_of(load_settings(config))],
+        "lines": [line_identity(load_settings(config))],
     }
     path.write_text(yaml_text(content), encoding="utf-8")
     return path
@@ -101,7 +112,7 @@ def test_what_was_learned_on_another_line_is_refused_unless_it_is_meant(
     """A tip mass of one line went into the settings of another, with a draught, without a word."""
     before = config.read_text("utf-8")
     chosen = read_candidate(candidate(tmp_path, config, DRAG))
-    assert chosen.lines == (line_of(load_settings(config)),), "as it was before it was a file"
+    assert chosen.lines == (line_identity(load_settings(config)),), "as it was before it was a file"
     for old, new, says in (
         ("width_m: 0.016", "width_m: 0.018", "cable.width_m 0.016, here 0.018"),
         ("lag_s: 0.03", "lag_s: 0.04", "calibration.typed.lag_s 0.03, here 0.04"),
@@ -126,12 +137,12 @@ def test_how_finely_a_world_is_simulated_makes_no_other_line(config: Path) -> No
     finer = settings.model_copy(
         update={"world": settings.world.model_copy(update={"segments": 100})}
     )
-    assert differences(line_of(settings), line_of(finer)) == []
-    assert other_lines([line_of(finer)], settings) == []
+    assert differences(line_identity(settings), line_identity(finer)) == []
+    assert other_lines([line_identity(finer)], settings) == []
     heated = settings.model_copy(
         update={"world": settings.world.model_copy(update={"effects": {"draught": {"x": 1.0}}})}
     )
-    (said,) = other_lines([line_of(finer), line_of(heated)], settings)
+    (said,) = other_lines([line_identity(finer), line_identity(heated)], settings)
     assert said == "cycles of another line are among these: world.effects.draught.x 1.0, here None"
 
 
@@ -258,7 +269,7 @@ def of_product(tmp_path: Path, config: Path, product: str) -> Path:
         "beside": model_hash(settings.model),
         "model": DRAG,
         "gates": [],
-        "lines": [line_of(settings)],
+        "lines": [line_identity(settings)],
     }
     path.write_text(yaml_text(content), encoding="utf-8")
     return path
@@ -311,3 +322,23 @@ def test_a_candidate_is_of_a_product_of_these_settings(tmp_path: Path, with_prod
     with pytest.raises(InputError, match="is not one key a line in this section"):
         promote(empty, with_products)
     assert with_products.read_text("utf-8") == text
+
+
+def test_the_former_file_is_kept(tmp_path: Path) -> None:
+    config = tmp_path / "cell.yaml"
+    config.write_bytes(b"a: 1\r\n")
+    link = tmp_path / "link.yaml"
+    link.symlink_to(config)
+    assert replace_settings(link, "a: 1\r\n", "a: 2\n").read_bytes() == b"a: 1\r\n"
+    replace_settings(config, "a: 2\n", "a: 3\n")
+    assert link.is_symlink() and config.read_text("utf-8") == "a: 3\n"
+    assert [p.read_bytes() for p in versions(link)] == [b"a: 2\n", b"a: 1\r\n"]
+
+
+def test_a_file_that_was_changed_meanwhile_stays(tmp_path: Path) -> None:
+    config = tmp_path / "cell.yaml"
+    config.write_text("a: 7\n", "utf-8")
+    with pytest.raises(ChangedMeanwhileError) as refused:
+        replace_settings(config, "a: 1\n", "a: 2\n")
+    assert refused.value.text == config.read_text("utf-8") == "a: 7\n"
+    assert versions(config) == ()

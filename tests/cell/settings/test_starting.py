@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from cell.settings import Settings, load_settings
-from cell.settings.commented import commented
-from cell.settings.starting import STARTING, answered, default, questions
+from cell.settings.starting import STARTING, answered, commented, default, questions
 
 CONFIG = Path(__file__).parents[3] / "config"
 

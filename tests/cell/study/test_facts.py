@@ -10,10 +10,16 @@ import pytest
 
 from cell.cable.geometry import Motion
 from cell.study.data import Markers, Trial, Wrench
-from cell.study.facts import noise_m, sensors_in_words, swing_spectrum, trial_facts
+from cell.study.facts import (
+    noise_m,
+    oddities,
+    sensors_in_words,
+    stated_oddly,
+    swing_spectrum,
+    trial_facts,
+)
 from cell.study.hand_drift import HandDrift
-from cell.study.odd import oddities, stated_oddly
-from cell.study.wrench_facts import wrench_facts
+from cell.study.wrench import wrench_facts
 from tests.cell.study.imports.made import ARCS_M, RATE_HZ, made
 
 

@@ -9,10 +9,10 @@ import pytest
 from cell.cable.wrench import Gauge, Tool
 from cell.files.input_error import InputError
 from cell.lab.data.opened_study import open_study
+from cell.records.recording.unpack import study_from_plain, study_to_plain
 from cell.study.data import Wrench, WrenchSensor
 from cell.study.folder import read_study, study_as_it_is, write_study
-from cell.study.plain import study_from_plain, study_to_plain
-from cell.study.wrench_facts import wrench_facts
+from cell.study.wrench import wrench_facts
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study
 

@@ -8,9 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from cell.cable.effects import library
-from cell.cli.text_table import text_table
 from cell.lab.report.model_tables import effects_table
-from cell.terminal.fitting import show
+from cell.terminal.fitting import show, text_table
 
 NAME = "20261122T015536.045-1_first"
 

@@ -21,7 +21,7 @@ PLACES = (
     *(
         "cell/plant/client.py",
         "cell/plant/service.py",
-        "cell/plant/left_behind.py",
+        "cell/plant/unfinished_cycle.py",
         "cell/plant/children.py",
     ),
     *("cell/calibration", "cell/wiring/filmed.py"),

@@ -16,25 +16,32 @@ from typing import Any
 
 import pytest
 
-from cell.cli.passwords import typed_password
+from cell.cli.users import typed_password
 from cell.computer.peers import user_of_peer
 from cell.plant.client import Client
 from cell.plant.messages import CommandReply, Request
+from cell.plant.users import Role, User, Users
 from cell.records.ledger.actions import listed_actions, take_over
 from cell.records.ledger.ledger import Ledger
 from cell.run.machine import CellState, MachineEvent
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
-from cell.web.camera import LiveCamera
-from cell.web.control import LOST_S, Control
-from cell.web.cycles import cycle_folder
-from cell.web.films import Films
+from cell.web.camera import Films, LiveCamera
+from cell.web.cycle_view import cycle_folder
 from cell.web.guard import MOST_BYTES, Guard
 from cell.web.guided import Guided
 from cell.web.jobs import Jobs, JobTask
 from cell.web.serve import may_be_served
-from cell.web.sessions import IDLE_S, LONGEST_S, MOST_WRONG, LoginSession, Sessions, local_session
-from cell.web.users import Role, User, Users
+from cell.web.sessions import (
+    IDLE_S,
+    LONGEST_S,
+    LOST_S,
+    MOST_WRONG,
+    Control,
+    LoginSession,
+    Sessions,
+    local_session,
+)
 from cell.web.visit import PagesContext, Visit
 from cell.web.watching import CellWatch
 
@@ -215,14 +222,14 @@ def test_who_was_removed_has_no_session() -> None:
 def test_after_wrong_passwords_one_must_wait(sessions: Sessions, clock: Clock) -> None:
     """Of a thousand requests at once every password was looked at: none was known to be wrong."""
     for _ in range(MOST_WRONG):
-        assert sessions.may_try("ada", "10.0.0.1")
+        assert sessions.login_allowed("ada", "10.0.0.1")
         sessions.right("ada", "10.0.0.1")
-    tried = [sessions.may_try("ada", "10.0.0.1") for _ in range(1000)]
+    tried = [sessions.login_allowed("ada", "10.0.0.1") for _ in range(1000)]
     assert tried == [True] * MOST_WRONG + [False] * (1000 - MOST_WRONG)
-    assert not sessions.may_try("bob", "10.0.0.1")
-    assert sessions.may_try("bob", "10.0.0.2")
+    assert not sessions.login_allowed("bob", "10.0.0.1")
+    assert sessions.login_allowed("bob", "10.0.0.2")
     clock.now_s = 61.0
-    assert sessions.may_try("ada")
+    assert sessions.login_allowed("ada")
 
 
 def test_users_are_hashed_in_a_file_for_their_owner(tmp_path: Path) -> None:
@@ -230,9 +237,9 @@ def test_users_are_hashed_in_a_file_for_their_owner(tmp_path: Path) -> None:
     assert users.add("ada", Role.operate, "correct horse")
     assert users.file.stat().st_mode & 0o777 == 0o600
     assert "correct horse" not in users.file.read_text("utf-8")
-    assert users.known("ada", "correct horse") == ADA
-    assert users.known("ada", "wrong horse") is None
-    assert users.known("eve", "correct horse") is None
+    assert users.authenticate("ada", "correct horse") == ADA
+    assert users.authenticate("ada", "wrong horse") is None
+    assert users.authenticate("eve", "correct horse") is None
     for name, password in (("a/b", "correct horse"), ("bob", "short"), ("", "correct horse")):
         with pytest.raises(ValueError):
             users.add(name, Role.watch, password)
@@ -275,10 +282,10 @@ def test_one_page_has_control(clock: Clock) -> None:
     assert control.take("page 1", "ada").page == "page 1"
     assert control.take("page 2", "bob").name == "ada"
     control.release("page 2")
-    assert control.heard("page 1") is not None
+    assert control.keep_alive("page 1") is not None
     assert control.take("page 3", "ada").page == "page 3"
     clock.now_s += LOST_S + 1.0
-    assert control.heard("page 2") is None
+    assert control.keep_alive("page 2") is None
     assert control.take("page 2", "bob").name == "bob"
 
 
@@ -405,6 +412,6 @@ def test_what_moves_the_arm_begins_only_if_nothing_else_has_the_devices(tmp_path
         assert room.with_devices(lambda: room.lab.jobs.submit(MOVING, "ada")) == ""
         refused = room.with_devices(lambda: room.guided.start("calibrate", waits))
         assert "is being measured" in refused and not room.guided.state.runs
-    room.watch.found()
+    room.watch.reconnected()
     assert "a cell runs" in room.with_devices(lambda: began.append("run") or "")
     assert began == []

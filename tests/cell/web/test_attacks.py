@@ -14,6 +14,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from cell.plant.client import Client
 from cell.plant.messages import Status
+from cell.plant.users import Role, User, Users
 from cell.records.folder import Record
 from cell.records.recording import form
 from cell.records.recording.writer import RecordingWriter
@@ -21,16 +22,13 @@ from cell.records.result import Outcome, Result
 from cell.run.machine import CellState, MachineEvent
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
-from cell.web.camera import LiveCamera
-from cell.web.control import Control
-from cell.web.films import Films
+from cell.web.camera import Films, LiveCamera
 from cell.web.guard import COOKIE, Guard
 from cell.web.guided import Guided
 from cell.web.serve import application
-from cell.web.sessions import IDLE_S, Sessions
-from cell.web.users import Role, User, Users
+from cell.web.sessions import IDLE_S, Control, Sessions
 from cell.web.visit import PagesContext, Visit
-from cell.web.watching import CellWatch, Seen
+from cell.web.watching import CellWatch, WatchedState
 
 with warnings.catch_warnings():  # starlette wishes for another client than we have
     warnings.simplefilter("ignore")
@@ -218,9 +216,9 @@ def test_no_button_takes_the_place_of_its_opposite(
 ) -> None:
     """Who pressed Hold twice could press Continue, which came where Hold had been."""
     served.room.client.heard_s = float("inf")
-    served.room.watch._seen = Seen(Status("run", 1, state, 0.0, possible=possible), True)
+    served.room.watch._seen = WatchedState(Status("run", 1, state, 0.0, possible=possible), True)
     shown = served.web.get("/", headers=served.log_in("operate")).text
-    served.room.watch._seen = Seen()
+    served.room.watch._seen = WatchedState()
     for button in ("hold", "unhold"):
         (classes,) = re.findall(rf'"class":(\[[^]]*\])[^[]*"data-test":"{button}"', shown)
         assert json.loads(classes) == ["big-button"], f"{button} is hidden"

@@ -12,10 +12,9 @@ from cell.records.folder import Record
 from cell.records.recording import form
 from cell.records.recording.writer import RecordingWriter
 from cell.records.result import Outcome, Result
-from cell.web import films as films_module
-from cell.web.camera import LiveCamera
+from cell.web import camera as films_module
+from cell.web.camera import Films, LiveCamera
 from cell.web.cycle_view import cycle_view, tip_chart
-from cell.web.films import Films
 
 
 @pytest.fixture
@@ -38,7 +37,7 @@ def folder(tmp_path: Path) -> Path:
 def test_what_is_known_of_a_cycle(folder: Path) -> None:
     view = cycle_view(folder)
     assert (view.cycle, view.part, view.good, view.no_film) == (3, "A-1", False, "")
-    assert view.says.startswith("missed")
+    assert view.summary.startswith("missed")
     assert view.spent["step"] == {"lower": 0.5}
     assert view.tip["predicted"] == [[0.0, 0.0], [-10.0, 5.0]]
     assert len(view.tip["destination"]) == 5

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.web.draft import Draft, value_said
+from cell.web.draft import Draft, value_text
 from cell.web.wording import translation
 
 CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
@@ -69,5 +69,5 @@ def test_another_kind_of_device_forgets_what_was_entered_for_the_former(draft: D
 
 
 def test_values_are_shown_as_the_file_has_them_in_every_language() -> None:
-    said = [value_said(value, translation("de")) for value in ("0.8", "failed", "used")]
+    said = [value_text(value, translation("de")) for value in ("0.8", "failed", "used")]
     assert said == ["0.8", "failed", "verwendet"]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -15,8 +14,9 @@ from calib.store import StoredCalibration, save
 from cell.settings import load_settings
 from cell.settings.calibrated import devices_of
 from cell.settings.model import Calibration
-from cell.web.calibration_view import parts
 from cell.web.guided import Guided, OpenQuestion, calibrate_command
+from cell.web.pages.calibration import parts
+from tests.waiting import wait_until
 
 CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
 #: Speaks as `cell calibrate --dialogue` does.
@@ -33,13 +33,6 @@ sys.exit(0 if sys.stdin.readline() else 3)
 """
 
 
-def until(reached: Callable[[], object]) -> None:
-    end_s = time.monotonic() + 60.0
-    while not reached():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-
-
 @pytest.fixture
 def guided() -> Iterator[Guided]:
     guided = Guided()
@@ -50,16 +43,16 @@ def guided() -> Iterator[Guided]:
 def test_questions_are_answered_one_at_a_time(guided: Guided) -> None:
     assert guided.start("calibrate", [sys.executable, "-c", CHILD]) == ""
     assert "is under way" in guided.start("calibrate", [sys.executable, "-c", CHILD])
-    until(lambda: guided.state.ask)
+    wait_until(lambda: guided.state.ask)
     assert guided.state.ask == "show the board; Enter"
-    assert "answered already" in guided.answer("n", guided.state.asked + 1)
-    assert guided.answer("n\nx", guided.state.asked) == ""
-    until(lambda: guided.state.ask == "and now?")
-    assert guided.state.said == ("--- camera", "heard 'n x'", "plain words")
+    assert "answered already" in guided.answer("n", guided.state.question_number + 1)
+    assert guided.answer("n\nx", guided.state.question_number) == ""
+    wait_until(lambda: guided.state.ask == "and now?")
+    assert guided.state.output == ("--- camera", "heard 'n x'", "plain words")
     assert (guided.state.done, guided.state.total) == (1, 2)
-    assert guided.answer("", guided.state.asked) == ""
-    until(lambda: not guided.state.runs)
-    assert guided.state.code == 0 and "went wrong" in guided.state.said
+    assert guided.answer("", guided.state.question_number) == ""
+    wait_until(lambda: not guided.state.runs)
+    assert guided.state.code == 0 and "went wrong" in guided.state.output
     assert guided.start("calibrate", [sys.executable, "-c", CHILD]) == ""
 
 
@@ -67,16 +60,16 @@ def test_a_second_click_answers_no_question_that_nobody_has_read(guided: Guided)
     """It said that nobody is near, after which the robot moves."""
     guided.start("calibrate", [sys.executable, "-c", CHILD])
     question = OpenQuestion(guided)
-    until(lambda: guided.state.ask)
-    assert not question.look() and question.look()
+    wait_until(lambda: guided.state.ask)
+    assert not question.refresh() and question.refresh()
     assert question.answer("") == ""
-    until(lambda: guided.state.ask == "and now?")
+    wait_until(lambda: guided.state.ask == "and now?")
     assert "answered already" in question.answer("")
-    assert not question.look(), "it has just come in sight"
+    assert not question.refresh(), "it has just come in sight"
     assert "answered already" in question.answer("")
     assert guided.state.ask == "and now?"
-    assert question.look() and question.answer("") == ""
-    until(lambda: not guided.state.runs)
+    assert question.refresh() and question.answer("") == ""
+    wait_until(lambda: not guided.state.runs)
     assert guided.state.code == 0
 
 
@@ -84,17 +77,17 @@ def test_it_can_be_ended_before_its_time(guided: Guided) -> None:
     assert guided.cancel() == "nothing is under way"
     assert "No such file" in guided.start("calibrate", ["/no/such/program"])
     guided.start("calibrate", [sys.executable, "-c", CHILD])
-    until(lambda: guided.state.ask)
+    wait_until(lambda: guided.state.ask)
     assert guided.cancel() == ""
-    until(lambda: not guided.state.runs)
+    wait_until(lambda: not guided.state.runs)
     assert guided.state.code != 0 and guided.state.ask == ""
 
 
 def test_the_command_tells_why_it_has_ended(guided: Guided, tmp_path: Path) -> None:
     guided.start("calibrate camera", calibrate_command("camera", CONFIG))  # uncalibrated settings
-    until(lambda: not guided.state.runs)
+    wait_until(lambda: not guided.state.runs)
     assert guided.state.code == 2
-    assert any("add `calibration: {}`" in line for line in guided.state.said)
+    assert any("add `calibration: {}`" in line for line in guided.state.output)
 
 
 def test_age_errors_and_bounds_of_each_calibration(tmp_path: Path) -> None:

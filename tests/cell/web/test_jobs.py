@@ -6,11 +6,9 @@ import os
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -23,8 +21,9 @@ from cell.web.jobs import (
     Jobs,
     JobState,
     JobTask,
-    run_at_once,
+    run_command,
 )
+from tests.waiting import wait_until
 
 ENDLESS = "import time; print('work: 3 of 4, 1 s so far', flush=True, file=sys.stderr)\n"
 ENDLESS += "while True: time.sleep(0.01)"
@@ -49,14 +48,6 @@ def started(words: Sequence[str]) -> subprocess.Popen[str]:
     )
 
 
-def until(reached: Callable[[], Any], within_s: float = 60.0) -> Any:
-    end_s = time.monotonic() + within_s
-    while not (found := reached()):
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-    return found
-
-
 @pytest.fixture
 def jobs() -> Iterator[Jobs]:
     with Jobs(started, answering_s=60.0) as jobs:
@@ -68,36 +59,36 @@ def task(*programs: str, subject: str = "study", log: Path | None = None) -> Job
 
 
 def newest(jobs: Jobs) -> Job:
-    return jobs.seen()[0]
+    return jobs.listed()[0]
 
 
 def test_commands_run_one_after_another_until_one_fails(jobs: Jobs, tmp_path: Path) -> None:
     log = tmp_path / "results" / "log.txt"
     jobs.submit(task("print(1)", "print(2)\nprint(3)", log=log), "ada")
-    until(lambda: newest(jobs).state is JobState.DONE)
+    wait_until(lambda: newest(jobs).state is JobState.DONE)
     assert newest(jobs).printed == ("2", "3")
     assert log.read_text() == "2\n3\n"
     jobs.submit(task("print('bad:3: mend it', file=sys.stderr); sys.exit(2)", "1"), "ada")
-    failed = until(lambda: newest(jobs).state is JobState.FAILED and newest(jobs))
+    failed = wait_until(lambda: newest(jobs).state is JobState.FAILED and newest(jobs))
     assert (failed.step, failed.said, failed.by) == (0, ("bad:3: mend it",), "ada")
 
 
 def test_progress_is_what_the_command_says(jobs: Jobs) -> None:
     version = jobs.version
     jobs.submit(task(ENDLESS), "ada")
-    job = until(lambda: newest(jobs).progress and newest(jobs))
+    job = wait_until(lambda: newest(jobs).progress and newest(jobs))
     assert (job.state, job.progress, job.share) == (JobState.RUNNING, "3 of 4, 1 s so far", 0.75)
     assert jobs.version > version
     assert jobs.cancel(job.number) == ""
-    until(lambda: newest(jobs).state is JobState.CANCELLED)
+    wait_until(lambda: newest(jobs).state is JobState.CANCELLED)
     assert "ended" in jobs.cancel(job.number)
 
 
 def test_what_is_cancelled_may_say_what_it_knows(jobs: Jobs, tmp_path: Path) -> None:
     jobs.submit(task(ANSWERING, log=tmp_path / "log.txt"), "ada")
-    until(lambda: newest(jobs).progress)
+    wait_until(lambda: newest(jobs).progress)
     jobs.cancel(newest(jobs).number)
-    until(lambda: newest(jobs).state is JobState.CANCELLED)
+    wait_until(lambda: newest(jobs).state is JobState.CANCELLED)
     assert (tmp_path / "log.txt").read_text() == "the best so far\n"
 
 
@@ -119,10 +110,10 @@ def test_what_is_cancelled_between_two_commands_is_not_done() -> None:
 
     with Jobs(start) as jobs:
         jobs.submit(task("1", "2"), "ada")
-        until(lambda: newest(jobs).ended_s is not None)
+        wait_until(lambda: newest(jobs).ended_s is not None)
         assert (newest(jobs).state, newest(jobs).step) == (JobState.CANCELLED, 0)
         jobs.submit(task("1"), "ada")  # all that was asked is done: the order came too late
-        until(lambda: newest(jobs).ended_s is not None)
+        wait_until(lambda: newest(jobs).ended_s is not None)
         assert newest(jobs).state is JobState.DONE
 
 
@@ -138,50 +129,50 @@ def test_what_is_cancelled_before_its_first_command_is_not_done(
     monkeypatch.setattr(Jobs, "_run", cancelled_first)
     with Jobs(started) as jobs:
         jobs.submit(task(ENDLESS), "ada")
-        until(lambda: newest(jobs).ended_s is not None)
+        wait_until(lambda: newest(jobs).ended_s is not None)
         assert newest(jobs).state is JobState.CANCELLED
 
 
 def test_what_does_not_listen_is_ended_by_a_second_cancel(jobs: Jobs) -> None:
     jobs.submit(task(STUBBORN), "ada")
-    until(lambda: newest(jobs).progress)
+    wait_until(lambda: newest(jobs).progress)
     jobs.cancel(newest(jobs).number)
     assert newest(jobs).state is JobState.CANCELLING
     jobs.cancel(newest(jobs).number)
-    until(lambda: newest(jobs).state is JobState.CANCELLED)
+    wait_until(lambda: newest(jobs).state is JobState.CANCELLED)
 
 
 def test_what_does_not_listen_is_ended_after_a_while() -> None:
     with Jobs(started, answering_s=0.05) as jobs:
         jobs.submit(task(STUBBORN), "ada")
-        until(lambda: newest(jobs).progress)
+        wait_until(lambda: newest(jobs).progress)
         jobs.cancel(newest(jobs).number)
-        until(lambda: newest(jobs).state is JobState.CANCELLED)
+        wait_until(lambda: newest(jobs).state is JobState.CANCELLED)
 
 
 def test_the_queue_is_short_and_the_past_too(jobs: Jobs) -> None:
     jobs.submit(task(ENDLESS), "ada")
-    until(lambda: newest(jobs).progress)
+    wait_until(lambda: newest(jobs).progress)
     for n in range(MOST_WAITING):
         assert jobs.submit(task("1", subject=str(n)), "ada") == ""
     assert "wait already" in jobs.submit(task("1", subject="more"), "ada")
-    first, *_, running = jobs.seen()
+    first, *_, running = jobs.listed()
     assert jobs.cancel(first.number) == ""
     assert newest(jobs).state is JobState.CANCELLED
     assert "being done" in jobs.submit(task(ENDLESS), "bob")
     jobs.cancel(running.number)
-    until(lambda: all(j.state in (JobState.DONE, JobState.CANCELLED) for j in jobs.seen()))
+    wait_until(lambda: all(j.state in (JobState.DONE, JobState.CANCELLED) for j in jobs.listed()))
     for n in range(REMEMBERED):
         jobs.submit(task("1", subject=str(n)), "ada")
-        until(lambda: newest(jobs).state is JobState.DONE)
-    assert len(jobs.seen()) == REMEMBERED
+        wait_until(lambda: newest(jobs).state is JobState.DONE)
+    assert len(jobs.listed()) == REMEMBERED
 
 
 def test_output_without_end_is_cut(jobs: Jobs) -> None:
     long = "print('x' * 3000, file=sys.stderr)"
     jobs.submit(task(f"{long}\nfor _ in range({10 * MOST_LINES}): print('y')"), "ada")
-    until(lambda: newest(jobs).state is JobState.DONE)
-    assert max(map(len, newest(jobs).said)) == LONGEST_LINE
+    wait_until(lambda: newest(jobs).state is JobState.DONE)
+    assert max(map(len, newest(jobs).output)) == LONGEST_LINE
     assert len(newest(jobs).printed) == MOST_LINES
 
 
@@ -195,7 +186,7 @@ def test_jobs_end_with_the_server() -> None:
     with Jobs(kept) as jobs:
         jobs.submit(task(STUBBORN), "ada")
         jobs.submit(task("1", subject="next"), "ada")
-        until(lambda: jobs.seen()[1].progress)
+        wait_until(lambda: jobs.listed()[1].progress)
     (child,) = children
     assert child.wait(10) != 0
     with pytest.raises(ProcessLookupError):
@@ -208,11 +199,11 @@ def test_the_arm_moves_at_once_or_not_at_all(jobs: Jobs) -> None:
     jobs.submit(task(ENDLESS), "ada")
     assert "when you say so" in jobs.submit(moving, "ada")
     jobs.cancel(newest(jobs).number)
-    until(lambda: newest(jobs).state is JobState.CANCELLED)
+    wait_until(lambda: newest(jobs).state is JobState.CANCELLED)
     assert jobs.submit(moving, "ada") == ""
     assert "is being measured" in jobs.submit(task("1"), "bob")
     jobs.cancel(newest(jobs).number)
-    until(lambda: newest(jobs).state is JobState.CANCELLED)
+    wait_until(lambda: newest(jobs).state is JobState.CANCELLED)
 
 
 def test_what_moves_the_arm_closes_its_record_when_the_server_ends(tmp_path: Path) -> None:
@@ -220,7 +211,7 @@ def test_what_moves_the_arm_closes_its_record_when_the_server_ends(tmp_path: Pat
     program = ANSWERING.replace("print('the best so far')", f"open({str(closed)!r}, 'w').close()")
     with Jobs(started) as jobs:
         jobs.submit(replace(task(program), moves=True), "ada")
-        until(lambda: newest(jobs).progress)
+        wait_until(lambda: newest(jobs).progress)
     assert closed.exists()
 
 
@@ -241,16 +232,16 @@ while True: time.sleep(0.01)
 """
     with Jobs(started, answering_s=0.0) as jobs:
         jobs.submit(replace(task(program), moves=True), "ada")
-        until(lambda: newest(jobs).progress)
+        wait_until(lambda: newest(jobs).progress)
         before = set(threading.enumerate())
         jobs.cancel(newest(jobs).number)
-        until(lambda: set(threading.enumerate()) <= before)  # no timer kills it
+        wait_until(lambda: set(threading.enumerate()) <= before)  # no timer kills it
         go.touch()
-        until(lambda: newest(jobs).state is JobState.CANCELLED)
+        wait_until(lambda: newest(jobs).state is JobState.CANCELLED)
     assert closed.exists()
 
 
 def test_a_short_command_has_a_limit_of_time() -> None:
-    assert run_at_once(("--version",), 0.0).code is None
-    ran = run_at_once(("--nonsense",), 60.0)
-    assert ran.code == 2 and "nonsense" in ran.said
+    assert run_command(("--version",), 0.0).code is None
+    ran = run_command(("--nonsense",), 60.0)
+    assert ran.code == 2 and "nonsense" in ran.output

@@ -30,7 +30,7 @@ CONFIG = Path("cell.yaml")
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Lab:
-    return Lab(Workspace.beside(tmp_path / "runs"))
+    return Lab(Workspace.of_runs(tmp_path / "runs"))
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def test_a_busy_computer_is_not_blamed_on_the_law(
 ) -> None:
     monkeypatch.setattr("cell.web.lab.CHECK_S", 0.0)
     checked = lab.check_effect(named(TEMPLATE), TEMPLATE)
-    (said,) = checked.said
+    (said,) = checked.output
     assert not checked.good and "too much to do" in said and "law" not in said
 
 

@@ -15,17 +15,15 @@ from fastapi import FastAPI
 from httpx import ASGITransport, AsyncClient, Response
 
 from cell.plant.client import Client
+from cell.plant.users import Role, User
 from cell.settings import load_settings
 from cell.web import guard, workspace
 from cell.web.audit import Audit, audit_file
-from cell.web.camera import LiveCamera
-from cell.web.control import Control
-from cell.web.films import Films
+from cell.web.camera import Films, LiveCamera
 from cell.web.guard import COOKIE, MOST_BYTES, Guard
 from cell.web.guided import Guided
 from cell.web.lab_routes import lab_routes
-from cell.web.sessions import Sessions
-from cell.web.users import Role, User
+from cell.web.sessions import Control, Sessions
 from cell.web.visit import PagesContext
 from cell.web.watching import CellWatch
 

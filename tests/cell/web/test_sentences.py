@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import time
 from collections.abc import Iterator
 from itertools import islice, product
+from pathlib import Path
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+import cell.web
 from cell.cable.solver import DivergedError
 from cell.identify.individual import CableRejectedError, Reason
 from cell.run.plans import INSERTING
 from cell.vision.sighting import Unseen
-from cell.web.sentences import LONGEST, Found, Placeholder, Sentences, parts_of
-from cell.web.wording import catalogue, languages, sentences, translation
+from cell.web.wording import (
+    LONGEST,
+    Placeholder,
+    Sentences,
+    Translation,
+    catalogue,
+    languages,
+    parts_of,
+    preferred,
+    read_po,
+    sentences,
+    translation,
+)
 from drivers.interfaces import ArmMode
 from drivers.ur_versions import SupportLevel
 from tests.cell.web.sentences import (
@@ -44,9 +58,9 @@ def texts_of(sentence: Sentence) -> Iterator[str]:
         yield "".join(parts).strip("; ")
 
 
-def is_whole(found: Found | None) -> bool:
+def is_whole(found: Translation | None) -> bool:
     """Whether a text is translated, and nothing of it is taken for a value but values."""
-    return found is not None and not set(WORD.findall(" ".join(found.kept))) - AS_THEY_ARE
+    return found is not None and not set(WORD.findall(" ".join(found.untranslated))) - AS_THEY_ARE
 
 
 @pytest.mark.parametrize("language", languages()[1:])
@@ -82,7 +96,7 @@ def test_a_sentence_without_a_translation_is_noticed() -> None:
 
 def test_every_kind_of_error_is_looked_at() -> None:
     unknown = {where: name for name, where in errors_of_the_source() if name not in CALLS}
-    assert not unknown, "add these to CALLS in tests/cell/web/sentences.py"
+    assert not unknown, "add these to CALLS in tests/cell/web/wording.py"
 
 
 def test_the_source_is_read_with_constants_choices_and_helpers() -> None:
@@ -119,7 +133,7 @@ def act(name, n):
 def test_words_of_the_program_are_known_in_its_sentences(text: str) -> None:
     found = sentences("de").find(text)
     assert found is not None
-    assert set(found.kept) <= {"5"}
+    assert set(found.untranslated) <= {"5"}
 
 
 # --- matching -----------------------------------------------------------------------------------
@@ -216,3 +230,38 @@ def test_the_catalogue_names_its_decimal_sign() -> None:
     assert say("the tip missed the destination by 1.20 mm") == (
         "die Spitze verfehlte das Ziel um 1,20 mm"
     )
+
+
+FOLDER = Path(cell.web.__file__).parent
+
+
+def messages() -> set[str]:
+    """Constants that are given to a function that translates or marks."""
+    found = set()
+    for file in FOLDER.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+            name = node.func.id if isinstance(node.func, ast.Name) else name
+            if name in ("t", "_t", "N_") and isinstance(node.args[0], ast.Constant):
+                found.add(node.args[0].value)
+    return found
+
+
+@pytest.mark.parametrize("language", languages()[1:])
+def test_a_catalogue_has_every_message_of_the_source(language: str) -> None:
+    known = catalogue(language)
+    assert messages() - {m for m, said in known.items() if said} == set()
+
+
+def test_a_catalogue_is_read_with_long_and_quoted_messages() -> None:
+    text = 'msgid ""\nmsgstr "head\\n"\n# said\nmsgid "a \\"b\\""\nmsgstr ""\n"c"\n" d"\n'
+    assert read_po(text) == {'a "b"': "c d"}
+
+
+def test_the_language_is_the_first_that_there_is() -> None:
+    assert preferred("fr, de-CH;q=0.9, en;q=0.8") == "de"
+    assert preferred("") == "en"
+    assert translation("de")("Stop") == "Stopp"
+    assert translation("xx/../de")("Stop") == "Stop"

@@ -6,11 +6,17 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import pytest
+
 from cell.plant.messages import FaultNotice, MessageKind, Notice, Status
 from cell.records.ledger.effectiveness import Shift
-from cell.records.ledger.ledger import ListedCycle
+from cell.records.ledger.ledger import Ledger, ListedCycle
+from cell.records.result import Result
 from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING
+from cell.settings import load_settings
+from cell.settings.provenance import line_name
+from cell.web.pages import history
 from cell.web.theme import AWAY, LOOKS
 from cell.web.views import (
     STEPS,
@@ -21,9 +27,10 @@ from cell.web.views import (
     live_view,
     reasons_text,
 )
-from cell.web.watching import Seen, ShiftFigures, seen_after, shift_begun
+from cell.web.watching import ShiftFigures, WatchedState, shift_start, state_after
 from cell.web.wording import translation
 from drivers.interfaces import ArmMode, too_late
+from tests.cell.records.ledger.conftest import ended
 
 RESULT = {
     "cycle": 3,
@@ -47,27 +54,27 @@ def test_every_state_has_a_look_and_every_step_a_word() -> None:
 
 
 def test_before_a_cell_was_seen_nothing_can_be_pressed() -> None:
-    view = live_view(Seen(), 10.0)
-    assert (view.look, view.buttons, view.fault, view.folder) == (AWAY, frozenset(), None, "")
+    view = live_view(WatchedState(), 10.0)
+    assert (view.style, view.buttons, view.fault, view.folder) == (AWAY, frozenset(), None, "")
 
 
 def test_a_step_is_shown_with_its_time_until_the_state_changes() -> None:
-    seen = seen_after(Seen(), IDLE)
+    seen = state_after(WatchedState(), IDLE)
     assert live_view(seen, 0.0).buttons == {MachineEvent.START, MachineEvent.STOP}
-    seen = seen_after(seen, notice(MessageKind.STATE, state="execute", step=None, since=1.0))
-    seen = seen_after(seen, notice(MessageKind.CYCLE, cycle=3, part=None, product=None))
-    seen = seen_after(seen, notice(MessageKind.STEP, 5.0, step="lower", cycle=3))
+    seen = state_after(seen, notice(MessageKind.STATE, state="execute", step=None, since=1.0))
+    seen = state_after(seen, notice(MessageKind.CYCLE, cycle=3, part=None, product=None))
+    seen = state_after(seen, notice(MessageKind.STEP, 5.0, step="lower", cycle=3))
     view = live_view(seen, 7.5)
-    assert (view.look.word, view.step, view.step_s, view.cycle) == ("Execute", "lowering", 2.5, 3)
+    assert (view.style.word, view.step, view.step_s, view.cycle) == ("Execute", "lowering", 2.5, 3)
     assert live_view(seen, 4.0).step_s == 0.0  # clocks differ a little
-    seen = seen_after(seen, notice(MessageKind.STATE, state="held", step=None, since=9.0))
+    seen = state_after(seen, notice(MessageKind.STATE, state="held", step=None, since=9.0))
     assert live_view(seen, 9.0).step_s is None
 
 
 def test_a_cell_that_has_gone_shows_its_newest_cable_and_no_buttons() -> None:
-    seen = seen_after(seen_after(Seen(), IDLE), notice(MessageKind.RESULT, **RESULT))
-    view = live_view(replace(seen, there=False), 0.0)
-    assert (view.look, view.buttons) == (AWAY, frozenset())
+    seen = state_after(state_after(WatchedState(), IDLE), notice(MessageKind.RESULT, **RESULT))
+    view = live_view(replace(seen, connected=False), 0.0)
+    assert (view.style, view.buttons) == (AWAY, frozenset())
     assert (view.folder, view.counts) == ("20261121T021043.800-3", {"inserted": 1})
     assert view.result == {
         "Tip predicted": "-1.00 mm",
@@ -78,44 +85,44 @@ def test_a_cell_that_has_gone_shows_its_newest_cable_and_no_buttons() -> None:
 
 def test_a_fault_is_shown_with_cause_and_remedy_until_it_is_acknowledged() -> None:
     fault = FaultNotice(3, "lower", "limit", 0.0, "arm", "move it back", "a cable is in the jaws")
-    seen = seen_after(Seen(), replace(IDLE, fault=fault, waiting_for=("acknowledgement",)))
+    seen = state_after(WatchedState(), replace(IDLE, fault=fault, waiting_for=("acknowledgement",)))
     view = live_view(seen, 0.0)
     assert view.fault is not None
     assert (view.fault.device, view.fault.step, view.fault.cause) == ("arm", "lowering", "limit")
     assert view.fault.remedies == ("move it back", "a cable is in the jaws")
     assert view.waiting == ("acknowledgement",)
-    seen = seen_after(seen, notice(MessageKind.ACKNOWLEDGED, by="Ada", note="looked"))
+    seen = state_after(seen, notice(MessageKind.ACKNOWLEDGED, by="Ada", note="looked"))
     assert live_view(seen, 0.0).fault is None
 
 
 def test_an_adapter_in_trouble_is_named_until_it_runs_again() -> None:
     trouble = "has ended: signal 9; it is started again"
-    seen = seen_after(Seen(), IDLE)
-    seen = seen_after(seen, notice(MessageKind.ADAPTER, adapter="opcua", trouble=trouble))
+    seen = state_after(WatchedState(), IDLE)
+    seen = state_after(seen, notice(MessageKind.ADAPTER, adapter="opcua", trouble=trouble))
     assert live_view(seen, 0.0).adapters == {"OPC UA": trouble}
-    assert live_view(replace(seen, there=False), 0.0).adapters == {}
-    seen = seen_after(seen, notice(MessageKind.ADAPTER, adapter="opcua", trouble=""))
+    assert live_view(replace(seen, connected=False), 0.0).adapters == {}
+    seen = state_after(seen, notice(MessageKind.ADAPTER, adapter="opcua", trouble=""))
     assert live_view(seen, 0.0).adapters == {}
 
 
 def test_figures_of_the_shift_come_from_the_ledger() -> None:
     at = datetime(2026, 11, 25, 6, tzinfo=UTC)
     shift = Shift(at, at, 100.0, 50.0, 5.0, 8, 6)
-    seen = Seen(figures=ShiftFigures({"inserted": 6}, shift, (("arm.limit", 2, "limit"),)))
+    seen = WatchedState(figures=ShiftFigures({"inserted": 6}, shift, (("arm.limit", 2, "limit"),)))
     view = live_view(seen, 0.0)
     texts = {"Yield": "75%", "Availability": "50%", "Performance": "80%", "OEE": "30%"}
     assert view.shift == texts
     assert view.reasons == (("arm.limit", 2, "limit"),)
     none = replace(shift, cables=0, inserted=0, running_s=0.0)
-    seen = Seen(figures=ShiftFigures({}, none, ()))
+    seen = WatchedState(figures=ShiftFigures({}, none, ()))
     assert live_view(seen, 0.0).shift["Yield"] == "–"
 
 
 def test_the_shift_under_way_may_have_begun_yesterday() -> None:
     times = ("06:00", "14:00", "22:00")
     night = datetime(2026, 11, 25, 3, 0).astimezone()
-    assert shift_begun(times, night) == datetime(2026, 11, 24, 22, 0).astimezone()
-    assert shift_begun(times, night.replace(hour=14)).hour == 14
+    assert shift_start(times, night) == datetime(2026, 11, 24, 22, 0).astimezone()
+    assert shift_start(times, night.replace(hour=14)).hour == 14
 
 
 def test_cycles_as_rows_and_errors_as_a_chart() -> None:
@@ -145,7 +152,7 @@ def test_a_german_page_says_causes_remedies_and_reasons_in_german() -> None:
     status = replace(IDLE, fault=fault, adapters={"handshake": trouble})
     missed = "the tip missed the destination by 1.20 mm"
     figures = ShiftFigures({}, None, (("missed", 2, missed), ("arm.limit", 1, error.cause)))
-    view = live_view(replace(seen_after(Seen(), status), figures=figures), 0.0)
+    view = live_view(replace(state_after(WatchedState(), status), figures=figures), 0.0)
     assert view.fault is not None
     late = "der Befehl kam 12,3 ms nach dem Zeitpunkt, zu dem er beginnen sollte"
     assert fault_texts(view.fault, t) == (
@@ -168,3 +175,29 @@ def test_a_german_page_says_causes_remedies_and_reasons_in_german() -> None:
     row = history_row(replace(cycle, reason=missed, numbers={"measured_miss_m": 1.5e-3}), t)
     assert (row["outcome"], row["measured"]) == ("verfehlt", "+1,50")
     assert row["why"] == "die Spitze verfehlte das Ziel um 1,20 mm"
+
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_charts_look_at_one_product_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def said(results: list[Result]) -> list[str]:
+        return [f"{len(results)} cycles"] if results else []
+
+    monkeypatch.setattr(history, "signals", said)
+    settings = load_settings(ROOT / "config" / "products.yaml")
+    soft, stiff = settings.products
+    line = line_name(settings)
+    ledger = Ledger(tmp_path / "runs", create=True)
+    made = [soft, stiff, soft, None]
+    ledger.write([ended(n, line=line, product=of) for n, of in enumerate(made, 1)])
+    assert history.changes_of(ledger, settings, None, str) == [
+        f"{soft}: 2 cycles",
+        f"{stiff}: 1 cycles",
+    ]
+    assert history.changes_of(ledger, settings, stiff, str) == [f"{stiff}: 1 cycles"]
+    alone = settings.model_copy(update={"products": {}})
+    assert history.changes_of(ledger, alone, None, str) == ["1 cycles"]
+    ledger.close()

@@ -18,7 +18,7 @@ STUDY = {"my study/study.yaml": b"format: x", "my study/swing/markers.csv": b"t_
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Workspace:
-    return Workspace.beside(tmp_path / "runs")
+    return Workspace.of_runs(tmp_path / "runs")
 
 
 def archive(files: dict[str, bytes], *, links: tuple[str, ...] = ()) -> io.BytesIO:

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ import pytest
 from cell.workers.cluster import cluster
 from cell.workers.here import LocalCores, OneAfterAnother
 from tests.cell.lab.conftest import make_study
+from tests.waiting import wait_until
 
 __all__ = ["make_study"]
 
@@ -73,13 +73,6 @@ class Dask:
         return "\n".join(file.read_text() for file in sorted(self.folder.glob("*.log")))
 
 
-def wait_until(what, told=lambda: "") -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not what():
-        assert time.monotonic() < end_s, told()
-        time.sleep(0.05)
-
-
 @contextmanager
 def dask(folder: Path) -> Iterator[Dask]:
     found = Dask(folder)
@@ -89,7 +82,7 @@ def dask(folder: Path) -> Iterator[Dask]:
                     "--no-dashboard", "--scheduler-file", file)  # fmt: skip
         found.start_worker("a")  # both wait for the scheduler's file
         found.start_worker("b")
-        wait_until((folder / "scheduler.json").exists, found.log)
+        wait_until((folder / "scheduler.json").exists, why=found.log)
         yield found
     finally:
         for name in list(found.processes):

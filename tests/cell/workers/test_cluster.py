@@ -15,13 +15,12 @@ from cell.lab.line.identify_all import identify_all
 from cell.lab.line.recordings import packer, recordings_in
 from cell.study.folder import write_study
 from cell.workers.cluster import Cluster, cluster
-from cell.workers.executor import WorkersError
-from cell.workers.here import LocalCores, OneAfterAnother
+from cell.workers.executor import WorkersError, place
+from cell.workers.here import LocalCores, OneAfterAnother, executor
 from cell.workers.identity import code_hash
-from cell.workers.opened import executor
-from cell.workers.place import place
 from tests.cell.workers import jobs
-from tests.cell.workers.conftest import ROOT, wait_until, when_both_are_there
+from tests.cell.workers.conftest import ROOT, when_both_are_there
+from tests.waiting import wait_until
 
 
 def test_what_a_killed_worker_was_doing_is_done_by_the_other(cluster_of_two, tmp_path):
@@ -70,7 +69,7 @@ def test_a_worker_that_would_give_other_results_is_refused_by_name(cluster_of_tw
             return len(told) == 3
 
     try:
-        wait_until(refused, lambda: str(told))
+        wait_until(refused, why=lambda: str(told))
     finally:
         cluster_of_two.end("c", signal.SIGKILL)
     where = rf"--workers {cluster_of_two.address}: worker tcp://127.0.0.1:\d+ has "

@@ -48,6 +48,6 @@ def build(visit: Visit) -> None:
 
 def _newest(desk: Desk) -> Subject | None:
     """The study that is worked on, else the newest one."""
-    jobs = [j.task.subject for j in desk.lab.jobs.seen()]
+    jobs = [j.task.subject for j in desk.lab.jobs.listed()]
     names = (*jobs, *desk.workspace.names(desk.workspace.studies))
     return next((s for name in names if (s := desk.find(name)) is not None), None)

@@ -62,9 +62,9 @@ class ModelsPanel:
     def _fit(self) -> None:
         desk, name = self._desk, str(self._name.value or "").strip()
         if desk.subject is None:
-            desk.told(self._t("Choose a study first."))
+            desk.notify_refusal(self._t("Choose a study first."))
         elif not is_name(name):
-            desk.told(self._t("A name has letters, digits, _, - and dots."))
+            desk.notify_refusal(self._t("A name has letters, digits, _, - and dots."))
         else:
             effects = [desk.effect_file(e) for e in self._chosen()]
             desk.ask(desk.tasks.fit(desk.subject, name, effects, bool(self._line.value)))
@@ -72,7 +72,7 @@ class ModelsPanel:
     def _compare(self) -> None:
         desk, models = self._desk, list(self._models.value or [])
         if desk.subject is None or not models:
-            desk.told(self._t("Fit a model first."))
+            desk.notify_refusal(self._t("Fit a model first."))
         else:
             desk.ask(desk.tasks.compare(desk.subject, models, ()))
 

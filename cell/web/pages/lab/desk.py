@@ -10,10 +10,10 @@ from typing import Any
 
 from nicegui import run, ui
 
-from cell.web.cycles import cycle_folder
+from cell.plant.users import Role
+from cell.web.cycle_view import cycle_folder
 from cell.web.jobs import Job, JobTask
 from cell.web.lab_tasks import PREVIEW, LabTasks, Subject
-from cell.web.users import Role
 from cell.web.visit import Visit
 from cell.web.workspace import is_name
 
@@ -77,7 +77,7 @@ class Desk:
 
     def newest_job(self) -> Job | None:
         """The newest job of the study chosen."""
-        found = (j for j in self.lab.jobs.seen() if j.task.subject == self._name)
+        found = (j for j in self.lab.jobs.listed() if j.task.subject == self._name)
         return next(found, None)
 
     def ask(self, task: JobTask, asked_s: float | None = None) -> bool:
@@ -96,26 +96,26 @@ class Desk:
         words = task.typed.splitlines()[-1]
         refused = visit.do(f"lab {task.title.lower()}", Role.engineer, act, words, asked_s=asked_s)
         self.asked()
-        self.told(refused)
+        self.notify_refusal(refused)
         return not refused
 
-    async def at_once(self, words: Sequence[str]) -> bool:
+    async def run_promotion(self, words: Sequence[str]) -> bool:
         """Run a promotion, audited with its true result; whether it was done."""
         said: list[str] = []
 
         def act() -> str:
             ran = self.lab.promoted(words)
             said.append(ran.printed.strip())
-            return "" if ran.code == 0 else ran.said.strip() or "it took too long"
+            return "" if ran.code == 0 else ran.output.strip() or "it took too long"
 
         typed = shlex.join(["cell", *words])
         refused = await run.io_bound(self.visit.do, f"lab {words[0]}", Role.engineer, act, typed)
-        self.told(refused)
+        self.notify_refusal(refused)
         if not refused and said:
             ui.notify(said[0], type="positive", multi_line=True, close_button=self.t("Close"))
         return not refused
 
-    def told(self, refused: str | None) -> None:
+    def notify_refusal(self, refused: str | None) -> None:
         """Say why something was not done."""
         if refused:
             ui.notify(
@@ -196,7 +196,7 @@ def first_lines(log: Path | None, most: int = 6) -> list[str]:
     return told
 
 
-def told_lines(log: Path | None, heads: Sequence[str]) -> list[str]:
+def notes_after_tables(log: Path | None, heads: Sequence[str]) -> list[str]:
     """What a command told after its tables, from a line that is one of `heads` on."""
     lines = _lines(log)
     begins = [i for i, line in enumerate(lines) if line.strip() in heads]

@@ -67,14 +67,14 @@ class DiagnosePanel:
     def _diagnose(self) -> None:
         desk = self._desk
         if desk.subject is None:
-            desk.told(self._t("Choose a study first."))
+            desk.notify_refusal(self._t("Choose a study first."))
             return
         desk.ask(desk.tasks.diagnose(desk.subject, *self._names(), bool(self._line.value)))
 
     def _suggest(self) -> None:
         desk = self._desk
         if desk.subject is None:
-            desk.told(self._t("Choose a study first."))
+            desk.notify_refusal(self._t("Choose a study first."))
             return
         desk.ask(desk.tasks.suggest(desk.subject, *self._names()))
 

@@ -54,11 +54,11 @@ class LinePanel:
     def _learn(self) -> None:
         desk, name = self._desk, str(self._name.value or "").strip()
         if not is_name(name):
-            desk.told(self._t("A name has letters, digits, _, - and dots."))
+            desk.notify_refusal(self._t("A name has letters, digits, _, - and dots."))
             return
         cycles = desk.cycles if self._selected.value else []
         if self._selected.value and not cycles:
-            desk.told(self._t("Select cycles under Study first."))
+            desk.notify_refusal(self._t("Select cycles under Study first."))
             return
         settings, own = desk.visit.room.settings, [str(e) for e in self._own.value or []]
         url = None if settings.ledger is None else settings.ledger.url
@@ -112,11 +112,11 @@ class LinePanel:
                 yes.props("text-color=white data-test=promote-yes")
         sure = await asked
         asked.delete()
-        if sure and await self._desk.at_once(self._desk.tasks.promote(name)):
+        if sure and await self._desk.run_promotion(self._desk.tasks.promote(name)):
             await self._desk.changed()
 
     async def _undo(self) -> None:
-        if await self._desk.at_once(self._desk.tasks.undo()):
+        if await self._desk.run_promotion(self._desk.tasks.undo()):
             await self._desk.changed()
 
 

@@ -10,11 +10,11 @@ from typing import Any
 from nicegui import run, ui
 
 from cell.cable.effects import library
-from cell.web.lab import Checked
+from cell.plant.users import Role
+from cell.web.lab import CheckedFile
 from cell.web.pages.lab.compare import ComparePanel
 from cell.web.pages.lab.desk import Desk, heading, output
 from cell.web.theme import BLUE
-from cell.web.users import Role
 
 #: A text is checked when nothing was typed for so long, s.
 _PAUSE_S = 0.5
@@ -106,7 +106,7 @@ class OwnEffectPanel:
             try:
                 self._editor.value = path.read_text(encoding="utf-8")
             except (OSError, ValueError) as error:
-                self._desk.told(str(error))
+                self._desk.notify_refusal(str(error))
 
     async def _changed(self) -> None:
         self._typed += 1
@@ -115,11 +115,11 @@ class OwnEffectPanel:
         if typed == self._typed:
             await self._check()
 
-    async def _check(self) -> Checked | None:
+    async def _check(self) -> CheckedFile | None:
         """Check what is typed now; None = something else was typed meanwhile."""
         desk, typed, text = self._desk, self._typed, str(self._editor.value)
-        if not desk.visit.may(Role.engineer):
-            desk.told(desk.visit.do("lab check", Role.engineer, str))
+        if not desk.visit.has_role(Role.engineer):
+            desk.notify_refusal(desk.visit.do("lab check", Role.engineer, str))
             return None
         self._icon.props("name=hourglass_empty")
         checked = await run.io_bound(desk.lab.check_effect, named(text), text)
@@ -128,8 +128,8 @@ class OwnEffectPanel:
         self._icon.props(f"name={'check_circle' if checked.good else 'error'}")
         self._icon.style(f"color: {'#2c9e4b' if checked.good else '#d64545'}")
         right = f"{self._t('The effect is right.')} {checked.law}"
-        self._said.text = right if checked.good else "\n".join(checked.said)
-        lines = {int(n) for said in checked.said for n in _LINE.findall(said)}
+        self._said.text = right if checked.good else "\n".join(checked.output)
+        lines = {int(n) for said in checked.output for n in _LINE.findall(said)}
         count = len(text.splitlines())
         self._editor.decorations = [
             {"kind": "line", "line": n, "class": "wrong-line"} for n in lines if 0 < n <= count
@@ -139,7 +139,7 @@ class OwnEffectPanel:
     def _infer(self) -> None:
         desk = self._desk
         if desk.subject is None:
-            desk.told(self._t("Choose a study first."))
+            desk.notify_refusal(self._t("Choose a study first."))
             return
         beside = [desk.effect_file(str(b)) for b in self._beside.value or []]
         desk.ask(desk.tasks.discover(desk.subject, free_name(desk.own_effects()), beside))
@@ -147,7 +147,7 @@ class OwnEffectPanel:
     async def _fit(self) -> None:
         desk, text = self._desk, str(self._editor.value)
         if desk.subject is None:
-            desk.told(self._t("Choose a study first."))
+            desk.notify_refusal(self._t("Choose a study first."))
             return
         name = named(text)
         refused = await run.io_bound(
@@ -157,7 +157,7 @@ class OwnEffectPanel:
             lambda: desk.lab.save_effect(name, text),
             f"{name}.py",
         )
-        desk.told(refused)
+        desk.notify_refusal(refused)
         if not refused:
             beside = [desk.effect_file(str(b)) for b in self._beside.value or [] if b != name]
             desk.ask(desk.tasks.fit_own(desk.subject, name, beside))

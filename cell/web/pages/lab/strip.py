@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from nicegui import ui
 
+from cell.plant.users import Role
 from cell.web.jobs import OPEN, Job, JobState
 from cell.web.pages.lab.desk import Desk
 from cell.web.theme import AMBER, BLUE, GREEN, N_, RED
-from cell.web.users import Role
 
 _EVERY_S = 0.4
 _WORDS = {
@@ -40,7 +40,7 @@ class Strip:
         self._show()
 
     async def _update(self) -> None:
-        if not self._desk.visit.may(Role.engineer, used=False):
+        if not self._desk.visit.has_role(Role.engineer, used=False):
             ui.navigate.to("/login")
             return
         if self._version == self._desk.lab.jobs.version:
@@ -53,7 +53,7 @@ class Strip:
 
     def _show(self) -> None:
         self._version = self._desk.lab.jobs.version
-        jobs = self._desk.lab.jobs.seen()
+        jobs = self._desk.lab.jobs.listed()
         shown = [j for j in jobs if j.state in OPEN][::-1]
         shown += [j for j in jobs if j.state not in OPEN][: max(1, 2 - len(shown))]
         for i, row in enumerate(self._rows):
@@ -61,7 +61,7 @@ class Strip:
         self._card.set_visibility(bool(shown))
 
     def _ended_jobs(self) -> set[int]:
-        return {j.number for j in self._desk.lab.jobs.seen() if j.state not in OPEN}
+        return {j.number for j in self._desk.lab.jobs.listed() if j.state not in OPEN}
 
 
 class _StripRow:
@@ -99,13 +99,13 @@ class _StripRow:
         if job.share is not None:
             self._bar.props(remove="indeterminate")
             self._bar.value = round(job.share, 3)
-        self._said.text = "\n".join(job.said[-_LINES:])
-        self._said.set_visibility(bool(job.said))
+        self._said.text = "\n".join(job.output[-_LINES:])
+        self._said.set_visibility(bool(job.output))
         self._typed.text = job.task.typed.splitlines()[min(job.step, steps - 1)]
 
     def _cancelled(self) -> None:
         desk, number = self._desk, self._number
-        desk.told(
+        desk.notify_refusal(
             desk.visit.do(
                 "lab cancel", Role.engineer, lambda: desk.lab.jobs.cancel(number), str(number)
             )

@@ -2,27 +2,124 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from nicegui import run, ui
 
-from cell.records.ledger.error import LedgerError
-from cell.records.ledger.ledger import Ledger, Wanted
-from cell.settings.referred import line_of
-from cell.web.cycles import cycle_folder
+from cell.plant.users import Role
+from cell.records.ledger.entry import LedgerError
+from cell.records.ledger.ledger import Ledger, LedgerQuery
+from cell.settings.provenance import line_name
+from cell.web.cycle_view import cycle_folder
+from cell.web.guard import MOST_BYTES
 from cell.web.lab_tasks import MAPPING, PREVIEW, CableEntries, Subject
 from cell.web.pages.lab.desk import (
     Desk,
     frame,
     heading,
+    notes_after_tables,
     output,
-    told_lines,
 )
-from cell.web.pages.lab.drop import drop_zone
 from cell.web.theme import BLUE, N_
-from cell.web.users import Role
 from cell.web.views import history_row
 from cell.web.workspace import plain
+
+_SCRIPT = """
+(() => {
+  const zone = document.querySelector('[data-test=drop]');
+  if (!zone || zone.dataset.ready) return;
+  zone.dataset.ready = 'yes';
+  const say = text => { zone.querySelector('.drop-said').textContent = text; };
+  const send = files => {
+    const total = files.reduce((sum, f) => sum + f.file.size, 0);
+    if (!files.length) return;
+    if (total > MOST) { say(TOO_LARGE); return; }
+    const form = new FormData();
+    for (const {file, name} of files) form.append('files', file, name);
+    const request = new XMLHttpRequest();
+    request.open('POST', '/lab/upload');
+    request.upload.onprogress = e => say(Math.round(100 * e.loaded / e.total) + ' %');
+    request.onerror = () => say(BROKEN);
+    request.onload = () => {
+      let answer = {error: request.status + ' ' + request.statusText};
+      try { answer = JSON.parse(request.responseText); } catch {}
+      say('');
+      emitEvent('lab_uploaded', answer);
+    };
+    request.send(form);
+  };
+  const walk = async (entry, into) => {
+    if (entry.isFile) {
+      const file = await new Promise((good, bad) => entry.file(good, bad));
+      into.push({file, name: entry.fullPath.replace(/^\\//, '')});
+    } else {
+      const reader = entry.createReader();
+      for (;;) {
+        const some = await new Promise((good, bad) => reader.readEntries(good, bad));
+        if (!some.length) break;
+        for (const one of some) await walk(one, into);
+      }
+    }
+  };
+  zone.ondragover = e => { e.preventDefault(); zone.classList.add('drop-over'); };
+  zone.ondragleave = () => zone.classList.remove('drop-over');
+  zone.ondrop = async e => {
+    e.preventDefault();
+    zone.classList.remove('drop-over');
+    const entries = [...e.dataTransfer.items].map(i => i.webkitGetAsEntry()).filter(Boolean);
+    const found = [];
+    for (const entry of entries) await walk(entry, found);
+    send(found);
+  };
+  for (const input of zone.querySelectorAll('input')) {
+    input.onchange = () => {
+      send([...input.files].map(f => ({file: f, name: f.webkitRelativePath || f.name})));
+      input.value = '';
+    };
+  }
+})();
+"""
+_CSS = """
+.drop-zone { border: 2px dashed #8a94a3; border-radius: 8px; padding: 1.2rem; }
+.drop-over { border-color: #0b7fab; background: #0b7fab22; }
+.drop-zone label { cursor: pointer; text-decoration: underline; padding: 0.5rem; }
+.drop-zone input { position: absolute; width: 1px; height: 1px; opacity: 0; }
+.drop-zone label:focus-within { outline: 3px solid #f5b301; }
+"""
+
+
+def drop_zone(desk: Desk, uploaded: Callable[[dict[str, Any]], Awaitable[None]]) -> None:
+    """Make it; `uploaded` gets what the server answered to an upload that was taken."""
+    t = desk.t
+    ui.add_css(_CSS)
+    with ui.element("div").classes("drop-zone w-full").props("data-test=drop"):
+        ui.label(t("Drop a study's folder, a .zip of it, or tables (CSV, TRC, C3D) here."))
+        with ui.row().classes("gap-2"):
+            for name, words, options in (
+                ("files", N_("Choose files"), "multiple"),
+                ("folder", N_("Choose a folder"), "webkitdirectory"),
+            ):
+                with ui.element("label"):
+                    ui.label(t(words)).classes("inline")
+                    ui.element("input").props(f"type=file {options} data-test=upload-{name}")
+        ui.label(f"{t('At most')} {MOST_BYTES >> 20} MiB").classes("text-sm opacity-70")
+        ui.label().classes("drop-said font-bold")
+
+    async def heard(event: Any) -> None:
+        answer = event.args if isinstance(event.args, dict) else {}
+        if "error" in answer:
+            desk.notify_refusal(str(answer["error"]))
+        elif isinstance(answer.get("name"), str):
+            await uploaded(answer)
+
+    ui.on("lab_uploaded", heard)
+    script = _SCRIPT.replace("MOST", str(MOST_BYTES - 65536))
+    script = script.replace("TOO_LARGE", json.dumps(t("Too large: upload less at once.")))
+    script = script.replace("BROKEN", json.dumps(t("The connection broke: try again.")))
+    ui.timer(0.1, lambda: ui.run_javascript(script), once=True)
+
 
 #: The newest cycles are offered, so many.
 _MOST_CYCLES = 200
@@ -96,7 +193,7 @@ class StudyPanel:
                 self._mapping(subject)
                 return
             log = desk.result("look.txt")
-            said = told_lines(log, ("Odd:", "To be mended:", "Nothing is odd."))
+            said = notes_after_tables(log, ("Odd:", "To be mended:", "Nothing is odd."))
             told = ui.label("\n".join(line for line in said if not line.endswith(_PICTURES)))
             told.classes("break-words whitespace-pre-wrap").props("data-test=look-said")
             output(self._t("As the command prints it"), log)
@@ -104,7 +201,7 @@ class StudyPanel:
             if page is not None:
                 frame(desk, "look.html", self._t("Pictures of every trial"), page)
             look = ui.button(self._t("Look at it"), icon="visibility")
-            look.on_click(lambda: desk.ask(desk.tasks.look(subject)))
+            look.on_click(lambda: desk.ask(desk.tasks.show_study(subject)))
             look.props("outline data-test=look")
 
     def _mapping(self, subject: Subject) -> None:
@@ -130,7 +227,7 @@ class StudyPanel:
                 lambda: desk.lab.save_mapping(path, editor.value),
                 subject.name,
             )
-            desk.told(refused)
+            desk.notify_refusal(refused)
             if not refused:
                 desk.ask(desk.tasks.write_study(subject))
 
@@ -216,19 +313,19 @@ class _Cycles:
     async def _opened(self, event: Any) -> None:
         if not event.value:
             return
-        found = await run.io_bound(self._found)
+        found = await run.io_bound(self._query)
         if found is not None:
             self._table.rows, self._said.text = found
             self._said.set_visibility(bool(self._said.text))
 
-    def _found(self) -> tuple[list[dict[str, str]], str]:
+    def _query(self) -> tuple[list[dict[str, str]], str]:
         room = self._desk.visit.room
         if room.settings.ledger is None:
             return [], self._t("the settings say `ledger: null`: no cycles are listed")
         try:
             ledger = Ledger(room.settings.ledger.url or room.runs)
             try:
-                wanted = Wanted(line=line_of(room.settings))
+                wanted = LedgerQuery(line=line_name(room.settings))
                 cycles = reversed(ledger.listed(wanted, _MOST_CYCLES))
                 return [history_row(cycle, self._t) for cycle in cycles], ""
             finally:
@@ -244,14 +341,14 @@ class _Cycles:
 
     async def _use(self) -> None:
         if len(self._desk.cycles) != 1:
-            self._desk.told(self._t("Select one cycle."))
+            self._desk.notify_refusal(self._t("Select one cycle."))
             return
         await self._desk.choose(self._desk.cycles[0].name)
 
     async def _gather(self) -> None:
         desk = self._desk
         if len(desk.cycles) < 2:
-            desk.told(self._t("Select two cycles or more, of one cable."))
+            desk.notify_refusal(self._t("Select two cycles or more, of one cable."))
             return
         first = desk.cycles[0].name.replace(".", "_")
         name = plain(f"cycles_{first}_{len(desk.cycles)}")

@@ -38,7 +38,7 @@ def test_it_is_left_out_and_told(study):
     xy_m = trial.markers.xy_m.copy()
     xy_m[21, 0, 1] += 1.5e-3  # while it swings
     spoilt = replace(study, trials=(replace(trial, markers=replace(trial.markers, xy_m=xy_m)),))
-    assert left_out.without_wrong_samples(spoilt).notes == ()
+    assert left_out.without_outliers(spoilt).notes == ()
     cleaned, told = without_outliers(fit_cache_of(spoilt, EffectSelection((), {})))
     assert len(told) == 1 and "line 23, y0_m by +1." in told[0]
     expected = xy_m.copy()

@@ -11,7 +11,6 @@ import pytest
 from rich.console import Console
 
 from cell.cable.effects import library
-from cell.cli.text_table import text_table
 from cell.files.table import TableData
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
@@ -27,7 +26,7 @@ from cell.lab.search.fit_cache import FitCache, SearchSetup, with_lower_baseline
 from cell.lab.search.fitted_model import model_of_fit
 from cell.lab.strength.compare import compare_model
 from cell.study.data import Markers
-from cell.terminal.fitting import show
+from cell.terminal.fitting import show, text_table
 from tools.studies.contradictions import contradictions
 
 KNOWN = library()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,15 +12,23 @@ from typing import Self
 import pytest
 
 from cell.plant.handshake.adapter import HandshakeAdapter
-from cell.plant.handshake.carrier import Carrier, Heard, bits_of, inputs_of
+from cell.plant.handshake.carrier import (
+    UNKNOWN,
+    Carrier,
+    Inputs,
+    LatestBits,
+    Outputs,
+    bits_of,
+    inputs_of,
+)
 from cell.plant.handshake.controller import ControllerCarrier
 from cell.plant.handshake.modbus import ModbusCarrier
-from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
 from cell.plant.link import Link
 from cell.plant.messages import CommandReply, FaultNotice, MessageKind, Request, Status, to_json
 from cell.run.machine import CellState, EventRefusedError, Machine, MachineEvent
-from cell.settings.plant.handshake import Handshake
+from cell.settings.plant import Handshake
 from drivers.emulators.launch import EmulatedController
+from tests.waiting import free_port
 from tools.faults.scripted_plc import (
     OUTPUTS,
     SILENCE_S,
@@ -35,19 +42,6 @@ from tools.faults.scripted_plc import (
 BEGUN = Status(run="", sequence=0, state=CellState.STOPPED, since_s=0.0, line="L1")
 #: Duration of a cycle, s: a few looks of the adapter.
 CYCLE_S = 0.4
-
-
-def wait_until(reached: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + 20.0
-    while not reached():
-        assert time.monotonic() < until_s
-        time.sleep(0.01)
-
-
-def free_port() -> int:
-    with socket.socket() as bound:
-        bound.bind(("127.0.0.1", 0))
-        return int(bound.getsockname()[1])
 
 
 class FakeCell:
@@ -151,7 +145,7 @@ class FakeWire:
     """Bits in memory."""
 
     def __init__(self, silence_s: float) -> None:
-        self.heard = Heard(silence_s, "the fake is silent")
+        self.heard = LatestBits(silence_s, "the fake is silent")
         self.told: frozenset[int] = frozenset()
 
     def write(self, bits: Sequence[bool]) -> None:

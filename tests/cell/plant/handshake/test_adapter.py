@@ -8,14 +8,9 @@ import pytest
 
 from cell.plant.handshake.adapter import HandshakeAdapter
 from cell.run.machine import CellState, MachineEvent
-from cell.settings.plant.handshake import Handshake
-from tests.cell.plant.handshake.conftest import (
-    FakeCarrier,
-    FakeCell,
-    FakeWire,
-    Wired,
-    wait_until,
-)
+from cell.settings.plant import Handshake
+from tests.cell.plant.handshake.conftest import FakeCarrier, FakeCell, FakeWire, Wired
+from tests.waiting import wait_until
 from tools.faults.scripted_plc import HABITS, Plc, places, play
 
 
@@ -102,7 +97,7 @@ def test_a_start_that_waited_while_the_adapter_was_halted_starts_nothing(
 
     def looks() -> None:
         for _ in range(3):
-            adapter.look()
+            adapter.poll()
 
     plc.say(part_present=True, upstream_ready=True, downstream_ready=True)
     looks()

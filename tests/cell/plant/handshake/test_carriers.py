@@ -8,9 +8,9 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from cell.plant.handshake.carrier import Carrier, CarrierError
-from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
-from tests.cell.plant.handshake.conftest import Wired, wait_until, wired_by
+from cell.plant.handshake.carrier import UNKNOWN, Carrier, CarrierError, Inputs, Outputs
+from tests.cell.plant.handshake.conftest import Wired, wired_by
+from tests.waiting import wait_until
 from tools.faults.scripted_plc import INPUTS, OUTPUTS, Plc
 
 QUIET = Inputs(part_present=False, upstream_ready=False, downstream_ready=False)

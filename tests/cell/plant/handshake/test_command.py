@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +15,9 @@ import yaml
 
 from cell.files.input_error import InputError
 from cell.settings import load_settings
-from tests.cell.plant.handshake.conftest import FakeCell, Wired, wait_until, wired_by
+from cell.settings.plant import Handshake, Plant, signals_of
+from tests.cell.plant.handshake.conftest import FakeCell, Wired, wired_by
+from tests.waiting import wait_until
 from tools.faults.scripted_plc import SILENCE_S
 
 CONFIG = Path(__file__).parents[4] / "config"
@@ -84,8 +88,26 @@ def test_settings_that_cannot_be_meant_are_refused(
 
 
 def test_the_arms_controller_has_the_signals_unless_another_is_named(tmp_path: Path) -> None:
-    from cell.settings.check_plant import controller_of
+    from cell.settings.check import controller_of
 
     for named, host in (({}, "192.168.3.10"), ({"host": "plc-io"}, "plc-io")):
         config = with_handshake(tmp_path / "line.yaml", "line3.yaml", carrier="controller", **named)
         assert controller_of(load_settings(config)) == host
+
+
+PAGE = (Path(__file__).parents[4] / "docs" / "plant.md").read_text(encoding="utf-8")
+
+
+def test_the_settings_that_are_shown_are_accepted() -> None:
+    blocks = re.findall(r"(?m)^    plant:\n(?:     .*\n)+", PAGE)
+    plain = [yaml.safe_load(textwrap.dedent(b))["plant"] for b in blocks]
+    shown = [Plant.model_validate(section) for section in plain if "handshake" in section]
+    carriers = [plant.handshake.carrier for plant in shown if plant.handshake is not None]
+    assert carriers == ["modbus", "controller"]
+
+
+def test_the_tables_have_the_numbers_of_the_settings() -> None:
+    rows = re.findall(r"(?m)^\| (\d+) \| `(\w+)` \|", PAGE)
+    said = Handshake()
+    wanted = [(str(at.number), name) for name, at in signals_of(said.inputs)]
+    assert rows == wanted + [(str(at.number), name) for name, at in signals_of(said.outputs)]

@@ -10,11 +10,10 @@ import threading
 import pytest
 from pymodbus.client import ModbusTcpClient
 
-from cell.plant.handshake.carrier import CarrierError
+from cell.plant.handshake.carrier import UNKNOWN, CarrierError, Inputs, Outputs
 from cell.plant.handshake.modbus import ModbusCarrier
-from cell.plant.handshake.signals import UNKNOWN, Inputs, Outputs
-from cell.settings.plant.handshake import Handshake
-from tests.cell.plant.handshake.conftest import free_port
+from cell.settings.plant import Handshake
+from tests.waiting import free_port
 
 
 def test_bits_have_their_numbers_and_each_has_to_be_written() -> None:

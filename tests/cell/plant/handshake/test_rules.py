@@ -7,10 +7,18 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell.plant.folded import possible_in
-from cell.plant.handshake.rules import Ask, Memory, PlcInputs, away, look, not_obeyed, obeyed
-from cell.plant.handshake.signals import Inputs, Outputs
+from cell.plant.handshake.carrier import Inputs, Outputs
+from cell.plant.handshake.rules import (
+    Ask,
+    Memory,
+    PlcInputs,
+    evaluate,
+    inputs_lost,
+    not_obeyed,
+    obeyed,
+)
 from cell.plant.messages import FaultNotice, Status
+from cell.plant.status_reducer import possible_in
 from cell.run.machine import CellState, MachineEvent
 
 FAULT = FaultNotice(1, "grip", "no cable", 0.0)
@@ -47,7 +55,7 @@ def test_a_start_needs_an_edge_a_part_and_ready_and_no_fault(
     memory, outputs, start_was = Memory(), Outputs(), True
     for inputs, now in seen:
         ready_was = outputs.ready
-        asks, outputs, memory = look(inputs, now, memory)
+        asks, outputs, memory = evaluate(inputs, now, memory)
         assert len(asks) <= 1
         assert not (outputs.ready and (outputs.busy or outputs.fault))
         assert outputs.done + outputs.rejected + outputs.busy <= 1
@@ -71,7 +79,7 @@ def test_a_start_needs_an_edge_a_part_and_ready_and_no_fault(
 def test_an_idle_cell_gets_at_most_one_start_for_an_edge(levels: list[bool]) -> None:
     memory, starts = Memory(), 0
     for level in levels:
-        asks, _, memory = look(Inputs(start=level), status(CellState.IDLE), memory)
+        asks, _, memory = evaluate(Inputs(start=level), status(CellState.IDLE), memory)
         starts += len(asks)
     edges = sum(not a and b for a, b in zip([True, *levels], levels, strict=False))
     assert starts == edges
@@ -80,7 +88,7 @@ def test_an_idle_cell_gets_at_most_one_start_for_an_edge(levels: list[bool]) -> 
 def commands(
     inputs: Inputs, now: Status | None, memory: Memory
 ) -> tuple[list[MachineEvent], Outputs, Memory]:
-    asks, outputs, memory = look(inputs, now, memory)
+    asks, outputs, memory = evaluate(inputs, now, memory)
     return [ask.command for ask in asks], outputs, memory
 
 
@@ -88,7 +96,7 @@ IDLE, EXECUTE = status(CellState.IDLE), status(CellState.EXECUTE)
 
 
 def ready_memory() -> Memory:
-    asks, outputs, memory = look(Inputs(), IDLE, Memory())
+    asks, outputs, memory = evaluate(Inputs(), IDLE, Memory())
     assert not asks and outputs == Outputs(ready=True)
     return memory
 
@@ -103,7 +111,7 @@ def test_a_start_that_is_held_at_connection_or_after_a_fault_does_nothing() -> N
     _, outputs, memory = commands(Inputs(), IDLE, memory)
     assert outputs.ready
     assert commands(held, IDLE, memory)[0] == [MachineEvent.START]
-    assert commands(held, IDLE, away(memory))[0] == []
+    assert commands(held, IDLE, inputs_lost(memory))[0] == []
 
 
 def test_the_outcome_is_told_until_start_changes() -> None:
@@ -152,7 +160,7 @@ def test_results_of_another_run_or_of_before_are_not_told() -> None:
 def test_machines_beside_the_cell_suspend_it_once_and_let_it_go_on() -> None:
     memory = ready_memory()
     blocked = Inputs(downstream_ready=False)
-    asks, _, memory = look(blocked, EXECUTE, memory)
+    asks, _, memory = evaluate(blocked, EXECUTE, memory)
     assert asks == (Ask(MachineEvent.SUSPEND, "downstream"),)
     assert commands(blocked, EXECUTE, memory)[0] == []
     assert commands(Inputs(), EXECUTE, memory)[0] == [
@@ -193,7 +201,7 @@ def test_a_reset_follows_only_its_own_clear_and_nothing_else() -> None:
     pressed = Inputs(acknowledge=True)
     aborted, stopped = status(CellState.ABORTED, fault=FAULT), status(CellState.STOPPED)
     before = ready_memory()
-    asks, _, cleared = look(pressed, aborted, before)
+    asks, _, cleared = evaluate(pressed, aborted, before)
     between: list[tuple[Inputs, Status | None]] = [
         (pressed, aborted),  # failed again
         (pressed, IDLE),  # somebody else reset it
@@ -205,7 +213,7 @@ def test_a_reset_follows_only_its_own_clear_and_nothing_else() -> None:
         asked, _, memory = commands(inputs, now, cleared)
         assert MachineEvent.RESET not in asked
         assert commands(pressed, replace(stopped, run=memory.run or "r"), memory)[0] == []
-    for lost in (away(cleared), not_obeyed(asks[0], before, cleared)):
+    for lost in (inputs_lost(cleared), not_obeyed(asks[0], before, cleared)):
         assert commands(replace(pressed, acknowledge=False), stopped, lost)[0] == []
     assert commands(pressed, stopped, before)[0] == [MachineEvent.RESET]  # after a stop
 
@@ -231,7 +239,7 @@ def test_every_acknowledgement_is_used_once(seen: list[tuple[Inputs, Status | No
     for inputs, now in seen:
         if inputs.acknowledge and not was:
             used = set()
-        asks, _, memory = look(inputs, now, memory)
+        asks, _, memory = evaluate(inputs, now, memory)
         for ask in asks:
             assert ask.command not in used
             used |= {ask.command} & {MachineEvent.CLEAR, MachineEvent.RESET}
@@ -256,27 +264,27 @@ def test_a_stop_stops_once_and_waits_for_a_cell_that_is_away() -> None:
 def test_an_outcome_is_told_after_the_plc_was_away_until_start_changes() -> None:
     made = status(CellState.IDLE, counts={"inserted": 1}, last={"outcome": "inserted"})
     for start in (False, True):
-        _, outputs, memory = look(Inputs(start=start), made, Memory(run="r", start=start))
+        _, outputs, memory = evaluate(Inputs(start=start), made, Memory(run="r", start=start))
         assert outputs.done
-        _, outputs, memory = look(Inputs(start=start), made, away(memory))
+        _, outputs, memory = evaluate(Inputs(start=start), made, inputs_lost(memory))
         assert outputs.done
-        assert not look(Inputs(start=not start), made, away(memory))[1].done
+        assert not evaluate(Inputs(start=not start), made, inputs_lost(memory))[1].done
 
 
 def test_what_did_not_reach_the_cell_is_asked_again_unless_it_starts_it() -> None:
     before = ready_memory()
     blocked = Inputs(upstream_ready=False)
-    asks, _, after = look(blocked, EXECUTE, before)
+    asks, _, after = evaluate(blocked, EXECUTE, before)
     assert commands(blocked, EXECUTE, not_obeyed(asks[0], before, after))[0] == [
         MachineEvent.SUSPEND
     ]
-    asks, _, after = look(Inputs(start=True), IDLE, before)
+    asks, _, after = evaluate(Inputs(start=True), IDLE, before)
     after = not_obeyed(asks[0], before, after)
     assert commands(Inputs(start=True), IDLE, after)[0] == []
 
 
 def test_a_start_that_is_obeyed_is_told_before_the_next_look() -> None:
-    asks, outputs, _ = look(Inputs(start=True), IDLE, ready_memory())
+    asks, outputs, _ = evaluate(Inputs(start=True), IDLE, ready_memory())
     assert obeyed(asks[0], outputs) == Outputs(busy=True)
     assert obeyed(Ask(MachineEvent.STOP), Outputs(busy=True)) == Outputs(busy=True)
 
@@ -290,11 +298,11 @@ def test_a_start_is_of_the_product_whose_number_the_plc_says() -> None:
     idle = status(CellState.IDLE, products=("soft", "stiff"))
     for number, product in ((0, None), (1, "soft"), (2, "stiff")):
         said = {"product_0": bool(number & 1), "product_1": bool(number & 2)}
-        _, outputs, memory = look(Inputs(**said), idle, Memory())
+        _, outputs, memory = evaluate(Inputs(**said), idle, Memory())
         assert outputs.ready
-        asks, *_ = look(Inputs(start=True, **said), idle, memory)
+        asks, *_ = evaluate(Inputs(start=True, **said), idle, memory)
         assert asks == (Ask(MachineEvent.START, product=product),)
     unknown = Inputs(product_0=True, product_1=True)
-    _, outputs, memory = look(unknown, idle, Memory())
+    _, outputs, memory = evaluate(unknown, idle, Memory())
     assert not outputs.ready, "there is no third"
-    assert look(replace(unknown, start=True), idle, replace(memory, ready=True))[0] == ()
+    assert evaluate(replace(unknown, start=True), idle, replace(memory, ready=True))[0] == ()

@@ -8,7 +8,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,22 +19,10 @@ from paho.mqtt.enums import CallbackAPIVersion
 from cell.plant.link import Link
 from cell.plant.messages import CommandReply, MessageKind, Status
 from cell.run.machine import CellState
+from tests.waiting import free_port, wait_until
 
 BEGUN = Status(run="", sequence=0, state=CellState.IDLE, since_s=0.0, line="L1")
 FAKE = Path(__file__).parents[4] / "config" / "fake.yaml"
-
-
-def wait_until(reached: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + 30.0
-    while not reached():
-        assert time.monotonic() < until_s
-        time.sleep(0.05)
-
-
-def free_port() -> int:
-    with socket.socket() as bound:
-        bound.bind(("127.0.0.1", 0))
-        return int(bound.getsockname()[1])
 
 
 class Broker:

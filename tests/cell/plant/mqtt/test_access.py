@@ -8,11 +8,15 @@ from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
+from typer.testing import CliRunner
 
+from cell.cli import app
 from cell.plant.link import Link
-from cell.plant.mqtt.access import password_of, tls_of
-from cell.settings.plant.mqtt import Mqtt, MqttTls
-from tests.cell.plant.mqtt.conftest import Adapter, Broker, result, wait_until
+from cell.plant.mqtt.adapter import password_of, tls_of
+from cell.plant.mqtt.outbox import MqttOutbox, outbox_of
+from cell.settings.plant import Mqtt, MqttTls
+from tests.cell.plant.mqtt.conftest import FAKE, Adapter, Broker, result
+from tests.waiting import wait_until
 
 
 @pytest.mark.parametrize(
@@ -85,3 +89,25 @@ def test_a_broker_with_a_certificate_lets_in_a_cell_with_one(
     result(link, 1)
     log = tmp_path / "broker" / "log"
     wait_until(lambda: "as cell-L1" in log.read_text())
+
+
+def refused(config: Path, runs: Path) -> str:
+    done = CliRunner().invoke(app, ["mqtt", "--config", str(config), "--runs", str(runs)])
+    assert done.exit_code == 2, done.exception
+    return done.stderr
+
+
+def test_without_a_broker_it_says_which_key_is_missing(tmp_path: Path) -> None:
+    assert "plant.mqtt: is missing; name a broker" in refused(FAKE, tmp_path / "runs")
+
+
+def test_a_second_adapter_of_a_cell_is_refused_and_so_is_a_line_that_is_no_topic(
+    tmp_path: Path,
+) -> None:
+    config = tmp_path / "cell.yaml"
+    config.write_text(f"{FAKE.read_text()}\nplant: {{mqtt: {{broker: 127.0.0.1}}}}\n")
+    first = MqttOutbox(outbox_of(tmp_path / "runs"), 1000)
+    assert "another adapter uses" in refused(config, tmp_path / "runs")
+    first.close()
+    config.write_text(f"{config.read_text()}ledger: {{line: a/b}}\n")
+    assert "give plant.mqtt.line" in refused(config, tmp_path / "runs")

@@ -12,8 +12,9 @@ import paho.mqtt.client as paho
 
 from cell.plant.link import Link
 from cell.plant.messages import MessageKind
-from cell.plant.mqtt.schema import schema
-from tests.cell.plant.mqtt.conftest import Adapter, Broker, Receiver, result, wait_until
+from cell.plant.mqtt.plain_json import schema
+from tests.cell.plant.mqtt.conftest import Adapter, Broker, Receiver, result
+from tests.waiting import wait_until
 
 CYCLES = 100
 

@@ -17,7 +17,7 @@ def notice(sequence: int, kind: MessageKind = MessageKind.STEP) -> Notice:
 def test_what_waits_is_there_again_in_its_order(tmp_path: Path) -> None:
     path = outbox_of(tmp_path / "runs")
     box = MqttOutbox(path, 1000)
-    assert box.taken() is None
+    assert box.newest() is None
     for sequence in (1, 2, 3):
         box.put(notice(sequence))
     first = box.first()
@@ -25,7 +25,7 @@ def test_what_waits_is_there_again_in_its_order(tmp_path: Path) -> None:
     box.remove(first)
     box.close()
     box = MqttOutbox(path, 1000)
-    assert (box.count(), box.taken(), box.dropped()) == (2, ("r", 3), 0)
+    assert (box.count(), box.newest(), box.dropped()) == (2, ("r", 3), 0)
     waiting = box.first()
     assert waiting is not None
     assert waiting.notice == notice(2)

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from cell.plant.link import Link
-from tests.cell.plant.mqtt.conftest import Adapter, Broker, Receiver, result, wait_until
+from tests.cell.plant.mqtt.conftest import Adapter, Broker, Receiver, result
+from tests.waiting import wait_until
 
 #: Of a command: the metric `Node Control/Rebirth`, boolean, true.
 REBIRTH = b"\x0a\x14Node Control/Rebirth\x20\x0b\x70\x01"

@@ -14,7 +14,7 @@ import pytest
 from cell.plant.mqtt.adapter import Access, MqttAdapter
 from cell.plant.mqtt.outbox import MqttOutbox
 from cell.plant.mqtt.sparkplug import EdgeNode
-from cell.settings.plant.mqtt import Mqtt
+from cell.settings.plant import Mqtt
 
 
 class PatientNode(EdgeNode):
@@ -25,7 +25,7 @@ class PatientNode(EdgeNode):
     def may_begin(self) -> bool:
         self.looks += 1
         assert self.looks < 100, "it looks without a pause, and nothing else gets its turn"
-        return super().may_begin()
+        return super().can_publish()
 
 
 class Broker:

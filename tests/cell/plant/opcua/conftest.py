@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
@@ -23,17 +22,11 @@ from cell.plant.users import Role, Users
 from cell.run.machine import CellState, EventRefusedError, Machine, MachineEvent
 from cell.settings import Settings, load_settings
 from cell.settings.plant import OpcUa, Plant
+from tests.waiting import free_port, wait_until
 
 CONFIG = Path(__file__).parents[4] / "config"
 PASSWORD = "correct horse"
 NAME = "Cell7"
-
-
-def wait_until(reached: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + 30.0
-    while not reached():
-        assert time.monotonic() < until_s
-        time.sleep(0.01)
 
 
 class FakeCell:
@@ -89,12 +82,6 @@ class FakeCell:
 def settings_with(opcua: OpcUa) -> Settings:
     settings = load_settings(CONFIG / "fake.yaml")
     return settings.model_copy(update={"plant": Plant(opcua=opcua)})
-
-
-def free_port() -> int:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        return int(taken.getsockname()[1])
 
 
 @contextmanager

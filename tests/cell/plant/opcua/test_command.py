@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
+from cell.plant.opcua.commands import COMMANDS
+from cell.plant.opcua.unit import tags_of
 from cell.plant.users import Role, User, Users, all_users
 from tests.cell.plant.opcua.conftest import CONFIG
 
@@ -33,8 +36,8 @@ def test_one_file_has_the_users_of_pages_and_opc_ua(config: Path, tmp_path: Path
     said = typed("opcua", "user", "add", "ada", "--role", "operate", "--config", config, *more,
                  password="secret no 1")  # fmt: skip
     assert said == "ada: added, may operate\n"
-    assert Users(file).known("ada", "secret no 1") == User("ada", Role.operate)
-    assert Users(file).known("ada", "secret no 2") is None
+    assert Users(file).authenticate("ada", "secret no 1") == User("ada", Role.operate)
+    assert Users(file).authenticate("ada", "secret no 2") is None
     said = typed("serve", "user", "add", "ada", *more, password="secret no 2")
     assert said == "ada: changed, may watch\n"
     typed("user", "add", "eve", "--role", "engineer", *more, password="secret no 3")
@@ -54,10 +57,10 @@ def test_users_of_earlier_versions_hold_until_they_are_changed(
     assert typed("user", "list", "--users", file) == "plc: may watch\nweb: may engineer\n"
     typed("user", "remove", "plc", "--users", file, "--config", config)
     users = all_users(file)
-    assert users.known("plc", "secret no 2") is None
-    assert users.known("web", "secret no 1") == User("web", Role.engineer)
+    assert users.authenticate("plc", "secret no 2") is None
+    assert users.authenticate("web", "secret no 1") == User("web", Role.engineer)
     users.add("plc", Role.operate, "secret no 4")
-    assert users.known("plc", "secret no 4") == User("plc", Role.operate)
+    assert users.authenticate("plc", "secret no 4") == User("plc", Role.operate)
     opcua.chmod(0o644)
     with pytest.raises(ValueError, match="chmod 600"):
         users.all()
@@ -83,3 +86,15 @@ def test_what_is_wrong_is_told(config: Path, words: list[str], said: str) -> Non
 def test_without_the_section_the_remedy_is_told() -> None:
     done = CliRunner().invoke(app, ["opcua", "--config", str(CONFIG / "fake.yaml")])
     assert (done.exit_code, "plant.opcua; add one" in done.stderr) == (2, True)
+
+
+PAGE = Path(__file__).parents[4] / "docs" / "plant.md"
+
+
+def test_nodes_and_methods_of_the_page_are_there() -> None:
+    text = PAGE.read_text(encoding="utf-8").partition("## OPC UA")[2].partition("\n## ")[0]
+    tables = re.split(r"\n\| method ", text)
+    nodes, methods = [re.findall(r"^\| `([\w.]+)` ", table, re.M) for table in tables]
+    assert len(nodes) > 10
+    assert set(nodes) <= {t.path for t in tags_of("line", None)}
+    assert set(methods) <= {f"{c.path}.{c.name}" for c in COMMANDS}

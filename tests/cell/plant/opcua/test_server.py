@@ -14,11 +14,12 @@ from asyncua import ua
 
 from cell.plant.messages import CommandReply, MessageKind, Request
 from cell.plant.opcua.commands import COMMANDS
-from cell.plant.opcua.server import _Shown
+from cell.plant.opcua.server import _ViewPublisher
 from cell.plant.opcua.unit import tags_of
 from cell.run.machine import CellState, MachineEvent
+from tests.waiting import free_port
 
-from .conftest import Seen, Site, free_port, served, settings_with
+from .conftest import Seen, Site, served, settings_with
 
 EXECUTE = "BaseStateMachine.MachineState.ExecuteState"
 MACHINE = "BaseStateMachine.MachineState"
@@ -347,7 +348,7 @@ def test_it_ends_though_a_message_comes_as_it_is_stopped(turns: int) -> None:
         return None
 
     async def stopped() -> bool:
-        shown = _Shown(SimpleNamespace(show=none_shown), SimpleNamespace())  # type: ignore[arg-type]
+        shown = _ViewPublisher(SimpleNamespace(show=none_shown), SimpleNamespace())  # type: ignore[arg-type]
         showing = asyncio.create_task(shown.show())
         for _ in range(4):
             await asyncio.sleep(0)  # it waits for a message

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from cell.plant.messages import MessageKind, Notice, Status
-from cell.plant.opcua.packml_tags import admin_tags
+from cell.plant.opcua.tags import admin_tags
 from cell.plant.opcua.view import PackmlView
 from cell.run.machine import CellState
 

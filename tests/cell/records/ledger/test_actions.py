@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from cell.cli import app
 from cell.records.ledger.actions import listed_actions, take_over
-from cell.records.ledger.error import LedgerError
+from cell.records.ledger.entry import LedgerError
 from cell.records.ledger.ledger import Ledger
 from cell.web.audit import Audit, audit_file
 

@@ -16,9 +16,8 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, create_engine, text
 
 from cell.records.ledger.database import url_of
-from cell.records.ledger.entry import Acknowledgement
-from cell.records.ledger.error import LedgerError
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.entry import Acknowledgement, LedgerError
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.ledger.migrations.upgrade import config
 from cell.records.ledger.tables import HEAD, metadata
 
@@ -95,7 +94,7 @@ def test_a_reader_keeps_no_writer_waiting(tmp_path: Path) -> None:
     ledger.write([ended(2)])
     assert reader.execute("SELECT count(*) FROM cycles").fetchone() == (1,)
     reader.close()
-    assert len(ledger.listed(Wanted())) == 2
+    assert len(ledger.listed(LedgerQuery())) == 2
     ledger.close()
 
 
@@ -129,13 +128,13 @@ def test_a_ledger_of_an_older_version_keeps_what_is_in_it(place: str, version: s
     with pytest.raises(LedgerError, match=rf"older version \({version}\)"):
         Ledger(place)
     ledger = Ledger(place, create=True)
-    found = ledger.listed(Wanted(), estimates=True)
+    found = ledger.listed(LedgerQuery(), estimates=True)
     assert [c.outcome for c in found] == ["inserted", "failed"]
     assert [e.name for e in found[0].estimates] == ["rigidity_0", "viscosity"]
     ledger.acknowledge(found[1:], Acknowledgement(BEGUN, "Ada"))
-    assert not ledger.listed(Wanted(acknowledged=False))
+    assert not ledger.listed(LedgerQuery(acknowledged=False))
     ledger.write([ended(3, product="soft")])
-    assert [c.product for c in ledger.listed(Wanted())] == [None, None, "soft"]
+    assert [c.product for c in ledger.listed(LedgerQuery())] == [None, None, "soft"]
     ledger.close()
     with engine_of(place) as engine, engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), metadata) == []
@@ -148,11 +147,11 @@ def test_who_may_not_write_sees_what_is_written_at_the_moment(tmp_path: Path, mo
     may = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK and may(path, mode))
     reader = Ledger(tmp_path / "runs")
-    assert reader.count(Wanted()) == {"inserted": 1}
+    assert reader.count(LedgerQuery()) == {"inserted": 1}
     reader.close()
     ledger.close()
     reader = Ledger(tmp_path / "runs")  # the cell has ended
-    assert reader.count(Wanted()) == {"inserted": 1}
+    assert reader.count(LedgerQuery()) == {"inserted": 1}
     reader.close()
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.records.ledger.effectiveness import Shift, shifts
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.result import Outcome
 
 from .conftest import begun, ended, stopped
@@ -41,7 +41,7 @@ def shifted(tmp_path: Path):
 
 
 def test_shares_are_those_of_the_definition(shifted: Ledger) -> None:
-    first, night, early = shifts(shifted, Wanted(), BEGINS, at(32), ideal_s=20.0)
+    first, night, early = shifts(shifted, LedgerQuery(), BEGINS, at(32), ideal_s=20.0)
     assert (first.begin, first.end) == (at(6), at(14))
     assert (first.cables, first.inserted) == (8, 6)
     assert first.availability == pytest.approx(8 * 25.0 / (8 * 3600.0))
@@ -55,7 +55,7 @@ def test_shares_are_those_of_the_definition(shifted: Ledger) -> None:
 
 
 def test_only_the_time_that_is_asked_for_is_planned(shifted: Ledger) -> None:
-    wanted = Wanted(since=at(10), until=at(13.95))
+    wanted = LedgerQuery(since=at(10), until=at(13.95))
     (first,) = shifts(shifted, wanted, BEGINS, at(32))
     assert first.planned_s == pytest.approx(3.95 * 3600.0)
     assert (first.cables, first.inserted) == (2, 0)
@@ -68,7 +68,7 @@ def test_the_ideal_cycle_is_that_of_the_quickest_tenth(tmp_path: Path) -> None:
     for n in range(21):
         result = replace(ended(n).result, state_seconds={"execute": 20.0 + n})
         ledger.write([ended(n, result=result, started=at(7))])
-    (shift,) = shifts(ledger, Wanted(), BEGINS, at(8))
+    (shift,) = shifts(ledger, LedgerQuery(), BEGINS, at(8))
     assert shift.ideal_s == 22.0
     ledger.close()
 
@@ -77,16 +77,16 @@ def test_a_fault_counts_as_no_insertion(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path / "runs", create=True)
     ledger.write([ended(1), stopped(2)])
     now = datetime(2026, 11, 3, tzinfo=UTC)
-    (shift,) = shifts(ledger, Wanted(), [time(0)], now)
+    (shift,) = shifts(ledger, LedgerQuery(), [time(0)], now)
     assert shift.quality == 0.5
-    assert shifts(ledger, Wanted(line="other"), [time(0)], now) == []
+    assert shifts(ledger, LedgerQuery(line="other"), [time(0)], now) == []
     ledger.close()
 
 
 def test_a_clock_that_was_set_back_loses_no_cable(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path / "runs", create=True)
     ledger.write([ended(1, started=at(15)), ended(2, started=at(-40))])
-    found = shifts(ledger, Wanted(), BEGINS, at(32))
+    found = shifts(ledger, LedgerQuery(), BEGINS, at(32))
     assert [s.cables for s in found] == [2]
     ledger.close()
 
@@ -107,7 +107,7 @@ def test_every_cable_is_in_one_shift(hours: list[float], begins: list[time]) -> 
     """Whenever shifts begin."""
     ledger = Ledger("sqlite://", create=True)
     ledger.write([ended(n, started=at(h)) for n, h in enumerate(hours)])
-    found = shifts(ledger, Wanted(), begins, at(200))
+    found = shifts(ledger, LedgerQuery(), begins, at(200))
     assert sum(s.cables for s in found) == len(hours)
     assert all(a.end <= b.begin for a, b in itertools.pairwise(found))
     ledger.close()

@@ -11,26 +11,26 @@ from typing import Any
 import pytest
 
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 
 from .conftest import BEGUN, begun, ended, stopped
 
-ALL = Wanted()
+ALL = LedgerQuery()
 
 
-def numbers(ledger: Ledger, wanted: Wanted = ALL, most: int | None = None) -> list[int]:
+def numbers(ledger: Ledger, wanted: LedgerQuery = ALL, most: int | None = None) -> list[int]:
     return [c.cycle for c in ledger.listed(wanted, most)]
 
 
 def test_a_cycle_is_unfinished_until_it_has_ended(ledger: Ledger) -> None:
     ledger.write([begun(1, part="A-1")])
-    (listed,) = ledger.listed(Wanted())
+    (listed,) = ledger.listed(LedgerQuery())
     assert (listed.outcome, listed.ended, listed.part) == (UNFINISHED, None, "A-1")
     assert ledger.results("line3") == []
     ledger.write([ended(1, part="A-1")])
-    (listed,) = ledger.listed(Wanted(), estimates=True)
+    (listed,) = ledger.listed(LedgerQuery(), estimates=True)
     entry = ended(1, part="A-1")
     assert listed.outcome == "inserted"
     assert (listed.started, listed.ended) == (entry.started, entry.ended)
@@ -44,7 +44,7 @@ def test_the_same_entry_again_changes_nothing(ledger: Ledger) -> None:
     """An entry is sent again if nobody knows whether it has arrived."""
     for entry in (begun(1), ended(1), ended(1), begun(1)):
         ledger.write([entry])
-    (listed,) = ledger.listed(Wanted(), estimates=True)
+    (listed,) = ledger.listed(LedgerQuery(), estimates=True)
     assert listed.outcome == "inserted"
     assert len(listed.estimates) == 2
 
@@ -73,22 +73,24 @@ def test_charts_get_what_they_need_oldest_first(ledger: Ledger) -> None:
 @pytest.mark.parametrize(
     ("wanted", "found"),
     [
-        (Wanted(), [1, 2, 3, 4, 5]),
-        (Wanted(since=BEGUN + timedelta(minutes=4)), [4, 5]),
-        (Wanted(until=BEGUN + timedelta(minutes=2)), [1]),
-        (Wanted(outcomes=("inserted",)), [1, 4]),
-        (Wanted(outcomes=("inserted", UNFINISHED)), [1, 4, 5]),
-        (Wanted(outcomes=(UNFINISHED,)), [5]),
-        (Wanted(line="line4"), [4]),
-        (Wanted(part="A-7"), [1]),
-        (Wanted(model="abc", outcomes=("failed",)), [2, 3]),
-        (Wanted(fault="arm"), [2, 3]),
-        (Wanted(fault="arm.limit"), [2]),
-        (Wanted(fault="a_m"), []),
-        (Wanted(part="nobody's"), []),
+        (LedgerQuery(), [1, 2, 3, 4, 5]),
+        (LedgerQuery(since=BEGUN + timedelta(minutes=4)), [4, 5]),
+        (LedgerQuery(until=BEGUN + timedelta(minutes=2)), [1]),
+        (LedgerQuery(outcomes=("inserted",)), [1, 4]),
+        (LedgerQuery(outcomes=("inserted", UNFINISHED)), [1, 4, 5]),
+        (LedgerQuery(outcomes=(UNFINISHED,)), [5]),
+        (LedgerQuery(line="line4"), [4]),
+        (LedgerQuery(part="A-7"), [1]),
+        (LedgerQuery(model="abc", outcomes=("failed",)), [2, 3]),
+        (LedgerQuery(fault="arm"), [2, 3]),
+        (LedgerQuery(fault="arm.limit"), [2]),
+        (LedgerQuery(fault="a_m"), []),
+        (LedgerQuery(part="nobody's"), []),
     ],
 )
-def test_only_what_is_wanted_is_listed(ledger: Ledger, wanted: Wanted, found: list[int]) -> None:
+def test_only_what_is_wanted_is_listed(
+    ledger: Ledger, wanted: LedgerQuery, found: list[int]
+) -> None:
     ledger.write([ended(1, part="A-7"), stopped(2, "arm.limit"), stopped(3, "arm.lost")])
     ledger.write([ended(4, line="line4"), begun(5)])
     assert numbers(ledger, wanted) == found
@@ -100,10 +102,10 @@ def test_cables_not_inserted_are_counted_with_the_newest_reason(ledger: Ledger) 
     outcomes = [Outcome.MISSED, Outcome.REJECTED, Outcome.INSERTED, Outcome.MISSED]
     ledger.write([with_reason(n, outcome) for n, outcome in enumerate(outcomes, start=1)])
     ledger.write([stopped(5), with_reason(6, Outcome.MISSED, line="line4"), begun(7)])
-    line3 = Wanted(line="line3")
+    line3 = LedgerQuery(line="line3")
     assert ledger.not_inserted(line3) == [("missed", 2, "reason 4"), ("rejected", 1, "reason 2")]
-    assert ledger.not_inserted(Wanted(outcomes=("inserted",))) == []
-    assert ledger.not_inserted(Wanted(part="nobody's")) == []
+    assert ledger.not_inserted(LedgerQuery(outcomes=("inserted",))) == []
+    assert ledger.not_inserted(LedgerQuery(part="nobody's")) == []
 
 
 def with_reason(number: int, outcome: Outcome, **changes: Any) -> LedgerEntry:
@@ -114,9 +116,9 @@ def with_reason(number: int, outcome: Outcome, **changes: Any) -> LedgerEntry:
 
 def test_faults_are_counted_by_code_with_the_newest_cause(ledger: Ledger) -> None:
     ledger.write([stopped(1, "arm.limit"), stopped(2), stopped(3, "arm.limit"), ended(4)])
-    assert ledger.faults(Wanted()) == [("arm.limit", 2, "cause 3"), ("stop", 1, "cause 2")]
-    assert ledger.faults(Wanted(fault="stop")) == [("stop", 1, "cause 2")]
-    (listed,) = ledger.listed(Wanted(fault="stop"))
+    assert ledger.faults(LedgerQuery()) == [("arm.limit", 2, "cause 3"), ("stop", 1, "cause 2")]
+    assert ledger.faults(LedgerQuery(fault="stop")) == [("stop", 1, "cause 2")]
+    (listed,) = ledger.listed(LedgerQuery(fault="stop"))
     entry = stopped(2).result
     assert entry is not None
     assert listed.fault == entry.fault
@@ -138,7 +140,7 @@ def test_cycles_of_before_are_taken_in_where_they_were(ledger: Ledger) -> None:
 
 def test_a_part_may_be_tried_again(ledger: Ledger) -> None:
     ledger.write([stopped(1), ended(2, part="Ä 1"), ended(3, part="Ä 1")])
-    assert numbers(ledger, Wanted(part="Ä 1")) == [2, 3]
+    assert numbers(ledger, LedgerQuery(part="Ä 1")) == [2, 3]
 
 
 def test_cells_that_write_at_once_wait_for_each_other(place: str) -> None:
@@ -163,8 +165,8 @@ def test_cells_that_write_at_once_wait_for_each_other(place: str) -> None:
         thread.join()
     assert errors == []
     ledger = Ledger(place)
-    assert ledger.count(Wanted()) == {"inserted": 40}
-    assert len(ledger.listed(Wanted(part="P3"))) == 4
+    assert ledger.count(LedgerQuery()) == {"inserted": 40}
+    assert len(ledger.listed(LedgerQuery(part="P3"))) == 4
     ledger.close()
 
 
@@ -172,7 +174,7 @@ def test_folders_are_found_beside_a_ledger_that_was_moved(tmp_path: Path) -> Non
     (tmp_path / "runs" / "00001").mkdir(parents=True)
     ledger = Ledger(tmp_path / "runs", create=True)
     ledger.write([ended(1), ended(2)])
-    first, second = ledger.listed(Wanted())
+    first, second = ledger.listed(LedgerQuery())
     assert first.folder == tmp_path / "runs" / "00001"
     assert second.folder == Path("/records/00002")
     ledger.close()
@@ -180,15 +182,15 @@ def test_folders_are_found_beside_a_ledger_that_was_moved(tmp_path: Path) -> Non
 
 def test_a_fault_is_open_until_somebody_acknowledges_it(ledger: Ledger) -> None:
     ledger.write([ended(1), stopped(2), stopped(3, "arm.limit")])
-    opened = Wanted(acknowledged=False)
+    opened = LedgerQuery(acknowledged=False)
     assert [c.cycle for c in ledger.listed(opened)] == [2, 3]
     assert ledger.count(opened) == {"failed": 2}
-    second = ledger.listed(Wanted(fault="arm"))
+    second = ledger.listed(LedgerQuery(fault="arm"))
     ledger.acknowledge(second, Acknowledgement(BEGUN, "Ada", "pads changed"))
     ledger.acknowledge(second, Acknowledgement(BEGUN, "Bob", "pads changed again"))
     assert [c.cycle for c in ledger.listed(opened)] == [2]
     assert [code for code, *_ in ledger.faults(opened)] == ["stop"]
-    (seen,) = ledger.listed(Wanted(acknowledged=True))
+    (seen,) = ledger.listed(LedgerQuery(acknowledged=True))
     assert seen.acknowledged == Acknowledgement(BEGUN, "Bob", "pads changed again")
     assert seen.to_json()["acknowledged_by"] == "Bob"
 
@@ -197,7 +199,7 @@ def test_an_acknowledgement_is_written_after_its_fault(ledger: Ledger) -> None:
     """As the outbox hands them over; what the cycle had measured stays."""
     said = Acknowledgement(BEGUN, "Ada", "looked")
     ledger.write([begun(1), stopped(1), replace(stopped(1), acknowledged=said)])
-    (cycle,) = ledger.listed(Wanted(), estimates=True)
+    (cycle,) = ledger.listed(LedgerQuery(), estimates=True)
     assert (cycle.outcome, cycle.acknowledged) == ("failed", said)
     assert cycle.estimates
     assert (
@@ -215,6 +217,6 @@ def test_products_do_not_mix(ledger: Ledger) -> None:
     assert [r.cycle for r in ledger.results("line3", "stiff")] == [2]
     assert [r.cycle for r in ledger.results("line3")] == [3]
     for wanted, cycles in ((None, [1, 2, 3, 4]), ("soft", [1, 4]), ("", [3]), ("short", [])):
-        listed = ledger.listed(Wanted(product=wanted))
+        listed = ledger.listed(LedgerQuery(product=wanted))
         assert [c.cycle for c in listed] == cycles
-        assert sum(ledger.count(Wanted(product=wanted)).values()) == len(cycles)
+        assert sum(ledger.count(LedgerQuery(product=wanted)).values()) == len(cycles)

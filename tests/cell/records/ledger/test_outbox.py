@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from cell.records.ledger import outbox
-from cell.records.ledger.entry import LedgerEntry
-from cell.records.ledger.error import LedgerError
-from cell.records.ledger.ledger import Ledger, Wanted
+from cell.records.ledger.entry import LedgerEntry, LedgerError
+from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.ledger.outbox import LaterLedger, LedgerWriter, Outbox, outbox_of
+from tests.waiting import wait_until
 
 from .conftest import begun, ended, stopped
 
@@ -54,13 +54,6 @@ def writer_to(tmp_path: Path) -> Iterator[Callable[..., LedgerWriter]]:
         writer.close()
 
 
-def until(done: Callable[[], object], seconds: float = 20.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-
-
 def test_an_entry_is_read_back_as_it_was() -> None:
     for entry in (begun(1, part="Ä 1"), ended(2), stopped(3)):
         assert LedgerEntry.from_json(json.loads(json.dumps(entry.to_json()))) == entry
@@ -74,7 +67,7 @@ def test_entries_are_written_in_order_and_removed(writer_to, tmp_path: Path) -> 
     assert writer.notes == []
     assert not (outbox_of(tmp_path / "runs")).exists()
     ledger = Ledger(tmp_path / "runs")
-    assert [c.cycle for c in ledger.listed(Wanted())] == list(range(1, 250))
+    assert [c.cycle for c in ledger.listed(LedgerQuery())] == list(range(1, 250))
     ledger.close()
 
 
@@ -86,7 +79,7 @@ def test_what_an_earlier_run_has_left_comes_first(writer_to, tmp_path: Path) -> 
     told: list[LedgerEntry] = []
     writer = writer_to(told.extend)
     writer.put(begun(2))
-    until(lambda: len(told) == 3)  # a busy disk may be slower than `close` waits
+    wait_until(lambda: len(told) == 3)  # a busy disk may be slower than `close` waits
     writer.close()
     assert told == [begun(1), stopped(1), begun(2)]
 
@@ -105,9 +98,9 @@ def test_a_cell_goes_on_while_the_ledger_is_away(writer_to, tmp_path: Path, capl
     for n in range(3):
         writer.put(begun(n))
         writer.put(ended(n))
-    until(lambda: "the cell goes on" in caplog.text)
+    wait_until(lambda: "the cell goes on" in caplog.text)
     away.clear()
-    until(lambda: len(told) == 6)
+    wait_until(lambda: len(told) == 6)
     assert told == [e for n in range(3) for e in (begun(n), ended(n))]
     assert caplog.text.count("the cell goes on") == 1
 
@@ -125,7 +118,7 @@ def test_what_cannot_be_told_waits_for_the_next_run(writer_to, tmp_path: Path) -
     following = writer_to(LaterLedger(tmp_path / "runs"))
     following.close()
     ledger = Ledger(tmp_path / "runs")
-    assert ledger.count(Wanted()) == {"inserted": 1}
+    assert ledger.count(LedgerQuery()) == {"inserted": 1}
     ledger.close()
 
 
@@ -140,7 +133,7 @@ def test_what_a_damaged_ledger_lacks_is_written_once_it_is_moved_away(
     for _ in range(2):  # another run alone changes nothing
         writer = writer_to(LaterLedger(file))
         writer.put(ended(1))
-        until(lambda: outbox_of(tmp_path / "runs").exists())
+        wait_until(lambda: outbox_of(tmp_path / "runs").exists())
         writer.close()
         (note,) = writer.notes
         assert "written by the next run that can" in note
@@ -150,7 +143,7 @@ def test_what_a_damaged_ledger_lacks_is_written_once_it_is_moved_away(
     following.close()
     assert following.notes == []
     ledger = Ledger(file)
-    assert ledger.count(Wanted()) == {"inserted": 1}
+    assert ledger.count(LedgerQuery()) == {"inserted": 1}
     ledger.close()
 
 
@@ -191,7 +184,7 @@ def test_two_cells_use_one_folder(tmp_path: Path) -> None:
         writer.close()
     assert [writer.notes for writer in writers] == [[], []]
     ledger = Ledger(tmp_path / "runs")
-    assert ledger.count(Wanted()) == {"inserted": 40}
+    assert ledger.count(LedgerQuery()) == {"inserted": 40}
     ledger.close()
 
 
@@ -206,9 +199,9 @@ def test_a_locked_file_is_written_later(writer_to, tmp_path: Path, monkeypatch) 
     assert list((outbox_of(tmp_path / "runs")).iterdir())
     other.execute("ROLLBACK")
     other.close()
-    until(lambda: not (outbox_of(tmp_path / "runs")).exists())
+    wait_until(lambda: not (outbox_of(tmp_path / "runs")).exists())
     ledger = Ledger(tmp_path / "runs")
-    assert ledger.count(Wanted()) == {"inserted": 1}
+    assert ledger.count(LedgerQuery()) == {"inserted": 1}
     ledger.close()
 
 
@@ -217,18 +210,18 @@ def test_a_server_goes_away_and_comes_back(writer_to, server) -> None:
     writer = writer_to(LaterLedger(place))
     ledger = Ledger(place, create=True)
     writer.put(begun(1))
-    until(lambda: ledger.count(Wanted()))
+    wait_until(lambda: ledger.count(LedgerQuery()))
     server.stop()
     try:
         for n in (1, 2, 3):
             writer.put(ended(n))
         time.sleep(0.3)
         with pytest.raises(LedgerError):
-            ledger.count(Wanted())
+            ledger.count(LedgerQuery())
     finally:
         server.start()
-    until(lambda: ledger.count(Wanted()) == {"inserted": 3})
-    assert [c.cycle for c in ledger.listed(Wanted())] == [1, 2, 3]
+    wait_until(lambda: ledger.count(LedgerQuery()) == {"inserted": 3})
+    assert [c.cycle for c in ledger.listed(LedgerQuery())] == [1, 2, 3]
     ledger.close()
 
 
@@ -243,7 +236,7 @@ def test_entries_that_cannot_be_removed_are_told_of(
     monkeypatch.setattr(Outbox, "remove", refused)
     writer = writer_to(lambda entries: None)
     writer.put(ended(1))
-    until(lambda: "the cell goes on" in caplog.text)
+    wait_until(lambda: "the cell goes on" in caplog.text)
     writer.close()
     (note,) = writer.notes
     assert "1 entry for the ledger" in note

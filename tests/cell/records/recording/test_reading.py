@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -12,10 +13,25 @@ from zstandard import ZstdDecompressor
 
 from cell.files.input_error import InputError
 from cell.records.recording import form
-from cell.records.recording.reading import TornRecordingError, read_recording, verify
+from cell.records.recording.film import (
+    frame_jpeg,
+    is_protected,
+    keep_recording,
+    read_film,
+    why_no_film,
+)
+from cell.records.recording.reading import (
+    GrowingRecording,
+    TornRecordingError,
+    read_recording,
+    recording_under_way,
+    small_jpeg,
+    verify,
+)
+from cell.records.recording.retention import remove_recording
 from cell.records.recording.writer import RecordingWriter
 
-from .conftest import EPOCH_NS, T_S, picture
+from .conftest import EPOCH_NS, T_S, fill, picture
 
 
 def test_frames_come_back_to_the_last_bit(make_recording):
@@ -29,7 +45,7 @@ def test_frames_come_back_to_the_last_bit(make_recording):
 def test_events_and_counts(make_recording):
     recording = read_recording(make_recording())
     assert recording.complete
-    assert recording.begun["cycle"] == "7"
+    assert recording.started["cycle"] == "7"
     assert [s["step"] for s in recording.json(form.STATE)] == ["step 0", "step 4", "step 8"]
     assert recording.last(form.STATE) == {"state": "execute", "step": "step 8"}
     assert recording.last(form.FAULT) is None
@@ -129,3 +145,93 @@ def test_all_json_topics_have_a_schema():
     for topic in form.JSON_TOPICS:
         assert json.dumps(form.json_schema(topic))
         assert form.json_schema(topic)["type"] == "object"
+
+
+def test_the_newest_frame_is_read_once_as_the_file_grows(tmp_path):
+    path = tmp_path / form.PART
+    writer = RecordingWriter(path, {form.EPOCH: str(EPOCH_NS)})
+    growing = GrowingRecording(path)
+    writer.flush()
+    assert growing.newest() is None
+    fill(writer)
+    writer.event(form.STATE, T_S[-1] + 2.0, {"state": "execute", "step": "verify"})
+    writer.flush()
+    age_s, image = growing.newest()
+    assert abs(age_s - 2.0) < 1e-3
+    np.testing.assert_array_equal(image, picture(11))
+    assert growing.newest() is None
+    writer.frame(12, T_S[-1] + 1.0, 48, 64, picture(12).tobytes())
+    writer.flush()
+    torn = path.read_bytes()
+    path.write_bytes(torn[:-1500])  # the end of a chunk is not there yet
+    assert growing.newest() is None
+    path.write_bytes(torn)
+    np.testing.assert_array_equal(growing.newest()[1], picture(12))
+    writer.abandon()
+
+
+def test_the_recording_under_way_is_that_of_the_newest_cycle(tmp_path):
+    assert recording_under_way(tmp_path / "none") is None
+    for number in (1, 2):
+        folder = tmp_path / f"2026112{number}T021043.800-{number}"
+        folder.mkdir()
+        (folder / form.PART).touch()
+    assert recording_under_way(tmp_path) == folder / form.PART
+    (folder / form.PART).unlink()
+    assert recording_under_way(tmp_path) is None
+
+
+def test_a_picture_is_no_wider_than_asked_for():
+    assert len(small_jpeg(np.zeros((1024, 1280), np.uint8), 640)) < 20_000
+
+
+def test_a_frame_is_found_by_its_number(make_recording):
+    film = read_film(make_recording())
+    assert film.times_s == pytest.approx(T_S - T_S[0], abs=1e-6)
+    for number in (0, 7, 11):
+        shown = cv2.imdecode(np.frombuffer(frame_jpeg(film, number, 640), np.uint8), 0)
+        wanted = picture(number)
+        off = [np.mean(np.abs(shown.astype(int) - picture(k))) for k in range(12)]
+        assert shown.shape == wanted.shape and int(np.argmin(off)) == number
+    small = cv2.imdecode(np.frombuffer(frame_jpeg(film, 0, 32), np.uint8), 0)
+    assert small.shape == (24, 32)
+    with pytest.raises(IndexError):
+        frame_jpeg(film, 12, 640)
+
+
+def test_the_cable_is_drawn_where_it_was_seen(tmp_path):
+    writer = RecordingWriter(tmp_path / form.FILE, {form.EPOCH: str(EPOCH_NS)})
+    for index in range(2):
+        writer.frame(index, 1.0 + index, 48, 64, bytes(48 * 64))
+    writer.add_detections([2.0], np.array([[[10.0, 20.0], [50.0, 20.0], [np.nan, np.nan]]]))
+    writer.close({})
+    film = read_film(tmp_path / form.FILE)
+    before, after = (
+        cv2.imdecode(np.frombuffer(frame_jpeg(film, k, 640), np.uint8), 1).max(axis=2) > 60
+        for k in (0, 1)
+    )
+    assert not before.any()
+    assert after[20, 12:48].all() and not after[:, 60:].any() and not after[35:].any()
+
+
+def test_why_there_is_no_film_is_said(make_recording, tmp_path):
+    path = make_recording(closed=False)
+    with pytest.raises(InputError):
+        read_film(path)
+    path.rename(tmp_path / form.PART)
+    assert "cell recover" in why_no_film(tmp_path)
+    (tmp_path / form.PART).rename(path)
+    assert why_no_film(tmp_path) == ""
+    remove_recording(path, "recordings take 21.0 GB")
+    assert "recordings take 21.0 GB" in why_no_film(tmp_path)
+    (tmp_path / form.REMOVED).unlink()
+    assert "was not kept" in why_no_film(tmp_path)
+    (tmp_path / "settings.yaml").write_text("recording: null\n")
+    assert "`recording: null`" in why_no_film(tmp_path)
+
+
+def test_a_recording_is_kept_for_good(tmp_path):
+    keep_recording(tmp_path, True)
+    assert is_protected(tmp_path)
+    keep_recording(tmp_path, False)
+    assert not is_protected(tmp_path)

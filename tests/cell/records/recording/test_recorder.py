@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 from cell.records.recording import form, writer
-from cell.records.recording.one_recording import RecordingUnderWay
 from cell.records.recording.reading import read_recording
 from cell.records.recording.recorder import Recorder
 from cell.records.recording.recover import recover_in_place
+from cell.records.recording.writer import RecordingSession
 from drivers.clock import RealClock
 from drivers.interfaces import Frame, Trajectory
 
@@ -100,7 +100,7 @@ def test_two_cycles_have_a_file_each(recorder, tmp_path):
     assert recorder.wait()
     for cycle in ("1", "2"):
         recording = read_recording(tmp_path / cycle)
-        assert recording.begun["cycle"] == cycle
+        assert recording.started["cycle"] == cycle
         assert len(list(recording.frames())) == int(cycle)
 
 
@@ -226,7 +226,7 @@ def test_a_folder_that_is_gone_is_told_of(recorder, tmp_path):
 
 
 def test_a_full_disk_costs_frames_and_says_so(tmp_path, monkeypatch):
-    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
+    recording = RecordingSession(tmp_path / form.FILE, {form.EPOCH: "0"})
     recording.write(("frame", 0, 1.0, 48, 64), picture(0).tobytes())
     real, free = os.statvfs, 48 * 2**20
 
@@ -250,7 +250,7 @@ def test_a_full_disk_costs_frames_and_says_so(tmp_path, monkeypatch):
 
 def test_a_disk_that_refuses_leaves_a_torn_file(tmp_path, monkeypatch):
     """As when another program takes the last byte between the look and the writing."""
-    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
+    recording = RecordingSession(tmp_path / form.FILE, {form.EPOCH: "0"})
     for index in range(3):
         recording.write(("frame", index, 1.0 + index, 48, 64), picture(index).tobytes())
     recording.keep_up(now=True)
@@ -316,7 +316,7 @@ def test_a_recorder_that_cannot_be_started_leaves_nothing_open(monkeypatch, tmp_
 
 def test_a_full_disk_costs_messages_and_says_so(tmp_path, monkeypatch):
     """The film is whole, and the disk fills up before it is said what was decided."""
-    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
+    recording = RecordingSession(tmp_path / form.FILE, {form.EPOCH: "0"})
     recording.write(("frame", 0, 1.0, 48, 64), picture(0).tobytes())
     with monkeypatch.context() as full:
         full.setattr(writer, "LEAST_FREE_BYTES", 2**62)
@@ -332,7 +332,7 @@ def test_a_full_disk_costs_messages_and_says_so(tmp_path, monkeypatch):
 
 def test_a_disk_that_loses_what_was_written_is_told_of(tmp_path, monkeypatch):
     """The system says so once, to whoever asks first to have it on the disk."""
-    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
+    recording = RecordingSession(tmp_path / form.FILE, {form.EPOCH: "0"})
     recording.write(("frame", 0, 1.0, 48, 64), picture(0).tobytes())
     asked = threading.Event()
 
@@ -342,7 +342,7 @@ def test_a_disk_that_loses_what_was_written_is_told_of(tmp_path, monkeypatch):
             raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(writer.os, "fdatasync", lost)
-    monkeypatch.setattr("cell.records.recording.one_recording.SYNC_S", 0.0)
+    monkeypatch.setattr("cell.records.recording.writer.SYNC_S", 0.0)
     recording.keep_up(now=True)
     assert asked.wait(20.0)
     report = recording.end(True, True)
@@ -352,13 +352,11 @@ def test_a_disk_that_loses_what_was_written_is_told_of(tmp_path, monkeypatch):
 
 def test_a_verification_that_is_killed_is_told_of(tmp_path, monkeypatch):
     """As by a system without memory: it says nothing itself."""
-    recording = RecordingUnderWay(tmp_path / form.FILE, {form.EPOCH: "0"})
+    recording = RecordingSession(tmp_path / form.FILE, {form.EPOCH: "0"})
     recording.write(("frame", 0, 1.0, 48, 64), picture(0).tobytes())
     killed = subprocess.CompletedProcess([], -signal.SIGKILL, "", "")
     with monkeypatch.context() as context:
-        context.setattr(
-            "cell.records.recording.one_recording.subprocess.run", lambda *_, **__: killed
-        )
+        context.setattr("cell.records.recording.writer.subprocess.run", lambda *_, **__: killed)
         report = recording.end(True, True)
     assert "SIGKILL" in report["error"]
     assert recover_in_place(tmp_path / form.PART).messages[form.IMAGE] == 1

@@ -30,7 +30,7 @@ def test_a_recording_that_was_not_closed(make_recording, tmp_path):
     assert not torn.exists()  # nothing of it is lost
     recording = read_recording(tmp_path)
     assert not recording.complete
-    assert recording.begun["cycle"] == "7"
+    assert recording.started["cycle"] == "7"
     assert [f.t_s for f in recording.frames()] == T_S.tolist()
 
 

@@ -30,6 +30,7 @@ from cell.records.recording.store import (
 )
 from cell.records.recording.uploads import Uploads, bring, waiting
 from cell.settings.records import RecordingSettings
+from tests.waiting import wait_until
 
 SIZE = 2 * BLOCK_BYTES + 12_345
 
@@ -161,13 +162,6 @@ def test_old_recordings_go_only_once_they_are_stored(tmp_path):
     mark(first.parent, Store(str(tmp_path / "nas")).put(first, "first"))
     Retention(tmp_path / "runs", room, only_stored=True).make_room()
     assert not first.exists() and second.exists()
-
-
-def wait_until(true, timeout_s=20.0):
-    end_s = time.monotonic() + timeout_s
-    while not true() and time.monotonic() < end_s:
-        time.sleep(0.01)
-    assert true()
 
 
 @dataclass

@@ -13,11 +13,10 @@ from cell.files.input_error import InputError
 from cell.files.plain import plain
 from cell.records.recording import form
 from cell.records.recording.reading import read_recording
-from cell.records.recording.unpack import unpack
+from cell.records.recording.unpack import study_from_plain, study_to_plain, unpack
 from cell.records.recording.writer import RecordingWriter
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study
-from cell.study.plain import study_from_plain, study_to_plain
 
 from .conftest import EPOCH_NS
 

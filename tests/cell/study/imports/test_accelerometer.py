@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell.study.imports.accelerometer import NotIntegrableError, Sensed, integrated, turned_by
+from cell.study.imports.accelerometer import (
+    AccelerometerSamples,
+    NotIntegrableError,
+    integrated,
+    turned_by,
+)
 
 G = (0.0, -9.81)
 LIMIT_M = 1e-4
@@ -38,11 +43,11 @@ def sensed(
     noise: float = 0.0,
     offset: tuple[float, float] = (0.0, 0.0),
     seed: int = 0,
-) -> Sensed:
+) -> AccelerometerSamples:
     """What a sensor on the clamp shows of it."""
     shown = turned_by(-angle, acceleration - G) + offset
     shown += noise * np.random.default_rng(seed).normal(size=shown.shape)
-    return Sensed(t, shown, (True, True), angle, G)
+    return AccelerometerSamples(t, shown, (True, True), angle, G)
 
 
 @settings(max_examples=30, deadline=None)
@@ -105,7 +110,7 @@ def test_a_known_end_is_met_and_leaves_less_error_on_the_way():
 def test_an_axis_that_is_not_measured_does_not_move():
     t, path, acceleration, angle = motion((0.06, 0.0), 0.4)
     shown = acceleration * [1.0, 0.0]
-    found = integrated(Sensed(t, shown, (True, False), 0.0 * angle, G), LIMIT_M)
+    found = integrated(AccelerometerSamples(t, shown, (True, False), 0.0 * angle, G), LIMIT_M)
     np.testing.assert_allclose(found.path_m, path, atol=1e-5)
     assert found.drift is not None
     assert found.drift.noise_m_per_s2_per_rt_hz[1] == 0.0
@@ -115,8 +120,8 @@ def test_a_sensor_of_few_digits_rests_though_its_last_one_flickers():
     """Its drift is that of rounding: a digit of 0.04 m/s², 4 mg, hides its noise."""
     t, path, acceleration, angle = motion((0.06, -0.03), 0.4)
     shown = sensed(t, acceleration, 0.0 * angle, noise=0.006, offset=(0.018, 0.01))
-    rounded = np.round(shown.shown / 0.04) * 0.04
-    found = integrated(Sensed(t, rounded, (True, True), 0.0 * angle, G), LIMIT_M)
+    rounded = np.round(shown.specific_force / 0.04) * 0.04
+    found = integrated(AccelerometerSamples(t, rounded, (True, True), 0.0 * angle, G), LIMIT_M)
     assert found.drift is not None
     assert found.drift.noise_m_per_s2_per_rt_hz[1] >= 0.04 / np.sqrt(12.0) * np.sqrt(2e-3)
     np.testing.assert_allclose(
@@ -152,8 +157,8 @@ REFUSED = {
 def test_what_cannot_be_integrated_is_refused(case):
     edit, remedy = REFUSED[case]
     t, _, acceleration, angle = motion((0.1, -0.1), 0.3)
-    shown = edit(sensed(t, acceleration, angle, noise=0.002).shown, t)
-    cut = Sensed(t[: len(shown)], shown, (True, True), angle[: len(shown)], G)
+    shown = edit(sensed(t, acceleration, angle, noise=0.002).specific_force, t)
+    cut = AccelerometerSamples(t[: len(shown)], shown, (True, True), angle[: len(shown)], G)
     with pytest.raises(NotIntegrableError, match=remedy) as refusal:
         integrated(cut, LIMIT_M)
     assert 0 <= refusal.value.row < len(shown)
@@ -170,7 +175,10 @@ def test_a_gap_in_the_motion_is_refused():
     whole = sensed(t, acceleration, angle, noise=0.002)
     kept = (t < 0.3) | (t > 0.31)
     with pytest.raises(NotIntegrableError, match="without gaps"):
-        integrated(Sensed(t[kept], whole.shown[kept], (True, True), angle[kept], G), LIMIT_M)
+        integrated(
+            AccelerometerSamples(t[kept], whole.specific_force[kept], (True, True), angle[kept], G),
+            LIMIT_M,
+        )
 
 
 def test_a_wrong_end_is_refused():

@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.study.entries import MAX_ARC_STD_FRACTION
 from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.choosing import choose
 from cell.study.imports.contents import contents
+from cell.study.imports.scales import arc_length_stds
+from cell.study.imports.shape import arc_lengths, middle, resting
 from tests.cell.study.imports.made import made
 
 
@@ -54,3 +57,84 @@ def test_an_origin_at_which_a_point_rests_or_that_it_passes_is_a_place() -> None
     swing = np.sin(np.linspace(0.0, 6.0 * np.pi, len(stays)))[:, None, None]
     for moved in (returns + 40.0 * np.round(swing, 1), stays[::-1], stays - stays[-1, 0]):
         assert lost(a_file(moved)) == ()
+
+
+LENGTH_M, ROWS, SEEDS = 0.1, 70, 16
+
+
+def hanging(arcs_m: np.ndarray, bend_1_per_m: float) -> np.ndarray:
+    """(points, 2) hand and markers of a cable that its weight bends: curvature ∝ (1 − s/L)²."""
+    fine = np.linspace(0.0, LENGTH_M, 30001)
+    turn = bend_1_per_m * LENGTH_M / 3.0 * (1.0 - (1.0 - fine / LENGTH_M) ** 3)
+    steps = -np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    along = np.cumsum(0.5 * (steps[1:] + steps[:-1]) * (fine[1] - fine[0]), axis=0)
+    at = np.searchsorted(fine, np.append(0.0, arcs_m) - 1e-9)
+    return np.asarray(np.concatenate([[[0.0, 0.0]], along])[at])
+
+
+def errors_and_stds(
+    arcs_m: np.ndarray, bend_1_per_m: float, noise_m: float, ar1: float = 0.0, hand_m: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """(seeds, markers) of what is guessed from as many rows at rest."""
+    shape = hanging(arcs_m, bend_1_per_m)
+    errors, stds = [], []
+    for seed in range(SEEDS):
+        noise = np.random.default_rng(seed).normal(0.0, noise_m, (ROWS, *shape.shape))
+        for k in range(1, ROWS):
+            noise[k] = ar1 * noise[k - 1] + np.sqrt(1.0 - ar1**2) * noise[k]
+        noise[:, 0] *= hand_m / noise_m
+        places = shape + noise
+        rest = resting(places)
+        assert rest is not None
+        guess = np.round(arc_lengths(middle(rest)[None])[1:], 5)
+        errors.append(guess - arcs_m)
+        stds.append(arc_length_stds(places, LENGTH_M, from_hand=True))
+    return np.array(errors), np.array(stds)
+
+
+#: None of them on a step to which arc lengths are rounded.
+FIVE, TEN = np.linspace(0.020123, 0.099997, 5), np.linspace(0.010123, 0.099997, 10)
+
+
+def size(errors: np.ndarray, stds: np.ndarray) -> tuple[float, float]:
+    """Errors, and their weighted means over the markers, in standard deviations, rms."""
+    together = np.sum(errors / stds**2, axis=1) / np.sqrt(np.sum(1.0 / stds**2, axis=1))
+    return float(np.sqrt(np.mean((errors / stds) ** 2))), float(np.sqrt(np.mean(together**2)))
+
+
+@pytest.mark.parametrize("noise_m", [1e-5, 5e-5, 2e-4])
+@pytest.mark.parametrize("arcs_m", [FIVE, TEN, FIVE[[1, 3, 4]], FIVE[[4]]], ids=len)
+def test_of_a_stiff_cable_they_are_what_noise_makes_the_guess_miss(
+    arcs_m: np.ndarray, noise_m: float
+) -> None:
+    each, together = size(*errors_and_stds(arcs_m, 2.0, noise_m))
+    assert 0.5 < each < 1.5 and together < 1.7
+
+
+def test_slow_noise_and_a_hand_with_noise_of_its_own_are_allowed_for() -> None:
+    for slow, hand_m in ((0.7, 0.0), (0.0, 1e-4)):
+        errors, stds = errors_and_stds(FIVE, 2.0, 5e-5, slow, hand_m)
+        assert size(errors, stds)[1] < 1.7
+        assert np.median(stds) < 4e-5
+
+
+@pytest.mark.parametrize("bend_1_per_m", [6.0, 12.0])
+@pytest.mark.parametrize(
+    "arcs_m", [FIVE, FIVE[1:], FIVE[[1, 3, 4]], FIVE[[0, 4]], FIVE[[2, 4]], FIVE[[4]]], ids=str
+)
+def test_of_few_markers_on_a_bent_cable_they_hold_what_the_curve_misses(
+    arcs_m: np.ndarray, bend_1_per_m: float
+) -> None:
+    errors, stds = errors_and_stds(arcs_m, bend_1_per_m, 1e-5)
+    assert size(errors, stds)[1] < 1.7
+    assert np.median(stds) < 8.0 * max(np.median(np.abs(errors).max(axis=1)), 3e-6)
+
+
+def test_rounded_places_are_known_to_their_step_and_none_beyond_what_a_study_may_say() -> None:
+    places = np.round(np.repeat(hanging(FIVE, 2.0)[None], ROWS, axis=0), 4)
+    places[-1] += 0.05  # at last it moves
+    assert np.all(arc_length_stds(places, LENGTH_M, from_hand=True) > 1e-4 / np.sqrt(12.0))
+    never_together = np.full((ROWS, 6, 2), np.nan)
+    never_together[0] = places[0]
+    most_m = MAX_ARC_STD_FRACTION * LENGTH_M
+    np.testing.assert_array_equal(arc_length_stds(never_together, LENGTH_M, True), most_m)

@@ -10,11 +10,11 @@ import pytest
 
 from cell.files.yaml_document import Document
 from cell.study.imports.capture import Capture, CapturedColumn
-from cell.study.imports.hand_file import hand_file
-from cell.study.imports.hand_path import hand_path
-from cell.study.imports.hand_section import AxesSection
+from cell.study.imports.hand_path import count_of, gripper_path, place_m, turn_of
+from cell.study.imports.hand_section import AxesSection, TurnsSection
 from cell.study.imports.mapping import Mapping, ReadMapping
 from cell.study.imports.places import angle_towards, clamp_angle_rad, continuous, places_m
+from cell.study.imports.sensed_hand import gripper_file
 from cell.study.imports.understand import Files, Stated, Understanding, understand
 from tests.cell.study.imports.made import ARCS_M, LENGTH_M, NAMES, Made, swinging
 
@@ -153,8 +153,8 @@ def test_one_marker_beside_a_hand_in_its_own_file_is_taken_for_the_tip() -> None
 
 def test_a_hand_that_moves_from_its_first_row_on_begins_no_chain() -> None:
     m = trial(np.full(len(T_S), 0.2))
-    late = hand_file(captured("hand.csv", **{n: v[90:] for n, v in hand_of(m).items()}))
-    assert late.rest is None
+    late = gripper_file(captured("hand.csv", **{n: v[90:] for n, v in hand_of(m).items()}))
+    assert late.initial is None
 
 
 @pytest.mark.parametrize("jumps", [False, True])
@@ -170,7 +170,7 @@ def test_of_a_lost_marker_s_value_the_hand_is_left_out_only_where_it_jumps(jumps
     mapping = understood(capture).mapping
     assert mapping.lost == (0.0,)
     read = ReadMapping(mapping, Document(Path("import.yaml"), {}, {}))
-    path = hand_path(read, mapping.trials[0], capture, T_S)
+    path = gripper_path(read, mapping.trials[0], capture, T_S)
     left_out = np.flatnonzero(np.isnan(path.xy_m[:, 0])).tolist()
     assert left_out == ([200, 201, 202] if jumps else [])
     assert path.note.startswith("a: the hand is taken as not seen in 3 rows") == jumps
@@ -190,3 +190,53 @@ def test_arcs_from_a_hand_in_its_own_file_state_how_well_they_are_known(count: i
     assert len(entries) == count
     stds = [entry.arc_length_std_m for entry in entries]
     assert stds == [None] if count == 1 else all(s is not None and 0.0 < s < 1e-3 for s in stds)
+
+
+UNIT = 2.0 * np.pi / 4096
+TURNS = TurnsSection(
+    column="enc", radians_per_unit=UNIT, axle_m=(0.1, 0.2), radius_m=0.5, offset_rad=0.3
+)
+
+
+def capture(values: np.ndarray) -> Capture:
+    return Capture(
+        Path("a.csv"), (CapturedColumn("enc"),), values[:, None], np.arange(len(values)) + 2
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "count"),
+    [
+        ([3.0, 3.0, 4.0, 6.0, 9.0], 1.0),
+        ([0.25, 0.5, 1.75, np.nan], 0.25),
+        ([10.0, 14.0, 22.0], 4.0),
+        ([0.0, 7.0, 15.0, 22.0], 1.0),
+        ([0.1, 0.2734, 0.5, 0.61], 0.0),
+        ([3.0, 4.0, 3.0], 0.0),
+    ],
+)
+def test_counts_are_whole_multiples_of_a_step(values: list[float], count: float) -> None:
+    assert count_of(np.array(values)) == pytest.approx(count)
+
+
+def test_a_turn_is_followed_over_a_whole_one_within_its_counts() -> None:
+    true = np.concatenate([np.zeros(50), np.linspace(0.0, 700.0, 100), np.full(50, 700.0)]) + 3900.0
+    found = turn_of(capture(np.round(true) % 4096), TURNS)
+    wanted = (true - 4096.0) * UNIT + 0.3
+    np.testing.assert_allclose(found.angle_rad, wanted, atol=1.01 * UNIT)
+    assert found.count_rad == pytest.approx(UNIT)
+    assert np.std(found.angle_rad[:50]) == pytest.approx(UNIT / np.sqrt(12.0), rel=0.2)
+    assert found.moves is not None
+    assert 50 <= found.moves[0] < 55
+    assert 145 < found.moves[1] < 150
+
+
+def test_an_arm_that_does_not_move_stays() -> None:
+    found = turn_of(capture(np.full(30, 100.0)), TURNS)
+    assert found.moves is None
+    assert np.ptp(found.angle_rad) == 0.0
+
+
+def test_the_arm_points_to_the_left_and_turns_down() -> None:
+    places = place_m(np.array([0.0, np.pi / 2.0]), TURNS)
+    np.testing.assert_allclose(places, [[-0.4, 0.2], [0.1, -0.3]], atol=1e-12)

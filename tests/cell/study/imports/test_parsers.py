@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import CapturedColumn
-from cell.study.imports.cells import NOT_SEEN, number
+from cell.study.imports.capture import NOT_SEEN, CapturedColumn, number
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.read import read_capture

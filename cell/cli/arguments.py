@@ -1,0 +1,128 @@
+"""What a command is given: folders of cycles, and recordings, which stand for their folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import MISSING, fields
+from inspect import Parameter, Signature
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+
+import typer
+
+from cell.cli.shared import refuse, tell_notes
+from cell.files.atomic import named_folder
+
+if TYPE_CHECKING:
+    from cell.workers.executor import Executor
+
+
+def taking(kind: type[Any]) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
+    """A command for typer that takes the fields of a frozen dataclass as its options.
+
+    Every field is annotated as typer wants a parameter to be.
+    """
+    hints = get_type_hints(kind, include_extras=True)
+    options = [
+        Parameter(
+            field.name,
+            Parameter.KEYWORD_ONLY,
+            default=Parameter.empty if field.default is MISSING else field.default,
+            annotation=hints[field.name],
+        )
+        for field in fields(kind)
+    ]
+
+    def made(command: Callable[[Any], None]) -> Callable[..., None]:
+        def called(**given: Any) -> None:
+            command(kind(**given))
+
+        called.__name__, called.__doc__ = command.__name__, command.__doc__
+        called.__module__ = command.__module__
+        called.__signature__ = Signature(options)  # type: ignore[attr-defined]
+        called.__annotations__ = {o.name: o.annotation for o in options}
+        return called
+
+    return made
+
+
+#: How the file of a recording ends.
+RECORDING = ".mcap"
+
+
+def folder_of(ctx: typer.Context, given: Path) -> Path:
+    """The folder itself, or one with what a recording holds, until the command ends."""
+    return folder_in(ctx.with_resource, given)
+
+
+def records_folder(given: Path) -> Path:
+    """A folder of records, beside which log, ledger and socket have their places."""
+    try:
+        return named_folder(given)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+def maybe_folder_of(ctx: typer.Context, given: Path | None) -> Path | None:
+    """The same of what may be left out."""
+    return None if given is None else folder_of(ctx, given)
+
+
+def folders_of(ctx: typer.Context, given: Sequence[Path]) -> list[Path]:
+    """The same for several."""
+    return [folder_of(ctx, path) for path in given]
+
+
+def folder_in(enter: Callable[[AbstractContextManager[str]], str], given: Path) -> Path:
+    """The folder itself, or one with what a recording holds; `enter` says until when."""
+    if given.suffix != RECORDING:
+        return given
+    from cell.files.input_error import InputError
+    from cell.records.recording.reading import read_recording
+    from cell.records.recording.unpack import unpack
+
+    folder = TemporaryDirectory()
+    into = Path(enter(folder))
+    try:
+        return unpack(read_recording(given), into)
+    except InputError as error:
+        folder.cleanup()  # while arguments are read the command has not begun, nor does it end
+        refuse(error)
+
+
+Workers = Annotated[
+    str | None,
+    typer.Option(
+        "--workers",
+        help="Workers of a Dask cluster, by its scheduler's address (tcp://host:8786), or a number "
+        "of cores of this computer.  Default: `workers` in the settings, or all cores.",
+        metavar="WHERE",
+        show_default=False,
+    ),
+]
+
+
+@contextmanager
+def workers(given: str | None, config: Path | None = None) -> Iterator[Executor]:
+    """The executor for a command's jobs.
+
+    given   as the option says; None = as the settings say
+    raises  WorkersError; InputError: the settings are wrong
+    """
+    from cell.workers.executor import place
+    from cell.workers.here import executor
+
+    where = _of_settings(config) if given is None else place(given)
+    with executor(where, lambda note: tell_notes([note])) as found:
+        yield found
+
+
+def _of_settings(config: Path | None) -> str | int | None:
+    if config is None:
+        return None
+    from cell.settings import load_settings
+
+    said = load_settings(config).workers
+    return None if said is None else said.place

@@ -1,0 +1,45 @@
+"""What settings refer to: files of a calibration, effects of one's own, the line."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from contextlib import suppress
+from pathlib import Path
+
+from cell.settings.calibrated import calibration_file
+from cell.settings.model import Settings
+
+
+def files_of(settings: Settings) -> dict[str, str]:
+    """Text of every file, by its path as the settings name it; what cannot be read is left out.
+
+    The grips of other products are not among them.
+    """
+    paths = [Path(e.effect) for e in settings.model.effects if e.effect.endswith(".py")]
+    if settings.calibration is not None and settings.calibration.folder.is_dir():
+        grip = calibration_file(settings, "grip")
+        found = sorted(settings.calibration.folder.glob("*.yaml"))
+        paths += [p for p in found if p == grip or p.name.partition(".")[0] != "grip"]
+    texts = {}
+    for path in paths:
+        with suppress(OSError, UnicodeDecodeError):
+            texts[str(path)] = path.read_text(encoding="utf-8")
+    return texts
+
+
+def calibration_hash(settings: Settings) -> str | None:
+    """Hash of the calibration's files; None = as typed."""
+    folder = None if settings.calibration is None else settings.calibration.folder
+    texts = {p: t for p, t in files_of(settings).items() if Path(p).parent == folder}
+    if not texts:
+        return None
+    return hashlib.sha256("\0".join(texts.values()).encode()).hexdigest()[:16]
+
+
+def line_name(settings: Settings | None) -> str:
+    """The line that a cell belongs to, as which its cycles are listed; the computer's name if the
+    settings, or their absence, say nothing.
+    """
+    named = None if settings is None or settings.ledger is None else settings.ledger.line
+    return named or platform.node() or "line"

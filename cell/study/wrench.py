@@ -1,0 +1,268 @@
+"""The wrench of a trial at its clamp: its file, what it shows, whether it can be of its trial."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from cell.cable.arrays import FloatArray
+from cell.cable.geometry import ROUGHLY_STILL, Cable, Motion, moves_from_s
+from cell.cable.wrench import Gauge, Tool
+from cell.files.plain import plain
+from cell.study.checks import check_times
+from cell.study.data import Trial, Wrench, WrenchSensor
+from cell.study.facts import noise_m
+from cell.study.table import read_table, table_text
+
+COLUMNS = ("force_x_n", "force_y_n", "moment_nm")
+FILE = "wrench.csv"
+
+#: Beyond these a number is taken for a mistaken unit: no hand that moves a cable bears them.
+LIMITS = {"force_x_n": 1e3, "force_y_n": 1e3, "moment_nm": 1e2}
+UNITS = {"force_x_n": "N", "force_y_n": "N", "moment_nm": "N·m"}
+
+_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+#: Farther from the gripping point no tool has its centre of mass, m.
+_Near = Annotated[float, Field(ge=-1.0, le=1.0)]
+
+
+class _StrictWrench(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class ToolEntry(_StrictWrench):
+    """The key `wrench.tool` of `study.yaml`."""
+
+    mass_kg: _Positive
+    centre_m: tuple[_Near, _Near] = (0.0, 0.0)
+    inertia_kg_m2: _NotNegative = 0.0
+
+
+class SensorEntry(_StrictWrench):
+    """The key `wrench` of `study.yaml`."""
+
+    axes: Literal["plane", "hand"] = "plane"
+    force_std_n: _Positive | None = None
+    moment_std_nm: _Positive | None = None
+    gain_std: Annotated[float, Field(ge=0.0, le=0.5)] = WrenchSensor.gain_std
+    tool: ToolEntry | None = None
+
+    def sensor(self) -> WrenchSensor:
+        """The sensor that it describes."""
+        tool = Tool() if self.tool is None else Tool(**self.tool.model_dump())
+        gauge = Gauge(tool, self.axes == "hand")
+        return WrenchSensor(gauge, self.force_std_n, self.moment_std_nm, self.gain_std)
+
+
+def sensor_entry(sensor: WrenchSensor) -> Mapping[str, Any]:
+    """The key `wrench` of `study.yaml`, what is usual left out."""
+    tool = sensor.gauge.tool
+    entry: dict[str, Any] = {}
+    if sensor.gauge.turns:
+        entry["axes"] = "hand"
+    stated = {"force_std_n": sensor.force_std_n, "moment_std_nm": sensor.moment_std_nm}
+    entry |= {key: float(value) for key, value in stated.items() if value is not None}
+    if sensor.gain_std != WrenchSensor.gain_std:
+        entry["gain_std"] = float(sensor.gain_std)
+    if tool.mass_kg > 0.0:
+        entry["tool"] = {**vars(tool), "centre_m": list(tool.centre_m)}
+    return entry
+
+
+def read_wrench(path: Path, grip: Motion) -> Wrench:
+    """Read t_s and any of `COLUMNS`; the clock is that of the hand's log.
+
+    raises  InputError: a column is unknown or none is there, a value or time cannot be; with line,
+            column, value, limit and remedy
+    """
+    table = read_table(path, ("t_s",), COLUMNS)
+    there = table.columns[1:]
+    if not there:
+        message = f"has no column of a wrench; give one or more of {', '.join(COLUMNS)}"
+        raise table.error(1, None, message)
+    check_times(table)
+    table.check(
+        ~(np.abs(table.values) > [np.inf, *(LIMITS[name] for name in there)]),
+        lambda name: (
+            f"is beyond ±{LIMITS[name]:g} {UNITS[name]}; give {UNITS[name]}, not m{UNITS[name]}"
+        ),
+    )
+    t_s = table.values[:, 0]
+    if t_s[-1] < grip.t_s[0] or t_s[0] > grip.t_s[-1]:
+        raise table.error(
+            2,
+            "t_s",
+            f"the wrench spans {t_s[0]:g} … {t_s[-1]:g} s, grip.csv {grip.t_s[0]:g} … "
+            f"{grip.t_s[-1]:g} s, without overlap; put both on one clock, in seconds",
+        )
+    for name, series in zip(there, table.values[:, 1:].T, strict=True):
+        seen = series[np.isfinite(series)]
+        if not seen.size or np.ptp(seen) == 0.0:
+            shown = f"is {seen[0]:g} in all of {seen.size} rows" if seen.size else "has no value"
+            message = f"{shown}, limit: one change; a sensor shows its noise: leave the column out"
+            raise table.error(2, name, message)
+    values = np.full((len(t_s), len(COLUMNS)), np.nan)
+    values[:, [COLUMNS.index(name) for name in there]] = table.values[:, 1:]
+    return Wrench(t_s, values)
+
+
+def wrench_text(wrench: Wrench) -> str:
+    """The file of a wrench, without columns in which nothing was measured."""
+    there = np.flatnonzero(np.isfinite(wrench.values).any(axis=0))
+    names = ("t_s", *(COLUMNS[i] for i in there))
+    return table_text(names, np.column_stack([wrench.t_s, wrench.values[:, there]]))
+
+
+#: Where this share of what twice the integral of a force shows is the motion's, it is judged …
+_SHOWN = 0.8
+#: … by the factor that it has over what hand, markers and masses ask for: told beyond these, …
+_TOLD = (0.5, 2.0)
+#: … and refused beyond these.
+_REFUSED = (-1.0 / 3.0, 30.0)
+#: The cable's end is at most so many times as far from the hand as its outermost marker.
+_FARTHER = 4.0
+
+
+@dataclass(frozen=True)
+class ForceFactor:
+    """The measured force over that which moves the masses: about 1.
+
+    column   of the file, of the axis that moves most
+    refused  whether it cannot be
+    """
+
+    column: str
+    factor: float
+    refused: bool
+
+    @property
+    def cause(self) -> str:
+        """What may be wrong, and its remedy."""
+        said = f"is {self.factor:.2g} times what moves cable and tool as hand and markers show"
+        if self.factor < 0.0:
+            return (
+                f"{said}, limit {_REFUSED[0]:.2g}: it points the other way; give the force that "
+                "hand and clamp exert on the cable, which at rest points up"
+            )
+        if self.factor > 1.0:
+            limit = _REFUSED[1] if self.refused else _TOLD[1]
+            return (
+                f"{said}, limit {limit:g}; give N, not mN, and the mass that the sensor carries "
+                "as wrench.tool in study.yaml"
+            )
+        return (
+            f"{said}, limit {_TOLD[0]:g}; see whether it is in N, on the clock of grip.csv, and "
+            "whether wrench.tool and the cable's line density are right"
+        )
+
+
+def force_factor(
+    trial: Trial, cable: Cable, outermost_m: float, sensor: WrenchSensor
+) -> ForceFactor | None:
+    """Of a trial's force; None where it is as it should be, or shows too little to tell.
+
+    Twice integrated it is mass times the way of the centre of mass, beside a parabola by weight and
+    tare.  That centre is roughly in the middle between the hand and where a straight cable through
+    the outermost marker would end.
+
+    outermost_m  arc length of that marker
+    """
+    if trial.wrench is None or trial.start != "equilibrium" or sensor.gauge.turns:
+        return None
+    t_s, way = trial.wrench.t_s, _mass_moment(trial, cable, outermost_m, sensor)
+    judged = []
+    for axis, column in enumerate(("force_x_n", "force_y_n")):
+        force = trial.wrench.values[:, axis]
+        seen = np.isfinite(force) & np.isfinite(way[:, axis])
+        if np.count_nonzero(seen) > 8 and np.ptp(way[seen, axis]) > 0.0:
+            factor, shown = _factor(t_s[seen], force[seen], way[seen, axis])
+            if shown > _SHOWN:
+                judged.append((float(np.ptp(way[seen, axis])), column, factor))
+    if not judged:
+        return None
+    _, column, factor = max(judged)
+    if _TOLD[0] <= factor <= _TOLD[1]:
+        return None
+    return ForceFactor(column, factor, not _REFUSED[0] <= factor <= _REFUSED[1])
+
+
+def _factor(t_s: FloatArray, force: FloatArray, way: FloatArray) -> tuple[float, float]:
+    """Of the force over what the way (n,), kg·m, asks for, and the share of it that is so."""
+    steps = np.diff(t_s)
+    force = force - force.mean()
+    impulse = np.concatenate([[0.0], np.cumsum(0.5 * steps * (force[1:] + force[:-1]))])
+    twice = np.concatenate([[0.0], np.cumsum(0.5 * steps * (impulse[1:] + impulse[:-1]))])
+    parabola = np.linalg.qr(np.vander((t_s - t_s[0]) / (t_s[-1] - t_s[0]), 3))[0]
+    left = [v - parabola @ (parabola.T @ v) for v in (twice, way)]
+    factor = float(left[0] @ left[1]) / max(float(left[1] @ left[1]), 1e-300)
+    power = max(float(left[0] @ left[0]), 1e-300)
+    return factor, factor**2 * float(left[1] @ left[1]) / power
+
+
+def _mass_moment(
+    trial: Trial, cable: Cable, outermost_m: float, sensor: WrenchSensor
+) -> FloatArray:
+    """(T, 2) mass times place of all that is moved, at the times of the wrench, kg·m."""
+    assert trial.wrench is not None
+    t_s, grip, markers = trial.wrench.t_s, trial.grip, trial.markers
+    hand = np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
+    outermost = np.full(hand.shape, np.nan)
+    for axis, series in enumerate(markers.xy_m[:, 0].T):
+        seen = np.isfinite(series)
+        if seen.any():
+            inside = (t_s >= markers.t_s[0]) & (t_s <= markers.t_s[-1])
+            along = np.interp(t_s, markers.t_s[seen], series[seen])
+            outermost[:, axis] = np.where(inside, along, np.nan)
+    mass_kg = cable.line_density_kg_per_m * cable.free_length_m
+    at_end_kg = cable.connector.mass_kg if cable.connector else 0.0
+    end = hand + (outermost - hand) * min(cable.length_m / max(outermost_m, 1e-9), _FARTHER)
+    held = (0.5 * mass_kg + sensor.gauge.tool.mass_kg) * hand
+    return np.asarray(held + (0.5 * mass_kg + at_end_kg) * end)
+
+
+@dataclass(frozen=True, eq=False)
+class WrenchFacts:
+    """Facts of one trial's wrench: N and N·m, in the order of the columns of its file.
+
+    rate_hz  rows a second, by the usual step
+    still    rows before anything moves
+    noise    (3,) of one row at rest, by second differences: slow errors do not show in it
+    varies   (3,) largest less smallest; nan = not measured
+    """
+
+    trial: str
+    rate_hz: float
+    still: int
+    noise: FloatArray
+    varies: FloatArray
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, without columns that were not measured; None for what is not known."""
+        columns = {
+            name: {"noise": plain(self.noise[i]), "varies": plain(self.varies[i])}
+            for i, name in enumerate(COLUMNS)
+            if np.isfinite(self.varies[i])
+        }
+        return {"rate_hz": self.rate_hz, "still_rows": self.still, **columns}
+
+
+def wrench_facts(trial: Trial) -> WrenchFacts | None:
+    """Of a trial; None if there is no wrench."""
+    wrench = trial.wrench
+    if wrench is None:
+        return None
+    let_go_s = np.inf if trial.rests_until_s is None else trial.rests_until_s
+    until_s = min(moves_from_s(trial.grip, ROUGHLY_STILL), let_go_s)
+    still = int(np.searchsorted(wrench.t_s, until_s))
+    varies = np.full(len(COLUMNS), np.nan)
+    seen = np.isfinite(wrench.values).any(axis=0)
+    varies[seen] = np.nanmax(wrench.values[:, seen], 0) - np.nanmin(wrench.values[:, seen], 0)
+    noise = np.array([noise_m(series) for series in wrench.values[:still].T])
+    rate_hz = 1.0 / float(np.median(np.diff(wrench.t_s)))
+    return WrenchFacts(trial.name, rate_hz, still, noise, varies)

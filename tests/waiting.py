@@ -1,0 +1,28 @@
+"""Waiting for what another thread or process does; a port that is free."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+Reached = TypeVar("Reached")
+
+
+def wait_until(
+    reached: Callable[[], Reached], within_s: float = 90.0, why: Callable[[], object] = lambda: ""
+) -> Reached:
+    """What `reached` returns as soon as that is true; `why` is said if it comes too late."""
+    deadline_s = time.monotonic() + within_s
+    while not (value := reached()):
+        assert time.monotonic() < deadline_s, why() or "it did not happen in time"
+        time.sleep(0.005)
+    return value
+
+
+def free_port() -> int:
+    """A TCP port of this computer that nobody uses."""
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        return int(bound.getsockname()[1])
