@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.lab import refusing
 from cell.cli.ledger import LedgerPlace, ledger_errors, open_ledger
-from cell.cli.shared import AsJson, MaybeConfig, group
+from cell.cli.shared import AsJson, MaybeConfig, group, refusing
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:

@@ -9,9 +9,8 @@ from typing import Annotated
 
 import typer
 
-from cell.cli.lab import refusing
 from cell.cli.ledger import LedgerPlace, Since, ledger_errors, parse_time
-from cell.cli.shared import AsJson, MaybeConfig, group
+from cell.cli.shared import AsJson, MaybeConfig, group, refusing
 from cell.cli.streams import emit
 
 app = group()

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.arguments import records_folder
-from cell.cli.lab import Force, refusing, working
 from cell.cli.ledger import open_ledger
-from cell.cli.shared import AsJson, MaybeConfig, group
+from cell.cli.shared import AsJson, Force, MaybeConfig, group, refusing, working
 from cell.cli.streams import emit
 from cell.files.words import counted
 

@@ -13,16 +13,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.lab import refusing, working
-from cell.cli.output import STDOUT, print_result
+from cell.cli.output import print_result
 from cell.cli.shared import (
     ALL_DONE,
     NOT_ALL_DONE,
+    STDOUT,
     Config,
     MaybeConfig,
     OfProduct,
     interrupted_once,
     refuse,
+    refusing,
+    working,
 )
 
 if TYPE_CHECKING:

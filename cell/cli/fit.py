@@ -11,16 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.arguments import maybe_folder_of, taking
-from cell.cli.lab import (
-    InModel,
-    LineModel,
-    PriorFile,
-    refusing,
-    show,
-    working,
-)
+from cell.cli.lab import InModel, LineModel, PriorFile
 from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import answering, group, tell_notes
+from cell.cli.shared import answering, group, refusing, show, tell_notes, working
 
 if TYPE_CHECKING:
     from cell.lab.strength.profiles import ParameterProfile

@@ -10,9 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import Workers, folder_of, taking, workers
-from cell.cli.lab import Force, refusing, show, working
 from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import NOT_ALL_DONE, group, stoppable, tell_notes
+from cell.cli.shared import (
+    NOT_ALL_DONE,
+    Force,
+    group,
+    refusing,
+    show,
+    stoppable,
+    tell_notes,
+    working,
+)
 from cell.files.words import counted
 
 if TYPE_CHECKING:

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from cell.cli.arguments import folder_in, taking
-from cell.cli.lab import refusing, show, working
 from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, tell_notes
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, refusing, show, tell_notes, working
 from cell.files.overwriting import check_new_study, check_output
 from cell.files.words import counted
 

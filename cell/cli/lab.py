@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,17 +12,24 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import Workers, folder_of, folders_of, taking, workers
-from cell.cli.output import STDOUT, Json, JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import BAD_INPUT, NOT_ALL_DONE, answering, group, stoppable, tell_notes
+from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
+from cell.cli.shared import (
+    NOT_ALL_DONE,
+    STDOUT,
+    Force,
+    answering,
+    group,
+    refusing,
+    show,
+    stoppable,
+    tell_notes,
+    working,
+)
 from cell.cli.streams import OutputClosedError
-from cell.files.overwriting import check_distinct, check_output
-from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
-    from cell.files.table import TableData
     from cell.lab.data.work import Progress
     from cell.lab.strength.compare import Comparison
-    from cell.terminal.progress import ProgressLine
 
 app = group()
 
@@ -88,10 +94,6 @@ ReportFile = Annotated[
 
 #: Why a command has ended early, by whether a person wanted it.
 ENDED = {True: "interrupted", False: "the limit of work was reached"}
-
-Force = Annotated[
-    bool, typer.Option("--force", help="Overwrite files that this program did not write.")
-]
 
 
 @app.command(cls=JsonCommand)
@@ -466,47 +468,3 @@ def suggest(given: _Suggest) -> None:
     deliver(printed, (given.out, result.write), *json_files(data, given.as_json))
     if interrupted:
         raise typer.Exit(interrupted.code)
-
-
-@contextmanager
-def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]:
-    """Ends with 2 and a message, nothing written, if what was given is wrong.
-
-    outputs  files to be written at the end of a long computation: tried at its beginning
-    force    whether they may take the place of what no command wrote; None = there is no `--force`
-    """
-    try:
-        files = [output for output in outputs if output is not None and output != STDOUT]
-        check_distinct(files)
-        for output in files:
-            check_output(output, force=force)
-        yield
-    except (FileNotFoundError, ValueError) as error:  # InputError, EffectError … among them
-        if isinstance(error, FileNotFoundError) and error.filename is not None:
-            print(f"{error.filename}: {error.strerror}; check the name", file=sys.stderr)
-        else:
-            print(error, file=sys.stderr)
-        raise typer.Exit(BAD_INPUT) from error
-    except OSError as error:  # of a name that no file can have, a folder that nobody may enter …
-        if error.filename is None or no_room(error):
-            raise
-        print(f"{error.filename}: {error.strerror}; {remedy(error)}", file=sys.stderr)
-        raise typer.Exit(BAD_INPUT) from error
-
-
-def working(command: str) -> ProgressLine:
-    """A line that tells what a command is doing, on the error stream."""
-    from cell.terminal.progress import ProgressLine
-
-    return ProgressLine(command)
-
-
-def show(*parts: str | TableData) -> None:
-    """Print texts as they are, and tables of which no number is cut."""
-    from rich.console import Console
-
-    from cell.files.table import TableData
-    from cell.terminal.fitting import show as show_on
-    from cell.terminal.fitting import text_table
-
-    show_on(Console(), *(text_table(p) if isinstance(p, TableData) else p for p in parts))

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.arguments import taking
-from cell.cli.lab import Force, refusing
 from cell.cli.output import Delivery, deliver
-from cell.cli.shared import AsJson, MaybeConfig, group
+from cell.cli.shared import AsJson, Force, MaybeConfig, group, refusing
 from cell.cli.streams import emit
 from cell.files.words import counted
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import Workers, folder_in, taking, workers
-from cell.cli.lab import refusing, show, working
 from cell.cli.ledger import LedgerPlace, Since, listed_cycles
 from cell.cli.output import Delivery, deliver
 from cell.cli.shared import (
@@ -26,6 +25,9 @@ from cell.cli.shared import (
     OfProduct,
     answering,
     group,
+    refusing,
+    show,
+    working,
 )
 
 if TYPE_CHECKING:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import records_folder
-from cell.cli.lab import refusing
-from cell.cli.shared import MaybeConfig, group, refuse
+from cell.cli.shared import MaybeConfig, group, refuse, refusing
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:

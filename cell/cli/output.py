@@ -12,12 +12,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from cell.cli.shared import NOT_ALL_DONE, answering, unhindered
+from cell.cli.shared import NOT_ALL_DONE, STDOUT, answering, unhindered
 from cell.cli.streams import OutputClosedError, emit
 from cell.files.rescue import write_or_rescue
-
-#: Stands for the standard output where a file could be given.
-STDOUT = Path("-")
 
 Json = Annotated[
     Path | None,

@@ -9,18 +9,9 @@ from typing import Annotated
 import typer
 
 from cell.cli.arguments import Workers, taking, workers
-from cell.cli.lab import (
-    Force,
-    Known,
-    LineModel,
-    Results,
-    StudyFolder,
-    refusing,
-    show,
-    working,
-)
+from cell.cli.lab import Known, LineModel, Results, StudyFolder
 from cell.cli.output import JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import group, stoppable, tell_notes
+from cell.cli.shared import Force, group, refusing, show, stoppable, tell_notes, working
 
 app = group()
 

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from cell.cli.arguments import taking
-from cell.cli.lab import Force, refusing, working
 from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Force, group, refusing, working
 from cell.files.rescue import why_not_written
 from cell.files.words import counted
 

@@ -10,9 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from cell.cli.arguments import folder_of
-from cell.cli.lab import Force, refusing, working
 from cell.cli.output import deliver
-from cell.cli.shared import AsJson, group, refuse
+from cell.cli.shared import AsJson, Force, group, refuse, refusing, working
 
 app = group()
 

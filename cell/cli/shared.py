@@ -8,13 +8,21 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from cell.computer.watched import ANSWERED, responds_after_interrupt
+from cell.files.overwriting import check_distinct, check_output
+from cell.files.rescue import no_room, remedy
+
+if TYPE_CHECKING:
+    from cell.files.table import TableData
+    from cell.terminal.progress import ProgressLine
 
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
+#: Stands for the standard output where a file could be given.
+STDOUT = Path("-")
 
 Config = Annotated[
     Path, typer.Option("--config", "-c", help="Settings of the cell, YAML.", show_default=False)
@@ -28,6 +36,9 @@ OfProduct = Annotated[
     typer.Option(
         "--product", help="Of this product of the settings; default: the usual one, `product: …`."
     ),
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="Overwrite files that this program did not write.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
@@ -200,3 +211,47 @@ def interrupted_once() -> Iterator[Callable[[], None]]:
     finally:
         for s, handler in former.items():
             signal.signal(s, handler)
+
+
+@contextmanager
+def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]:
+    """Ends with 2 and a message, nothing written, if what was given is wrong.
+
+    outputs  files to be written at the end of a long computation: tried at its beginning
+    force    whether they may take the place of what no command wrote; None = there is no `--force`
+    """
+    try:
+        files = [output for output in outputs if output is not None and output != STDOUT]
+        check_distinct(files)
+        for output in files:
+            check_output(output, force=force)
+        yield
+    except (FileNotFoundError, ValueError) as error:  # InputError, EffectError … among them
+        if isinstance(error, FileNotFoundError) and error.filename is not None:
+            print(f"{error.filename}: {error.strerror}; check the name", file=sys.stderr)
+        else:
+            print(error, file=sys.stderr)
+        raise typer.Exit(BAD_INPUT) from error
+    except OSError as error:  # of a name that no file can have, a folder that nobody may enter …
+        if error.filename is None or no_room(error):
+            raise
+        print(f"{error.filename}: {error.strerror}; {remedy(error)}", file=sys.stderr)
+        raise typer.Exit(BAD_INPUT) from error
+
+
+def working(command: str) -> ProgressLine:
+    """A line that tells what a command is doing, on the error stream."""
+    from cell.terminal.progress import ProgressLine
+
+    return ProgressLine(command)
+
+
+def show(*parts: str | TableData) -> None:
+    """Print texts as they are, and tables of which no number is cut."""
+    from rich.console import Console
+
+    from cell.files.table import TableData
+    from cell.terminal.fitting import show as show_on
+    from cell.terminal.fitting import text_table
+
+    show_on(Console(), *(text_table(p) if isinstance(p, TableData) else p for p in parts))

@@ -10,8 +10,7 @@ from typing import Annotated
 
 import typer
 
-from cell.cli.lab import refusing, working
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refusing, working
 
 app = group()
 

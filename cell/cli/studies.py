@@ -9,9 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import folder_of, folders_of
-from cell.cli.lab import Force, refusing, show, working
-from cell.cli.output import STDOUT, Json, JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, tell_notes
+from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
+from cell.cli.shared import (
+    ALL_DONE,
+    NOT_ALL_DONE,
+    STDOUT,
+    Force,
+    group,
+    refusing,
+    show,
+    tell_notes,
+    working,
+)
 from cell.files.overwriting import check_new_study
 from cell.files.words import counted
 
