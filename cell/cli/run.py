@@ -148,9 +148,8 @@ def run(options: RunOptions) -> None:
     cable was rejected or missed, a cycle failed or the dry run found an error; 2 if the settings or
     the motion are wrong, or another program commands the devices, and nothing has moved.
 
-    At a terminal, press h to hold: the current motion is finished, then the hand stays still with
-    what it holds.  Press u to continue.  A hold never clears a stop.  Ctrl-C stops the arm and
-    closes the record.
+    At a terminal, press h to hold: the motion is finished, then the gripper stays still.  Press u
+    to continue.  A hold never clears a stop.  Ctrl-C stops the arm and closes the record.
     """
     from cell.cli.cell_factory import build_cell, products_in
     from cell.cli.plant_end import PlantEnd
@@ -170,8 +169,7 @@ def run(options: RunOptions) -> None:
         first = _first(products, options)
         settings = products.default if first is None else products.settings[first]
         known = products.calibrations[first] if first else calibrated(settings, options.config)
-        motion = options.motion
-        plan = INSERTING if motion is None else measuring(load_motion(motion, settings))
+        plan = measuring(load_motion(m, settings)) if (m := options.motion) else INSERTING
         to_file(options.out.with_name(f"{options.out.name}.log"))
         with (
             owned(settings, options.config),

@@ -90,7 +90,7 @@ class Job:
     step      of its commands, from 0
     progress  what is being done now
     share     of the part under way; None = cannot be counted
-    said      newest lines of the error stream, progress left out
+    output    newest lines of the error stream, progress left out
     printed   newest lines of the standard output
     ended_s   Unix time; None = has not
     """

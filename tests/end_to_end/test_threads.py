@@ -247,7 +247,7 @@ def test_a_recording_that_cannot_be_ended_is_reported_as_torn(tmp_path: Path) ->
     os.close(write)
 
 
-@pytest.mark.parametrize("thread", ["_ring", "_obey", "_serve_all"])
+@pytest.mark.parametrize("thread", ["_publish_loop", "_serve_requests", "_serve_all"])
 def test_a_link_that_dies_is_a_cell_that_is_away(
     thread: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -289,7 +289,7 @@ def test_an_adapter_that_is_kept_no_more_is_told() -> None:
 
 def test_an_mqtt_adapter_that_takes_nothing_ends(tmp_path: Path) -> None:
     told: list[bool] = []
-    taker = OutboxFeeder(tmp_path, SimpleNamespace(taken=boom), lambda: told.append(True))  # type: ignore[arg-type]
+    taker = OutboxFeeder(tmp_path, SimpleNamespace(newest=boom), lambda: told.append(True))  # type: ignore[arg-type]
     with taker:
         until(lambda: told)
     assert str(taker.error) == "ValueError: boom"
@@ -352,7 +352,7 @@ def test_a_job_whose_output_is_read_no_more_ends(monkeypatch: pytest.MonkeyPatch
     assert process.stdout is not None and process.stdout.closed
 
 
-@pytest.mark.parametrize("what", ["_follow", "_hear"])
+@pytest.mark.parametrize("what", ["_follow", "_read_output"])
 def test_a_calibration_that_is_followed_no_more_ends(
     what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

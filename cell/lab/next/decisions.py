@@ -170,7 +170,7 @@ class Chances:
     significant: float
     confirmed: float
     identified: float
-    distinguished: float
+    told_apart: float
 
     @property
     def missed(self) -> float:
@@ -244,7 +244,7 @@ class Tests:
             significant=float(np.mean(judged[0].significant)),
             confirmed=float(np.mean(judged[0].confirmed)),
             identified=float(np.mean(identified)),
-            distinguished=float(np.mean(few & tied[0])),
+            told_apart=float(np.mean(few & tied[0])),
         )
 
     def _right_passes(self, times: float, rules: Rules) -> float:

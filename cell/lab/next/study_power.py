@@ -299,7 +299,7 @@ def _chances(chances: Chances) -> dict[str, Any]:
         "significant": chances.significant,
         "confirmed": chances.confirmed,
         "identified": chances.identified,
-        "told_apart": chances.distinguished,
+        "told_apart": chances.told_apart,
     }
 
 

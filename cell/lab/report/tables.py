@@ -156,7 +156,7 @@ def ranking_table(diagnosis: Diagnosis) -> TableData:
     ]
     shown = dict.fromkeys(r.status for r in diagnosis.ranking)
     note = "; ".join(f"{s}: {STATUSES[s]}" for s in shown)
-    title = "Effects, each alone given the baseline"
+    title = "Effects, each alone beside the baseline"
     return TableData(title, ["effect", "χ² explained", "p", "status"], rows, (1, 2), note, _COLOURS)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import struct
 import sys
@@ -209,9 +210,9 @@ def read_recording(path: Path) -> Recording:
         raise
     except FileNotFoundError as error:
         raise InputError.at(path, "is missing; give a recording or a cycle's folder") from error
-    except OSError as error:
-        raise InputError.at(path, f"cannot be read: {error.strerror}") from error
-    except UNREADABLE as error:
+    except (OSError, *UNREADABLE) as error:
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # too short for an index
+            raise InputError.at(path, f"cannot be read: {error.strerror}") from error
         message = f"is torn; `cell recover {path}` makes what is there readable"
         raise InputError.at(path, message) from error
     begun = metadata.get(form.BEGUN)

@@ -131,7 +131,7 @@ PLAN = Plan(
     (step("reset"),),
     (step("start"),),
     (step("lower"), step("execute")),
-    (Step("release", inserted, may_pause=True),),
+    (Step("release", inserted, adds="outcome", may_pause=True),),
 )
 
 

@@ -70,7 +70,7 @@ def test_commands_run_one_after_another_until_one_fails(jobs: Jobs, tmp_path: Pa
     assert log.read_text() == "2\n3\n"
     jobs.submit(task("print('bad:3: mend it', file=sys.stderr); sys.exit(2)", "1"), "ada")
     failed = wait_until(lambda: newest(jobs).state is JobState.FAILED and newest(jobs))
-    assert (failed.step, failed.said, failed.by) == (0, ("bad:3: mend it",), "ada")
+    assert (failed.step, failed.output, failed.by) == (0, ("bad:3: mend it",), "ada")
 
 
 def test_progress_is_what_the_command_says(jobs: Jobs) -> None:

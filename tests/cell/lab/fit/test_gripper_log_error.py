@@ -49,9 +49,9 @@ def test_what_the_parameters_imitate_is_not_left(error):
     slopes[0, 0], slopes[1, 1] = 1.0, 1.0
     solution = SimpleNamespace(jacobian=slopes, free=np.array([True, True]))
     assert error.square(trials) == pytest.approx(9.0)
-    assert error.square_left(trials, SimpleNamespace(solution=solution)) == pytest.approx(0.0)
+    assert error.residual_square(trials, SimpleNamespace(solution=solution)) == pytest.approx(0.0)
     solution.free[0] = False
-    assert error.square_left(trials, SimpleNamespace(solution=solution)) == pytest.approx(9.0)
+    assert error.residual_square(trials, SimpleNamespace(solution=solution)) == pytest.approx(9.0)
 
 
 def test_an_exact_log_changes_nothing(make_study):

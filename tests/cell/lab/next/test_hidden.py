@@ -76,8 +76,10 @@ def test_without_noise_a_refit_leaves_what_its_parameters_cannot_imitate(fitted,
     """A weak effect: as slopes say.  None at all: nothing."""
     drag, fit = library()["air_drag"], fitted.base.fit
     left = left_of(fitted.prepared, fit, drag.active(drag_coefficient=0.05))
-    hidden = changes(linear.whole.prepared, linear.whole.fit, [drag.active(drag_coefficient=0.05)])
-    expected = linear.unlike_fitted(hidden)[0] + linear.heldout(hidden)[0]
+    hidden = changes(
+        linear.all_trials.prepared, linear.all_trials.fit, [drag.active(drag_coefficient=0.05)]
+    )
+    expected = linear.project_out_fitted(hidden)[0] + linear.heldout(hidden)[0]
     assert np.linalg.norm(left - expected) < 0.05 * np.linalg.norm(expected)
     nothing = left_of(fitted.prepared, fit, drag.active(drag_coefficient=0.0))
     assert np.linalg.norm(nothing) < 1e-3 * np.linalg.norm(expected)

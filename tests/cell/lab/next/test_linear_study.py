@@ -22,7 +22,7 @@ DRAG = 0.4
 @pytest.fixture(scope="module")
 def hidden(linear):
     active = library()["air_drag"].active(drag_coefficient=DRAG)
-    return changes(linear.whole.prepared, linear.whole.fit, [active])[0]
+    return changes(linear.all_trials.prepared, linear.all_trials.fit, [active])[0]
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_what_is_left_of_all_trials_is_what_a_fit_to_them_leaves(fitted, linear,
     base, together = fitted.base.fit, pooled(noiseless)
     weak = replace(base.space, mean=base.q)  # so that the prior asks for nothing else
     fit = fit_model(together, weak, base.q, options=POLISH)
-    left = linear.unlike_all(hidden[None])[0]
+    left = linear.project_out_all(hidden[None])[0]
     assert left @ left == pytest.approx(fit.objective, rel=0.1)
 
 
@@ -57,16 +57,16 @@ def test_what_is_left_of_the_fitted_and_the_held_out_trials_is_what_a_fit_leaves
     base = fitted.base.fit
     weak = replace(base.space, mean=base.q)
     fit = fit_model(noiseless, weak, base.q, options=POLISH)
-    left = linear.unlike_fitted(hidden[None])[0]
+    left = linear.project_out_fitted(hidden[None])[0]
     assert left @ hidden == pytest.approx(fit.objective, rel=0.1)
     held = linear.heldout(hidden[None])
     expected = heldout(noiseless, fit).chi2
-    assert float((linear.weighed(held) @ held.T)[0, 0]) == pytest.approx(expected, rel=0.1)
+    assert float((linear.gls_weighted(held) @ held.T)[0, 0]) == pytest.approx(expected, rel=0.1)
 
 
 def test_scores_of_held_out_trials_are_functions_of_the_whole_residual(linear, hidden):
     held = linear.heldout(hidden[None])
-    weighed = linear.weighed(held)
+    weighed = linear.gls_weighted(held)
     functions = linear.heldout_scores(weighed)
     assert functions @ hidden == pytest.approx((weighed @ held.T)[0], rel=1e-6)
 
@@ -77,9 +77,11 @@ def test_what_parameters_imitate_is_what_the_screen_takes_out(fitted, linear):
     (slopes,) = sensitivities(prepared, base, [library()["tip_mass"]])
     kept = nuisance_of(base).remove(slopes.rows[0])
     expected = float(np.sum(kept**2))
-    (everywhere,) = linear.whole.sensitivities([library()["tip_mass"]])
+    (everywhere,) = linear.all_trials.sensitivities([library()["tip_mass"]])
     rows = everywhere.rows[0][:, : len(linear.fitted)]
-    assert float((linear.unlike_fitted(rows) @ rows.T)[0, 0]) == pytest.approx(expected, rel=0.05)
+    assert float((linear.project_out_fitted(rows) @ rows.T)[0, 0]) == pytest.approx(
+        expected, rel=0.05
+    )
     assert len(fit_trials(prepared)) < len(prepared.study.trials)
 
 
@@ -98,7 +100,7 @@ def test_an_effect_of_one_sign_cannot_imitate_the_other(linear, hidden):
 
 
 def test_a_change_that_parameters_make_is_no_effect_of_its_own(linear):
-    by_viscosity = linear.slopes[:, list(linear.whole.fit.space.names).index("viscosity")]
+    by_viscosity = linear.slopes[:, list(linear.all_trials.fit.space.names).index("viscosity")]
     hidden = 1e3 * by_viscosity
     none = np.empty((0, len(hidden)))
     assert own_sensitivities(linear, library()["air_drag"], 0, hidden, hidden, none) is None
@@ -106,7 +108,7 @@ def test_a_change_that_parameters_make_is_no_effect_of_its_own(linear):
 
 def test_a_shape_that_the_amplitude_or_another_imitates_is_asked_once(linear, hidden):
     """Directions that are the same leave no covariance to be inverted."""
-    other = linear.whole.sensitivities([library()["tip_mass"]])[0].rows[0][:1, : len(hidden)]
+    other = linear.all_trials.sensitivities([library()["tip_mass"]])[0].rows[0][:1, : len(hidden)]
     shapes = np.vstack([0.0 * hidden, 2.0 * hidden, other, 3.0 * other])
     own = own_sensitivities(linear, library()["air_drag"], 0, hidden, hidden, shapes)
     assert own is not None
@@ -115,6 +117,6 @@ def test_a_shape_that_the_amplitude_or_another_imitates_is_asked_once(linear, hi
 
 
 def test_the_covariance_of_white_functions_is_theirs_and_the_hand_adds_to_it(linear, hidden):
-    functions = np.stack([hidden, linear.unlike_all(hidden[None])[0]])
+    functions = np.stack([hidden, linear.project_out_all(hidden[None])[0]])
     found = linear.covariance(functions)
     assert np.all(np.linalg.eigvalsh(found - functions @ functions.T) > -1e-6 * found.max())

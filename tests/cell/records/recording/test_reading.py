@@ -113,7 +113,7 @@ def test_a_changed_byte_is_noticed(make_recording):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"", "cell recover"), (b"no recording at all", "cell recover"), (None, "is missing")],
+    [(b"", "is no MCAP file"), (b"no recording", "is no MCAP file"), (None, "is missing")],
 )
 def test_what_is_no_recording_is_refused(tmp_path, content, said):
     path = tmp_path / "some.mcap"

@@ -74,7 +74,7 @@ def test_what_is_handed_over_is_in_the_file(recorder, tmp_path):
     for frame in given:
         recorder.frame(frame)
     recorder.event(form.STATE, {"state": "execute", "step": "lower"})
-    recorder.seen([f.t_s for f in given], np.full((20, 11, 2), 5.0))
+    recorder.add_detections([f.t_s for f in given], np.full((20, 11, 2), 5.0))
     path = Trajectory(np.arange(3.0), *np.ones((3, 3)))
     recorder.poses(form.COMMANDED, path)
     time.sleep(0.1)  # poses of so much time
