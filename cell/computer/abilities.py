@@ -112,13 +112,15 @@ class Stalls:
         return max((float(s.max()) for s in (self.slept_s, self.spun_s) if len(s)), default=0.0)
 
     def __str__(self) -> str:
-        def told(values: NDArray[np.float64]) -> str:
+        def in_ms(values: NDArray[np.float64]) -> str:
             if not len(values):
                 return "not measured"
             ms = 1e3 * np.quantile(values, [0.5, 0.99, 1.0])
             return f"median {ms[0]:.2f} ms, p99 {ms[1]:.1f}, longest {ms[2]:.1f}"
 
-        return f"this computer's own stalls: asleep {told(self.slept_s)}; awake {told(self.spun_s)}"
+        return (
+            f"this computer's own stalls: asleep {in_ms(self.slept_s)}; awake {in_ms(self.spun_s)}"
+        )
 
 
 class StallProbe:

@@ -249,14 +249,14 @@ class Flight:
         used = np.isfinite(nodes_m[:, 0, 0]) & (t_s >= 0.0)
         if used.sum() < LEAST_FRAMES:
             return Decision(withheld=f"the cable is seen in {used.sum()} frames")
-        beside = deviation(self.response, t_s[used], nodes_m[used], self.noise_m)
-        if beside.misfit > MOST_MISFIT:
-            return Decision(withheld=f"the frames are not explained: misfit {beside.misfit:.1f}")
-        asked = self.response, beside, self.destination
+        estimated = deviation(self.response, t_s[used], nodes_m[used], self.noise_m)
+        if estimated.misfit > MOST_MISFIT:
+            return Decision(withheld=f"the frames are not explained: misfit {estimated.misfit:.1f}")
+        given = self.response, estimated, self.destination
         return Decision(
-            self.response.nodes_m[:, 0] + beside.tip_m,
-            best_tail(*asked, from_s, self.lag_s, self.repeatability_m),
-            probability_of_passing(*asked, self.repeatability_m),
+            self.response.nodes_m[:, 0] + estimated.tip_m,
+            best_tail(*given, from_s, self.lag_s, self.repeatability_m),
+            probability_of_passing(*given, self.repeatability_m),
         )
 
     def changed(self, tail: Tail) -> Flight:

@@ -39,7 +39,7 @@ class Executing:
     """How the hand will be when it is told to insert at a moment.
 
     The cable still swings from the hand's motion before; the hand follows with its known lag, and
-    is seen by the camera a constant beside where the arm says it is.  Time goes on as in the hold,
+    is seen by the camera at a constant offset from that of the arm.  Time goes on as in the hold,
     in which the cable was identified: an effect may depend on it.
 
     begin_s  when it is told, on the clock of the identification
@@ -59,8 +59,8 @@ class Executing:
     ) -> Executing:
         """After a hold, from `start_s` on the cell's clock on."""
         begin_s = start_s - filmed.begin_s
-        beside = camera_offset_m_rad(filmed.gripper_log, trial.grip)
-        return Executing(task, timing, begin_s, trial.grip.later(-begin_s), beside)
+        offset = camera_offset_m_rad(filmed.gripper_log, trial.grip)
+        return Executing(task, timing, begin_s, trial.grip.later(-begin_s), offset)
 
     def path(
         self, offset_m: float, delay_s: float = 0.0, pace: float = 1.0, further_m: float = 0.0

@@ -172,7 +172,7 @@ def agreement(
 def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[AgreementCheck]:
     """Lag of the arm behind its commands, and how far it then is beside its path."""
 
-    def left_over(lag_s: float) -> FloatArray:
+    def residual_m(lag_s: float) -> FloatArray:
         parts = []
         for one in filmed:
             hand, begun = one.gripper_log, one.path
@@ -183,7 +183,7 @@ def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[AgreementCheck
             parts.append(np.hypot(hand.x_m - x_m, hand.y_m - y_m))
         return np.concatenate(parts)
 
-    found_s = _least(lambda s: float(np.mean(left_over(s) ** 2)), 0.0, LONGEST_DELAY_S)
+    found_s = _least(lambda s: float(np.mean(residual_m(s) ** 2)), 0.0, LONGEST_DELAY_S)
     return [
         AgreementCheck(
             "arm: lag",
@@ -195,7 +195,7 @@ def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[AgreementCheck
         ),
         AgreementCheck(
             "arm: beside its path",
-            float(left_over(found_s).max()),
+            float(residual_m(found_s).max()),
             "m",
             high=PATH_TOLERANCE_M,
             remedy="check payload, mounting, arm.gain and arm.lookahead_s",

@@ -375,13 +375,13 @@ def execute(station: Station, findings: Findings) -> Findings:
 
 def verify(station: Station, findings: Findings) -> Findings:
     """Whether the tip was seen to pass the destination, and how far the forecast was off."""
-    executed, foretold = required(findings.executed), findings.predicted_choice
+    executed, predicted = required(findings.executed), findings.predicted_choice
     passage = measured_passage(
         station.task.destination,
         np.array([s.t_s for s in executed.sightings]),
         np.array([s.nodes_m[0] for s in executed.sightings]),
-        required(findings.candidates).start_s + foretold.t_s,
-        foretold.tip_m,
+        required(findings.candidates).start_s + predicted.t_s,
+        predicted.tip_m,
     )
     if findings.stopped is not None:
         return replace(findings, passage=passage).reject(findings.stopped)

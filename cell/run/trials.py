@@ -36,10 +36,10 @@ def held_trial(filmed: FilmedMotion) -> Trial:
 
 def executed_trial(held: Trial, before: FilmedMotion, after: FilmedMotion) -> Trial:
     """The execution as a trial: it begins in equilibrium, hence with the hand's motion before."""
-    beside = camera_offset_m_rad(before.gripper_log, held.grip)
+    offset = camera_offset_m_rad(before.gripper_log, held.grip)
     zero_s = before.begin_s
     later = after.gripper_log.t_s > before.gripper_log.t_s[-1]
-    hands = [moved(before.gripper_log, beside), moved(after.gripper_log, beside)]
+    hands = [moved(before.gripper_log, offset), moved(after.gripper_log, offset)]
     grip = [
         np.concatenate([getattr(hands[0], name), getattr(hands[1], name)[later]])
         for name in ("t_s", "x_m", "y_m", "angle_rad")
@@ -71,7 +71,7 @@ def study_of(name: str, task: Task, trials: Sequence[Trial]) -> Study:
 
 
 def camera_offset_m_rad(logged: Trajectory, seen: Motion) -> FloatArray:
-    """(3,) x, y, angle by which the camera sees the hand beside where the arm says it is."""
+    """(3,) x, y, angle offset of the gripper seen by the camera from where the arm says."""
     return np.array(
         [
             seen.x_m[0] - logged.x_m[0],

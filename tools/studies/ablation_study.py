@@ -45,7 +45,8 @@ from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.ties import with_ties
-from tools.studies.diagnosis_study import BREADTH, MADE, Case, cases, kinds, made
+from tools.studies.diagnosis_study import cases, kinds
+from tools.worlds.cases import BREADTH, MADE, Case, made
 from tools.worlds.known_truth import SHOWS, class_of
 
 KINDS = (*BREADTH, "pair", "unknown")

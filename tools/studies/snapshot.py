@@ -21,8 +21,8 @@ from pathlib import Path
 
 from cell.cable.effects import library
 from cell.study.folder import write_study
-from tools.studies.diagnosis_study import hidden_effect
 from tools.worlds.breadth_world import World, hypercube
+from tools.worlds.cases import hidden_effect
 from tools.worlds.known_truth import that_shows
 from tools.worlds.rigs import Rig, rig_study
 

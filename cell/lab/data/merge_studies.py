@@ -217,12 +217,12 @@ def _hanging(trial: Trial) -> tuple[float, FloatArray] | None:
     """Clamp angle and mean place of the markers relative to the gripper, at rest."""
     t_s, grip = trial.markers.t_s, trial.grip
     still = still_frames(t_s, grip, trial.release_s)
-    beside = trial.markers.xy_m[still] - [grip.x_m[0], grip.y_m[0]]
-    if trial.start != "equilibrium" or len(beside) == 0:
+    from_gripper_m = trial.markers.xy_m[still] - [grip.x_m[0], grip.y_m[0]]
+    if trial.start != "equilibrium" or len(from_gripper_m) == 0:
         return None
-    seen = np.isfinite(beside)
+    seen = np.isfinite(from_gripper_m)
     count = seen.sum(axis=0)
-    total = np.sum(np.where(seen, beside, 0.0), axis=0)
+    total = np.sum(np.where(seen, from_gripper_m, 0.0), axis=0)
     return float(grip.angle_rad[0]), np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 

@@ -43,9 +43,9 @@ def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
     x, y, angle = (np.interp(t_s[still], grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad))
     along = np.stack([-np.cos(angle), -np.sin(angle)], axis=-1)
     straight = np.stack([x, y], axis=-1)[:, None] + arc_length_m[:, None] * along[:, None]
-    beside = trial.markers.xy_m[still] - straight
-    seen = np.isfinite(beside).any(axis=0)
-    offset = np.where(seen, np.nanmean(np.where(seen, beside, 0.0), axis=0), 0.0)
+    deviation_m = trial.markers.xy_m[still] - straight
+    seen = np.isfinite(deviation_m).any(axis=0)
+    offset = np.where(seen, np.nanmean(np.where(seen, deviation_m, 0.0), axis=0), 0.0)
     at_place = replace(trial.markers, xy_m=trial.markers.xy_m - offset)
     return replace(trial, markers=at_place)
 

@@ -79,16 +79,16 @@ class LineEvidence:
         return self.result.best
 
     @property
-    def told(self) -> list[ForecastPair]:
-        """The forecasts by which the models differ: where neither has one, nothing is told."""
+    def differing(self) -> list[ForecastPair]:
+        """The forecasts by which the models differ: none where neither has one."""
         return [f for f in self.paired if np.isfinite([f.present_m, f.candidate_m]).any()]
 
     @property
     def errors_m(self) -> tuple[FloatArray, FloatArray]:
-        """(told,) of the tip in the destination, of the present model and the candidate."""
+        """(differing,) of the tip in the destination, of the present model and the candidate."""
         return (
-            np.array([f.present_m for f in self.told]),
-            np.array([f.candidate_m for f in self.told]),
+            np.array([f.present_m for f in self.differing]),
+            np.array([f.candidate_m for f in self.differing]),
         )
 
 
@@ -120,14 +120,14 @@ def noise_range(evidence: LineEvidence) -> Reading | None:
 
 def forecast_count(evidence: LineEvidence) -> Reading | None:
     """Number of forecasts."""
-    paired = evidence.told
+    paired = evidence.differing
     executions = sum(f.of == "execution" for f in paired)
     found = f"{executions} executions, {len(paired)} in all, needs {evidence.rules.fewest}"
     return Reading(float(len(paired)), found=found)
 
 
 def _enough(evidence: LineEvidence) -> bool:
-    return len(evidence.told) >= evidence.rules.fewest
+    return len(evidence.differing) >= evidence.rules.fewest
 
 
 def chance_of_gain(evidence: LineEvidence) -> Reading | None:
@@ -143,7 +143,7 @@ def forecast_better(evidence: LineEvidence) -> Reading:
     rules = evidence.rules
     before, after = evidence.errors_m
     path_before, path_after = np.array(
-        [(f.present_rms_m, f.candidate_rms_m) for f in evidence.told]
+        [(f.present_rms_m, f.candidate_rms_m) for f in evidence.differing]
     ).T
     rms = [float(np.sqrt(np.mean(v**2))) for v in (before, after)]
     if len(before) >= RANKED_FROM:
@@ -176,7 +176,7 @@ def lost_passages(evidence: LineEvidence) -> Reading | None:
         return None
     half_m = 0.5 * (mouth.y_max_m - mouth.y_min_m)
     before, after = (int(np.sum(v < half_m)) for v in evidence.errors_m)
-    count = len(evidence.told)
+    count = len(evidence.differing)
     found = f"{before} → {after} of {count} forecast within ± {half_m * 1e3:.1f} mm"
     return Reading(float(before - after), found=found)
 

@@ -101,9 +101,9 @@ def estimate(
     except UNSIMULATED:
         return ParameterEstimate(fit, 1.0)
     solution, p = whole.fit.solution, len(fit.q)
-    beside = whole.systematic_error.covariance((solution.covariance @ solution.jacobian.T)[:p])
-    beside = beside + omitted_effect_bias(whole, effects).covariance + solution.unfinished[:p, :p]
-    return ParameterEstimate(whole.fit, disagreement(prepared, whole.fit), beside)
+    other = whole.systematic_error.covariance((solution.covariance @ solution.jacobian.T)[:p])
+    other = other + omitted_effect_bias(whole, effects).covariance + solution.unfinished[:p, :p]
+    return ParameterEstimate(whole.fit, disagreement(prepared, whole.fit), other)
 
 
 def disagreement(prepared: PreparedStudy, whole: Fit) -> float:

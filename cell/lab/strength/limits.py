@@ -107,7 +107,7 @@ class LimitSearch:
         for shape, rows in enumerate(slopes.rows):
             rest = np.delete(rows, j, axis=0)
             basis = _orthonormal(self._nuisance.remove(rest))
-            left = self._left(rows[j], basis)
+            left = self._not_imitated(rows[j], basis)
             if not float(np.linalg.norm(left)) > LEAST_LEFT * float(np.linalg.norm(rows[j])):
                 continue
             size, std = self._estimate(left)
@@ -125,7 +125,7 @@ class LimitSearch:
             for sign in sorted({s.sign for s in kept})
         ]
 
-    def _left(self, row: FloatArray, others: FloatArray) -> FloatArray:
+    def _not_imitated(self, row: FloatArray, others: FloatArray) -> FloatArray:
         """What the other parameters do not imitate of a change."""
         left = self._nuisance.remove(row)
         return np.asarray(left - (left @ others) @ others.T)
@@ -185,7 +185,7 @@ class LimitSearch:
             side.converged = True
             return
         row = self._with_prior(change) / side.size
-        left = self._left(row, side.others)
+        left = self._not_imitated(row, side.others)
         if not float(np.linalg.norm(left)) > LEAST_LEFT * float(np.linalg.norm(row)):
             side.seen = False
             return
@@ -208,8 +208,8 @@ class LimitSearch:
         change  of what is seen where it answers, at q
         """
         assert side.change is not None
-        promised = self._left(self._with_prior(side.change), side.others)
-        off = self._left(change, side.others) - promised
+        promised = self._not_imitated(self._with_prior(side.change), side.others)
+        off = self._not_imitated(change, side.others) - promised
         if float(np.linalg.norm(off)) < AS_PROMISED * float(np.linalg.norm(promised)):
             return
         self._refit(side, held, q if np.all(np.isfinite(off)) else None)

@@ -238,8 +238,8 @@ class _Fast:
             ):
                 both = own[:, 1:] & own[:, :-1]
                 products += float(np.sum(left[:, 1:] * left[:, :-1]))
-                beside = np.moveaxis(shape, 1, -1)
-                neighbours -= float(np.sum((beside[:, 1:] * beside[:, :-1])[both]))
+                modes_of_own = np.moveaxis(shape, 1, -1)
+                neighbours -= float(np.sum((modes_of_own[:, 1:] * modes_of_own[:, :-1])[both]))
                 pairs += int(both.sum())
         return _Fast(square, products, values, neighbours, pairs)
 

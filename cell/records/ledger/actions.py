@@ -15,7 +15,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, func, insert, select
 
-from cell.records.ledger.database import open_engine, told, url_of, writing
+from cell.records.ledger.database import database_errors, open_engine, url_of, writing
 from cell.records.ledger.tables import actions
 
 #: Lines that are taken over at a time.
@@ -69,7 +69,7 @@ def listed_actions(
         asked = asked.limit(most)
     engine = open_engine(url_of(ledger), create=False)
     try:
-        with told(engine), engine.connect() as connection:
+        with database_errors(engine), engine.connect() as connection:
             rows: Sequence[Any] = connection.execute(asked).all()[::-1]
     finally:
         engine.dispose()

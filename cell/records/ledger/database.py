@@ -103,7 +103,7 @@ def open_engine(url: URL, *, create: bool) -> Engine:
                 raise LedgerError(f"{path.parent} cannot be made: {error.strerror}") from error
         _keep_transactions(engine, read_only)
     try:
-        with told(engine):
+        with database_errors(engine):
             _bring_up_to_date(engine, create)
     except BaseException:
         engine.dispose()
@@ -112,8 +112,8 @@ def open_engine(url: URL, *, create: bool) -> Engine:
 
 
 @contextmanager
-def told(engine: Engine) -> Iterator[None]:
-    """What the database refuses, in one line that names it."""
+def database_errors(engine: Engine) -> Iterator[None]:
+    """Raises LedgerError, in one line that names the database, for what it refuses."""
     try:
         yield
     except SQLAlchemyError as error:
@@ -144,7 +144,7 @@ def _move_away(file: Path) -> str:
 def writing(engine: Engine) -> Iterator[Connection]:
     """A transaction that writes: of several at once the others wait.  Raises LedgerError."""
     with (
-        told(engine),
+        database_errors(engine),
         engine.connect().execution_options(writing=True) as connection,
         connection.begin(),
     ):

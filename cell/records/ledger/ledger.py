@@ -21,7 +21,7 @@ from sqlalchemy import (
     update,
 )
 
-from cell.records.ledger.database import open_engine, told, url_of, writing
+from cell.records.ledger.database import database_errors, open_engine, url_of, writing
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry, LedgerEstimate
 from cell.records.ledger.tables import (
     NUMBERS,
@@ -169,7 +169,7 @@ class Ledger:
             .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
             .limit(most)
         )
-        with told(self._engine), self._engine.connect() as connection:
+        with database_errors(self._engine), self._engine.connect() as connection:
             rows = connection.execute(newest).all()[::-1]
             estimates = _estimates(connection, newest)
         results = []
@@ -197,7 +197,7 @@ class Ledger:
         )
         if most is not None:
             asked = asked.limit(most)
-        with told(self._engine), self._engine.connect() as connection:
+        with database_errors(self._engine), self._engine.connect() as connection:
             rows = connection.execute(asked).all()[::-1]
             known = _estimates(connection, asked) if estimates else {}
         return [self._cycle(row, known.get(row.id, ())) for row in rows]
@@ -206,7 +206,7 @@ class Ledger:
         """Number of cycles that are asked for, by outcome."""
         asked = _of_cycles(select(cycles.c.outcome, func.count()), wanted)
         asked = asked.group_by(cycles.c.outcome)
-        with told(self._engine), self._engine.connect() as connection:
+        with database_errors(self._engine), self._engine.connect() as connection:
             return {outcome or UNFINISHED: n for outcome, n in connection.execute(asked)}
 
     def faults(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
@@ -227,7 +227,7 @@ class Ledger:
             .join(faults, faults.c.cycle_id == counted.c.newest)
             .order_by(counted.c.number.desc(), counted.c.code)
         )
-        with told(self._engine), self._engine.connect() as connection:
+        with database_errors(self._engine), self._engine.connect() as connection:
             return [(code, n, cause) for code, n, cause in connection.execute(asked)]
 
     def not_inserted(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
@@ -245,13 +245,13 @@ class Ledger:
             .join(each, each.c.id == groups.c.newest)
             .order_by(groups.c.number.desc(), groups.c.outcome)
         )
-        with told(self._engine), self._engine.connect() as connection:
+        with database_errors(self._engine), self._engine.connect() as connection:
             return [(outcome, n, reason or "") for outcome, n, reason in connection.execute(asked)]
 
     def span(self, wanted: LedgerQuery) -> tuple[datetime, datetime] | None:
         """When the first and the last cycle that are asked for began; None = there are none."""
         asked = _of_cycles(select(func.min(cycles.c.ordered), func.max(cycles.c.ordered)), wanted)
-        with told(self._engine), self._engine.connect() as connection:
+        with database_errors(self._engine), self._engine.connect() as connection:
             first, last = connection.execute(asked).one()
         return None if first is None else (_aware(first), _aware(last))
 
@@ -263,7 +263,7 @@ class Ledger:
             ),
             wanted,
         ).where(cycles.c.aim == Outcome.INSERTED.value, cycles.c.outcome.is_not(None))
-        with told(self._engine), self._engine.connect() as connection:
+        with database_errors(self._engine), self._engine.connect() as connection:
             rows = connection.execute(asked.group_by(cycles.c.outcome)).all()
         return {o: n for o, n, _ in rows}, float(sum(s for *_, s in rows))
 
@@ -272,7 +272,7 @@ class Ledger:
         at_work = _of_cycles(select(cycles.c.running_s), wanted).where(
             cycles.c.outcome == Outcome.INSERTED.value, cycles.c.running_s.is_not(None)
         )
-        with told(self._engine), self._engine.connect() as connection:
+        with database_errors(self._engine), self._engine.connect() as connection:
             number = connection.scalar(select(func.count()).select_from(at_work.subquery())) or 0
             if not number:
                 return None

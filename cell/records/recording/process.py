@@ -1,11 +1,12 @@
 """The recorder's own process: takes what the cell's process has put into the ring, and writes it.
 
-    python -m cell.records.recording.process RING WAKE STATUS [FILE]
+    python -m cell.records.recording.process RING WAKE STATUS PRIORITY [FILE]
 
-The arguments are file descriptors: of the shared memory, of a pipe that wakes it and ends with the
-cell's process, and of a pipe for its reports, one JSON object per line; then the shared memory's
-file, if it has one, which is removed at the end.  It outlives the cell's
-process until all that was put into the ring is in the file.
+The first three arguments are file descriptors: of the shared memory, of a pipe that wakes it and
+ends with the cell's process, and of a pipe for its reports, one JSON object per line.  PRIORITY is
+`idle`, to run only while nobody else wants the computer, or `normal`.  FILE is the shared memory's
+file, if it has one, which is removed at the end.  The process outlives the cell's until all that
+was put into the ring is in the file.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from cell.records.recording.recorder import IDLE
 from cell.records.recording.ring import RingReader
 from cell.records.recording.writer import RecordingSession
 from drivers.threads import GuardedThread, said
 
-#: The computer is left to vision and identification whenever they want it.
-NICE = 19
+_NICE = 19
 #: Least time between two looks while others have the computer, s.
 _LOOK_S = 0.001
 
@@ -101,13 +102,14 @@ class RingConsumer:
             self._parent_ended = True
 
 
-def main(ring: int, wake: int, status: int, file: str | None = None) -> None:
+def main(ring: int, wake: int, status: int, priority: str, file: str | None = None) -> None:
     """Record until the other end of `wake` is closed."""
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):  # it ends with the cell's process
         signal.signal(number, signal.SIG_IGN)
-    with suppress(OSError):
-        os.nice(NICE)
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    if priority == IDLE:
+        with suppress(OSError):
+            os.nice(_NICE)
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     RingConsumer(RingReader(ring), wake, status).run()
     if file is not None:
         Path(file).unlink(missing_ok=True)
@@ -115,4 +117,4 @@ def main(ring: int, wake: int, status: int, file: str | None = None) -> None:
 
 if __name__ == "__main__":
     ring, wake, status = (int(argument) for argument in sys.argv[1:4])
-    main(ring, wake, status, sys.argv[4] if len(sys.argv) > 4 else None)
+    main(ring, wake, status, *sys.argv[4:])

@@ -34,6 +34,10 @@ from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
 
+#: Priorities of the process.  With `IDLE` it runs only while nobody else wants the computer.
+IDLE, NORMAL = "idle", "normal"
+_PROCESS = "cell.records.recording.process"
+
 #: Measured poses are taken from the arm so often, s.
 POSES_EVERY_S = 0.02
 #: After the last frame the computer is left to whoever decides, for at most so long, s.
@@ -47,7 +51,8 @@ class Recorder:
 
     arm           poses are taken from it while a cycle is recorded
     clock         of the cell
-    patience_s    a frame may wait so long for room: in simulated time nobody waits for it
+    patience_s    a frame may wait so long for room: in simulated time nobody waits for it.  With
+                  0 the cell runs in real time, and the process leaves the computer to it
     memory_bytes  of frames that wait to be written; more are left out, and the gap is marked
     """
 
@@ -85,7 +90,8 @@ class Recorder:
         os.set_blocking(self._wake, False)
         os.set_blocking(self._status, False)
         passed = (memory, wake, status)
-        command = [sys.executable, "-m", "cell.records.recording.process", *map(str, passed)]
+        priority = NORMAL if self._patience_s else IDLE
+        command = [sys.executable, "-m", _PROCESS, *map(str, passed), priority]
         if self._file is not None:
             command.append(str(self._file))
         try:
@@ -278,14 +284,14 @@ class Recorder:
         for descriptor in (self._wake, self._status):
             with suppress(OSError):
                 os.close(descriptor)
-        process, self._process, self._ring, self._waiting = self._process, None, None, 0
-        if process is None:
+        writer, self._process, self._ring, self._waiting = self._process, None, None, 0
+        if writer is None:
             return
         try:
-            process.wait(LAST_WAIT_S)
+            writer.wait(LAST_WAIT_S)
         except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            writer.kill()
+            writer.wait()
 
 
 #: Loggers of the program, whose lines are recorded.

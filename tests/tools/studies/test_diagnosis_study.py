@@ -12,6 +12,7 @@ import pytest
 
 from tools.studies import diagnosis_study
 from tools.studies.diagnosis_study import Row, counts
+from tools.worlds.cases import Case
 
 ROOT = Path(__file__).parents[3]
 TIED = "camera_latency|robot_lag"
@@ -74,7 +75,7 @@ def test_a_study_that_was_stopped_goes_on_and_its_table_names_what_changed(tmp_p
             writer = csv.DictWriter(out, [f.name for f in fields(Row)])
             writer.writeheader()
             writer.writerow(asdict(row("complete", verdict)))
-    case = diagnosis_study.Case("made", "complete", "0")
+    case = Case("made", "complete", "0")
     diagnosis_study.run(file, [case], 1)
     assert len(diagnosis_study.read(file)) == 1
     told = "\n".join(

@@ -12,7 +12,7 @@ from nicegui import run, ui
 
 from cell.plant.users import Role
 from cell.web.cycle_view import cycle_folder
-from cell.web.jobs import Job, JobTask
+from cell.web.jobs import JobTask
 from cell.web.lab_tasks import PREVIEW, LabTasks, Subject
 from cell.web.visit import Visit
 from cell.web.workspace import is_name
@@ -74,11 +74,6 @@ class Desk:
             return Subject(name, self.workspace.studies / name)
         cycle = cycle_folder(self.visit.room.runs, name)
         return None if cycle is None else Subject(name, cycle, True)
-
-    def newest_job(self) -> Job | None:
-        """The newest job of the study chosen."""
-        found = (j for j in self.lab.jobs.listed() if j.task.subject == self._name)
-        return next(found, None)
 
     def ask(self, task: JobTask, asked_s: float | None = None) -> bool:
         """Put a job in the queue, audited; whether it was taken.

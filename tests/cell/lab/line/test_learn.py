@@ -333,7 +333,7 @@ def test_a_tip_that_is_not_seen_tells_nothing_of_a_forecast(result: LearningResu
     one = replace(result, cycles=(replace(cycle, executed=unseen),))
     (found,) = forecasts(one, task.cable, task.identification, task.destination)
     assert np.isnan([found.present_m, found.candidate_m, found.present_rms_m]).all()
-    assert LineEvidence(result, [found]).told == []
+    assert LineEvidence(result, [found]).differing == []
 
 
 def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(

@@ -68,6 +68,26 @@ def written(recorder):
         time.sleep(0.01)
 
 
+@pytest.mark.parametrize(
+    ("patience_s", "scheduler"),
+    [(0.0, os.SCHED_IDLE), (10.0, os.SCHED_OTHER)],
+    ids=["real time", "simulated time"],
+)
+def test_only_in_real_time_does_the_recorder_wait_for_an_idle_computer(
+    patience_s, scheduler, tmp_path
+):
+    """Beside busy cores a simulated cell waited minutes for its recorder, which gains nobody."""
+    recorder = Recorder(SilentArm(), RealClock(), 2**20, patience_s)
+    try:
+        recorder.begin(tmp_path / form.FILE, {})
+        recorder.event(form.STATE, {"state": "idle", "step": None})
+        recorder.end()
+        assert recorder.wait()
+        assert os.sched_getscheduler(recorder.process_id) == scheduler
+    finally:
+        recorder.close()
+
+
 def test_what_is_handed_over_is_in_the_file(recorder, tmp_path):
     recorder.begin(tmp_path / form.FILE, {"cycle": "3"})
     given = list(frames(20))

@@ -1,0 +1,205 @@
+"""Studies with a known answer, made again from a source, a kind and a number."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from cell.cable.effects import Effect, library
+from cell.identify.noise import Noise
+from cell.identify.parameters import ParameterSpace
+from cell.lab.data.named_effects import EffectSelection
+from cell.lab.data.prepared import PreparedStudy, all_fitted
+from cell.lab.data.results import write_json
+from cell.study.data import Study
+from cell.study.folder import write_study
+from tools.worlds.bad_priors import BAD_PRIORS, beside_bad_prior
+from tools.worlds.breadth_world import Conditions, World, hypercube
+from tools.worlds.known_truth import (
+    class_of,
+    evidence,
+    power_of,
+    that_shows,
+    without_noise,
+)
+from tools.worlds.made_studies import hidden, make_study
+from tools.worlds.outside_laws import LAWS
+from tools.worlds.rig_kinds import KINDS as RIG_KINDS
+from tools.worlds.rigs import Rig, rig_study
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+MADE = ("complete", "one", "unknown", "pair", "mixed", "prior")
+BREADTH = ("complete", "one", "outside")
+RIGS = ("all", "complete", *RIG_KINDS)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A study that `made` makes again: its source, kind and number (or name), and what is drawn.
+
+    seed     of all breadth studies, from which their conditions follow
+    changed  conditions of breadth studies that are the same in all
+    count    breadth studies of the kind, over which the conditions are spread
+    """
+
+    source: str
+    kind: str
+    number: str
+    seed: int = 0
+    count: int = 0
+    changed: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A study in a folder, what is hidden in it, and what the lab is offered.
+
+    hidden   effects that are to be named; `unsaid`: such that are there and may be named
+    power    of the test that knows the truth; 1 where nothing is hidden
+    noise_m  true noise, nan if not known
+    """
+
+    folder: Path
+    selection: EffectSelection
+    hidden: tuple[str, ...] = ()
+    unsaid: tuple[str, ...] = ()
+    power: float = 1.0
+    noise_m: float = float("nan")
+    prior: Path | None = None
+    conditions: Mapping[str, float] = field(default_factory=dict)
+
+
+@contextmanager
+def made(case: Case) -> Iterator[Made]:
+    """The study of a case, in a folder that is removed afterwards.
+
+    raises  DivergedError, UnsettledError: no cable swings so
+    """
+    if case.source in ("practice", "real"):
+        yield _given(case)
+        return
+    make = {"made": _usual, "breadth": _broad, "rigs": _of_rig}[case.source]
+    with TemporaryDirectory() as root:
+        folder = Path(root) / "study"
+        study, found = make(case, folder)
+        write_study(study, folder)
+        yield found
+
+
+def _given(case: Case) -> Made:
+    folder = SHARED / case.source / case.number
+    if case.source == "real":
+        return Made(folder, EffectSelection((), library()))
+    truth = json.loads((folder.parent / "truth.json").read_text(encoding="utf-8"))
+    effects = tuple(e for e in truth[case.number]["effects"] if e != "none")
+    return Made(folder, EffectSelection((), library()), effects)
+
+
+def _usual(case: Case, folder: Path) -> tuple[Study, Made]:
+    known, seed = library(), int(case.number)
+    if case.kind == "complete":
+        return make_study(seed), Made(folder, EffectSelection((), known))
+    if case.kind == "prior":
+        kind = BAD_PRIORS[seed % len(BAD_PRIORS)]
+        study, names, model = beside_bad_prior(seed, kind)
+        prior = folder.with_name("earlier.json")
+        write_json(model.to_dict(), prior)
+        return study, Made(folder, EffectSelection((), known), names, prior=prior)
+    effects, sizes = drawn(seed, case.kind, known)
+    active = [hidden(e, size) for e, size in zip(effects, sizes, strict=True)]
+    names = tuple(e.name for e in effects)
+    offered = {"unknown": (), "mixed": effects[:1]}.get(case.kind, effects)
+    gone = class_of(e.name for e in effects if e not in offered)
+    selection = EffectSelection((), {n: e for n, e in known.items() if n not in gone})
+    lacking = {"pair": [[e] for e in effects], "mixed": [effects[:1]]}.get(case.kind, [[]])
+    study = make_study(seed, active)
+    spaces = [ParameterSpace.of(study.cable, effects=rest) for rest in lacking]
+    clean = make_study(seed, active, noise_m=1e-9, colour=0.0)
+    quiet = without_noise(clean, PreparedStudy.of(study).noise)
+    power = min(power_of(evidence(quiet, s), quiet, len(known)) for s in spaces)
+    count = 1 if case.kind == "mixed" else len(names)
+    return study, Made(folder, selection, names[:count], names[count:], power)
+
+
+def drawn(
+    seed: int, kind: str, known: Mapping[str, type[Effect]]
+) -> tuple[list[type[Effect]], list[float]]:
+    """What is hidden in a usual study, and how many times as strong as is typical."""
+    names = sorted(known)
+    rng = np.random.default_rng(10_000 + seed)
+    first = names[seed % len(names)]
+    effects, ranges = [known[first]], [(0.5, 2.0)]
+    if kind == "pair":
+        effects.append(known[rng.choice([n for n in names if n != first])])
+        ranges *= 2
+    elif kind == "mixed":
+        effects.append(known[rng.choice([n for n in names if n not in class_of([first])])])
+        ranges = [(2.0, 5.0), (1.0, 3.0)]
+    return effects, [float(rng.uniform(low, high)) for low, high in ranges]
+
+
+def _broad(case: Case, folder: Path) -> tuple[Study, Made]:
+    place, known = BREADTH.index(case.kind), library()
+    conditions = hypercube(case.count, 100 * case.seed + place)[int(case.number)]
+    conditions = replace(conditions, **case.changed)
+    world, noise_m = World.of(conditions, case.seed), true_noise_m(conditions)
+    names: tuple[str, ...] = ()
+    offered, power = dict(known), 1.0
+    if case.kind == "complete":
+        clean = world.clean()
+    else:
+        effect, offered = hidden_effect(case.kind, conditions.number, known)
+        names = (effect.name,)
+        _, clean, _ = world.showing(effect)
+        power = _breadth_power(world, clean, case.seed, len(known))
+    told = {k: v for k, v in asdict(conditions).items() if k != "number"}
+    study = world.study(clean, case.seed)
+    selection = EffectSelection((), offered)
+    return study, Made(folder, selection, names, (), power, noise_m, None, told)
+
+
+def true_noise_m(conditions: Conditions) -> float:
+    """With what rounding adds to it."""
+    return conditions.noise_m * float(np.sqrt(1.0 + conditions.pixel**2 / 12.0))
+
+
+def hidden_effect(
+    kind: str, number: int, known: Mapping[str, type[Effect]]
+) -> tuple[type[Effect], dict[str, type[Effect]]]:
+    """The effect of a breadth study, and those that the lab is offered."""
+    names = sorted(known)
+    if kind == "one":
+        return known[names[number % len(names)]], dict(known)
+    if number % 2:
+        laws = sorted(LAWS)
+        return LAWS[laws[number // 2 % len(laws)]], dict(known)
+    effect = known[names[number // 2 % len(names)]]
+    return effect, {n: e for n, e in known.items() if n not in class_of([effect.name])}
+
+
+def _breadth_power(world: World, clean: Sequence[np.ndarray], seed: int, tests: int) -> float:
+    conditions = world.conditions
+    study = all_fitted(world.study(clean, seed, quiet=True))
+    rounding = conditions.pixel**2 / 12.0
+    noise = Noise(true_noise_m(conditions), conditions.colour, white=rounding / (1.0 + rounding))
+    quiet = without_noise(study, noise)
+    return power_of(evidence(quiet, ParameterSpace.of(study.cable)), quiet, tests)
+
+
+def _of_rig(case: Case, folder: Path) -> tuple[Study, Made]:
+    known, seed = library(), int(case.number)
+    name = sorted(known)[seed % len(known)]
+    rig = RIG_KINDS[case.kind](seed) if case.kind in RIG_KINDS else Rig.drawn(seed, name)
+    effect, power = None, 1.0
+    if case.kind != "complete":
+        effect, power = that_shows(rig, known[name], len(known))
+    selection = EffectSelection(tuple(a.effect for a in rig.known), known)
+    names = () if effect is None else (effect.effect.name,)
+    unsaid = tuple(a.effect.name for a in rig.unsaid)
+    return rig_study(rig, effect), Made(folder, selection, names, unsaid, power)
