@@ -108,8 +108,9 @@ class ImportOptions:
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="Files of one cable, each a trial: CSV, TSV or text tables, TRC, C3D, MCAP; a "
-            "video; or the mapping that the command proposed (import.yaml)."
+            help="Files of one cable, each a trial: CSV, TSV or text tables, TRC, C3D, MCAP, "
+            ".xlsx, .mat, Parquet, NumPy, HDF5; a video; or the mapping that the command proposed "
+            "(import.yaml)."
         ),
     ]
     out: Annotated[

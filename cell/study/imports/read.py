@@ -1,4 +1,4 @@
-"""Reads a file of measurements by its kind: C3D, TRC, recordings, delimited tables."""
+"""Reads a file of measurements by its kind: C3D, TRC, recordings, files of arrays, tables."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from cell.files.input_error import InputError
 from cell.files.text_file import read_text
 from cell.study.imports.capture import Capture, CapturedColumn, TextForm, number
+from cell.study.imports.containers import CONTAINERS, read_container
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.mcap_file import read_mcap
 from cell.study.imports.units import METRES, unit_of
@@ -122,11 +123,11 @@ def read_c3d(path: Path) -> Capture:
 
 #: Endings of names of text tables.
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc")
-KINDS = (*TABLES, ".trc", ".c3d", ".mcap")
+KINDS = (*TABLES, ".trc", ".c3d", ".mcap", *CONTAINERS)
 
 
 def read_capture(path: Path, form: TextForm | None = None) -> Capture:
-    """Read a table, a TRC, C3D or MCAP file.
+    """Read a table, a TRC, C3D or MCAP file, or a file of arrays.
 
     form    of a text table; None = found from the text
     raises  InputError: it cannot be read
@@ -140,5 +141,7 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
         return read_c3d(path)
     if ending == ".mcap":
         return read_mcap(path)
+    if ending in CONTAINERS:
+        return read_container(path)
     message = f"{ending or 'no ending'} is no kind of file that is read; give {', '.join(KINDS)}"
     raise InputError.at(path, f"{message}, or a video with --config and --hand")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,7 +18,7 @@ from cell.files.input_error import InputError
 from cell.study.imports.capture import NOT_SEEN, CapturedColumn, number
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.delimited import read_delimited
-from cell.study.imports.read import read_capture
+from cell.study.imports.read import KINDS, read_capture
 from cell.study.imports.units import METRES, RADIANS, SECONDS, split_unit
 
 NUMBERS = st.floats(-1e6, 1e6, allow_nan=False).map(lambda v: round(v, 6))
@@ -99,7 +100,7 @@ def test_decimal_commas_within_quotes_are_read(values: np.ndarray) -> None:
 
 
 @settings(max_examples=150)
-@given(st.binary(max_size=300), st.sampled_from([".csv", ".txt", ".trc", ".mcap", ".c3d", ".tsv"]))
+@given(st.binary(max_size=300), st.sampled_from(sorted(KINDS)))
 def test_any_bytes_are_read_or_refused(content: bytes, ending: str) -> None:
     with TemporaryDirectory() as folder:
         file = Path(folder) / f"t{ending}"
@@ -180,6 +181,22 @@ def test_the_meaning_of_names_that_programs_give(
 ) -> None:
     found = meaning(CapturedColumn(name))
     assert (found.kind, found.group, found.axis) == (kind, group, axis)
+
+
+@pytest.mark.parametrize(
+    ("ending", "library"),
+    [(".xlsx", "openpyxl"), (".parquet", "pyarrow.parquet"), (".h5", "h5py"), (".c3d", "ezc3d")],
+)
+def test_a_library_that_is_missing_is_named_with_its_extra(
+    ending: str, library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / f"t{ending}"
+    file.write_bytes(b"x")
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(
+        InputError, match=rf"needs {library.split('.')[0]} .*pip install 'cable-cell\[import\]'"
+    ):
+        read_capture(file)
 
 
 def test_a_second_table_below_the_first_is_told(tmp_path: Path) -> None:
