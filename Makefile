@@ -55,7 +55,7 @@ compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests b
 	@$(BIN)/pytest -q --collect-only > /dev/null || true  # what is wrong the tests say themselves
 
 # An arm's process that is not run for 40 ms has lost its controller, on a busy computer too.
-ARM := tests/drivers/conformance/test_arm.py tests/drivers/test_ur.py
+ARM := tests/drivers/conformance/test_arm.py tests/drivers/test_ur.py tests/drivers/test_ur_claim.py
 
 tests: tests-real-time   # alone: nothing computes beside what runs in real time
 	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time' $(ARM:%=--ignore=%)  # many tests wait

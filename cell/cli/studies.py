@@ -152,7 +152,7 @@ def _look(folder: Path) -> StudyOverview:
             open_study(folder)
         except InputError as error:
             wrong = [str(p) for p in error.problems]
-    facts = facts_of(study.trials, study.arc_length_m)
+    facts = facts_of(study.trials, study.arc_length_m, study.gravity_m_per_s2)
     wrenches = [w for t in study.trials if (w := wrench_facts(t)) is not None]
     odd = [*notes, *map(str, rest_drifts(study)), *oddities(facts, study.noise_std_m)]
     title = f"A look at {study.name}"

@@ -20,6 +20,16 @@ def read_text(path: Path, max_bytes: int) -> str:
             larger than `max_bytes`
     """
     try:
+        return read_bytes(path, max_bytes).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError.at(
+            path, "cannot be read: is not UTF-8 text; save it as UTF-8", column=1
+        ) from error
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """Content of a regular file.  Raises InputError, as `read_text`."""
+    try:
         state = path.stat()
         if not stat.S_ISREG(state.st_mode):
             kind = "a folder" if stat.S_ISDIR(state.st_mode) else "a pipe or a device"
@@ -31,11 +41,7 @@ def read_text(path: Path, max_bytes: int) -> str:
                 "is this the file that is meant? Leave out what is not needed",
                 column=1,
             )
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError.at(
-            path, "cannot be read: is not UTF-8 text; save it as UTF-8", column=1
-        ) from error
+        return path.read_bytes()
     except OSError as error:
         raise InputError.at(
             path, f"cannot be read: {error.strerror}; check the name and who may read it", column=1

@@ -21,6 +21,14 @@ _FINER = 8
 #: Frequencies are told whose amplitude is this share of the largest, at most so many, and so many
 #: resolutions apart: nearer ones are side lobes of one.
 _SHARE, MOST_FREQUENCIES, _APART = 0.1, 3, 2.0
+EARTH = (0.0, -9.81)
+#: Gravity in the plane below this is no scale: a level plane that is 6° off has as much, m/s².
+WEAK_M_PER_S2 = 1.0
+#: A droop of less than this share of the arc length is as well one of the clamp's angle.
+_LEAST_DROOP = 0.05
+#: Of 384 trials of real and simulated cables the slowest swing had 0.44 to 1.67 times the frequency
+#: that the droop tells, and all were faster than a hanging chain.
+_OF_DROOP, _OF_CHAIN = 2.5, 0.8
 #: A record of white noise shows a peak with this probability.
 _BY_CHANCE = 1e-3
 
@@ -38,6 +46,22 @@ class SwingSpectrum:
     resolution_hz: float
 
 
+@dataclass(frozen=True)
+class SwingScale:
+    """Frequencies that gravity sets for a cable, whatever its stiffness.
+
+    slowest_hz  of a chain that hangs: 1.2 √(g/L) / 2π; no cable is slower
+    droops_hz   of a cantilever that its weight bends by δ at its tip: √(1.54 g/δ) / 2π, for the
+                stiffness that its weight bends is the one that brings it back; nan = δ is not seen
+    droop_m     δ
+    source      Euler-Bernoulli beam: δ = ρA g L⁴ / 8EI, ω² = 12.36 EI / (ρA L⁴)
+    """
+
+    slowest_hz: float
+    droops_hz: float
+    droop_m: float
+
+
 @dataclass(frozen=True, eq=False)
 class TrialFacts:
     """What a trial shows.  Times in s, lengths in m.
@@ -52,6 +76,7 @@ class TrialFacts:
     seen          share of values that were seen, of the coordinates that are seen at all
     spectrum      of the tip; None = too short
     sensors       by which more is told than by a log and markers: see `sensors_of`
+    swings        by what units of time and length are tested; None = no swing, or no gravity
     """
 
     name: str
@@ -72,15 +97,18 @@ class TrialFacts:
     seen: float
     spectrum: SwingSpectrum | None
     sensors: tuple[str, ...] = ()
+    swings: SwingScale | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; the spectrum by its frequencies, None for what is not known."""
-        data = {k: v for k, v in vars(self).items() if k != "spectrum"}
+        data = {k: v for k, v in vars(self).items() if k not in ("spectrum", "swings")}
         peaks_hz = () if self.spectrum is None else self.spectrum.peaks_hz
         return {**plain(data), "frequencies_hz": plain(peaks_hz)}
 
 
-def trial_facts(trial: Trial, arc_length_m: FloatArray) -> TrialFacts:
+def trial_facts(
+    trial: Trial, arc_length_m: FloatArray, gravity_m_per_s2: tuple[float, float] = EARTH
+) -> TrialFacts:
     """What a trial shows.
 
     arc_length_m  (markers,) from the gripping point; nan = unknown, then they stand tip first
@@ -113,7 +141,26 @@ def trial_facts(trial: Trial, arc_length_m: FloatArray) -> TrialFacts:
         _detected_share(xy_m),
         swing_spectrum(t_s, xy_m[:, tip], swings_s, still_noise_m),
         sensors_of(trial),
+        _swing_scale(trial, rest, tip, float(arc_length_m[tip]), gravity_m_per_s2),
     )
+
+
+def _swing_scale(
+    trial: Trial, rest: int, tip: int, arc_m: float, gravity_m_per_s2: tuple[float, float]
+) -> SwingScale | None:
+    """Frequencies that gravity sets for the cable up to a marker at an arc length."""
+    size = float(np.hypot(*gravity_m_per_s2))
+    if size < WEAK_M_PER_S2 or not arc_m > 0.0:
+        return None
+    slowest_hz = 1.2 * np.sqrt(size / arc_m) / (2.0 * np.pi)
+    grip, still = trial.grip, trial.markers.xy_m[:rest, tip]
+    droop_m = np.nan
+    if len(still) and np.isfinite(still).any(axis=0).all() and not trial.bent:
+        angle = grip.angle_rad[0]
+        straight = [grip.x_m[0], grip.y_m[0]] - arc_m * np.array([np.cos(angle), np.sin(angle)])
+        below = (np.nanmedian(still, axis=0) - straight) @ np.array(gravity_m_per_s2) / size
+        droop_m = float(below) if below > _LEAST_DROOP * arc_m else np.nan
+    return SwingScale(slowest_hz, np.sqrt(1.54 * size / droop_m) / (2.0 * np.pi), droop_m)
 
 
 def sensors_of(trial: Trial) -> tuple[str, ...]:
@@ -132,9 +179,11 @@ def sensors_in_words(trials: Sequence[Trial]) -> str:
     )
 
 
-def facts_of(trials: Sequence[Trial], arc_length_m: FloatArray) -> tuple[TrialFacts, ...]:
+def facts_of(
+    trials: Sequence[Trial], arc_length_m: FloatArray, gravity_m_per_s2: tuple[float, float]
+) -> tuple[TrialFacts, ...]:
     """The same of several trials."""
-    return tuple(trial_facts(trial, arc_length_m) for trial in trials)
+    return tuple(trial_facts(trial, arc_length_m, gravity_m_per_s2) for trial in trials)
 
 
 def noise_m(still_m: FloatArray) -> float:
@@ -334,7 +383,7 @@ def _of_swing(facts: TrialFacts) -> list[str]:
         return ["the hand still moves when the record of the markers ends; record the swing too"]
     if spectrum is None or not spectrum.peaks_hz:
         return [f"the record ends {after_s:.2g} s after the hand stops, too soon to show a swing"]
-    first_hz, found = spectrum.peaks_hz[0], []
+    first_hz, found = spectrum.peaks_hz[0], _of_scale(facts, min(spectrum.peaks_hz))
     if facts.rate_hz < _PER_SWING * first_hz:
         found.append(
             f"{facts.rate_hz:.3g} frames a second are {facts.rate_hz / first_hz:.2g} in a swing of "
@@ -346,6 +395,26 @@ def _of_swing(facts: TrialFacts) -> list[str]:
             f"swings of {first_hz:.3g} Hz; {_SWINGS:.0f} or more show the damping"
         )
     return found
+
+
+def _of_scale(facts: TrialFacts, slowest_hz: float) -> list[str]:
+    """That a swing is not as fast as gravity and the droop at rest say."""
+    scale = facts.swings
+    if scale is None:
+        return []
+    seen = f"the cable swings at {slowest_hz:.3g} Hz"
+    remedy = "check the units of time and length"
+    if slowest_hz < _OF_CHAIN * scale.slowest_hz:
+        return [
+            f"{seen}, and none of its length is slower than {scale.slowest_hz:.3g} Hz; {remedy}"
+        ]
+    ratio = slowest_hz / scale.droops_hz
+    if not np.isfinite(ratio) or 1.0 / _OF_DROOP < ratio < _OF_DROOP:
+        return []
+    return [
+        f"{seen}, yet one that its weight bends by {scale.droop_m * 1e3:.3g} mm swings at about "
+        f"{scale.droops_hz:.3g} Hz; {remedy}, unless it is naturally curved"
+    ]
 
 
 def _between(facts: Sequence[TrialFacts]) -> list[str]:

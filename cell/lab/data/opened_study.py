@@ -11,9 +11,9 @@ from cell.cable.geometry import STILL, Motion, moves_from_s
 from cell.files.input_error import InputError, Problem
 from cell.identify.noise import still_frames
 from cell.lab.data.rest_drift import with_tested_starts
-from cell.study.clocks import WEAK_M_PER_S2, with_pull
+from cell.study.clocks import with_pull
 from cell.study.data import Study, Trial
-from cell.study.facts import facts_of, stated_oddly, trial_facts
+from cell.study.facts import WEAK_M_PER_S2, facts_of, stated_oddly, trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.left_out import without_outliers, without_wrench_outliers
 
@@ -53,7 +53,7 @@ def open_study(folder: Path) -> Study:
     if problems:
         raise InputError(problems)
     told = [note for t in study.trials for note in _left_out(folder / t.name / "grip.csv", t.grip)]
-    facts = facts_of(study.trials, study.arc_length_m)
+    facts = facts_of(study.trials, study.arc_length_m, study.gravity_m_per_s2)
     stated = None if study.filmed else stated_oddly(facts, study.noise_std_m)
     told += [] if stated is None else [f"{folder / 'study.yaml'}: {stated}"]
     study = without_wrench_outliers(replace(study, notes=(*study.notes, *told)), folder)

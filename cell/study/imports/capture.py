@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 from typing import Literal
@@ -26,26 +26,61 @@ _NUMBER = {
     ".": re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
     ",": re.compile(r"[-+]?(?:\d+(?:,\d+)?|,\d+)(?:[eEdD][-+]?\d+)?"),
 }
-_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
+#: An error of a spreadsheet, in any of its languages: #N/A, #NV, #DIV/0!, #¡VALOR!.
+_SHEET_ERROR = re.compile(r"#[¡¿]?[^\W\d_][\w/]*[!?]?")
+_BLANKS = "'’\u00a0\u202f "
+#: Groups of thousands: certainly, for it has both marks, blanks or two groups; and perhaps.
+_GROUPED = {
+    ".": re.compile(
+        rf"[-+]?\d{{1,3}}(?:(?:,\d{{3}})+\.\d+|(?:,\d{{3}}){{2,}}|(?:[{_BLANKS}]\d{{3}})+(?:\.\d+)?)"
+    ),
+    ",": re.compile(
+        rf"[-+]?\d{{1,3}}(?:(?:\.\d{{3}})+,\d+|(?:\.\d{{3}}){{2,}}|(?:[{_BLANKS}]\d{{3}})+(?:,\d+)?)"
+    ),
+}
+_PERHAPS_GROUPED = {
+    ".": re.compile(r"[-+]?\d{1,3}(?:,\d{3})+(?:\.\d*)?"),
+    ",": re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+(?:,\d*)?"),
+}
+_MARKS = re.compile(rf"[.,{_BLANKS}]")
+#: Hours, minutes, seconds; or minutes and seconds, if these have a fraction.
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)|(\d{1,2}):(\d{2}[.,]\d+)")
 #: A date and a time; a date alone is none.
 _MOMENT = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}(?:\.\d+)?(?:Z|[-+]\d{2}:?\d{2})?")
+#: The same as spreadsheets write it: day.month.year, or month/day/year.
+_DATED = re.compile(
+    r"(\d{1,2})([./])(\d{1,2})\2(\d{4}),? +"
+    r"(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?(?: ?([AP])M)?",
+    re.IGNORECASE,
+)
 
 
-def number(cell: str, decimal: Decimal) -> float | None:
+def number(cell: str, decimal: Decimal, grouped: bool = False) -> float | None:
     """The number in a cell; nan where nothing was seen, None where something else stands.
 
     A date with a time becomes seconds since 1970, a time of day seconds since midnight.
+
+    grouped  thousands are parted by the mark that is not the decimal one; else only a number that
+             cannot be read otherwise is such
     """
     text = cell.strip().replace("−", "-")
     if _NUMBER[decimal].fullmatch(text):
         value = float(text.replace(",", ".").replace("d", "e").replace("D", "e"))
         return value if math.isfinite(value) else None
-    if text.lower() in NOT_SEEN:
+    if text.lower() in NOT_SEEN or _SHEET_ERROR.fullmatch(text):
         return math.nan
+    if is_grouped(text, decimal) or (grouped and _PERHAPS_GROUPED[decimal].fullmatch(text)):
+        whole, mark, part = text.partition(decimal)
+        return float(_MARKS.sub("", whole) + ("." + part if mark else ""))
     if found := _CLOCK.fullmatch(text):
-        hours, minutes, seconds = found.groups()
+        hours, minutes, seconds = found.groups()[:3] if found[1] else ("0", found[4], found[5])
         return 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
-    return _time_of_day_s(text) if _MOMENT.fullmatch(text) else None
+    return _time_of_day_s(text) if _MOMENT.fullmatch(text) else _dated_s(text)
+
+
+def is_grouped(text: str, decimal: Decimal) -> bool:
+    """Whether a number certainly has groups of thousands."""
+    return _GROUPED[decimal].fullmatch(text) is not None
 
 
 def is_number(cell: str, decimal: Decimal) -> bool:
@@ -59,6 +94,21 @@ def _time_of_day_s(text: str) -> float | None:
         return datetime.fromisoformat(text).timestamp()
     except ValueError:
         return None
+
+
+def _dated_s(text: str) -> float | None:
+    """Seconds since 1970 of a date and a time of a spreadsheet; None = it is none."""
+    found = _DATED.fullmatch(text)
+    if found is None:
+        return None
+    first, mark, second, year, hours, minutes, seconds, half = found.groups()
+    month, day = (second, first) if mark == "." or int(first) > 12 else (first, second)
+    hour = int(hours) % 12 + 12 * (half.upper() == "P") if half else int(hours)
+    try:
+        whole = datetime(int(year), int(month), int(day), hour, int(minutes), tzinfo=UTC)
+    except ValueError:
+        return None
+    return whole.timestamp() + float((seconds or "0").replace(",", "."))
 
 
 class Sure(Enum):

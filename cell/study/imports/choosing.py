@@ -25,7 +25,7 @@ _LATE = 0.3
 class Chosen:
     """Points of a cable from the hand to the tip.
 
-    hand       the gripping point, in the same file; None = it is in another one
+    gripper    the gripping point, in the same file; None = it is in another one, or in none
     second     another point of the hand
     of_root    whether the gripping point is the cable's own first marker
     """
@@ -77,11 +77,12 @@ def choose(
         findings.append(_order_finding(order))
         return Chosen(tuple(order), hand, second, False, lost), findings
     if len(cable) < 2:
-        message = (
-            "shows one point and no hand; give the hand's place in columns such as hand_x and "
-            "hand_y, its axle's encoder as encoder, or an accelerometer on it as acc_x and acc_y; "
+        sentence = (
+            f"{capture.path.name} shows one point and no hand: name two columns of its place as "
+            "hand.columns, or give a file of the hand with --hand"
         )
-        raise capture.error(0, f"{message}here, or in a file of its own with --hand")
+        findings += [Finding("hand", sentence, Sure.WANTED), columns_finding(capture)]
+        return Chosen(tuple(cable), None, None, False, lost), findings
     order = _from_end(cable, raw)
     sentence = f"no point is named after a hand: {order[0].name!r}, the end of the chain that "
     findings.append(Finding("hand", f"{sentence}rests first, is the gripping point", Sure.GUESSED))
@@ -93,6 +94,8 @@ def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, Fl
     """Raise InputError where two points have the same places in all rows: they are one."""
     for i, first in enumerate(points):
         for second in points[i + 1 :]:
+            if first.on_gripper and second.on_gripper:
+                continue  # a body and a marker at its origin
             both = np.isfinite(raw[first.name] + raw[second.name]).all(axis=1)
             count = int(both.sum())
             if count > 1 and np.array_equal(raw[first.name][both], raw[second.name][both]):
@@ -213,6 +216,14 @@ def _typical(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
         return middle(rest)
     whole = places[np.isfinite(places).all(axis=(1, 2))]
     return whole[len(whole) // 2] if len(whole) else middle(places)
+
+
+def columns_finding(capture: Capture) -> Finding:
+    """What a person may choose from where a hand is not found."""
+    names, most = capture.names, 24
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    sentence = f"columns of {capture.path.name}: {', '.join(names[:most])}{more}"
+    return Finding("hand", sentence, Sure.SEEN)
 
 
 def _order_finding(order: Sequence[Point]) -> Finding:

@@ -61,10 +61,13 @@ _OF_WRENCH = frozenset(("n", "nm", "n·m", "n*m", "n m", "mn", "mnm"))
 #: Words that say what kind of number a coordinate is, not of which point.
 _FILLER = frozenset(
     ("pos", "position", "coord", "coordinate", "coordinates", "trans", "translation", "location",
-     "place", "value", "data", "in", "col", "koordinate", "pose", "point", "markers")
+     "place", "value", "data", "in", "col", "koordinate", "pose", "point", "markers", "transform",
+     "transforms")
 )  # fmt: skip
 #: Words with their axis grown onto them.
 _GROWN = re.compile(r"(pos|p|t|coord|q|quat|rot|r)([xyzw])")
+#: Of the six numbers of a robot's pose.
+_POSE = re.compile(r"(.*pose)[\s_\[]*([0-5])\]?", re.IGNORECASE)
 _VELOCITY = re.compile(r"(v|vel|f|w|omega)[xyz]")
 _ACCELERATION = frozenset(
     ("acceleration", "accelerations", "acc", "accel", "accelerometer", "beschleunigung")
@@ -89,6 +92,11 @@ def meaning(column: CapturedColumn) -> Meaning:
     """What a column's name, and the unit stated beside it, say."""
     bare, within = split_unit(column.name)
     unit = column.unit or within
+    if pose := _POSE.fullmatch(bare):  # of UR: metres, and a rotation vector
+        group = " ".join(w for w in _words(pose[1]) if w not in _FILLER)
+        part = int(pose[2])
+        kind = ColumnKind.COORDINATE if part < 3 else ColumnKind.OTHER
+        return Meaning(kind, group, "xyz"[part % 3], unit or "m")
     words = _words(bare)
     if (found := _acceleration(words, unit)) is not None:
         return found
@@ -153,6 +161,9 @@ def _words(name: str) -> list[str]:
     for piece in re.split(r"[^\w]+|_", name):
         for word in re.sub(r"(?<=[a-zäöü0-9])(?=[A-Z])", " ", piece).split():
             small = word.lower()
+            if small.endswith("winkel") and small != "winkel":  # German grows its words together
+                found += [small.removesuffix("winkel"), "winkel"]
+                continue
             if (match := re.fullmatch(r"([xyz])(\d+)", small)) or (
                 match := re.fullmatch(r"(.*\d)([xyz])", small)
             ):

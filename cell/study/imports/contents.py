@@ -14,7 +14,7 @@ from cell.study.imports.units import RADIANS
 HAND = frozenset(
     ("hand", "grip", "gripper", "gripping", "clamp", "tcp", "tool", "robot", "flange", "ee",
      "effector", "base", "root", "mount", "greifer", "holder", "wrist", "shaker", "cart", "fixture",
-     "chuck", "jaw", "jaws", "hub", "motor", "eef")
+     "chuck", "jaw", "jaws", "hub", "motor", "eef", "klemm", "klemme")
 )  # fmt: skip
 
 

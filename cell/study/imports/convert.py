@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.cable.geometry import Cable, Motion
+from cell.cable.geometry import ROUGHLY_STILL, Cable, Motion, moves_from_s
 from cell.files.input_error import InputError, Problem
 from cell.files.words import counted
 from cell.files.yaml_document import Key
@@ -81,6 +81,8 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         if entry.start in ("straight", "held") and entry.release_s is None:
             message = f"is missing; `start: {entry.start}` needs the time of letting go"
             problems.append(read.document.problem(("trials", i, "release_s"), message))
+    if not problems and mapping.hand.angle.constant_rad is not None:
+        problems += _one_angle(read, trials)
     if problems:
         raise InputError(problems)
     study = Study(
@@ -94,6 +96,34 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         sensor=WrenchSensor() if mapping.wrench is None else mapping.wrench.sensor(),
     )
     return Imported(study, tuple(notes))
+
+
+#: Trials of one cable whose clamp never turns rest alike, rad.
+_RESTS_ALIKE = 0.05
+
+
+def _one_angle(read: ReadMapping, trials: list[Trial]) -> list[Problem]:
+    """Trials that rest in other directions, though the mapping says that the clamp never turns."""
+    rests = []
+    for trial in trials:
+        still = trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
+        seen = trial.markers.xy_m[still, -1]
+        seen = seen[np.isfinite(seen).all(axis=1)]
+        if trial.bent or not len(seen):
+            continue
+        away = np.median(seen, axis=0) - [trial.grip.x_m[0], trial.grip.y_m[0]]
+        rests.append((float(np.arctan2(-away[1], -away[0])), trial.name))
+    if len(rests) < 2:
+        return []
+    (low, first), (high, last) = min(rests), max(rests)
+    if high - low < _RESTS_ALIKE:
+        return []
+    message = (
+        f"is one constant, yet at rest the marker next to the hand is at {np.degrees(low):.1f}° in "
+        f"{first} and at {np.degrees(high):.1f}° in {last}, limit {np.degrees(_RESTS_ALIKE):.1f}° "
+        "apart; give a column of the angle, or make studies of their own of these trials"
+    )
+    return [read.document.problem(("hand", "angle", "constant_rad"), message)]
 
 
 def trials_of(

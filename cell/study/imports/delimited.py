@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 import reprlib
@@ -13,17 +14,19 @@ from pathlib import Path
 import numpy as np
 
 from cell.files.input_error import InputError
-from cell.files.text_file import read_text
+from cell.files.text_file import read_bytes
 from cell.study.imports.capture import (
     NOT_SEEN,
     Capture,
     CapturedColumn,
     Decimal,
     TextForm,
+    is_grouped,
     is_number,
     number,
 )
 from cell.study.imports.column_names import ColumnKind, meaning
+from cell.study.imports.contents import contents
 from cell.study.imports.header import Header, read_header
 from cell.study.table import MAX_BYTES, MAX_ROWS
 
@@ -144,10 +147,12 @@ class Row:
 def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     """Read a table, wide (a row per time) or long (a row per time and marker).
 
+    Of several tables in one file, parted by blank lines, the one with the most points is taken.
+
     form    separator and decimal mark; None = found from the text
     raises  InputError: it holds no table of numbers, or a line is wrong, with line and remedy
     """
-    text = read_text(path, MAX_BYTES)
+    text, notes = _text(path)
     if text.count("\n") > MAX_ROWS + _MOST_HEADER:
         message = f"has {text.count(chr(10))} lines, limit {MAX_ROWS}; cut it to the motion"
         raise InputError.at(path, message, line=MAX_ROWS)
@@ -155,11 +160,105 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
         _check_form(path, text, form)
     form = form or text_form(text)
     rows = _rows(path, text, form.separator)
+    made = _richest(path, _tables(rows, form), form)
+    return replace(made, notes=(*notes, *made.notes))
+
+
+def _text(path: Path) -> tuple[str, list[str]]:
+    """Text of a file in UTF-8, UTF-16 or, as spreadsheets write it, Windows-1252; and a note.
+
+    raises  InputError: it is no text, is missing or too large
+    """
+    content = read_bytes(path, MAX_BYTES)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encodings = ["utf-16"]
+    else:
+        encodings = ["utf-8-sig"] if b"\0" in content else ["utf-8-sig", "cp1252"]
+    for encoding in encodings:
+        try:
+            text = content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        notes = [f"{path}: is no UTF-8 text; it is read as Windows-1252, as Excel writes it"]
+        return text, notes if encoding == "cp1252" else []
+    raise InputError.at(path, "cannot be read: is not UTF-8 text; save it as UTF-8", column=1)
+
+
+def _tables(rows: Sequence[Row], form: TextForm) -> list[Sequence[Row]]:
+    """Rows of each table with the lines above it.
+
+    A new one begins where, after a blank line, lines of words come before the next numbers.
+    """
+    tables: list[Sequence[Row]] = []
+    begin, with_numbers, blank, words = 0, False, False, 0
+    for i, row in enumerate(rows):
+        if row.blank:
+            blank, words = True, i + 1
+        elif len(row.cells) < 2 or not _is_data(row.cells, form.decimal):
+            words = words if blank else i
+        elif not blank or words == i:
+            with_numbers, blank = True, blank and not with_numbers
+        elif with_numbers:
+            tables.append(rows[begin:words])
+            begin, blank = words, False
+        else:
+            with_numbers, blank = True, False
+    return [*tables, rows[begin:]]
+
+
+def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Capture:
+    """The table with the most points; columns of others with the same frames stand beside it.
+
+    raises  InputError: the first complaint, if none can be read
+    """
+    read: list[Capture] = []
+    problems: list[InputError] = []
+    for rows in tables:
+        try:
+            read.append(_read_table(path, rows, form))
+        except InputError as error:
+            problems.append(error)
+    if not read:
+        raise problems[0]
+    best = max(read, key=lambda table: len(contents(table).points))
+    for other in read:
+        if other is best:
+            continue
+        if _same_frames(best, other):
+            best = _joined(best, other)
+        else:
+            note = f"{path}:{other.lines[0]}: another table begins here; it is not read"
+            best = replace(best, notes=(*best.notes, note))
+    return best
+
+
+def _same_frames(one: Capture, other: Capture) -> bool:
+    """Whether two tables have a row for each of the same frames or times."""
+    first, second = _time_column(one), _time_column(other)
+    if first is None or second is None:
+        return False
+    return np.array_equal(one.values[:, first], other.values[:, second])
+
+
+def _joined(one: Capture, other: Capture) -> Capture:
+    """A table with the columns of another that it does not have, row by row."""
+    new = [i for i, name in enumerate(other.names) if name not in one.names]
+    return replace(
+        one,
+        columns=(*one.columns, *(other.columns[i] for i in new)),
+        values=np.hstack([one.values, other.values[:, new]]),
+        notes=(*one.notes, *other.notes),
+    )
+
+
+def _read_table(path: Path, rows: Sequence[Row], form: TextForm) -> Capture:
+    """One table with the lines above it.  Raises InputError."""
     first, last = _block(path, rows, form)
     table = _without_end(rows[:first], rows[first:last])
     header = read_header(path, [(r.line, r.cells) for r in rows[:first]], table[0].cells)
-    numeric = _numeric_columns(table, form.decimal)
-    values = _values(path, table, header, numeric, form.decimal)
+    grouped = any(is_grouped(c.strip(), form.decimal) for row in table[:_SAMPLE] for c in row.cells)
+    numeric = _numeric_columns(table, form.decimal, grouped)
+    values = _values(path, table, header, numeric, form.decimal, grouped)
     labels = {
         header.columns[c].name: [row.cells[c].strip() for row in table]
         for c in range(len(header.columns))
@@ -252,7 +351,10 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
         within = data[i - 1] and data[i + 1] and all(len(r.cells) == width for r in around)
         if within and not data[i] and not rows[i].blank:
             raise _no_row(path, rows[i])
-    first = next(i for i, r in enumerate(rows) if data[i] and len(r.cells) == width)
+    of_width = [i for i, r in enumerate(rows) if data[i] and len(r.cells) == width]
+    # A number alone in its line is one of the header, however many separators follow it.
+    filled = (i for i in of_width if sum(bool(c.strip()) for c in rows[i].cells) > 1)
+    first = next(filled, of_width[0])
     last, blank = first, False
     for i in range(first, len(rows)):
         if rows[i].blank:
@@ -298,25 +400,30 @@ def _without_end(above: Sequence[Row], table: Sequence[Row]) -> list[Row]:
     return [Row(row.line, row.cells[:-1]) for row in table]
 
 
-def _numeric_columns(table: Sequence[Row], decimal: Decimal) -> list[bool]:
+def _numeric_columns(table: Sequence[Row], decimal: Decimal, grouped: bool) -> list[bool]:
     """Whether the cells of a column are numbers: at least half of those that are filled."""
     found = []
     for cells in zip(*(row.cells for row in table), strict=True):
         filled = [c for c in cells if c.strip().lower() not in NOT_SEEN]
-        good = sum(number(c, decimal) is not None for c in filled)
+        good = sum(number(c, decimal, grouped) is not None for c in filled)
         found.append(2 * good >= len(filled))
     return found
 
 
 def _values(
-    path: Path, table: Sequence[Row], header: Header, numeric: Sequence[bool], decimal: Decimal
+    path: Path,
+    table: Sequence[Row],
+    header: Header,
+    numeric: Sequence[bool],
+    decimal: Decimal,
+    grouped: bool,
 ) -> np.ndarray:
     """(rows, numeric columns).  Raises InputError: a cell is no number."""
     chosen = [c for c, is_one in enumerate(numeric) if is_one]
     values = np.empty((len(table), len(chosen)))
     for i, row in enumerate(table):
         for k, c in enumerate(chosen):
-            value = number(row.cells[c], decimal)
+            value = number(row.cells[c], decimal, grouped)
             if value is None:
                 raise _no_number(path, row, header.columns[c], row.cells[c], decimal)
             values[i, k] = value

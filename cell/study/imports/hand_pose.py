@@ -21,6 +21,8 @@ _TURNS = 0.05
 _SIGN, _QUARTER, _UNIT = 0.02, 0.3, 0.05
 #: The cable's root and a right reading agree at rest within this, rad; else an offset is needed.
 _AGREES = 0.35
+#: So near at rest an angle that nothing names is that of the clamp, rad.
+_SAME_AT_REST = 0.1
 #: The same of a root that only the line to a single marker shows: a cable droops.
 _DROOPS = 1.0
 
@@ -84,6 +86,10 @@ def clamp_angle(
     """
     if (column := _column(inside, axes, hand)) is not None:
         return _of_column(capture, *column, root)
+    if (column := _agreeing(capture, inside, root)) is not None:
+        section, findings = _of_column(capture, *column, root)
+        sentence = f"{column[0]!r} is the clamp angle, for it agrees with the cable's root"
+        return section, [*findings, Finding("hand.angle", sentence, Sure.GUESSED)]
     four = next((q for group, q in inside.quaternions if group == hand), None)
     if four is None and len(inside.quaternions) == 1:
         four = inside.quaternions[0][1]
@@ -130,6 +136,18 @@ def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, str] |
         chosen = [(n, m) for n, m in chosen if m.axis == letter] or chosen
     name, said = chosen[0]
     return name, said.unit
+
+
+def _agreeing(capture: Capture, inside: Contents, root: Root) -> tuple[str, str] | None:
+    """A column of angles that is of no marker and agrees with the cable's root; None = none."""
+    points = {point.name for point in inside.points if not point.on_gripper}
+    for name, said in inside.angles:
+        if said.group in points or said.axis:
+            continue
+        best = min(_readings(capture.column(name), said.unit, root), key=lambda r: r.cost)
+        if best.quarters == 0 and (best.is_measured or best.off_rad < _SAME_AT_REST):
+            return name, said.unit
+    return None
 
 
 def _of_column(

@@ -138,7 +138,8 @@ class GripperSection(SectionPart):
     @property
     def unfinished(self) -> bool:
         """Whether entries of its place must be filled in."""
-        return bool(entries_to_fill_in(self))
+        known = any(getattr(self, way) is not None for way in WAYS)
+        return not known or bool(entries_to_fill_in(self))
 
     def standing_still(self) -> GripperSection:
         """The same, fixed, for what can be shown without its path."""

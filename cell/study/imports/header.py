@@ -84,6 +84,8 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
     width = len(row)
     last = rows[-1][0] if rows else 1
     parts: list[list[str]] = []
+    kinds: list[list[str]] = []
+    apart = False
     for line, cells in reversed(rows[-8:]):
         if _MARKER_NAMES.match(cells[0].strip().lower().replace(" ", "_")) and not parts:
             return _of_markers(path, line, cells, width), line
@@ -92,15 +94,22 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
             break
         words = [c.strip() for c in fitted]
         if any(w.lower() in _NO_NAMES for w in words[:2]):
+            kinds.append(words)
             continue
+        if apart and words[0]:  # no line of groups, which is empty over the frames' numbers
+            break
         if parts:
-            words = _carried(words)
+            words = _carried(["" if w.lower() == "name" else w for w in words[:2]] + words[2:])
         parts.insert(0, words)
         names = _joined(parts)
-        if all(parts[-1]) and len(set(names)) == width:
+        if apart:
             break
+        apart = all(parts[-1]) and len(set(names)) == width
     if parts:
-        return _joined(parts), last
+        return _told_apart(parts, kinds), last
+    for line, cells in rows:
+        if _MARKER_NAMES.match(cells[0].strip().lower().replace(" ", "_")):
+            return _of_markers(path, line, cells, width), line
     if rows and len(rows[-1][1]) > 1:
         message = f"names {len(rows[-1][1])} columns, the rows below have {width} cells; give one "
         if any("." in cell for cell in row):  # then no comma is a decimal mark
@@ -146,6 +155,20 @@ def _carried(words: Sequence[str]) -> list[str]:
     return carried
 
 
+def _told_apart(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]) -> list[str]:
+    """Names of columns; of those that are there twice, with what the lines of kinds say of them.
+
+    A body's marker and the same one by itself have one name in some programs.
+    """
+    names = _joined(parts)
+    for words in reversed(kinds):
+        names = [
+            f"{name} {word}" if names.count(name) > 1 and word else name
+            for name, word in zip(names, _carried(words), strict=True)
+        ]
+    return names
+
+
 def _joined(parts: Sequence[Sequence[str]]) -> list[str]:
     names = [" ".join(w for w in words if w) for words in zip(*parts, strict=True)]
     return [name or f"column {i}" for i, name in enumerate(names, 1)]
@@ -158,7 +181,9 @@ def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
         words = [w.strip() for cell in cells for w in re.split(r"[:=]", cell)]
         for key, value in pairwise(words):
             said = number(value.split()[0], ".") if value.split() else None
-            if rate_hz is None and _RATE.match(key.lower()) and said is not None and said > 0.0:
+            if not _RATE.match(key.lower()) or said is None or not said > 0.0:
+                pass
+            elif rate_hz is None or key.lower().startswith("export"):  # others are of the cameras
                 rate_hz = said
             if not unit and _UNIT_KEY.match(key.lower()) and unit_of(value) in METRES:
                 unit = unit_of(value)

@@ -7,11 +7,11 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader, make_reader
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture, CapturedColumn
@@ -53,16 +53,14 @@ class _Table:
 def read_mcap(path: Path) -> Capture:
     """Read all numbers of all topics: one row per time, columns named topic and field.
 
+    A file without an index, or that ends in the middle, is read in sequence as far as it goes.
+
     raises  InputError: it is no MCAP file, or no message can be decoded
     """
-    table, undecoded = _Table(), set[str]()
-    for message in _messages(path, undecoded):
-        t_s = _stamp(message.content)
-        numbers = dict(_numbers(message.content, 0))
-        if not numbers:
-            continue
-        for name, value in numbers.items():
-            table.add(message.log_s if t_s is None else t_s, f"{message.topic} {name}", value)
+    table, undecoded, notes = _Table(), set[str](), list[str]()
+    for message in _messages(path, undecoded, notes):
+        for t_s, name, value in _numbers(message.content, 0, message.log_s):
+            table.add(t_s, f"{message.topic} {name}", value)
         if len(table.rows) > MAX_ROWS or len(table.columns) > _MOST_COLUMNS:
             raise InputError.at(
                 path,
@@ -77,7 +75,7 @@ def read_mcap(path: Path) -> Capture:
     times = sorted(table.rows)
     values = [[t, *(table.rows[t].get(n, np.nan) for n in names)] for t in times]
     columns = (CapturedColumn("time", "s"), *(CapturedColumn(n) for n in names))
-    notes = [f"{path}: {t} cannot be decoded; it is not read" for t in sorted(undecoded)]
+    notes += [f"{path}: {t} cannot be decoded; it is not read" for t in sorted(undecoded)]
     return Capture(
         path, columns, np.array(values), np.arange(1, len(times) + 1), notes=tuple(notes),
         counted="time",
@@ -93,14 +91,13 @@ def metadata_names(path: Path) -> frozenset[str]:
         return frozenset()
 
 
-def _messages(path: Path, undecoded: set[str]) -> Iterator[_Message]:
+def _messages(path: Path, undecoded: set[str], notes: list[str]) -> Iterator[_Message]:
     try:
         with path.open("rb") as file:
-            reader = make_reader(file, decoder_factories=_factories())
             decoders: dict[int, Any] = {}
-            for schema, channel, message in reader.iter_messages():
+            for schema, channel, message in _in_sequence(path, file, notes):
                 if channel.id not in decoders:
-                    decoders[channel.id] = _decoder(reader, channel, schema)
+                    decoders[channel.id] = _decoder(channel, schema)
                 decode = decoders[channel.id]
                 if decode is None:
                     undecoded.add(f"topic {channel.topic} ({channel.message_encoding})")
@@ -113,6 +110,19 @@ def _messages(path: Path, undecoded: set[str]) -> Iterator[_Message]:
             raise
         message_text = f"is torn or is no MCAP file ({error}); record it again, or mend it"
         raise InputError.at(path, message_text) from error
+
+
+def _in_sequence(path: Path, file: BinaryIO, notes: list[str]) -> Iterator[tuple[Any, Any, Any]]:
+    """Schema, channel and message as they stand: an index may lack, or not name all channels."""
+    count = 0
+    try:
+        for found in NonSeekingReader(file).iter_messages(log_time_order=False):
+            count += 1
+            yield found
+    except _UNREADABLE:
+        if not count:
+            raise
+        notes.append(f"{path}: ends in the middle; its first {count} messages are read")
 
 
 def _factories() -> list[Any]:
@@ -133,7 +143,7 @@ def _factories() -> list[Any]:
     return found
 
 
-def _decoder(reader: Any, channel: Any, schema: Any) -> Any:
+def _decoder(channel: Any, schema: Any) -> Any:
     if channel.message_encoding == "json":
         return json.loads
     for factory in _factories():
@@ -152,13 +162,18 @@ def _fields(content: Any) -> dict[str, Any]:
     return {name: getattr(content, name) for name in names}
 
 
-def _numbers(content: Any, depth: int, name: str = "") -> Iterator[tuple[str, float]]:
-    """Every number of a message, named after its fields."""
+def _numbers(
+    content: Any, depth: int, log_s: float, name: str = ""
+) -> Iterator[tuple[float, str, float]]:
+    """Every number of a message: when it was measured, the names of its fields, its value.
+
+    log_s  when it was recorded, or what holds it was measured
+    """
     match content:
         case bool() | str() | bytes() | None:
             return
         case int() | float():
-            yield name.strip(), float(content)
+            yield log_s, name.strip(), float(content)
             return
     if depth > _MOST_DEPTH:
         return
@@ -167,11 +182,13 @@ def _numbers(content: Any, depth: int, name: str = "") -> Iterator[tuple[str, fl
     ):
         if len(content) <= _MOST_ENTRIES:
             for i, item in enumerate(content):
-                yield from _numbers(item, depth + 1, f"{name} {_label(item, i)}")
+                yield from _numbers(item, depth + 1, log_s, f"{name} {_label(item, i)}")
         return
+    stamp_s = _stamp(content)
     for key, item in _fields(content).items():
         if key not in _NO_NUMBERS:
-            yield from _numbers(item, depth + 1, f"{name} {key}")
+            at_s = log_s if stamp_s is None else stamp_s
+            yield from _numbers(item, depth + 1, at_s, f"{name} {key}")
 
 
 def _label(item: Any, number: int) -> str:
@@ -179,7 +196,9 @@ def _label(item: Any, number: int) -> str:
     if isinstance(item, int | float | str | bytes):
         return str(number)
     fields = _fields(item)
-    for key in ("name", "label", "marker_name", "ns", "id"):
+    if isinstance(space := fields.get("ns"), str) and "id" in fields:  # a marker of ROS
+        return f"{space} {fields['id']}".strip()
+    for key in ("child_frame_id", "name", "label", "marker_name", "id"):
         said = fields.get(key)
         if isinstance(said, str) and said:
             return said

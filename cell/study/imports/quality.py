@@ -25,6 +25,9 @@ STAYS = 1e-3
 MOST_SLIPS = 0.02
 #: Out of the plane a cable may be by so much of its length: told, and refused.
 TOLD_ACROSS, REFUSED_ACROSS = 0.02, 0.2
+#: The marker next to the hand follows it, by how well their paths agree, and moves by no more than
+#: so many times as far, in so many rows.
+MOVES_ALIKE, TIMES_FARTHER, FEWEST_ROWS = 0.8, 8.0, 20
 #: Rows that repeat the one before in all numbers are told from so many in a row on, if the step
 #: after them is so many usual ones: a cable at rest, rounded, repeats itself too.
 HELD_ROWS, HELD_JUMP = 3, 2.0
@@ -69,6 +72,8 @@ def examined(
         for check in (_too_long, _gripper_gap, _same_values, _stays)
         if (problem := check(measured)) is not None
     ]
+    if not problems and (unit := _gripper_unit(measured, arc_length_m)):
+        problems.append(unit)
     if not problems and (places := exchange_problem(measured.trial.markers)):
         problems.append(places)
     if not problems and (longer := _longer_than_cable(measured, cable, arc_length_m)):
@@ -159,6 +164,33 @@ def _stays(measured: Measured) -> Problem | None:
         0,
         f"{name!r} moves by {moved_m[stays[0]] * 1e3:.2g} mm in all rows, the hand by "
         f"{hand_m * 1e3:.3g} mm: it is not on the cable; remove it from markers",
+    )
+
+
+def _gripper_unit(measured: Measured, arc_length_m: FloatArray) -> Problem | None:
+    """A hand that moves as the marker next to it does, but many times less or more."""
+    grip, markers = measured.trial.grip, measured.trial.markers
+    nearest = int(np.argmin(arc_length_m))
+    seen = np.isfinite(markers.xy_m[:, nearest]).all(axis=1)
+    if np.count_nonzero(seen) < FEWEST_ROWS:
+        return None
+    t_s = markers.t_s[seen]
+    hand = np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
+    marker = markers.xy_m[seen, nearest]
+    hand, marker = hand - hand.mean(axis=0), marker - marker.mean(axis=0)
+    sizes = float(np.linalg.norm(hand)), float(np.linalg.norm(marker))
+    if min(sizes) == 0.0 or float(np.sum(hand * marker)) < MOVES_ALIKE * sizes[0] * sizes[1]:
+        return None
+    times = sizes[1] / sizes[0]
+    if 1.0 / TIMES_FARTHER < times < TIMES_FARTHER:
+        return None
+    reach_m = [_reach(v) for v in (hand, marker)]
+    return measured.problem(
+        0,
+        f"the hand moves by {reach_m[0]:.3g} m, and {measured.source.names[nearest]!r} next to it "
+        f"as it does by {reach_m[1]:.3g} m: its unit is another one; correct metres_per_unit of "
+        "hand in the mapping",
+        "hand",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from cell.study.imports.capture import Capture, CapturedColumn, TextForm, number
 from cell.study.imports.containers import CONTAINERS, read_container
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.mcap_file import read_mcap
+from cell.study.imports.robot_poses import with_quaternions
 from cell.study.imports.units import METRES, unit_of
 from cell.study.table import MAX_BYTES
 
@@ -114,11 +116,25 @@ def read_c3d(path: Path) -> Capture:
         raise InputError.at(path, message)
     units = parameters.get("UNITS", {"value": []})["value"]
     unit = unit_of(str(units[0])) if len(units) else ""
-    frames = np.arange(xyz.shape[2])
+    residuals = np.asarray(content["data"]["meta_points"]["residuals"], dtype=np.float64)
+    xyz[:, (residuals < 0.0).reshape(xyz.shape[1:])] = np.nan  # so a point that was not seen
+    frames = _first_frame(content) + np.arange(xyz.shape[2])
     columns = [CapturedColumn("Time", "s")]
     columns += [CapturedColumn(f"{label} {axis}", unit) for label in labels for axis in "XYZ"]
     values = np.column_stack([frames / rate_hz, xyz.transpose(2, 1, 0).reshape(len(frames), -1)])
     return Capture(path, tuple(columns), values, frames + 1, rate_hz, unit, counted="frame")
+
+
+def _first_frame(content: Any) -> int:
+    """Number of the first frame, counted from 0; the time of frame 0 is 0.
+
+    source  C3D file format, "Limitations": beyond 65,535 frames the parameters have two words
+    """
+    words = content["parameters"].get("TRIAL", {}).get("ACTUAL_START_FIELD", {}).get("value", ())
+    if len(words) == 2:
+        low, high = (int(word) % 2**16 for word in words)
+        return max(low + 2**16 * high - 1, 0)
+    return max(int(content["header"]["points"]["first_frame"]), 0)
 
 
 #: Endings of names of text tables.
@@ -132,6 +148,11 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     form    of a text table; None = found from the text
     raises  InputError: it cannot be read
     """
+    return with_quaternions(_of_kind(path, form))
+
+
+def _of_kind(path: Path, form: TextForm | None) -> Capture:
+    """A file by the ending of its name.  Raises InputError."""
     ending = path.suffix.lower()
     if ending in TABLES:
         return read_delimited(path, form)

@@ -13,10 +13,17 @@ from cell.study.imports.hand_section import TimeSection
 from cell.study.imports.shape import arc_lengths, middle, resting
 from cell.study.imports.units import METRES, SECONDS
 
-#: Steps between rows at rates from 2 to 2000 a second; the units' ranges meet and do not overlap.
-_LONGEST_STEP_S = 0.5
+#: Rows a second of which films and logs are; the first unit that gives such a rate is taken.
+_RATES_HZ = (2.0, 20_000.0)
+#: Spreadsheets count days.
+_DAY = {"day": 86_400.0}
+#: A stated rate and stated times contradict each other from this share on: times rounded to
+#: milliseconds, and rates to whole numbers, differ by less.
+_CONTRADICTS = 0.05
 #: Lengths of cables that anybody films, in each unit; what is in two ranges is a guess.
 _USUAL_M = (0.02, 5.0)
+#: A stated unit that makes the markers span less is a wrong one, m.
+_SHORTEST_M = 0.005
 #: A stated free length decides the unit if the chain is this share longer or shorter at most.
 _WITHIN = 0.3
 #: Markers that span so many times more or less than the cable are in another unit.
@@ -34,17 +41,21 @@ def time_section(
 
     rate_hz  rows a second that somebody stated; None = as the file states
     """
-    rate_hz = rate_hz or capture.rate_hz
     column = inside.time or ROW_NUMBER
     counts = inside.counts or inside.time is None
     steps = np.diff(capture.column(column))
     step = float(np.nanmedian(steps)) if len(steps) else 0.0
-    unit, sure, why = _second(inside, counts, step, steps, rate_hz)
+    mean = float(np.nanmean(steps)) if len(steps) else 0.0
+    if not counts and inside.time_unit in SECONDS:
+        unit, sure, why = _as_stated(inside.time_unit, (step, mean), rate_hz, capture.rate_hz)
+    else:
+        unit, sure, why = _second(counts, step, steps, rate_hz or capture.rate_hz)
     first = float(capture.column(column)[0]) * (unit or 1.0)
     zero = counts or abs(first) > _EPOCH_S
     if unit is None:
         sentence = f"time counts in steps of {step:g} in column {column!r}: {why}"
-        sentence += "; give time.seconds_per_unit, or --rate"
+        sentence += "; give time.seconds_per_unit"
+        sentence += "" if rate_hz is not None else ", or --rate"
     else:
         shown = f"{1.0 / (step * unit):.4g} rows a second" if step > 0.0 else "no steady rate"
         sentence = f"time is in column {column!r}, {unit:.6g} s a unit ({why}): {shown}"
@@ -69,32 +80,54 @@ def other_rate(capture: Capture, section: TimeSection) -> str:
     )
 
 
-def _second(
-    inside: Contents, counts: bool, step: float, steps: FloatArray, rate_hz: float | None
+def _as_stated(
+    name: str, steps: tuple[float, float], wanted_hz: float | None, file_hz: float | None
 ) -> tuple[float | None, Sure, str]:
-    """Seconds a unit, how sure, and why."""
+    """Seconds a unit that the file states, unless a rate contradicts it.
+
+    steps  median and mean between rows
+    """
+    unit = SECONDS[name]
+    for rate_hz, whose in ((wanted_hz, "--rate says"), (file_hz, "the file's header says")):
+        if rate_hz is None or min(steps) <= 0.0:
+            continue
+        if all(abs(step * unit * rate_hz - 1.0) > _CONTRADICTS for step in steps):
+            shown = f"the file says {name}, which makes {1.0 / (steps[0] * unit):.4g} rows a second"
+            if whose.startswith("--"):
+                return None, Sure.WANTED, f"{shown}, yet {whose} {rate_hz:g}"
+            return unit, Sure.GUESSED, f"{shown}, though {whose} {rate_hz:g}"
+    return unit, Sure.SAID, f"the file says {name}"
+
+
+def _second(
+    counts: bool, step: float, steps: FloatArray, rate_hz: float | None
+) -> tuple[float | None, Sure, str]:
+    """Seconds a unit that the file does not state, how sure, and why."""
     if counts:
         if rate_hz is None:
             return None, Sure.WANTED, "it counts rows, and no rate is stated"
         return 1.0 / rate_hz, Sure.SAID, f"{rate_hz:g} rows a second are stated"
-    if inside.time_unit in SECONDS:
-        return SECONDS[inside.time_unit], Sure.SAID, f"the file says {inside.time_unit}"
     if rate_hz is not None and step > 0.0:
         wanted = 1.0 / rate_hz / step
-        unit = min(SECONDS.values(), key=lambda u: abs(np.log(u / wanted)))
+        units = (SECONDS | _DAY).values()
+        unit = min(units, key=lambda u: abs(np.log(u / wanted)))
+        if abs(np.log(unit / wanted)) > _CONTRADICTS:
+            unit = float(f"{wanted:.6g}")
         return unit, Sure.SAID, f"{rate_hz:g} rows a second are stated"
     if len(steps) and np.all(steps == 1.0):
         return None, Sure.WANTED, "frames, or milliseconds"
-    for unit in (1.0, 1e-3, 1e-6, 1e-9):
-        if step * unit <= _LONGEST_STEP_S:
-            return unit, Sure.GUESSED, f"a guess by steps of {step:.4g}"
+    low_hz, high_hz = _RATES_HZ
+    for name in ("s", "ms", "µs", "ns", "day"):
+        unit = (SECONDS | _DAY)[name]
+        if step > 0.0 and low_hz <= 1.0 / (step * unit) <= high_hz:
+            return unit, Sure.GUESSED, f"{name}, a guess by steps of {step:.4g}"
     return None, Sure.WANTED, "no unit makes it a film"
 
 
 def _fits(span_m: float, free_length_m: float | None) -> bool:
     """Whether markers may span so much of a cable: three times less or more is another unit."""
     if free_length_m is None:
-        return span_m <= MAX_LENGTH_M
+        return _SHORTEST_M <= span_m <= MAX_LENGTH_M
     return free_length_m / WRONG_UNIT < span_m < free_length_m * WRONG_UNIT
 
 
@@ -109,9 +142,10 @@ def metres_per_unit(
     stated = next((u for u in sorted(units) if u in METRES), "")
     if stated and not _fits(METRES[stated] * extent, free_length_m):
         long = f"{METRES[stated] * extent:.4g} m"
-        against = "10 m at most" if free_length_m is None else f"{free_length_m:g} m"
+        against = f"{_SHORTEST_M:g} to {MAX_LENGTH_M:g} m"
+        against = against if free_length_m is None else f"{free_length_m:g} m"
         sentence = f"the file says {stated}, which makes the markers span {long} of a cable of "
-        sentence += f"{against}; give metres_per_unit"
+        sentence += f"{against}; give metres_per_unit{_likely(extent, free_length_m)}"
         return None, Finding("metres_per_unit", sentence, Sure.WANTED)
     if stated:
         sentence = f"lengths are in {stated}, as the file says"
@@ -136,6 +170,19 @@ def metres_per_unit(
             return METRES[fitting[0]], Finding("metres_per_unit", sentence, Sure.GUESSED)
     sentence = "the unit of length is not known; give metres_per_unit, or --free-length"
     return None, Finding("metres_per_unit", sentence, Sure.WANTED)
+
+
+def _likely(extent: float, free_length_m: float | None) -> str:
+    """The unit in which a chain of points is as long as a cable, in words; empty = none is."""
+    low, high = _USUAL_M
+    fitting = [n for n in METRES if extent > 0.0 and low <= extent * METRES[n] <= high]
+    if free_length_m is not None:
+        fitting = [n for n in METRES if _fits(extent * METRES[n], free_length_m)]
+        fitting.sort(key=lambda n: abs(np.log(METRES[n] * extent / free_length_m)))
+    if not fitting:
+        return ""
+    name = fitting[0]
+    return f": {METRES[name]:g} if they are {name}, then they span {METRES[name] * extent:.4g} m"
 
 
 #: Arc lengths are proposed to so much, m.

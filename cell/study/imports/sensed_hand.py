@@ -10,7 +10,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture, Finding, Sure
-from cell.study.imports.choosing import detected_places
+from cell.study.imports.choosing import columns_finding, detected_places
 from cell.study.imports.column_names import Meaning
 from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.hand_pose import Root, clamp_angle
@@ -23,7 +23,7 @@ from cell.study.imports.hand_section import (
     TurnsSection,
     entries_to_fill_in,
 )
-from cell.study.imports.scales import metres_per_unit, time_section
+from cell.study.imports.scales import time_section
 from cell.study.imports.shape import AWAY, FEWEST_REST, arc_lengths
 from cell.study.imports.units import METRES, RADIANS
 
@@ -144,6 +144,8 @@ def _axes(
     return AxesSection(right=right.tolist(), up=up.tolist()), f"up is {shown}: {why}"
 
 
+#: A hand moves along one axis if it moves by less than this share of that across it.
+_LEVEL = 0.02
 #: A chain from the hand on is the cable's if it is longer than the free length by this share at
 #: most; where no unit is stated, and shorter by that.
 TIP, _SHORTER = 0.02, 0.3
@@ -169,6 +171,7 @@ def gripper_file(capture: Capture) -> GripperFile:
     """What a file of the hand holds."""
     inside = contents(capture)
     named = [p for p in inside.points if p.on_gripper] or list(inside.points)
+    named.sort(key=lambda p: "actual" not in p.name.split())  # before what was only commanded
     if not named:
         return GripperFile(capture, inside, None, None)
     return GripperFile(
@@ -210,10 +213,34 @@ def first_point(
     return None
 
 
+#: The marker next to the hand moves about as far as the hand; so many times more or less is another
+#: unit.
+_AS_FAR = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class NearestMarker:
+    """Motion of the marker next to the hand, in the trial whose hand moves most.
+
+    hand   (rows, d) of that trial's hand, in the unit and axes of its file
+    xy_m   (frames, 2) of the marker in the study's plane
+    """
+
+    hand: FloatArray
+    xy_m: FloatArray
+
+
 def section_of_file(
-    hand: GripperFile, axes: AxesSection, root: Root, scale: float | None
+    hand: GripperFile,
+    axes: AxesSection,
+    root: Root,
+    scale: float | None,
+    nearest: NearestMarker | None,
 ) -> tuple[GripperSection, list[Finding]]:
-    """The section of a hand with a file of its own.  Raises InputError: it tells no hand."""
+    """The section of a hand with a file of its own; without a place where it tells none.
+
+    nearest  None = the markers' unit or the hand's place is not known
+    """
     capture, inside, point = hand.capture, hand.inside, hand.point
     time, told = time_section(capture, inside, None)
     form = capture.form
@@ -223,24 +250,21 @@ def section_of_file(
         section, findings = sensor_section(capture, inside, axes, root, of_file)
         return section, [*told, *findings]
     if point is None:
-        message = (
-            "has no x and y of the hand; name two columns as hand_x and hand_y, that of its axle's "
-            "encoder as encoder, or those of an accelerometer on it as acc_x and acc_y. Columns: "
-        )
-        raise capture.error(0, f"{message}{', '.join(capture.names[:12])}")
+        sentence = f"no place of the hand is known in {capture.path.name}: name two columns of it "
+        sentence += "as hand.columns, that of its axle's encoder in hand.turns, or those of an "
+        sentence += "accelerometer on it in hand.acceleration"
+        findings = [Finding("hand", sentence, Sure.WANTED), columns_finding(capture)]
+        return GripperSection(angle=AngleSection(), **of_file), [*told, *findings]
     sentence = f"{point.name!r} of {capture.path.name} is the gripping point"
     findings = [Finding("hand", sentence, Sure.GUESSED)]
-    same = len(point.columns) == len(axes.up)
-    own = None if same else AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
-    if not same:
-        sentence = "the hand's file has its own axes: right and up are its first and second"
+    own = None
+    if len(point.columns) != len(axes.up):
+        own, sentence = _own_axes(detected_places(capture, point.columns, ()), nearest)
         findings.append(Finding("hand.axes", sentence, Sure.GUESSED))
-    at = detected_places(capture, point.columns, ())
-    extent = float(np.nanmax(np.abs(at)))
-    unit, finding = metres_per_unit({point.unit}, extent, None) if point.unit else (scale, None)
+    unit, finding = _unit_of_place(point, scale, nearest)
     of_this = [*told, *([finding] if finding else [])]
     findings += [replace(f, sentence=f"{capture.path.name}: {f.sentence}") for f in of_this]
-    angle, told = clamp_angle(capture, inside, axes, root, None, point.name)
+    angle, told = clamp_angle(capture, inside, own or axes, root, None, point.name)
     section = GripperSection(
         columns=list(point.columns),
         angle=angle,
@@ -249,3 +273,72 @@ def section_of_file(
         **of_file,
     )
     return section, [*findings, *told]
+
+
+def _unit_of_place(
+    point: Point, scale: float | None, nearest: NearestMarker | None
+) -> tuple[float | None, Finding | None]:
+    """Metres a unit of the hand's place; the marker next to it moves as far.
+
+    scale  of the markers
+    """
+    seen_m = 0.0 if nearest is None else reach(nearest.xy_m)
+    moves = 0.0 if nearest is None else reach(nearest.hand)
+    stated = METRES.get(point.unit)
+    names = {METRES[n]: n for n in ("m", "mm", "cm", "in")}
+    tried = [u for u in (scale, *names) if u is not None]
+    fitting = [u for u in tried if moves > 0.0 and 1 / _AS_FAR < u * moves / seen_m < _AS_FAR]
+    if not moves > 0.0 or not seen_m > 0.0 or not fitting:
+        if stated is not None:
+            return stated, Finding("hand", f"lengths are in {point.unit}, as it says", Sure.SAID)
+        return scale, Finding(
+            "hand", "its unit of length is taken as that of the markers", Sure.GUESSED
+        )
+    unit = fitting[0]
+    said = f"in {names.get(unit, f'{unit:g} m')} it moves by {unit * moves:.3g} m, the marker next "
+    said += f"to it by {seen_m:.3g} m"
+    if stated is None:
+        return unit, Finding("hand.metres_per_unit", f"{said}: so that is its unit", Sure.SEEN)
+    if 1 / _AS_FAR < stated * moves / seen_m < _AS_FAR:
+        return stated, Finding("hand", f"lengths are in {point.unit}, as it says", Sure.SAID)
+    sentence = f"it says {point.unit}, and would move by {stated * moves:.3g} m, yet {said}; give "
+    return stated, Finding(
+        "hand.metres_per_unit", f"{sentence}hand.metres_per_unit: {unit:g}", Sure.WANTED
+    )
+
+
+def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSection, str]:
+    """Right and up along the columns of a hand that are not as many as a marker's.
+
+    A robot's third axis is up.  Right is the level direction in which the hand moves, towards the
+    same side as the marker next to it.
+    """
+    if places.shape[1] == 2:
+        plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
+        return plane, "the hand's file has its own axes: right and up are its first and second"
+    seen = places[np.isfinite(places).all(axis=1)]
+    span = np.ptp(seen, axis=0) if len(seen) else np.zeros(3)
+    sentence = "the hand's file has its own axes: up is its third"
+    right = np.array([1.0, 0.0, 0.0])
+    if np.hypot(*span[:2]) <= _LEVEL * span[2]:
+        return _plane_of(right), f"{sentence}; it only moves along that: right is its first"
+    level = seen[:, :2] - seen[:, :2].mean(axis=0)
+    right[:2] = np.linalg.svd(level, full_matrices=False)[2][0]
+    if nearest is not None:
+        hand, marker = (v[np.isfinite(v).all(axis=1)] for v in (nearest.hand, nearest.xy_m))
+        goes = (hand[-1] - hand[0]) @ right
+        right *= -1.0 if goes * (marker[-1, 0] - marker[0, 0]) < 0.0 else 1.0
+    return _plane_of(right), f"{sentence}, right the level direction in which it moves"
+
+
+def _plane_of(right: FloatArray) -> AxesSection:
+    return AxesSection(right=[round(float(v), 7) + 0.0 for v in right], up=[0.0, 0.0, 1.0])
+
+
+def reach(places: FloatArray) -> float:
+    """How far apart the middle 98 % of places (rows, d) are; 0 = none is seen."""
+    seen = places[np.isfinite(places).all(axis=1)]
+    if not len(seen):
+        return 0.0
+    low, high = np.quantile(seen, [0.01, 0.99], axis=0)
+    return float(np.linalg.norm(high - low))

@@ -152,14 +152,16 @@ def start_of(
     begun: dict[str, Any] = {}
     findings: list[Finding] = []
     hand_s, hand_m = t_s, np.zeros((len(t_s), 2))
-    known = mapping.hand.turns is None and mapping.hand.acceleration is None
+    known = mapping.hand.columns is not None or mapping.hand.fixed_m is not None
     if known:
         hand_s, hand_m = _gripper_path(capture, hand, mapping, zero_s)
     elif hand is not None:
         sentence = f"{name}: whether both clocks agree is not known before the hand's path is"
         findings.append(Finding("clock_offset_s", sentence, Sure.GUESSED))
     if known and hand is not None:
-        begun, findings = _clock(name, (hand_s, hand_m), (t_s, xy_m), mapping)
+        begun, findings = _by_rows(name, capture, t_s, hand_s)
+        if not begun:
+            begun, findings = _clock(name, (hand_s, hand_m), (t_s, xy_m), mapping)
         hand_s = hand_s + begun.get("clock_offset_s", 0.0)
     seen = np.isfinite(xy_m).any(axis=(1, 2))
     length_m = mapping.cable.free_length_m or 1.0
@@ -181,6 +183,23 @@ def _gripper_path(
     at_m = places_m(of, section.columns, axes, scale, mapping.lost, unseen=0.0, of_hand=True)
     known = np.isfinite(at_m).all(axis=1)
     return t_s[known], at_m[known]
+
+
+def _by_rows(
+    name: str, capture: Capture, t_s: FloatArray, hand_s: FloatArray
+) -> tuple[dict[str, Any], list[Finding]]:
+    """The offset to a clock that counts frames, of which programs call the first 0 or 1."""
+    late_s = float(t_s[0] - hand_s[0])
+    step_s = float(np.median(np.diff(t_s)))
+    together = len(t_s) == len(hand_s) and np.allclose(t_s - late_s, hand_s, atol=0.1 * step_s)
+    if capture.counted != "frame" or not together or not 0.0 < abs(late_s) < ROWS_OFF * step_s:
+        return {}, []
+    late_s = round(late_s, 6)
+    sentence = (
+        f"{name}: hand and markers have {len(t_s)} rows at one rate and are taken row by row: "
+        f"{late_s:+g} s are added to the hand's clock"
+    )
+    return {"clock_offset_s": late_s}, [Finding("clock_offset_s", sentence, Sure.GUESSED)]
 
 
 def _clock(

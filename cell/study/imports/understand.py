@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from cell.cable.arrays import FloatArray
 from cell.study.entries import MAX_ARC_STD_FRACTION
@@ -16,22 +17,27 @@ from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.directions import find_axes
 from cell.study.imports.hand_pose import Root, clamp_angle
-from cell.study.imports.hand_section import AxesSection, GripperSection
+from cell.study.imports.hand_section import AngleSection, AxesSection, GripperSection
 from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
+from cell.study.imports.places import places_m
 from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
 from cell.study.imports.sensed_hand import (
     TIP,
     GripperFile,
+    NearestMarker,
     first_point,
     gripper_file,
+    reach,
     section_of_file,
     sensor_section,
 )
 from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
 from cell.study.imports.trials import Files, text_section, trial_entries
 
-#: Points of a chain that show a line and no bend.
-_A_LINE = 2
+#: Points of a chain that show a line and no bend, and that show how a curve goes on.
+_A_LINE, _A_CURVE = 2, 3
+#: Where the curve through the markers begins is known to so much of the cable's length.
+_SAME_FRAME = 0.05
 
 
 @dataclass(frozen=True)
@@ -99,8 +105,14 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     chain_m = _chain(raw, begins if scene.from_gripper else None) * (scale or 1.0)
     stds, told = _arc_stds(chain_m, scene, chosen, stated, arcs)
     findings += told
-    hand, told = _gripper(first, apart, inside, chosen, axes, scene, scale)
+    nearest = None
+    if apart is not None and apart.point is not None and scale is not None:
+        nearest = _nearest(trials, apart.point, chosen, axes, scale)
+    hand, told = _gripper(first, apart, inside, chosen, axes, scene, scale, nearest)
     findings += told
+    if apart is not None and begins is None:
+        hand, told = _with_origin(hand, apart, axes, scene, arcs, scale)
+        findings += told
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
@@ -120,7 +132,7 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         trials=[TrialEntry(name=t.name, file=t.file, hand_file=t.gripper_file) for t in trials],
     )
     entries, told = trial_entries(trials, mapping, stated.rate_hz)
-    findings += [*told, *_missing_entries(mapping), *_unused(inside, chosen, first.capture)]
+    findings += [*told, *_missing_entries(mapping), *_unused(inside, chosen, hand, first.capture)]
     return Understanding(mapping.model_copy(update={"trials": entries}), tuple(findings))
 
 
@@ -259,14 +271,16 @@ def _gripper(
     axes: AxesSection,
     scene: _Scene,
     scale: float | None,
+    nearest: NearestMarker | None,
 ) -> tuple[GripperSection, list[Finding]]:
     """The gripping point and the clamp angle, from the same file or another one."""
     if elsewhere is not None:
-        return section_of_file(elsewhere, axes, _root_at_rest(scene), scale)
+        return section_of_file(elsewhere, axes, _root_at_rest(scene), scale, nearest)
     if inside.has_gripper_sensor:
         return sensor_section(first.capture, inside, axes, _root_at_rest(scene), {})
     hand = chosen.gripper
-    assert hand is not None
+    if hand is None:
+        return GripperSection(angle=AngleSection()), []
     root = _root(scene)
     second = None
     if chosen.second is not None:
@@ -275,6 +289,59 @@ def _gripper(
         second = chosen.second, _angle_of(line)
     angle, findings = clamp_angle(first.capture, inside, axes, root, second, hand.name)
     return GripperSection(columns=list(hand.columns), angle=angle), findings
+
+
+def _nearest(
+    trials: Sequence[Files], point: Point, chosen: Chosen, axes: AxesSection, scale: float
+) -> NearestMarker | None:
+    """Motion of the marker next to the hand where that moves most; None = no trial tells it.
+
+    point  the gripping point, in files of their own
+    """
+    marker, best = chosen.markers[0], None
+    for files in trials:
+        there = files.gripper is not None and set(point.columns) <= set(files.gripper.names)
+        if not there or not set(marker.columns) <= set(files.capture.names):
+            continue
+        assert files.gripper is not None
+        hand = detected_places(files.gripper, point.columns, ())
+        xy_m = places_m(files.capture, marker.columns, axes, scale, chosen.lost)
+        if best is None or reach(hand) > reach(best.hand):
+            best = NearestMarker(hand, xy_m)
+    return best
+
+
+def _with_origin(
+    hand: GripperSection,
+    apart: GripperFile,
+    axes: AxesSection,
+    scene: _Scene,
+    arcs: Sequence[float | None],
+    scale: float | None,
+) -> tuple[GripperSection, list[Finding]]:
+    """The section with the origin of the hand's places, where that is not the markers'.
+
+    At rest the curve through the markers goes on to the gripping point.
+    """
+    known = [a for a in arcs if a is not None]
+    unknown = hand.columns is None or apart.initial is None or scale is None
+    if unknown or len(known) < _A_CURVE or len(known) != len(scene.shape):
+        return hand, []
+    begins_m = CubicSpline(known, scene.shape)(0.0)
+    own, unit = hand.axes or axes, hand.metres_per_unit or scale or 1.0
+    assert apart.initial is not None
+    hand_m = np.array([own.right, own.up]) @ apart.initial * unit
+    origin_m = begins_m - hand_m
+    if float(np.hypot(*origin_m)) < _SAME_FRAME * known[-1]:
+        return hand, []
+    x_m, y_m = (round(float(v), 5) for v in origin_m)
+    sentence = (
+        f"the hand's places have another origin: [{x_m:g}, {y_m:g}] m are added, so that the curve "
+        "through the markers at rest begins at the hand; measure hand.origin_m"
+    )
+    return hand.model_copy(update={"origin_m": (x_m, y_m)}), [
+        Finding("hand.origin_m", sentence, Sure.GUESSED)
+    ]
 
 
 def _root_at_rest(scene: _Scene) -> Root:
@@ -311,7 +378,9 @@ def _missing_entries(mapping: Mapping) -> list[Finding]:
     return found
 
 
-def _unused(inside: Contents, chosen: Chosen, capture: Capture) -> list[Finding]:
+def _unused(
+    inside: Contents, chosen: Chosen, hand: GripperSection, capture: Capture
+) -> list[Finding]:
     """Columns that nothing is made of."""
     used = {n for p in chosen.markers for n in p.columns}
     points = [
@@ -320,6 +389,7 @@ def _unused(inside: Contents, chosen: Chosen, capture: Capture) -> list[Finding]
     ]
     used |= {n for p in points for n in p.columns}
     rest = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
+    rest += [n for n, _ in inside.angles if n != hand.angle.column]
     if not rest:
         return []
     more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""

@@ -302,5 +302,9 @@ def test_without_a_hand_its_sensors_are_asked_for(tmp_path: Path) -> None:
     log = tmp_path / "robot.csv"
     log.write_text(text([["time_s", "voltage"], *digits(np.column_stack([m.t_s, turn]))]))
     file = wide(m, {}, tmp_path / "film.csv")
-    said = run(str(file), "--hand", str(log), "-o", str(tmp_path / "s"), *CABLE, code=2)
-    assert "an accelerometer on it as acc_x and acc_y" in " ".join(said.split())
+    study = tmp_path / "s"
+    said = " ".join(run(str(file), "--hand", str(log), "-o", str(study), *CABLE).split())
+    assert "accelerometer on it in hand.acceleration" in said
+    assert "columns of robot.csv: time_s, voltage" in said
+    refused = run(str(study / "import.yaml"), code=2)  # it is there, to be filled in
+    assert "give one of: columns of the gripping point" in " ".join(refused.split())

@@ -1,0 +1,94 @@
+"""Orientations as robots write them, as quaternions in columns beside those of the file.
+
+  UR         pose_0 … pose_5: place, m, and rotation vector, rad
+  KUKA       X, Y, Z, A, B, C: turns about Z, then the new Y, then the new X, degrees
+  Fanuc      X, Y, Z, W, P, R: turns about the fixed X, Y, Z, degrees
+  ABB        q1 … q4: w, x, y, z
+source  UR, RTDE guide, actual_TCP_pose; KUKA System Software, ABC angles; Fanuc, W P R of a
+        Cartesian position; ABB, RAPID data type orient
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cell.cable.arrays import FloatArray
+from cell.study.imports.capture import Capture, CapturedColumn
+from cell.study.imports.units import RADIANS, split_unit
+
+_LAST_WORD = re.compile(r"^(.*?)[\s_.:\-\[]*(q[1-4]|[a-z]|\d)\]?$", re.IGNORECASE)
+
+
+def _vector(values: FloatArray) -> Rotation:
+    return Rotation.from_rotvec(values)
+
+
+def _zyx(values: FloatArray) -> Rotation:
+    return Rotation.from_euler("ZYX", values)
+
+
+def _fixed_xyz(values: FloatArray) -> Rotation:
+    return Rotation.from_euler("xyz", values)
+
+
+def _w_first(values: FloatArray) -> Rotation:
+    return Rotation.from_quat(np.roll(values, -1, axis=1))
+
+
+#: Last words of names that must all be there, those of the orientation, their usual unit, and what
+#: they are.
+_FORMS: tuple[tuple[str, str, str, Callable[[FloatArray], Rotation]], ...] = (
+    ("0 1 2 3 4 5", "3 4 5", "rad", _vector),
+    ("x y z a b c", "a b c", "deg", _zyx),
+    ("x y z w p r", "w p r", "deg", _fixed_xyz),
+    ("q1 q2 q3 q4", "q1 q2 q3 q4", "", _w_first),
+)
+
+
+def with_quaternions(capture: Capture) -> Capture:
+    """A file with columns `… quaternion x` to `w` of each orientation that a robot wrote."""
+    groups: dict[str, dict[str, CapturedColumn]] = {}
+    for column in capture.columns:
+        bare, unit = split_unit(column.name)
+        if found := _LAST_WORD.match(bare):
+            unit = column.unit or unit
+            groups.setdefault(found[1], {})[found[2].lower()] = CapturedColumn(column.name, unit)
+    for stem, parts in groups.items():
+        for words, turned, usual, rotation in _FORMS:
+            if not set(words.split()) <= set(parts):
+                continue
+            if words.startswith("0") and "pose" not in stem.lower():
+                continue
+            chosen = [parts[word] for word in turned.split()]
+            made = _quaternions(capture, chosen, usual, rotation)
+            names = [f"{stem} quaternion {axis}".strip() for axis in "xyzw"]
+            capture = replace(
+                capture,
+                columns=(*capture.columns, *(CapturedColumn(name) for name in names)),
+                values=np.hstack([capture.values, made]),
+            )
+    return capture
+
+
+def _quaternions(
+    capture: Capture,
+    columns: list[CapturedColumn],
+    usual: str,
+    rotation: Callable[[FloatArray], Rotation],
+) -> FloatArray:
+    """(rows, 4) x, y, z, w; nan where a part is missing, or all are 0 and are none."""
+    values = capture.at([column.name for column in columns])
+    if usual:
+        values = values * np.array([RADIANS.get(c.unit, RADIANS[usual]) for c in columns])
+    good = np.isfinite(values).all(axis=1)
+    if not usual:
+        good &= np.linalg.norm(np.nan_to_num(values), axis=1) > 0.5
+    found = np.full((len(values), 4), np.nan)
+    if good.any():
+        found[good] = rotation(values[good]).as_quat(canonical=False)
+    return found
