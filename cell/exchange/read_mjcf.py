@@ -136,7 +136,8 @@ def read_chain(path: Path) -> HingeChain:
             data = mujoco.MjData(model)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split())
-        message = f"MuJoCo cannot read it: {said}; mend that, or export the chain again"
+        message = f"MuJoCo cannot read it: {said}; give a chain of hinges with springs, as "
+        message += "`cell export` writes it"
         raise InputError.at(path, message, line=line_in(said)) from error
     return _MjcfReader(path, model, data, element_lines(text)).chain()
 
@@ -179,7 +180,8 @@ class _MjcfReader:
                     f"has damping {one:g} N·m·s/rad, must be 0 … {MOST_DAMPING_N_M_S:g}",
                     "mind the units",
                 )
-        self._note_unread_elements(int(m.jnt_bodyid[joints[-1]]))
+        self._refuse_other_forces(joints)
+        self._note_unread_elements(joints)
         return HingeChain(
             length,
             arc,
@@ -290,11 +292,16 @@ class _MjcfReader:
         return np.array(m.numeric_data[start : start + size])
 
     def _curvature_length(self, n: int, arc: FloatArray, length: float) -> FloatArray:
-        """As the file states, else from half-way to the hinge before to half-way to the next."""
+        """As the file states, else from half-way to the hinge before to half-way to the next.
+
+        The first and the last stand for as much on both of their sides: a hinge at the clamp with
+        the same spring as the others is of the same cable.
+        """
         stated = self._stated_length()
         if stated is None:
             middle = 0.5 * (arc[1:] + arc[:-1])
-            ends = np.concatenate([[0.0], middle, [min(length, arc[-1] + arc[-1] - middle[-1])]])
+            first, last = 2.0 * arc[0] - middle[0], min(length, 2.0 * arc[-1] - middle[-1])
+            ends = np.concatenate([[first], middle, [last]])
             return np.asarray(np.diff(ends))
         if len(stated) != n or not np.all(stated > 0.0):
             message = (
@@ -368,12 +375,73 @@ class _MjcfReader:
             float(2.0 * np.abs(across @ turn) @ size),
         )
 
-    def _note_unread_elements(self, last: int) -> None:
-        """Notes of what the file has beside EI, N, viscosity and the datasheet.
+    def _refuse_other_forces(self, joints: Sequence[int]) -> None:
+        """Raise InputError: something holds or drives the chain besides its springs and weight."""
+        m, kinds = self.model, self.mujoco.mjtObj
+        bodies = {int(b) for b in m.jnt_bodyid[joints]}
+        for e in range(m.neq):
+            kind, ends = int(m.eq_objtype[e]), {int(m.eq_obj1id[e]), int(m.eq_obj2id[e])}
+            if kind == int(kinds.mjOBJ_SITE):
+                ends = {int(m.site_bodyid[s]) for s in ends if s >= 0}
+            of_chain = bodies if kind in (int(kinds.mjOBJ_BODY), int(kinds.mjOBJ_SITE)) else joints
+            if ends & set(of_chain):
+                self._refuse_element(
+                    "equality", kinds.mjOBJ_EQUALITY, e,
+                    "holds the cable a second time: only one with a free tip can be modelled",
+                )  # fmt: skip
+        for a in range(m.nu):
+            if self._driven(a) & set(joints):
+                self._refuse_element("actuator", kinds.mjOBJ_ACTUATOR, a, "drives the cable")
+        for j in joints:
+            if m.body_plugin[m.jnt_bodyid[j]] >= 0:
+                self._refuse(
+                    j, "moves a link with a plugin", "give the hinge its stiffness instead"
+                )
+        if m.nflex:
+            message = "is no chain of hinges"
+            self._refuse_element("flex", kinds.mjOBJ_FLEX, 0, message)
 
-        last  body of the last link
-        """
-        m = self.model
+    def _driven(self, actuator: int) -> set[int]:
+        """Joints that an actuator drives, by itself, by a tendon, or at a site or body."""
+        m, kinds = self.model, self.mujoco.mjtTrn
+        kind, end = int(m.actuator_trntype[actuator]), int(m.actuator_trnid[actuator, 0])
+        if kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+            return {end}
+        if kind == int(kinds.mjTRN_TENDON):
+            start = int(m.tendon_adr[end])
+            return {int(j) for j in m.wrap_objid[start : start + int(m.tendon_num[end])]}
+        body = end if kind == int(kinds.mjTRN_BODY) else int(m.site_bodyid[end])
+        return {j for j in range(m.njnt) if int(m.jnt_bodyid[j]) == body}
+
+    def _refuse_element(self, element: str, kind: Any, number: int, what: str) -> NoReturn:
+        name = self.mujoco.mj_id2name(self.model, kind, number) or f"number {number}"
+        line = self._line_of(element, "")
+        raise InputError.at(self.path, f"{element} {name!r} {what}; remove it", line=line)
+
+    def _note_unread_elements(self, joints: Sequence[int]) -> None:
+        """Notes of what the file has besides EI, N, viscosity and the datasheet."""
+        m, last = self.model, int(self.model.jnt_bodyid[joints[-1]])
+        dofs = m.jnt_dofadr[joints]
+        if np.any(m.dof_armature[dofs]):
+            most = float(m.dof_armature[dofs].max())
+            self.notes.append(
+                f"inertia of the joints (armature, up to {most:.3g} kg·m²) is not read"
+            )
+        if np.any(m.jnt_limited[joints]):
+            most = float(np.degrees(np.abs(m.jnt_range[joints]).max()))
+            self.notes.append(f"limits of the joints (range, up to {most:.3g}°) are not read")
+        if m.neq:
+            self.notes.append("constraints of other bodies (equality) are not read")
+        if m.nplugin:
+            self.notes.append("plugins are not read")
+        off = int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        if m.opt.disableflags & off:
+            self.notes.append("option/flag gravity is off: the cable is read with its weight")
+        links = np.isin(m.geom_bodyid, m.jnt_bodyid[joints])
+        if np.any((m.geom_contype != 0) & ~links) and np.any((m.geom_contype != 0) & links):
+            self.notes.append("contact with other bodies is not read")
+        if np.any(m.tendon_damping) or np.any(m.tendon_frictionloss) or np.any(m.tendon_limited):
+            self.notes.append("damping, friction and limits of tendons are not read")
         if m.body_subtreemass[last] > m.body_mass[last]:
             self.notes.append("bodies beyond the chain, as a mass at the tip, are not read")
         if m.opt.density or m.opt.viscosity or np.any(m.opt.wind):

@@ -90,11 +90,57 @@ def test_a_rope_of_another_hand_has_the_rigidity_of_its_springs(tmp_path):
     assert cable.line_density_kg_per_m == pytest.approx(MASS / LINK_M)
     assert (cable.width_m, cable.thickness_m) == pytest.approx((0.004, np.pi * 0.001))
     arcs = LINK_M * np.arange(6)
-    bent = LINK_M * np.array([0.5, 1.0, 1.0, 1.0, 1.0, 1.0])  # at the clamp half a link's bend
     rigidity = found.model.model.rigidity_at(arcs)
-    assert rigidity == pytest.approx(STIFFNESS * bent, rel=1e-6)
+    assert rigidity == pytest.approx(STIFFNESS * LINK_M, rel=1e-6)
     assert found.model.values[6] == 1.0
-    assert found.model.values[7] == pytest.approx(DAMPING * LINK_M, rel=0.1)
+    assert found.model.values[7] == pytest.approx(DAMPING * LINK_M, rel=1e-6)
+    assert found.notes == ()
+
+
+def with_part(part: str) -> str:
+    """The same with names, and with a part before its end."""
+    text = foreign()
+    for i in range(6):
+        text = text.replace('<joint type="hinge"', f"<joint name=\"j{i}\" type='hinge'", 1)
+        text = text.replace(
+            f'<body pos="0 0 {-LINK_M if i else 0}">',
+            f"<body name=\"b{i}\" pos='0 0 {-LINK_M if i else 0}'>",
+            1,
+        )
+    return text.replace("</mujoco>", f"{part}\n</mujoco>")
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        '<equality>\n<weld body1="b5"/></equality>',
+        '<equality>\n<connect body1="b5" anchor="0 0 -0.02"/></equality>',
+        '<equality>\n<joint joint1="j1" joint2="j4"/></equality>',
+        '<actuator>\n<position joint="j2" kp="0.05"/></actuator>',
+        '<tendon><fixed name="t"><joint joint="j1" coef="1"/><joint joint="j2" coef="1"/></fixed>'
+        '</tendon><actuator>\n<motor tendon="t"/></actuator>',
+    ],
+    ids=["weld", "connect", "coupled joints", "actuator", "actuated tendon"],
+)
+def test_what_holds_or_drives_the_cable_besides_is_refused(tmp_path, part):
+    with pytest.raises(InputError, match=r"the cable.*; remove it"):
+        read(tmp_path, with_part(part))
+
+
+@pytest.mark.parametrize(
+    ("joint", "options", "told"),
+    [
+        ('armature="1e-5"', "", "armature, up to 1e-05 kg·m²"),
+        ('limited="true" range="-3 3"', "", "range, up to 3°"),
+        ('frictionloss="1e-4"', "", "frictionloss"),
+        ("", '><flag gravity="disable"/></option', "gravity is off"),
+    ],
+)
+def test_a_part_of_a_joint_that_is_not_read_is_named(tmp_path, joint, options, told):
+    text = foreign(joint=joint)
+    if options:
+        text = text.replace("<option />", f"<option{options}>")
+    assert told in " ".join(read(tmp_path, text).notes)
 
 
 WRONG = [
