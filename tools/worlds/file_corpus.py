@@ -14,7 +14,7 @@ from typing import Any
 from tools.worlds import binary_writers as binary
 from tools.worlds import log_writers as logs
 from tools.worlds import text_writers as text
-from tools.worlds.known_swing import RATE_HZ, Swing, arm_study, known_study, straight_study
+from tools.worlds.known_swing import BACK_M, RATE_HZ, Swing, arm_study, known_study, straight_study
 
 #: A file of the markers, or with a file of the gripper.
 Written = Path | tuple[Path, Path]
@@ -154,7 +154,7 @@ QUALISYS = [
 ]  # fmt: skip
 C3D = [
     Entry(program, f"C3D, {export}", partial(binary.c3d, **options), lost=lost,
-          rounding_m=rounding_m)
+          rounding_m=rounding_m, rounding_rad=3.0 * rounding_m / BACK_M)
     for program, export, options, lost, rounding_m in (
         ("Qualisys Track Manager", "millimetres", {}, False, 0.0),
         ("Vicon Nexus", "metres", {"unit": "m"}, False, 0.0),

@@ -288,7 +288,7 @@ ACCELEROMETER_HZ = 2000.0
 def accelerometer(
     s: Swing, folder: Path, *, way_m: float, names: Sequence[str], unit: float = 1.0
 ) -> tuple[Path, Path]:
-    """A sensor on a clamp that does not turn, its x along the cable's plane as the clamp points.
+    """A quiet sensor on a clamp that does not turn: its x is along the clamp, its y across.
 
     way_m  by which the gripper goes down
     unit   m/s² that one of the file's is
@@ -299,6 +299,7 @@ def accelerometer(
     up = -way_m * (60.0 * u - 180.0 * u**2 + 120.0 * u**3) / lasts_s**2 + 9.81
     angle = s.angle_rad[0]
     values = np.column_stack([t, -np.sin(-angle) * up, np.cos(angle) * up])
+    values[:, 1:] += np.random.default_rng(5).normal(0.0, 1e-3, (len(t), 2))
     values[:, 1:] /= unit
     file = folder / f"{s.name}_sensor.csv"
     file.write_text(lines([names, *cells(values, 9)]))

@@ -17,6 +17,8 @@ from cell.study.imports.shape import chain, lost_rows, means_lost, middle, rest_
 STAYS = 1e-3
 #: Values that programs write into all coordinates of what was not seen.
 LOST = (0.0, -9999.0, 9999.0, -999.0, 999.0, -1.0)
+#: First words of names that programs give to what nobody named.
+_UNLABELED = frozenset(("unlabeled", "unlabelled", "unidentified", "unassigned"))
 #: Share of the record in which a hand rests and a cable still swings.
 _LATE = 0.3
 
@@ -53,6 +55,8 @@ def choose(
     cable = [p for p in points if not p.on_gripper]
     if not cable and len(named) > 1:  # a cable all of whose points are called after the hand
         named, cable = named[:1], named[1:]
+    cable, told = _labeled(cable)
+    findings += told
     cable, still, told = _moving(cable, raw)
     findings += told
     if not cable:
@@ -88,6 +92,19 @@ def choose(
     findings.append(Finding("hand", f"{sentence}rests first, is the gripping point", Sure.GUESSED))
     findings.append(_order_finding(order[1:]))
     return Chosen(tuple(order[1:]), order[0], None, True, lost), findings
+
+
+def _labeled(cable: Sequence[Point]) -> tuple[list[Point], list[Finding]]:
+    """Points that somebody named; all, if nobody named any."""
+    named = [p for p in cable if p.name.split()[0] not in _UNLABELED]
+    if not named:
+        return list(cable), []
+    return named, [
+        Finding("markers", f"{p.name!r} is no marker of the cable by its name: it is left out",
+                Sure.SEEN)
+        for p in cable
+        if p not in named
+    ]  # fmt: skip
 
 
 def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, FloatArray]) -> None:

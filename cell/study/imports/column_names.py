@@ -38,9 +38,14 @@ class Meaning:
     unit: str
 
 
+#: Words that are a time with its unit: of Arduino's functions.
+_TIME_WITH_UNIT = {"millis": "ms", "micros": "µs"}
 _TIME = frozenset(
-    ("t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "stamp", "elapsed")
-)
+    ("t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "stamp", "elapsed",
+     *_TIME_WITH_UNIT)
+)  # fmt: skip
+#: LabVIEW's column of times, seconds.
+_X_VALUE = "x_value"
 _FRAME = frozenset(
     ("frame", "frames", "bild", "image", "sample", "field", "nr", "no", "row", "pic", "picture",
      "index", "idx", "counter", "step")
@@ -97,7 +102,10 @@ def meaning(column: CapturedColumn) -> Meaning:
         part = int(pose[2])
         kind = ColumnKind.COORDINATE if part < 3 else ColumnKind.OTHER
         return Meaning(kind, group, "xyz"[part % 3], unit or "m")
+    if bare.lower() == _X_VALUE:
+        return Meaning(ColumnKind.TIME, "", "", unit or "s")
     words = _words(bare)
+    unit = unit or next((_TIME_WITH_UNIT[w] for w in words if w in _TIME_WITH_UNIT), "")
     if (found := _acceleration(words, unit)) is not None:
         return found
     axis, rest = "", []
@@ -135,6 +143,22 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
     if words & _TIME or unit in SECONDS or rest in (["s"], ["ms"], ["sec"], ["seconds"]):
         return ColumnKind.TIME
     return ColumnKind.FRAME if words & _FRAME else ColumnKind.OTHER
+
+
+#: Last words of a column that says how sure a program is of a place, and from what value on it is.
+_SURE_FROM = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
+              "valid": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
+
+
+def confidence(column: CapturedColumn) -> tuple[str, float] | None:
+    """Point of a column of confidence, and the value below which it is not seen; None = it is none.
+
+    source  DeepLabCut, `pcutoff` 0.6; PhaseSpace, a condition below 0
+    """
+    words = _words(column.name)
+    if len(words) < 2 or words[-1] not in _SURE_FROM:
+        return None
+    return " ".join(w for w in words[:-1] if w not in _FILLER), _SURE_FROM[words[-1]]
 
 
 def _acceleration(words: list[str], unit: str) -> Meaning | None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cell.study.imports.capture import Capture
-from cell.study.imports.column_names import ColumnKind, Meaning, meaning
+from cell.study.imports.column_names import ColumnKind, Meaning, confidence, meaning
 from cell.study.imports.units import RADIANS
 
 #: Words for what holds a cable.
@@ -97,6 +97,33 @@ def contents(capture: Capture) -> Contents:
         accelerations,
         tuple(n for n, _ in said if n not in used) + tuple(others),
     )
+
+
+def without_unsure(capture: Capture) -> Capture:
+    """The same without places of which a program says that it is not sure.
+
+    A point that is seen in fewer than half of the rows so is kept as it is.
+    """
+    values, notes = capture.values.copy(), list(capture.notes)
+    for column, shown in zip(capture.columns, capture.values.T, strict=True):
+        if (said := confidence(column)) is None:
+            continue
+        group, least = said
+        places = [
+            i
+            for i, c in enumerate(capture.columns)
+            if (m := meaning(c)).kind is ColumnKind.COORDINATE and m.group == group
+        ]
+        unsure = shown < least
+        count = int(np.count_nonzero(unsure))
+        if not places or not count or 2 * count > len(shown):
+            continue
+        values[np.ix_(unsure, places)] = np.nan
+        notes.append(
+            f"{capture.path}: {column.name!r} is below {least:g} in {count} rows: {group!r} is "
+            "taken as not seen there"
+        )
+    return replace(capture, values=values, notes=tuple(notes))
 
 
 def _accelerations(

@@ -210,7 +210,9 @@ def _measured(
     xy_m = np.stack(
         [places_m(capture, m.columns, mapping.axes, scale, mapping.lost) for m in entries], axis=1
     )
-    across = [out_of_plane_m(capture, m.columns, mapping.axes, scale) for m in entries]
+    across = [
+        out_of_plane_m(capture, m.columns, mapping.axes, scale, mapping.lost) for m in entries
+    ]
     seen: NDArray[np.bool_] = np.asarray(np.isfinite(xy_m).any(axis=(1, 2)))
     if np.count_nonzero(seen) < 2:
         names = ", ".join(m.name for m in entries)

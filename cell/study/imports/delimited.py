@@ -194,7 +194,7 @@ def _tables(rows: Sequence[Row], form: TextForm) -> list[Sequence[Row]]:
     for i, row in enumerate(rows):
         if row.blank:
             blank, words = True, i + 1
-        elif len(row.cells) < 2 or not _is_data(row.cells, form.decimal):
+        elif not _is_data(row.cells, form.decimal) or _is_remark(row, form.decimal):
             words = words if blank else i
         elif not blank or words == i:
             with_numbers, blank = True, blank and not with_numbers
@@ -204,6 +204,12 @@ def _tables(rows: Sequence[Row], form: TextForm) -> list[Sequence[Row]]:
         else:
             with_numbers, blank = True, False
     return [*tables, rows[begin:]]
+
+
+def _is_remark(row: Row, decimal: Decimal) -> bool:
+    """Whether a row is no table's: a cell alone, or a word and its value."""
+    filled = [c for c in row.cells if c.strip()]
+    return len(row.cells) < 2 or (len(filled) == 2 and not is_number(filled[0], decimal))
 
 
 def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Capture:
@@ -351,10 +357,7 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
         within = data[i - 1] and data[i + 1] and all(len(r.cells) == width for r in around)
         if within and not data[i] and not rows[i].blank:
             raise _no_row(path, rows[i])
-    of_width = [i for i, r in enumerate(rows) if data[i] and len(r.cells) == width]
-    # A number alone in its line is one of the header, however many separators follow it.
-    filled = (i for i in of_width if sum(bool(c.strip()) for c in rows[i].cells) > 1)
-    first = next(filled, of_width[0])
+    first = _first_row(rows, [i for i, r in enumerate(rows) if data[i] and len(r.cells) == width])
     last, blank = first, False
     for i in range(first, len(rows)):
         if rows[i].blank:
@@ -366,6 +369,21 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
         else:
             raise _no_row(path, rows[i])
     return first, _checked_width(path, rows, first, last, form)
+
+
+def _first_row(rows: Sequence[Row], of_width: Sequence[int]) -> int:
+    """Index of the table's first row among those of numbers.
+
+    A number alone in its line is one of the header, however many separators follow it; so is a line
+    of numbers, such as IDs, above a line of words.
+    """
+    for i in of_width:
+        below = rows[i + 1].cells if i + 1 < len(rows) else ()
+        words = [c for c in below if c.strip().lower() not in NOT_SEEN]
+        above_names = len(words) > 1 and not any(c.strip()[0] in "+-.,0123456789" for c in words)
+        if not above_names and sum(bool(c.strip()) for c in rows[i].cells) > 1:
+            return i
+    return of_width[0]
 
 
 def _checked_width(path: Path, rows: Sequence[Row], first: int, last: int, form: TextForm) -> int:

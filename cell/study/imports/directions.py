@@ -73,6 +73,8 @@ def _up(shape: FloatArray, normal: FloatArray | None) -> _Up:
     """Which axis of the file is up: the one against which the cable bends from its clamp on."""
     dimensions = shape.shape[1]
     axes = [k for k in range(dimensions) if normal is None or _in_plane(normal, k)]
+    if not axes and normal is not None:  # a plane that is askew to all of them
+        axes = [int(np.argmin(np.abs(normal)))]
     usual = 1 if dimensions == 2 or 2 not in axes else 2
     if usual not in axes:
         usual = axes[0]

@@ -178,7 +178,7 @@ def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
     """Rate and unit of length that remarks state."""
     rate_hz, unit = None, ""
     for _, cells in rows:
-        words = [w.strip() for cell in cells for w in re.split(r"[:=]", cell)]
+        words = [w.strip() for cell in cells for w in re.split(r"[:=]", cell) if w.strip()]
         for key, value in pairwise(words):
             said = number(value.split()[0], ".") if value.split() else None
             if not _RATE.match(key.lower()) or said is None or not said > 0.0:
@@ -187,6 +187,15 @@ def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
                 rate_hz = said
             if not unit and _UNIT_KEY.match(key.lower()) and unit_of(value) in METRES:
                 unit = unit_of(value)
-    if rate_hz is None and len(rows) > 1 and rows[0][1][0].strip().lower() == "trajectories":
-        rate_hz = number(rows[1][1][0], ".")  # as Vicon writes it, alone in its line
-    return rate_hz, unit
+    return rate_hz or _rate_below_title(rows), unit
+
+
+def _rate_below_title(rows: Lines) -> float | None:
+    """Rate of a section of Vicon's: a number alone in its line, below a title alone in its own."""
+    first, second = (
+        [c for c in cells if c.strip()] for _, cells in [*rows[:2], *[(0, ())] * 2][:2]
+    )
+    if len(first) != 1 or len(second) != 1 or number(first[0], ".") is not None:
+        return None
+    rate_hz = number(second[0], ".")
+    return rate_hz if rate_hz is not None and rate_hz > 0.0 else None

@@ -45,14 +45,20 @@ def places_m(
 
 
 def out_of_plane_m(
-    capture: Capture, columns: Sequence[str | None], axes: AxesSection, metres_per_unit: float
+    capture: Capture,
+    columns: Sequence[str | None],
+    axes: AxesSection,
+    metres_per_unit: float,
+    lost: Sequence[float] = (),
 ) -> FloatArray | None:
-    """(rows,) coordinate across the plane; None where a point has two columns."""
+    """(rows,) coordinate across the plane, nan where it is not seen; None where a point has two."""
     if len(columns) < 3 or None in columns:
         return None
     right, up = _square(axes)
     names = [name for name in columns if name is not None]
-    across: FloatArray = capture.at(names) @ np.cross(right, up) * metres_per_unit
+    raw = capture.at(names)
+    across: FloatArray = raw @ np.cross(right, up) * metres_per_unit
+    across[lost_rows(raw, lost, of_hand=False)] = np.nan
     return across
 
 

@@ -11,6 +11,7 @@ from cell.files.input_error import InputError
 from cell.files.text_file import read_text
 from cell.study.imports.capture import Capture, CapturedColumn, TextForm, number
 from cell.study.imports.containers import CONTAINERS, read_container
+from cell.study.imports.contents import without_unsure
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.mcap_file import read_mcap
 from cell.study.imports.robot_poses import with_quaternions
@@ -148,7 +149,7 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     form    of a text table; None = found from the text
     raises  InputError: it cannot be read
     """
-    return with_quaternions(_of_kind(path, form))
+    return with_quaternions(without_unsure(_of_kind(path, form)))
 
 
 def _of_kind(path: Path, form: TextForm | None) -> Capture:

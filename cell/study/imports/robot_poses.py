@@ -4,8 +4,9 @@
   KUKA       X, Y, Z, A, B, C: turns about Z, then the new Y, then the new X, degrees
   Fanuc      X, Y, Z, W, P, R: turns about the fixed X, Y, Z, degrees
   ABB        q1 … q4: w, x, y, z
+  Franka     O_T_EE 0 … 15: a pose as a matrix, column by column, m
 source  UR, RTDE guide, actual_TCP_pose; KUKA System Software, ABC angles; Fanuc, W P R of a
-        Cartesian position; ABB, RAPID data type orient
+        Cartesian position; ABB, RAPID data type orient; libfranka, RobotState
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.units import RADIANS, split_unit
 
-_LAST_WORD = re.compile(r"^(.*?)[\s_.:\-\[]*(q[1-4]|[a-z]|\d)\]?$", re.IGNORECASE)
+#: By so much a matrix that is written with few digits may miss a rotation.
+_SQUARE = 1e-3
+_LAST_WORD = re.compile(r"^(.*?)[\s_.:\-\[]*(q[1-4]|[a-z]|\d{1,2})\]?$", re.IGNORECASE)
 
 
 def _vector(values: FloatArray) -> Rotation:
@@ -40,6 +43,8 @@ def _w_first(values: FloatArray) -> Rotation:
     return Rotation.from_quat(np.roll(values, -1, axis=1))
 
 
+#: Numbers of a matrix's columns that are directions of a body's axes, and of its place.
+_DIRECTIONS, _PLACE = (0, 1, 2, 4, 5, 6, 8, 9, 10), (12, 13, 14)
 #: Last words of names that must all be there, those of the orientation, their usual unit, and what
 #: they are.
 _FORMS: tuple[tuple[str, str, str, Callable[[FloatArray], Rotation]], ...] = (
@@ -59,10 +64,12 @@ def with_quaternions(capture: Capture) -> Capture:
             unit = column.unit or unit
             groups.setdefault(found[1], {})[found[2].lower()] = CapturedColumn(column.name, unit)
     for stem, parts in groups.items():
+        if set(map(str, range(16))) == set(parts):
+            capture = _with_matrix(capture, stem, parts)
         for words, turned, usual, rotation in _FORMS:
             if not set(words.split()) <= set(parts):
                 continue
-            if words.startswith("0") and "pose" not in stem.lower():
+            if words.startswith("0") and ("pose" not in stem.lower() or len(parts) > 6):
                 continue
             chosen = [parts[word] for word in turned.split()]
             made = _quaternions(capture, chosen, usual, rotation)
@@ -73,6 +80,23 @@ def with_quaternions(capture: Capture) -> Capture:
                 values=np.hstack([capture.values, made]),
             )
     return capture
+
+
+def _with_matrix(capture: Capture, stem: str, parts: dict[str, CapturedColumn]) -> Capture:
+    """With the place and the orientation of a pose that is written as a matrix; else as it is."""
+    values = capture.at([parts[str(i)].name for i in range(16)])
+    turned = values[:, _DIRECTIONS].reshape(-1, 3, 3).transpose(0, 2, 1)
+    if not np.allclose(turned @ turned.transpose(0, 2, 1), np.eye(3), atol=_SQUARE):
+        return capture
+    unit = parts["12"].unit or "m"
+    columns = [CapturedColumn(f"{stem} position {axis}", unit) for axis in "xyz"]
+    columns += [CapturedColumn(f"{stem} quaternion {axis}") for axis in "xyzw"]
+    quaternions = Rotation.from_matrix(turned).as_quat(canonical=False)
+    return replace(
+        capture,
+        columns=(*capture.columns, *columns),
+        values=np.hstack([capture.values, values[:, _PLACE], quaternions]),
+    )
 
 
 def _quaternions(

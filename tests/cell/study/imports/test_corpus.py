@@ -27,37 +27,7 @@ PLACE_M, ANGLE_RAD, TIME_S = 1e-6, 1e-5, 2e-5
 #: Arc lengths are proposed from shapes whose noise is 0.1 mm.
 ARC_M = 2e-4
 #: Exports that are not read rightly yet, and why.
-NOT_YET = {
-    name: reason
-    for reason, names in (
-        ("a row of whole numbers among the names is taken for the table", (
-            "OptiTrack Motive, rigid body, quaternion", "OptiTrack Motive, rigid body, Euler XYZ",
-            "OptiTrack Motive, centimetres", "OptiTrack Motive, millimetres, Euler XYZ",
-            "OptiTrack Motive, markers only", "OptiTrack Motive, unlabeled markers",
-            "OptiTrack Motive, rate below that of capture", "OptiTrack Motive, version 1.25, gaps",
-            "OptiTrack Motive, all columns",
-        )),
-        ("a rate that stands alone is not read", (
-            "Vicon Tracker, objects", "NDI First Principles, CSV",
-        )),
-        ("zeros in three coordinates are taken for a place", (
-            "Qualisys Track Manager, TSV, zero fill", "Qualisys Track Manager, TSV of version 2",
-            "PhaseSpace, CSV, zero fill",
-        )),
-        ("a row of types hides the names of the markers", (
-            "Qualisys Track Manager, TSV without frame and time",
-        )),
-        ("the scale of C3D is not read", ("Theia3D, C3D, whole numbers and a scale",)),
-        ("a block for each point is not read", ("Kinovea, text of trajectories",)),
-        ("a low likelihood is taken for a place", ("DeepLabCut, CSV, low likelihood",)),
-        ("a column of times of another name is not known", (
-            "LabVIEW, measurement file", "Arduino, serial monitor",
-        )),
-        ("a robot's pose is not read", ("Franka, O_T_EE",)),
-        ("its integral misses the truth", ("Accelerometer, m/s²", "Accelerometer, phyphox, g")),
-    )
-    for name in names
-}  # fmt: skip
+NOT_YET = {"Kinovea, text of trajectories": "a block for each point is not read"}
 
 
 def study_from(
