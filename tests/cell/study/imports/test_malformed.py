@@ -171,7 +171,8 @@ def test_a_preview_is_there_of_what_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "remedy"),
     [
-        ("trial.xlsx", b"PK", "give .csv"),
+        ("trial.ods", b"PK", "give .csv"),
+        ("trial.xlsx", b"PK", "save it again"),
         ("trial.c3d", b"\x02\x50" + b"\0" * 600, "export it again"),
         ("trial.mcap", b"\x89MCAP0\r\nxx", "record it again"),
         ("trial.trc", b"PathFileType\t4\nDataRate\tUnits\n100\t\n\n\n", "add it to lines 2 and 3"),
