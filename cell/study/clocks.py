@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, Cable
 from cell.study.data import Study, Trial
-from cell.study.facts import WEAK_M_PER_S2, trial_facts
+from cell.study.facts import trial_facts
+from cell.study.rest_shape import WEAK_M_PER_S2
 
 #: ω² = 12.362 EI/(ρ L⁴) of a uniform clamped strip (β₁L = 1.8751), and the rigidity 0.4 ρ a L³ that
 #: a fit supposes first of a cable pulled by a.

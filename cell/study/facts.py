@@ -13,6 +13,7 @@ from cell.cable.geometry import ROUGHLY_STILL, moves_from_s
 from cell.files.plain import plain
 from cell.files.words import counted
 from cell.study.data import Trial
+from cell.study.rest_shape import Root, SwingScale, root, swing_scale
 
 #: A frequency is told of at least so many swings and frames after the hand has stopped.
 FEWEST_SWINGS, FEWEST_FRAMES = 1.5, 16
@@ -22,13 +23,12 @@ _FINER = 8
 #: resolutions apart: nearer ones are side lobes of one.
 _SHARE, MOST_FREQUENCIES, _APART = 0.1, 3, 2.0
 EARTH = (0.0, -9.81)
-#: Gravity in the plane below this is no scale: a level plane that is 6° off has as much, m/s².
-WEAK_M_PER_S2 = 1.0
-#: A droop of less than this share of the arc length is as well one of the clamp's angle.
-_LEAST_DROOP = 0.05
 #: Of 384 trials of real and simulated cables the slowest swing had 0.44 to 1.67 times the frequency
 #: that the droop tells, and all were faster than a hanging chain.
 _OF_DROOP, _OF_CHAIN = 2.5, 0.8
+#: Of 331 trials of whatever effects none begins at rest by this share of its length from its
+#: gripping point, has a marker so far from a smooth curve, or leaves by this angle from the stated.
+_AWAY, _OFF, _TURNED_RAD = 0.03, 0.015, np.radians(20.0)
 #: A record of white noise shows a peak with this probability.
 _BY_CHANCE = 1e-3
 
@@ -46,22 +46,6 @@ class SwingSpectrum:
     resolution_hz: float
 
 
-@dataclass(frozen=True)
-class SwingScale:
-    """Frequencies that gravity sets for a cable, whatever its stiffness.
-
-    slowest_hz  of a chain that hangs: 1.2 √(g/L) / 2π; no cable is slower
-    droops_hz   of a cantilever that its weight bends by δ at its tip: √(1.54 g/δ) / 2π, for the
-                stiffness that its weight bends is the one that brings it back; nan = δ is not seen
-    droop_m     δ
-    source      Euler-Bernoulli beam: δ = ρA g L⁴ / 8EI, ω² = 12.36 EI / (ρA L⁴)
-    """
-
-    slowest_hz: float
-    droops_hz: float
-    droop_m: float
-
-
 @dataclass(frozen=True, eq=False)
 class TrialFacts:
     """What a trial shows.  Times in s, lengths in m.
@@ -76,7 +60,8 @@ class TrialFacts:
     seen          share of values that were seen, of the coordinates that are seen at all
     spectrum      of the tip; None = too short
     sensors       by which more is told than by a log and markers: see `sensors_of`
-    swings        by what units of time and length are tested; None = no swing, or no gravity
+    swings        by what units of time and length are tested; None = no gravity, or no arc length
+    root          by what place and angle of the clamp are tested; None = no marker is near it
     """
 
     name: str
@@ -98,10 +83,11 @@ class TrialFacts:
     spectrum: SwingSpectrum | None
     sensors: tuple[str, ...] = ()
     swings: SwingScale | None = None
+    root: Root | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; the spectrum by its frequencies, None for what is not known."""
-        data = {k: v for k, v in vars(self).items() if k not in ("spectrum", "swings")}
+        data = {k: v for k, v in vars(self).items() if k not in ("spectrum", "swings", "root")}
         peaks_hz = () if self.spectrum is None else self.spectrum.peaks_hz
         return {**plain(data), "frequencies_hz": plain(peaks_hz)}
 
@@ -141,26 +127,9 @@ def trial_facts(
         _detected_share(xy_m),
         swing_spectrum(t_s, xy_m[:, tip], swings_s, still_noise_m),
         sensors_of(trial),
-        _swing_scale(trial, rest, tip, float(arc_length_m[tip]), gravity_m_per_s2),
+        swing_scale(trial, rest, tip, float(arc_length_m[tip]), gravity_m_per_s2),
+        root(trial, rest, arc_length_m),
     )
-
-
-def _swing_scale(
-    trial: Trial, rest: int, tip: int, arc_m: float, gravity_m_per_s2: tuple[float, float]
-) -> SwingScale | None:
-    """Frequencies that gravity sets for the cable up to a marker at an arc length."""
-    size = float(np.hypot(*gravity_m_per_s2))
-    if size < WEAK_M_PER_S2 or not arc_m > 0.0:
-        return None
-    slowest_hz = 1.2 * np.sqrt(size / arc_m) / (2.0 * np.pi)
-    grip, still = trial.grip, trial.markers.xy_m[:rest, tip]
-    droop_m = np.nan
-    if len(still) and np.isfinite(still).any(axis=0).all() and not trial.bent:
-        angle = grip.angle_rad[0]
-        straight = [grip.x_m[0], grip.y_m[0]] - arc_m * np.array([np.cos(angle), np.sin(angle)])
-        below = (np.nanmedian(still, axis=0) - straight) @ np.array(gravity_m_per_s2) / size
-        droop_m = float(below) if below > _LEAST_DROOP * arc_m else np.nan
-    return SwingScale(slowest_hz, np.sqrt(1.54 * size / droop_m) / (2.0 * np.pi), droop_m)
 
 
 def sensors_of(trial: Trial) -> tuple[str, ...]:
@@ -372,7 +341,7 @@ def _of_trial(facts: TrialFacts, stated_noise: bool) -> list[str]:
             f"the tip moves by {facts.tip_m * 1e3:.2g} mm, only {facts.tip_m / facts.noise_m:.2g} "
             "times the noise; move the hand farther or faster"
         )
-    return [*found, *_of_swing(facts)]
+    return [*found, *_of_root(facts), *_of_swing(facts)]
 
 
 def _of_swing(facts: TrialFacts) -> list[str]:
@@ -393,6 +362,33 @@ def _of_swing(facts: TrialFacts) -> list[str]:
         found.append(
             f"the record ends {after_s:.2g} s after the hand stops, {after_s * first_hz:.2g} "
             f"swings of {first_hz:.3g} Hz; {_SWINGS:.0f} or more show the damping"
+        )
+    return found
+
+
+def _of_root(facts: TrialFacts) -> list[str]:
+    """That the cable at rest does not begin where, or as, the clamp is said to be."""
+    begins = facts.root
+    if begins is None:
+        return []
+    found = []
+    if begins.away_m > _AWAY * begins.length_m:
+        found.append(
+            f"at rest the curve through the markers begins {begins.away_m * 1e3:.2g} mm from the "
+            f"gripping point, limit {_AWAY * begins.length_m * 1e3:.2g} mm; check the hand's "
+            "place, arc lengths and both frames"
+        )
+    if begins.worst_m > _OFF * begins.length_m:
+        found.append(
+            f"at rest the marker at arc length {begins.worst_arc_m:g} m is "
+            f"{begins.worst_m * 1e3:.2g} mm from a smooth curve, limit "
+            f"{_OFF * begins.length_m * 1e3:.2g} mm; check its arc length and the order of markers"
+        )
+    if abs(begins.turned_rad) > _TURNED_RAD:
+        found.append(
+            f"at rest the cable leaves the clamp {np.degrees(begins.turned_rad):+.0f}° from its "
+            f"angle, limit {np.degrees(_TURNED_RAD):.0f}°; check angle_rad (positive = pointing "
+            "down) and the axes"
         )
     return found
 

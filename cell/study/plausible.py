@@ -15,7 +15,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, Cable, moves_from_s
 from cell.study.clocks import Offset, offset
 from cell.study.data import Trial
-from cell.study.facts import WEAK_M_PER_S2
+from cell.study.rest_shape import WEAK_M_PER_S2
 
 Gravity = tuple[float, float]
 

@@ -13,9 +13,10 @@ from cell.identify.noise import still_frames
 from cell.lab.data.rest_drift import with_tested_starts
 from cell.study.clocks import with_pull
 from cell.study.data import Study, Trial
-from cell.study.facts import WEAK_M_PER_S2, facts_of, stated_oddly, trial_facts
+from cell.study.facts import facts_of, stated_oddly, trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.left_out import without_outliers, without_wrench_outliers
+from cell.study.rest_shape import WEAK_M_PER_S2
 
 #: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
 SWING = 1.545
