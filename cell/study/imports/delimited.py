@@ -6,6 +6,7 @@ import codecs
 import csv
 import re
 import reprlib
+import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -123,8 +124,10 @@ def _name(word: str, column: str) -> str:
 #: In the order in which they are preferred; a blank stands for any number of blanks.
 SEPARATORS = (",", ";", "\t", "|", " ")
 DECIMALS: tuple[Decimal, ...] = (".", ",")
-#: Lines from which the form of a text is told.
-_SAMPLE = 400
+#: Lines from which the form of a text is told, and how many of these are looked at.
+_SAMPLE, _LOOKED_AT = 400, 80
+#: Lines that are read cell by cell before plain ones are read at once: more than any header has.
+_HEAD = 60
 #: A text that shows fewer than this share of its numbers in one form is of another.
 _OF_FORM = 0.5
 #: Headers of motion capture have a dozen lines; what begins later is no table.
@@ -159,9 +162,53 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     if form is not None:
         _check_form(path, text, form)
     form = form or text_form(text)
-    rows = _rows(path, text, form.separator)
-    made = _richest(path, _tables(rows, form), form)
+    lines = text.splitlines()
+    made = _long_table(path, lines, form)
+    if made is None:
+        made = _richest(path, _tables(_rows(path, lines, form.separator), form), form)
     return replace(made, notes=(*notes, *made.notes))
+
+
+def _long_table(path: Path, lines: Sequence[str], form: TextForm) -> Capture | None:
+    """The same of a long text whose lines are plain numbers below its head; None = it is none."""
+    below = _plain_numbers(lines[_HEAD:], form)
+    if below is None:
+        return None
+    tables = _tables(_rows(path, lines[:_HEAD], form.separator), form)
+    if len(tables) > 1:
+        return None
+    try:
+        return _read_table(path, tables[0], form, below)
+    except InputError:
+        return None
+
+
+def _plain_numbers(lines: Sequence[str], form: TextForm) -> np.ndarray | None:
+    """(lines, cells) of lines that hold as many plain numbers each; None = they do not."""
+    separator, text = form.separator, "\n".join(lines)
+    marks = f"{form.decimal}{separator}".replace(" ", " \t")
+    if not re.fullmatch(rf"[0-9eE+\-{re.escape(marks)}\n]+", text):
+        return None
+    counts = {len(line.split()) if separator == " " else line.count(separator) + 1
+              for line in lines}  # fmt: skip
+    if len(counts) != 1:
+        return None
+    text = text.replace(",", ".") if form.decimal == "," else text
+    if separator != " ":
+        empty = f"{separator}{separator}"
+        text = text.replace("\n", separator)
+        text = text.replace(empty, f"{separator}nan{separator}")
+        text = text.replace(empty, f"{separator}nan{separator}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            values = np.fromstring(text, sep=separator)
+        except (DeprecationWarning, ValueError):  # something is no number
+            return None
+    (width,) = counts
+    if len(values) != width * len(lines) or np.isinf(values).any():
+        return None
+    return values.reshape(len(lines), width)
 
 
 def _text(path: Path) -> tuple[str, list[str]]:
@@ -257,8 +304,14 @@ def _joined(one: Capture, other: Capture) -> Capture:
     )
 
 
-def _read_table(path: Path, rows: Sequence[Row], form: TextForm) -> Capture:
-    """One table with the lines above it.  Raises InputError."""
+def _read_table(
+    path: Path, rows: Sequence[Row], form: TextForm, below: np.ndarray | None = None
+) -> Capture:
+    """One table with the lines above it.  Raises InputError.
+
+    below  numbers of the lines that follow; None = there are none.  It is an error if they do not
+           go on with the table
+    """
     first, last = _block(path, rows, form)
     table = _without_end(rows[:first], rows[first:last])
     header = read_header(path, [(r.line, r.cells) for r in rows[:first]], table[0].cells)
@@ -272,6 +325,11 @@ def _read_table(path: Path, rows: Sequence[Row], form: TextForm) -> Capture:
     }
     columns = [c for c, is_one in zip(header.columns, numeric, strict=True) if is_one]
     lines = np.array([row.line for row in table], dtype=np.intp)
+    if below is not None:
+        if last < len(rows) or not all(numeric) or len(numeric) != below.shape[1]:
+            raise InputError.at(path, "another table begins; read it apart", line=rows[-1].line)
+        values = np.vstack([values, below])
+        lines = np.append(lines, lines[-1] + 1 + np.arange(len(below)))
     rest = [row.line for row in rows[last:] if not row.blank]
     notes = [f"{path}:{rest[0]}: another table begins here; it is not read"] if rest else []
     made = Capture(
@@ -282,9 +340,16 @@ def _read_table(path: Path, rows: Sequence[Row], form: TextForm) -> Capture:
 
 def text_form(text: str) -> TextForm:
     """Separator and decimal mark under which most of a text is numbers in rows of equal width."""
-    lines = text.splitlines()[:_SAMPLE]
-    forms = [TextForm(separator, decimal) for separator in SEPARATORS for decimal in DECIMALS]
+    lines = _sample(text)
+    there = [s for s in SEPARATORS if s == " " or any(s in line for line in lines)]
+    forms = [TextForm(separator, decimal) for separator in there for decimal in DECIMALS]
     return max(forms, key=lambda form: _numbers(lines, form))
+
+
+def _sample(text: str) -> list[str]:
+    """Lines from all over the beginning of a text."""
+    lines = text.splitlines()[:_SAMPLE]
+    return lines[:: max(1, len(lines) // _LOOKED_AT)]
 
 
 def _numbers(lines: Sequence[str], form: TextForm) -> int:
@@ -292,17 +357,19 @@ def _numbers(lines: Sequence[str], form: TextForm) -> int:
     counts: Counter[int] = Counter()
     for line in lines:
         cells = _split(line, form.separator)
-        if len(cells) < 2 or not _is_data(cells, form.decimal):
+        if len(cells) < 2:
             continue
-        good = sum(is_number(c, form.decimal) for c in cells)
-        bad = sum(number(c, form.decimal) is None for c in cells)
-        counts[len(cells)] += good - bad
+        values = [number(c, form.decimal) for c in cells]
+        bad = values.count(None)
+        good = sum(v is not None and v == v for v in values)
+        if good and good >= bad:
+            counts[len(cells)] += good - bad
     return max(counts.values(), default=0)
 
 
 def _check_form(path: Path, text: str, form: TextForm) -> None:
     """Raise InputError where a text is rather a table of another form than it is said to be."""
-    lines, own = text.splitlines()[:_SAMPLE], text_form(text)
+    lines, own = _sample(text), text_form(text)
     if _numbers(lines, form) >= _OF_FORM * _numbers(lines, own):
         return
     raise InputError.at(
@@ -322,8 +389,7 @@ def _split(line: str, separator: str) -> list[str]:
         return []
 
 
-def _rows(path: Path, text: str, separator: str) -> list[Row]:
-    lines = text.splitlines()
+def _rows(path: Path, lines: Sequence[str], separator: str) -> list[Row]:
     if separator == " ":
         return [Row(i, tuple(line.split())) for i, line in enumerate(lines, 1)]
     reader = csv.reader(lines, delimiter=separator)

@@ -34,6 +34,8 @@ from cell.study.imports.sensed_hand import (
 from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
 from cell.study.imports.trials import Files, text_section, trial_entries
 
+#: Rows of a long trial in which the direction of the cable's root is estimated.
+_ROOTS = 1000
 #: Points of a chain that show a line and no bend, and that show how a curve goes on.
 _A_LINE, _A_CURVE = 2, 3
 #: Where the curve through the markers begins is known to so much of the cable's length.
@@ -352,9 +354,10 @@ def _root_at_rest(scene: _Scene) -> Root:
 
 
 def _root(scene: _Scene) -> Root:
-    """The clamp angle as the cable's root shows it, row by row and at rest."""
+    """The clamp angle as the cable's root shows it, in rows all over the trial and at rest."""
     angle = np.full(len(scene.xy_m), np.nan)
-    whole = np.isfinite(scene.xy_m).all(axis=(1, 2))
+    whole = np.flatnonzero(np.isfinite(scene.xy_m).all(axis=(1, 2)))
+    whole = whole[:: max(1, len(whole) // _ROOTS)]
     directions = [root_direction(shape) for shape in scene.xy_m[whole]]
     angle[whole] = np.unwrap([_angle_of(d) for d in directions])
     return Root(angle, _angle_of(root_direction(scene.shape)), len(scene.shape) <= _A_LINE)

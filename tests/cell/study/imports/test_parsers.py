@@ -89,6 +89,27 @@ def test_a_table_is_read_whatever_its_separators(
     np.testing.assert_array_equal(read("\n".join(lines) + "\n"), values)
 
 
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(",", "."), (";", ","), ("\t", "."), (" ", ","), ("|", ".")]
+)
+def test_a_long_table_is_read_as_a_short_one(separator: str, decimal: str) -> None:
+    """Plain lines below the first hundreds are read at once: the same numbers, to the last bit."""
+    values = np.round(np.random.default_rng(1).normal(0.0, 1e3, (700, 5)), 7)
+    values[:, 0] = np.arange(len(values)) + 0.5
+    lost = separator != " "
+    values[500:503, 2] = values[501, 3] = np.nan if lost else 0.25
+    lines = [separator.join(["time", "a_x", "a_y", "b_x", "b_y"])]
+    lines += [
+        separator.join("" if v != v else repr(float(v)).replace(".", decimal) for v in row)
+        for row in values
+    ]
+    np.testing.assert_array_equal(read("\n".join(lines) + "\n"), values)
+    for wrong in ("1.2.3", "12 mm", "1_000", "1e999", "0x1f"):
+        bad = [*lines[:600], separator.join(["600.5", "1", wrong, "2", "3"]), *lines[601:]]
+        with pytest.raises(InputError, match=":601"):
+            read("\n".join(bad) + "\n")
+
+
 @given(hnp.arrays(float, st.tuples(st.integers(3, 8), st.just(3)), elements=NUMBERS))
 def test_decimal_commas_within_quotes_are_read(values: np.ndarray) -> None:
     stream = io.StringIO()
