@@ -47,7 +47,8 @@ def test_a_number_is_read_as_it_was_written(value: float, decimal: str) -> None:
 @given(st.text(max_size=12), st.sampled_from([".", ","]))
 def test_a_cell_is_a_number_nothing_or_neither(text: str, decimal: str) -> None:
     value = number(text, decimal)  # type: ignore[arg-type]
-    assert value is None or np.isfinite(value) or text.strip().lower() in NOT_SEEN
+    shown = text.strip().replace("−", "-").lower()
+    assert value is None or np.isfinite(value) or shown in NOT_SEEN
 
 
 @pytest.mark.parametrize("text", ["1_000", "0x1f", "inf", "1,2,3", "1.234.5", "12 mm", "1e999"])
