@@ -182,6 +182,9 @@ def _put_masses(state: FloatArray, models: list[CableModel], body: FloatArray) -
     put(at.EXTRA_2, extra * body**3 / 3.0)
     put(at.WEIGHT, density * body)
     put(at.WEIGHT_1, density * body**2 / 2.0)
+    for lane, model in enumerate(models):
+        for mass_kg, arc_m in _point_masses(model):
+            _put_point(state[:, :, lane], body[:, lane], mass_kg, arc_m)
     last: FloatArray = body[-1]
     for mass, centre, inertia in ((tip, last, 0.0 * last), _connectors(models, last)):
         state[-1, at.MASS, :w] += mass
@@ -189,6 +192,16 @@ def _put_masses(state: FloatArray, models: list[CableModel], body: FloatArray) -
         state[-1, at.MASS_2, :w] += mass * centre**2 + inertia
         state[-1, at.WEIGHT, :w] += mass
         state[-1, at.WEIGHT_1, :w] += mass * centre
+
+
+def _put_point(state: FloatArray, body_m: FloatArray, mass_kg: float, arc_m: float) -> None:
+    """Add a point mass with weight at an arc length to the body (of n + 1) that it is on."""
+    begins = np.concatenate([[0.0], np.cumsum(body_m)[:-1]])
+    on = int(np.searchsorted(begins, arc_m, side="right")) - 1
+    place = min(arc_m - float(begins[on]), float(body_m[on]))
+    for moment, fields in enumerate(((at.MASS, at.WEIGHT), (at.MASS_1, at.WEIGHT_1), (at.MASS_2,))):
+        for field in fields:
+            state[on, field] += mass_kg * place**moment
 
 
 def _connectors(
@@ -219,6 +232,17 @@ def _sum(model: CableModel, hook: str) -> float:
         if function is not None:
             total += float(function(cable_data(model), parameters(active)))
     return total
+
+
+def _point_masses(model: CableModel) -> list[tuple[float, float]]:
+    """Mass, kg, and arc length, m, of every point mass that is not at the tip."""
+    found = []
+    for active in model.effects:
+        if active.effect.point_mass is not None:
+            mass, arc_m = active.effect.point_mass(cable_data(model), parameters(active))
+            if mass != 0.0:
+                found.append((float(mass), float(max(arc_m, 0.0))))
+    return found
 
 
 def _grip(model: CableModel) -> tuple[float, float]:

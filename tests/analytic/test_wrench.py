@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import Beginning, simulate_each, simulate_gauged
-from cell.cable.effects import library
+from cell.cable.dynamics import Beginning, simulate, simulate_each, simulate_gauged
+from cell.cable.effects import library, unscreened
 from cell.cable.geometry import Cable, Connector, Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
@@ -80,6 +80,24 @@ def test_a_connector_and_a_tip_mass_add_their_weight_and_lever():
     levers = [points[0, :, 0] @ SHARES, out[0, 0, 0], out[0, 1, 0]]
     np.testing.assert_allclose(force[0], [0.0, 9.81 * sum(masses)], atol=1e-9)
     np.testing.assert_allclose(moment[0], 9.81 * np.dot(masses, levers), rtol=3e-4)
+
+
+def test_a_point_mass_is_carried_at_its_place_and_at_the_end_is_a_tip_mass():
+    mass, place = unscreened()["point_mass"], 0.37
+    arcs, t_s = CABLE.free_length_m * np.array([place]), np.array([0.1])
+    model = CableModel.uniform(CABLE, RIGIDITY, effects=(mass.active(mass_kg=0.004, place=place),))
+    (out,) = simulate_gauged(model, still(), [t_s], arcs, Gauge(), solver=FINE)
+    points, force, moment = gauged(model, still(), t_s)
+    weights = 9.81 * np.array([CABLE.line_density_kg_per_m * CABLE.free_length_m, 0.004])
+    np.testing.assert_allclose(force[0], [0.0, weights.sum()], atol=1e-9)
+    levers = np.array([points[0, :, 0] @ SHARES, out[0, 0, 0]])
+    np.testing.assert_allclose(moment[0], weights @ levers, rtol=3e-4)
+    both = [mass.active(mass_kg=0.004, place=1.0), library()["tip_mass"].active(mass_kg=0.004)]
+    hand, t_s = stroke(0.2, (-0.05, -0.08), 0.4), np.arange(0.0, 1.0, 0.01)
+    at_end, at_tip = (
+        simulate(CableModel.uniform(CABLE, RIGIDITY, effects=(e,)), hand, t_s, arcs) for e in both
+    )
+    np.testing.assert_allclose(at_end, at_tip, atol=1e-12)
 
 
 @pytest.mark.parametrize("drag", [0.0, 2.0])

@@ -134,6 +134,7 @@ class Effect:
     memory_at_rest(cable, at: Bend, p) -> (values, …)* memory of a cable that has long been still
     inertia(cable, p) -> (along, normal)               kg/m added to the strip's, without weight
     tip_mass(cable, p) -> kg                           point mass with weight at the tip
+    point_mass(cable, p) -> (kg, m)                    the same at an arc length
     rest_curvature(cable, arc_length, p) -> κ₀         1/m, arrays
     grip_compliance(cable, p) -> (c, τ)                rad/(N·m) and s at the gripping point
     extra_length(cable, p) -> m                        added to the free length
@@ -162,6 +163,7 @@ class Effect:
     memory_at_rest: ClassVar[Callable[..., Any] | None] = None
     inertia: ClassVar[Callable[..., Any] | None] = None
     tip_mass: ClassVar[Callable[..., Any] | None] = None
+    point_mass: ClassVar[Callable[..., Any] | None] = None
     rest_curvature: ClassVar[Callable[..., Any] | None] = None
     grip_compliance: ClassVar[Callable[..., Any] | None] = None
     extra_length: ClassVar[Callable[..., Any] | None] = None

@@ -37,6 +37,7 @@ HOOKS = {
     "memory_at_rest": ("cable", "at", "p"),
     "inertia": ("cable", "p"),
     "tip_mass": ("cable", "p"),
+    "point_mass": ("cable", "p"),
     "rest_curvature": ("cable", "arc_length", "p"),
     "grip_compliance": ("cable", "p"),
     "extra_length": ("cable", "p"),
@@ -168,8 +169,9 @@ def _try(effect: type[Effect], hook: str, p: Any, path: Path) -> None:
             _numbers(effect, hook, count, path, _CABLE, bend._replace(rate=0.0), p)
     elif hook == "inertia":
         _numbers(effect, hook, 2, path, _CABLE, p)
-    elif hook in ("tip_mass", "grip_compliance", "extra_length"):
-        values = _numbers(effect, hook, 2 if hook == "grip_compliance" else 0, path, _CABLE, p)
+    elif hook in ("tip_mass", "point_mass", "grip_compliance", "extra_length"):
+        size = 2 if hook in ("grip_compliance", "point_mass") else 0
+        values = _numbers(effect, hook, size, path, _CABLE, p)
         if hook != "extra_length" and min(values) < 0.0:
             _refuse(effect, hook, path, f"returned {values}: must be ≥ 0")
     elif hook == "rest_curvature":
@@ -262,6 +264,8 @@ def _check_off(effect: type[Effect], path: Path) -> None:
     for hook in ("tip_mass", "extra_length"):
         function = getattr(effect, hook)
         off(hook, function is None or function(_CABLE, p) == 0.0)
+    if effect.point_mass is not None:
+        off("point_mass", effect.point_mass(_CABLE, p)[0] == 0.0)
     if effect.grip_compliance is not None:
         off("grip_compliance", effect.grip_compliance(_CABLE, p)[0] == 0.0)
     if effect.rest_curvature is not None:

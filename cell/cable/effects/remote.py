@@ -260,7 +260,7 @@ def _class_of(file: Path, source: bytes, said: dict[str, Any]) -> type[Effect]:
 _COMPILED = ("force", "moment", "memory_rate", "memory_at_rest")
 #: What the others return: so many numbers, 0 = an array.
 _RESULTS = {
-    **{"inertia": 2, "tip_mass": 1, "rest_curvature": 0, "grip_compliance": 2},
+    **{"inertia": 2, "tip_mass": 1, "point_mass": 2, "rest_curvature": 0, "grip_compliance": 2},
     **{"extra_length": 1, "clamp": 3, "camera_time": 0, "camera_points": 0},
 }
 

@@ -32,7 +32,7 @@ NAMES = [
     "camera_roll",
     "rolling_shutter",
 ]
-RARE = ["plastic_set", "lens_perspective", "rest_shape", "power_drag"]
+RARE = ["plastic_set", "lens_perspective", "rest_shape", "power_drag", "point_mass"]
 EFFECTS = library() | unscreened()
 TIMES = np.arange(0.0, 1.5, 0.01)
 
@@ -59,6 +59,7 @@ SIZE_MM = {
     "lens_perspective": (0.3, 1.2),
     "rest_shape": (1, 9),
     "power_drag": (1, 5),
+    "point_mass": (1, 8),
 }
 
 
