@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import Beginning, simulate, simulate_each, simulate_gauged
-from cell.cable.effects import library, unscreened
+from cell.cable.effects import library
 from cell.cable.geometry import Cable, Connector, Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
@@ -83,7 +83,7 @@ def test_a_connector_and_a_tip_mass_add_their_weight_and_lever():
 
 
 def test_a_point_mass_is_carried_at_its_place_and_at_the_end_is_a_tip_mass():
-    mass, place = unscreened()["point_mass"], 0.37
+    mass, place = library()["point_mass"], 0.37
     arcs, t_s = CABLE.free_length_m * np.array([place]), np.array([0.1])
     model = CableModel.uniform(CABLE, RIGIDITY, effects=(mass.active(mass_kg=0.004, place=place),))
     (out,) = simulate_gauged(model, still(), [t_s], arcs, Gauge(), solver=FINE)

@@ -13,7 +13,7 @@ from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
 
-from cell.cable.effects import air, bending, camera, drag, grip, hand, lens, load, plastic, rest
+from cell.cable.effects import air, bending, camera, drag, grip, hand, lens, plastic, rest
 from cell.cable.effects.base import Effect, EffectError, EffectFile
 from cell.cable.effects.check import HOOKS, Doing, check, visit_many_states
 from cell.cable.effects.compiled import loops_of, proof_of
@@ -26,7 +26,7 @@ from cell.computer.watched import PATIENCE_S, must_end
 MAX_BYTES = 100_000
 
 _FAMILIES = (air, bending, grip, hand, camera)
-_RARE = (plastic, lens, rest, drag, load)
+_RARE = (plastic, lens, rest, drag)
 
 
 def library() -> dict[str, type[Effect]]:

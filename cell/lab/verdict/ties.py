@@ -27,6 +27,9 @@ def with_ties(evidence: Evidence) -> Evidence:
     many effects does as well is none of them in particular.
     """
     fits, added = evidence.fits, evidence.added
+    for effect in added:
+        if (simpler := _special_case(fits, evidence.final, effect, evidence.rules)) is not None:
+            return with_ties(replace(evidence, final=simpler))
     tied = {e.name: _tied(fits, evidence.final, e, evidence.rules) for e in added}
     for effect in added if len(added) > 1 else ():
         if len(tied[effect.name]) + 1 > evidence.rules.most_named:
@@ -36,15 +39,29 @@ def with_ties(evidence: Evidence) -> Evidence:
     return replace(evidence, tied=tied)
 
 
+def _special_case(
+    fits: FitCache, final: FittedModel, effect: type[Effect], rules: Rules
+) -> FittedModel | None:
+    """The model with a special case in place of `effect`, if that explains as much; None if not."""
+    rivals = StudySpace(fits, rules.max_refits).extended(fits.fit_reduced(final, effect))
+    special = [c for c in rivals if any(e.wider is effect for e in c.effects)]
+    close = close_rivals(fits, final, special, rules)
+    return close[0] if close else None
+
+
 def _tied(
     fits: FitCache, final: FittedModel, effect: type[Effect], rules: Rules
 ) -> tuple[str, ...]:
-    """Effects that explain as much in place of `effect`, all trials together."""
+    """Effects that explain as much in place of `effect`, all trials together.
+
+    The wider law of which it is a special case is no other explanation.
+    """
     rest = fits.fit_reduced(final, effect)
     rivals = StudySpace(fits, rules.max_refits).extended(rest)
     close = close_rivals(fits, final, rivals, rules)
     names = [next(iter(c.names - rest.names)) for c in close]
-    return tuple(name for name in names if name not in final.names)
+    own = "" if effect.wider is None else effect.wider.name
+    return tuple(name for name in names if name not in final.names and name != own)
 
 
 def tied_so_far(
@@ -59,7 +76,10 @@ def tied_so_far(
     rivals = [
         c
         for c in fits.known()
-        if rest < c.names and len(c.names) == len(final.names) and c.names != final.names
+        if rest < c.names
+        and len(c.names) == len(final.names)
+        and c.names != final.names
+        and not any(e is effect.wider for e in c.effects)
     ]
     small = next((c for c in fits.known() if c.names == rest), fits.base)
     close = _as_good(fits, small, final, rivals, rules)

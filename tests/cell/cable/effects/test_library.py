@@ -22,6 +22,7 @@ NAMES = [
     "bending_hysteresis",
     "natural_curvature",
     "tip_mass",
+    "point_mass",
     "grip_angle",
     "grip_compliance",
     "grip_slip",
@@ -32,7 +33,7 @@ NAMES = [
     "camera_roll",
     "rolling_shutter",
 ]
-RARE = ["plastic_set", "lens_perspective", "rest_shape", "power_drag", "point_mass"]
+RARE = ["plastic_set", "lens_perspective", "rest_shape", "power_drag"]
 EFFECTS = library() | unscreened()
 TIMES = np.arange(0.0, 1.5, 0.01)
 
