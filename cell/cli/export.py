@@ -23,6 +23,7 @@ from cell.cli.shared import (
     tell_notes,
     working,
 )
+from cell.files.words import counted
 
 if TYPE_CHECKING:
     from cell.exchange.peer import PeerTrial
@@ -78,6 +79,16 @@ def export(
             "--effect", help="The file.py of an effect in the model, if the file was moved."
         ),
     ] = None,
+    samples: Annotated[
+        int,
+        typer.Option(
+            "--samples",
+            min=0,
+            max=1000,
+            help="So many cables more, drawn from the distribution of the parameters: in the "
+            "description, or each in a file of its own, OUT_001.xml and so on.",
+        ),
+    ] = 0,
     as_json: Json = None,
     force: Force = False,
 ) -> None:
@@ -85,23 +96,29 @@ def export(
     from cell.lab.data.named_effects import select_effects
     from cell.lab.fit.individual_model import read_model
 
-    with refusing(out, as_json, force=force):
+    more = [] if to is Target.JSON else [_numbered(out, k) for k in range(1, samples + 1)]
+    with refusing(out, as_json, *more, force=force):
         own = {n: e for name in effect or [] for n, e in select_effects([name]).own.items()}
         identified = read_model(model, own)
     if to is Target.JSON:
         if links is not None or study is not None:
             print("--links and --study are for --to mujoco; leave them out", file=sys.stderr)
             raise typer.Exit(BAD_INPUT)
-        _describe(identified, out, as_json)
+        _describe(identified, out, samples, as_json)
     else:
-        _to_mujoco(identified, model, out, links, study, as_json)
+        _to_mujoco(identified, model, (out, *more), links, study, as_json)
 
 
-def _describe(identified: Identified, out: Path, as_json: Path | None) -> None:
+def _numbered(out: Path, number: int) -> Path:
+    """File of a sample."""
+    return out.with_name(f"{out.stem}_{number:03d}{out.suffix}")
+
+
+def _describe(identified: Identified, out: Path, samples: int, as_json: Path | None) -> None:
     """Write the description; it is also the result that `--json` prints."""
     from cell.exchange.description import description
 
-    data = description(identified)
+    data = description(identified, samples)
 
     def printed() -> None:
         print_result(data, as_json)
@@ -114,14 +131,17 @@ def _describe(identified: Identified, out: Path, as_json: Path | None) -> None:
 def _to_mujoco(
     identified: Identified,
     model: Path,
-    out: Path,
+    files: tuple[Path, ...],
     links: int | None,
     study: Path | None,
     as_json: Path | None,
 ) -> None:
-    """Write the XML and say how far the tips are apart; ends with 1 beyond the bar."""
+    """Write the XML and say how far the tips are apart; ends with 1 beyond the bar.
+
+    files  of the most probable cable, then of one sample each
+    """
     from cell.cable.solver import LanesError
-    from cell.exchange.export import export_parts, export_to_mujoco
+    from cell.exchange.export import export_parts, export_to_mujoco, sampled_xml
     from cell.files.atomic import write_atomic
     from cell.files.input_error import InputError
 
@@ -130,6 +150,8 @@ def _to_mujoco(
         progress("comparing with MuJoCo")
         try:
             done = export_to_mujoco(identified.model, model.name, links, trials)
+            drawn = [identified.space.model(q) for q in identified.samples(len(files) - 1)]
+            texts = [done.xml, *sampled_xml(done, drawn, model.name)]
         except LanesError as error:
             message = f"cannot be simulated: {error}; fit the model again"
             raise InputError.at(model, message) from error
@@ -139,9 +161,13 @@ def _to_mujoco(
         if print_result(data, as_json):
             show(*export_parts(done))
 
-    deliver(printed, (out, partial(write_atomic, content=done.xml)), *json_files(data, as_json))
+    written = [
+        (file, partial(write_atomic, content=text)) for file, text in zip(files, texts, strict=True)
+    ]
+    deliver(printed, *written, *json_files(data, as_json))
     if as_json != STDOUT:
-        show(f"written to {out}")
+        more = f", and {counted(len(drawn), 'sample')} to {files[1]} …" if drawn else ""
+        show(f"written to {files[0]}{more}")
     if not done.within_bar:
         raise typer.Exit(NOT_ALL_DONE)
 

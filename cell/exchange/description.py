@@ -17,8 +17,11 @@ _BETWEEN = "log EI is a cubic spline of s through the knots, not-a-knot ends"
 _FRAME = "x right, y up; the cable points along -x at clamp angle 0, positive angles point down"
 
 
-def description(model: Identified) -> dict[str, Any]:
-    """Plain data; every number has its unit in its name or beside it."""
+def description(model: Identified, samples: int = 0) -> dict[str, Any]:
+    """Plain data; every number has its unit in its name or beside it.
+
+    samples  so many sets of parameters drawn from their distribution, with seed 0
+    """
     space, cable = model.space, model.model
     k = space.knots
     low, high = model.interval()
@@ -62,10 +65,18 @@ def description(model: Identified) -> dict[str, Any]:
             ],
             "matrix": model.covariance.tolist(),
         },
+        **({"samples": _samples(model, samples)} if samples else {}),
         "residual_rms_m": model.residual_rms_m,
         "model_error_m": model.model_error_m,
         "converged": model.converged,
     }
+
+
+def _samples(model: Identified, count: int) -> dict[str, Any]:
+    """Natural values, a row each, in the order of the names."""
+    space = model.space
+    rows = [space.natural(q).tolist() for q in model.samples(count)]
+    return {"names": list(space.names), "units": list(space.units), "values": rows}
 
 
 def _law(effect: type[Effect]) -> str:

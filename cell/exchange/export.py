@@ -101,6 +101,20 @@ def export_to_mujoco(
     return Export(xml, chain, step_s, names, left, differences, tuple(missing))
 
 
+def sampled_xml(done: Export, models: Sequence[CableModel], origin: str) -> list[str]:
+    """The XML of other cables of the same kind, with the links and the step of an export.
+
+    raises  `simulate`'s errors
+    """
+    texts = []
+    for number, model in enumerate(models, 1):
+        kept, _ = expressible(model)
+        chain = chain_of(kept, done.chain.links)
+        notes = [f"Sample {number} of {len(models)} of the parameters of {origin}. SI units."]
+        texts.append(mjcf(chain, done.step_s, resting_bends(kept, chain.links, 0.0), notes))
+    return texts
+
+
 def _cheapest(
     model: CableModel, reference: Reference, links: Sequence[int]
 ) -> tuple[Chain, float, TipDifference]:

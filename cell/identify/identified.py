@@ -73,6 +73,12 @@ class Identified:
         high = np.clip(self.mean + reach, self.space.low, self.space.high)
         return self.space.natural(low), self.space.natural(high)
 
+    def samples(self, count: int, seed: int = 0) -> FloatArray:
+        """(count, p) coordinates drawn from the distribution of the parameters, within bounds."""
+        drawn = np.random.default_rng(seed).normal(size=(count, len(self.mean)))
+        root = np.linalg.cholesky(self.covariance + 1e-15 * np.diag(np.diag(self.covariance)))
+        return np.asarray(np.clip(self.mean + drawn @ root.T, self.space.low, self.space.high))
+
     def rigidity_log_std(self, arc_length_m: ArrayLike) -> FloatArray:
         """(n,) standard deviation of log EI(s) at arc lengths from the gripping point (n,), m."""
         k = self.space.knots

@@ -3,10 +3,12 @@
 import json
 import sys
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
+from cell.exchange.from_mujoco import model_from_mujoco
 
 CELL = CliRunner().invoke
 
@@ -44,6 +46,29 @@ def test_a_model_goes_to_mujoco_and_back(model_file, tmp_path):
     assert after["exponent"] == pytest.approx(0.93, abs=1e-4)
     for name in ("rigidity_0", "rigidity_5", "viscosity"):
         assert after[name] == pytest.approx(before[name], rel=1e-4)
+
+
+def test_samples_are_cables_of_the_distribution_with_the_same_links(flat_model, tmp_path):
+    model, file = flat_model(3, 1.0), tmp_path / "model.json"
+    file.write_text(json.dumps(model.to_dict()), encoding="utf-8")
+    xml = tmp_path / "cable.xml"
+    done = cell("export", file, "--to", "mujoco", "-o", xml, "--links", 14, "--samples", 3)
+    assert done.exit_code == 0, done.output
+    assert f"and 3 samples to {tmp_path / 'cable_001.xml'}" in done.stdout.replace("\n", " ")
+    drawn = model.samples(3)
+    for number, q in enumerate(drawn, 1):
+        found = model_from_mujoco(tmp_path / f"cable_{number:03d}.xml").model
+        assert found.values == pytest.approx(model.space.natural(q), rel=2e-4)
+    assert np.ptp(drawn[:, 0]) > 0.0
+    plain = tmp_path / "plain.json"
+    done = cell("export", file, "--to", "json", "-o", plain, "--samples", 500)
+    assert done.exit_code == 0, done.output
+    samples = json.loads(plain.read_text())["samples"]
+    assert samples["names"] == list(model.space.names)
+    logs = np.log(np.array(samples["values"])[:, :6])
+    assert np.cov(logs.T) == pytest.approx(
+        model.covariance[:6, :6], abs=0.2 * model.covariance[0, 0]
+    )
 
 
 def test_json_is_printed_and_nothing_beside_it(model_file, tmp_path):
