@@ -266,7 +266,7 @@ def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Cap
     """
     read: list[Capture] = []
     problems: list[InputError] = []
-    for rows in tables:
+    for rows in _with_names_of_first(path, tables, form):
         try:
             read.append(_read_table(path, rows, form))
         except InputError as error:
@@ -283,6 +283,41 @@ def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Cap
             note = f"{path}:{other.lines[0]}: another table begins here; it is not read"
             best = replace(best, notes=(*best.notes, note))
     return best
+
+
+def _with_names_of_first(
+    path: Path, tables: Sequence[Sequence[Row]], form: TextForm
+) -> Sequence[Sequence[Row]]:
+    """Tables of one point each below its name, with the line of names that only the first has.
+
+    As Kinovea writes trajectories: `#T X Y`, then `# tip` above the rows of each point.
+    """
+    blocks = []
+    try:
+        for rows in tables:
+            first, last = _block(path, rows, form)
+            above = [_bare(row) for row in rows[:first] if not row.blank]
+            blocks.append((above, rows[first:last]))
+    except InputError:
+        return tables
+    (above, table), others = blocks[0], blocks[1:]
+    width = len(table[0].cells)
+    titles = next((cells for cells in above[:-1] if len(cells) == width), None)
+    alike = all(len(names) == 1 and len(rows[0].cells) == width for names, rows in others)
+    if titles is None or not others or not alike:
+        return tables
+    named = []
+    for names, rows in blocks:
+        point = " ".join(names[-1])
+        cells = (titles[0], *(f"{point} {title}" for title in titles[1:]))
+        named.append([Row(rows[0].line - 1, cells), *rows])
+    return named
+
+
+def _bare(row: Row) -> list[str]:
+    """Cells of a line without the mark of a remark."""
+    words = [cell.strip().lstrip("#%").strip() for cell in row.cells]
+    return [word for word in words if word]
 
 
 def _same_frames(one: Capture, other: Capture) -> bool:
