@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tools.worlds.known_swing import MARKERS, RATE_HZ, Swing
 from tools.worlds.log_writers import sheet
-from tools.worlds.text_writers import POINTS, cells, likelihood, lines, space, turns
+from tools.worlds.text_writers import POINTS, cells, deeplabcut, likelihood, lines, space, turns
 
 Floats = NDArray[np.float64]
 _BLOCK = 512
@@ -274,6 +274,32 @@ def _columns(s: Swing) -> dict[str, Floats]:
     return dict(zip(made, values.T, strict=True))
 
 
+def _qtm(s: Swing, bodies: bool) -> dict[str, Any]:
+    """Qualisys' structure: places and a residual of each marker, and the gripper as a body."""
+    places = space(s, up=2, right=0)
+    names = MARKERS if bodies else POINTS
+    data = np.stack([places[n] for n in names])  # (points, T, 3)
+    four = np.concatenate([data, np.full((*data.shape[:2], 1), 0.4)], axis=2)
+    labeled = {
+        "Count": len(names), "Labels": np.array([list(names)], dtype=object),
+        "Data": four.transpose(0, 2, 1), "Type": np.ones((len(names), len(s.t_s))),
+    }  # fmt: skip
+    content: dict[str, Any] = {
+        "File": f"{s.name}.qtm", "Timestamp": "2026-05-04, 14:11:10.201", "StartFrame": 1,
+        "Frames": len(s.t_s), "FrameRate": RATE_HZ, "Trajectories": {"Labeled": labeled},
+    }  # fmt: skip
+    if bodies:
+        turned = turns(s, (0.0, -1.0, 0.0))
+        matrices = turned.as_matrix().transpose(0, 2, 1).reshape(len(s.t_s), 9)
+        content["RigidBodies"] = {
+            "Bodies": 1, "Name": np.array([["gripper"]], dtype=object),
+            "Positions": places["gripper"].T[None], "Rotations": matrices.T[None],
+            "RPYs": turned.as_euler("xyz", degrees=True).T[None],
+            "Residual": np.full((1, 1, len(s.t_s)), 0.2),
+        }  # fmt: skip
+    return {s.name: content}
+
+
 def _structure(s: Swing) -> dict[str, Any]:
     """Arrays as a script keeps them: times, places (rows, 2), markers (rows, markers, 2)."""
     return {
@@ -283,7 +309,10 @@ def _structure(s: Swing) -> dict[str, Any]:
 
 
 def matlab(s: Swing, folder: Path, *, layout: str) -> Path:
-    """`columns`, `structure` or `matrices` of MATLAB's save (v5), or `qtm`, Qualisys' export."""
+    """MATLAB's save (v5): `columns`, `structure`, `matrices` or `markers`, a structure for each.
+
+    `qtm` and `qtm_bodies` are Qualisys' export.
+    """
     from scipy.io import savemat
 
     if layout == "columns":
@@ -294,18 +323,12 @@ def matlab(s: Swing, folder: Path, *, layout: str) -> Path:
         content = {"t_s": s.t_s[:, None], "gripper_m": s.gripper_m,
                    "gripper_angle_rad": s.angle_rad[:, None]}  # fmt: skip
         content |= {f"{n}_m": s.markers_m[:, k] for k, n in enumerate(MARKERS)}
+    elif layout == "markers":
+        each = [{"name": n, "xy_m": s.markers_m[:, k]} for k, n in enumerate(MARKERS)]
+        content = {**_structure(s), "markers": each}
+        del content["markers_m"]
     else:
-        places = space(s, up=2, right=0)
-        data = np.stack([places[n] for n in POINTS])  # (points, T, 3)
-        four = np.concatenate([data, np.full((*data.shape[:2], 1), 0.4)], axis=2)
-        labeled = {
-            "Count": len(POINTS), "Labels": np.array([list(POINTS)], dtype=object),
-            "Data": four.transpose(0, 2, 1), "Type": np.ones((len(POINTS), len(s.t_s))),
-        }  # fmt: skip
-        content = {s.name: {
-            "File": f"{s.name}.qtm", "Timestamp": "2026-05-04, 14:11:10.201", "StartFrame": 1,
-            "Frames": len(s.t_s), "FrameRate": RATE_HZ, "Trajectories": {"Labeled": labeled},
-        }}  # fmt: skip
+        content = _qtm(s, bodies=layout == "qtm_bodies")
     file = folder / f"{s.name}.mat"
     savemat(file, content)
     return file
@@ -388,8 +411,36 @@ def csv_of(file: Path, s: Swing) -> Path:
     return other
 
 
+def pandas_store(s: Swing, folder: Path) -> Path:
+    """DeepLabCut's HDF5, a table of pandas: only pandas knows the names of its columns."""
+    import h5py
+
+    pixels, found = likelihood(s)
+    values = np.concatenate([pixels, found[:, :, None]], axis=2).reshape(len(s.t_s), -1)
+    row = np.dtype([("index", "<i8"), ("values_block_0", "<f8", (values.shape[1],))])
+    table = np.zeros(len(s.t_s), dtype=row)
+    table["index"], table["values_block_0"] = np.arange(len(s.t_s)), values
+    file = folder / f"{s.name}DLC.h5"
+    with h5py.File(file, "w") as store:
+        store["df_with_missing/table"] = table
+    return file
+
+
+def csv_of_pandas(file: Path, s: Swing) -> Path:
+    """The same as DeepLabCut saves it with `save_as_csv`."""
+    return deeplabcut(s, file.parent)
+
+
+def of_one_trial(file: Path, s: Swing) -> Path:
+    """A trial of several in a file of its own."""
+    return hdf5(s, file.parent, layout="columns")
+
+
 def hdf5(s: Swing, folder: Path, *, layout: str, ending: str = ".h5") -> Path:
-    """`columns`, `groups`, `table` (a compound data set), or `sleap`, its analysis file."""
+    """`columns`, `groups`, `table` (a compound data set), `trials`, or `sleap`, its analysis file.
+
+    `trials`: the file holds another trial, too.
+    """
     import h5py
 
     file = folder / f"{s.name}{ending}"
@@ -397,6 +448,10 @@ def hdf5(s: Swing, folder: Path, *, layout: str, ending: str = ".h5") -> Path:
         if layout == "columns":
             for name, values in _columns(s).items():
                 store[name] = values
+        elif layout == "trials":
+            for trial, shift in (("trial_1", 0.0), ("trial_2", 1e-4)):
+                for name, values in _columns(s).items():
+                    store[f"{trial}/{name}"] = values + shift
         elif layout == "table":
             columns = _columns(s)
             store["swing"] = np.rec.fromarrays(list(columns.values()), names=list(columns))

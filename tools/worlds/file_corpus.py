@@ -150,6 +150,7 @@ QUALISYS = [
     )
 ] + [
     Entry("Qualisys Track Manager", "TSV 3D and 6D", text.qtm_bodies),
+    Entry("Qualisys Track Manager", "MAT of bodies", partial(binary.matlab, layout="qtm_bodies")),
     Entry("Qualisys Track Manager", "MAT", partial(binary.matlab, layout="qtm"), lost=True),
 ]  # fmt: skip
 C3D = [
@@ -191,6 +192,8 @@ VIDEO = [
     Entry("DeepLabCut", "CSV", text.deeplabcut, rate_hz=RATE_HZ, remedy=_OF_PIXELS),
     Entry("DeepLabCut", "CSV, low likelihood", text.deeplabcut, rate_hz=RATE_HZ, lost=True,
           remedy=_OF_PIXELS),
+    Entry("DeepLabCut", "HDF5", binary.pandas_store, rate_hz=RATE_HZ,
+          remedy=Remedy("csv", edits=_OF_PIXELS.edits, mend=binary.csv_of_pandas)),
     Entry("SLEAP", "analysis CSV", text.sleap, rate_hz=RATE_HZ, lost=True, remedy=_OF_PIXELS),
     Entry("SLEAP", "analysis CSV with a track", partial(text.sleap, track="track_0"),
           rate_hz=RATE_HZ, remedy=_OF_PIXELS),
@@ -238,6 +241,9 @@ EXCEL = [
          Remedy("time", edits={"time.seconds_per_unit": 86400.0})),
     )
 ] + [
+    Entry("Excel", "German, dates to the second",
+          partial(logs.excel, language="de", times="coarse"),
+          remedy=Remedy("--rate", options={"rate_hz": RATE_HZ})),
     Entry("Excel", "workbook", logs.workbook, lost=True),
     Entry("Excel", "workbook, dates", partial(logs.workbook, dates=True)),
     Entry("Excel", "workbook, second sheet", partial(logs.workbook, title=True)),
@@ -254,6 +260,9 @@ SCRIPTS = [
     Entry("MATLAB", ".mat -v7.3, columns", partial(binary.matlab_73, layout="columns")),
     Entry("MATLAB", ".mat -v7.3, structure", partial(binary.matlab_73, layout="structure"),
           lost=True),
+    Entry("MATLAB", ".mat, a structure for each marker",
+          partial(binary.matlab, layout="markers"), lost=True),
+    Entry("gnuplot", "columns of blanks", partial(logs.plain, style="gnuplot")),
     Entry("Parquet", "wide", binary.parquet, lost=True),
     Entry("Parquet", "long", partial(binary.parquet, layout="long")),
     Entry("Parquet", "lists", partial(binary.parquet, layout="lists")),
@@ -264,6 +273,8 @@ SCRIPTS = [
           remedy=Remedy("names", mend=binary.csv_of)),
     Entry("HDF5", "columns", partial(binary.hdf5, layout="columns"), lost=True),
     Entry("HDF5", "groups", partial(binary.hdf5, layout="groups", ending=".hdf5")),
+    Entry("HDF5", "two trials in a file", partial(binary.hdf5, layout="trials"),
+          remedy=Remedy("a file of its own", mend=binary.of_one_trial)),
     Entry("HDF5", "compound table", partial(binary.hdf5, layout="table")),
 ]  # fmt: skip
 ROBOTS = [

@@ -47,6 +47,8 @@ def moments(s: Swing, form: str) -> list[str]:
                 for a in at]  # fmt: skip
     if form == "clock":
         return [f"{a:%H:%M:%S}.{a.microsecond // 1000:03d}" for a in at]
+    if form == "coarse":
+        return [f"{a:%d.%m.%Y %H:%M:%S}" for a in at]
     pattern = {"iso": "%Y-%m-%d %H:%M:%S.", "de": "%d.%m.%Y %H:%M:%S,", "fr": "%d/%m/%Y %H:%M:%S,"}
     return [f"{a:{pattern[form]}}{a.microsecond // 1000:03d}" for a in at]
 
@@ -117,7 +119,7 @@ def plain(
     rows = cells(values, 7, "NA" if style == "r" else "NaN" if style == "matlab" else "")
     if not with_gripper:
         return markers_file(s, folder, three=three)
-    file = folder / f"{s.name}.{'txt' if style in ('labview', 'gnuplot') else 'csv'}"
+    file = folder / f"{s.name}.{ {'labview': 'lvm', 'gnuplot': 'dat'}.get(style, 'csv') }"
     if style == "pandas":
         rows = [[str(k), *row] for k, row in enumerate(rows)]
         text = lines([["", *names], *rows])

@@ -302,7 +302,7 @@ def storage(s: Swing, folder: Path) -> Path:
                         np.degrees(s.angle_rad)[:, None]])  # fmt: skip
     head = f"{s.name}\nversion=1\nnRows={len(values)}\nnColumns={values.shape[1]}\ninDegrees=yes\n"
     head += "endheader\n" + "\t".join(["time", *names, "gripper_angle"]) + "\n"
-    file = folder / f"{s.name}.txt"
+    file = folder / f"{s.name}.sto"
     file.write_text(head + lines(cells(values, 8), "\t"))
     return file
 

@@ -52,7 +52,7 @@ _FRAME = frozenset(
 )  # fmt: skip
 _ANGLE = frozenset(
     ("angle", "theta", "winkel", "angulo", "rotation", "rot", "roll", "pitch", "yaw", "orientation",
-     "tilt", "heading", "alpha", "phi", "attitude", "neigung")
+     "tilt", "heading", "alpha", "phi", "attitude", "neigung", "rpy", "rpys")
 )  # fmt: skip
 #: Quantities that are no place.
 _OTHER = frozenset(
@@ -65,7 +65,8 @@ _WRENCH = re.compile(r"force|torque|moment|[fmt][xyz]?|kraft")
 _OF_WRENCH = frozenset(("n", "nm", "n·m", "n*m", "n m", "mn", "mnm"))
 #: Words that say what kind of number a coordinate is, not of which point.
 _FILLER = frozenset(
-    ("pos", "position", "coord", "coordinate", "coordinates", "trans", "translation", "location",
+    ("pos", "position", "positions", "xy", "xyz", "tracks", "coord", "coordinate", "coordinates",
+     "trans", "translation", "location",
      "place", "value", "data", "in", "col", "koordinate", "pose", "point", "markers", "transform",
      "transforms")
 )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from datetime import date, datetime, time
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import NOT_SEEN, Capture, CapturedColumn, number
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.delimited import pivoted
 from cell.study.imports.header import read_header
 from cell.study.imports.units import METRES, unit_of
@@ -25,7 +26,8 @@ Tree = dict[tuple[str, ...], NDArray[Any]]
 #: Coordinates of an array whose last dimension has so many: places, or quaternions.
 _AXES = {2: "xy", 3: "xyz", 4: "xyzw"}
 #: Names of arrays of text that name the points of another one, and of numbers that are rates.
-_LABELS = re.compile(r"labels?|(node|marker|point|body|column)_?names?|names|columns|keypoints")
+_LABELS = re.compile(r"labels?|(node|marker|point|body|column)_?names?|names?|columns|keypoints")
+_OF_PANDAS = re.compile(r"values_block_\d+")
 _RATE = re.compile(r"(frame_?rate|sampl(e|ing)_?rate|rate|frequency|freq|fps|fs)(_hz)?")
 _UNIT = re.compile(r"(length_?)?units?")
 #: Rows of a sheet in which its table begins.
@@ -208,6 +210,7 @@ def _hdf5_tree(path: Path, reverse: bool) -> tuple[Tree, dict[tuple[str, ...], s
         values = item.asstr()[()] if h5py.check_string_dtype(item.dtype) else item[()]
         values = np.asarray(values)
         if values.dtype.names is not None:
+            _check_names(path, values.dtype.names)
             tree.update({(*key, n): values[n] for n in values.dtype.names})
             return
         tree[key] = values.T if reverse else values
@@ -219,6 +222,13 @@ def _hdf5_tree(path: Path, reverse: bool) -> tuple[Tree, dict[tuple[str, ...], s
     return tree, units
 
 
+def _check_names(path: Path, names: Sequence[str]) -> None:
+    """Raise InputError where only pandas knows what the columns are called."""
+    if any(_OF_PANDAS.fullmatch(name) for name in names):
+        message = "is a table of pandas, which alone knows the names of its columns; save it as "
+        raise InputError.at(path, f"{message}CSV: DataFrame.to_csv, of DeepLabCut save_as_csv=True")
+
+
 def _flat(content: Mapping[str, Any], above: tuple[str, ...] = ()) -> Tree:
     """Arrays of structures within structures."""
     found: Tree = {}
@@ -227,12 +237,30 @@ def _flat(content: Mapping[str, Any], above: tuple[str, ...] = ()) -> Tree:
         if isinstance(value, Mapping):
             found |= _flat(value, key)
             continue
+        if isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
+            found |= _flat({_called(item, k): item for k, item in enumerate(value)}, key)
+            continue
         values = np.asarray(value)
         if values.dtype.names is not None:
             found |= _flat({n: values[n] for n in values.dtype.names}, key)
         else:
             found[key] = values
     return found
+
+
+def _called(item: Mapping[str, Any], number: int) -> str:
+    """What a structure of a list calls itself, else its number."""
+    said = (value for name, value in item.items() if _LABELS.fullmatch(str(name).lower()))
+    return next((value for value in said if isinstance(value, str) and value), str(number))
+
+
+def _check_one_trial(path: Path, keys: Collection[tuple[str, ...]]) -> None:
+    """Raise InputError where groups have times of their own."""
+    groups = {key[:-1] for key in keys if meaning(CapturedColumn(key[-1])).kind is ColumnKind.TIME}
+    if len(groups) > 1:
+        names = " and ".join(sorted("/".join(group) or "its top" for group in groups)[:3])
+        message = f"holds times in {names}: these are several recordings; save each in a file of "
+        raise InputError.at(path, f"{message}its own, and give that of the hand with --hand")
 
 
 def _capture(path: Path, tree: Tree, units: Mapping[tuple[str, ...], str]) -> Capture:
@@ -246,7 +274,8 @@ def _capture(path: Path, tree: Tree, units: Mapping[tuple[str, ...], str]) -> Ca
     if rows > MAX_ROWS:
         raise InputError.at(path, f"has {rows} rows, limit {MAX_ROWS}; cut it to the motion")
     words = {key: [_word(v) for v in value.ravel()] for key, value in arrays.items()
-             if value.dtype.kind in "OUS" and value.ndim == 1}  # fmt: skip
+             if value.dtype.kind in "OUS" and value.ndim <= 1}  # fmt: skip
+    _check_one_trial(path, [k for k, v in numbers.items() if v.ndim == 1])
     columns: list[CapturedColumn] = []
     series: list[NDArray[Any]] = []
     left_out: list[str] = []
@@ -256,7 +285,7 @@ def _capture(path: Path, tree: Tree, units: Mapping[tuple[str, ...], str]) -> Ca
             continue
         along = values.shape.index(rows)
         values = np.moveaxis(values, along, 0).astype(np.float64)
-        for name, column in _columns(_name(key), values, _labels(key, values.shape, words)):
+        for name, column in _columns(key, values, _labels(key, values.shape, words)):
             columns.append(CapturedColumn(name, units.get(key, "")))
             series.append(column)
     notes = [f"{path}: {n} is no series of {rows} rows; it is not read" for n in left_out]
@@ -274,29 +303,35 @@ def _name(key: tuple[str, ...]) -> str:
 
 
 def _columns(
-    name: str, values: NDArray[np.float64], labels: Sequence[str] | None
+    key: tuple[str, ...], values: NDArray[np.float64], labels: Sequence[str] | None
 ) -> Iterator[tuple[str, NDArray[np.float64]]]:
     """Names and series of an array (rows, …): coordinates last, points before them."""
+    name, own = _name(key), key[-1]
     if values.ndim == 1:
         yield name, values
         return
     if values.ndim == 2:
-        titles: Sequence[str] = _AXES.get(values.shape[1], "")
         if labels is not None and len(labels) == values.shape[1]:
-            titles = labels
-        for k in range(values.shape[1]):
-            yield f"{name} {titles[k] if titles else k}", values[:, k]
+            yield from ((f"{label} {own}", values[:, k]) for k, label in enumerate(labels))
+            return
+        point = f"{labels[0]} {own}" if labels is not None and len(labels) == 1 else name
+        yield from _of_point(point, values)
         return
-    if values.ndim == 3:  # of more dimensions nothing is a place
-        points = values.shape[1:]
-        if (points[0] in _AXES and points[1] not in _AXES) or (
-            labels is not None and len(labels) == points[1] != points[0]
-        ):
-            values = values.transpose(0, 2, 1)
+    points = values.shape[1:]
+    if (points[0] in _AXES and points[1] not in _AXES) or (
+        labels is not None and len(labels) == points[1] != points[0]
+    ):
+        values = values.transpose(0, 2, 1)
+    for k in range(values.shape[1]):
         named = labels is not None and len(labels) == values.shape[1]
-        for k in range(values.shape[1]):
-            point = labels[k] if labels is not None and named else f"{name} {k}"
-            yield from _columns(point, values[:, k], None)
+        point = f"{labels[k]} {own}" if labels is not None and named else f"{name} {k}"
+        yield from _of_point(point, values[:, k])
+
+
+def _of_point(point: str, values: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """Names and series of the coordinates (rows, d) of a point, or of other numbers of it."""
+    titles = _AXES.get(values.shape[1]) or [str(k) for k in range(values.shape[1])]
+    yield from ((f"{point} {title}", values[:, k]) for k, title in enumerate(titles))
 
 
 def _labels(
@@ -304,7 +339,8 @@ def _labels(
 ) -> Sequence[str] | None:
     """Names of points that stand in the same group as an array."""
     for other, found in words.items():
-        if other[:-1] == key[:-1] and _LABELS.fullmatch(other[-1].lower()) and len(found) in shape:
+        fits = len(found) in shape or (len(found) == 1 and len(shape) > 1)
+        if other[:-1] == key[:-1] and _LABELS.fullmatch(other[-1].lower()) and fits:
             return found
     return None
 

@@ -167,12 +167,12 @@ def _quaternions(
     said: list[tuple[str, Meaning]],
 ) -> tuple[tuple[str, tuple[str, str, str, str]], ...]:
     """Bodies whose orientation has four numbers; some programs call these a rotation."""
-    groups: dict[str, dict[str, str]] = {}
+    groups: dict[tuple[str, ColumnKind], dict[str, str]] = {}
     for name, m in said:
         if m.kind in (ColumnKind.QUATERNION, ColumnKind.ANGLE) and m.axis:
-            groups.setdefault(m.group, {}).setdefault(m.axis, name)
+            groups.setdefault((m.group, m.kind), {}).setdefault(m.axis, name)
     return tuple(
         (group, (axes["x"], axes["y"], axes["z"], axes["w"]))
-        for group, axes in groups.items()
+        for (group, _), axes in groups.items()
         if set(axes) >= set("xyzw")
     )

@@ -26,7 +26,7 @@ from cell.study.imports.mapping import Mapping, ReadMapping, TrialEntry
 from cell.study.imports.places import out_of_plane_m, places_m
 from cell.study.imports.quality import Measured, examined
 from cell.study.imports.read import read_capture
-from cell.study.imports.scales import WRONG_UNIT, other_rate
+from cell.study.imports.scales import WRONG_UNIT, is_coarse, other_rate
 
 #: A unit of angles below this is no radian.
 _DEGREES = 0.1
@@ -246,10 +246,13 @@ def times_s(capture: Capture, section: TimeSection) -> FloatArray:
         row = int(back[0])
         word = "repeats" if raw[row] == raw[row - 1] else "comes after"
         more = f", as in {len(back) - 1} more rows" if len(back) > 1 else ""
+        remedy = "remove what is there twice, and sort the rows"
+        if is_coarse(raw):
+            remedy = "its clock is coarser than the rows: give --rate, by which they are counted"
         raise capture.error(
             row,
             f"{raw[row]:.12g} {word} {raw[row - 1]:.12g} of the row before{more}; times must rise: "
-            "remove what is there twice, and sort the rows",
+            f"{remedy}",
             section.column,
         )
     return np.asarray(raw * (section.seconds_per_unit or 1.0))

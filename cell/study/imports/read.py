@@ -139,7 +139,7 @@ def _first_frame(content: Any) -> int:
 
 
 #: Endings of names of text tables.
-TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc")
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".log", ".sto", ".mot", ".lvm")
 KINDS = (*TABLES, ".trc", ".c3d", ".mcap", *CONTAINERS)
 
 

@@ -43,8 +43,11 @@ def _w_first(values: FloatArray) -> Rotation:
     return Rotation.from_quat(np.roll(values, -1, axis=1))
 
 
-#: Numbers of a matrix's columns that are directions of a body's axes, and of its place.
+#: Numbers of matrices column by column: of a rotation, and of a pose.
+_MATRICES = [{str(i) for i in range(count)} for count in (9, 16)]
+#: Of a pose those that are directions of a body's axes, and those of its place.
 _DIRECTIONS, _PLACE = (0, 1, 2, 4, 5, 6, 8, 9, 10), (12, 13, 14)
+_ROTATION = re.compile(r"\s*rot(?:ations?)?$", re.IGNORECASE)
 #: Last words of names that must all be there, those of the orientation, their usual unit, and what
 #: they are.
 _FORMS: tuple[tuple[str, str, str, Callable[[FloatArray], Rotation]], ...] = (
@@ -64,8 +67,8 @@ def with_quaternions(capture: Capture) -> Capture:
             unit = column.unit or unit
             groups.setdefault(found[1], {})[found[2].lower()] = CapturedColumn(column.name, unit)
     for stem, parts in groups.items():
-        if set(map(str, range(16))) == set(parts):
-            capture = _with_matrix(capture, stem, parts)
+        if set(parts) in _MATRICES:
+            capture = _with_matrix(capture, stem, [parts[str(i)] for i in range(len(parts))])
         for words, turned, usual, rotation in _FORMS:
             if not set(words.split()) <= set(parts):
                 continue
@@ -82,20 +85,29 @@ def with_quaternions(capture: Capture) -> Capture:
     return capture
 
 
-def _with_matrix(capture: Capture, stem: str, parts: dict[str, CapturedColumn]) -> Capture:
-    """With the place and the orientation of a pose that is written as a matrix; else as it is."""
-    values = capture.at([parts[str(i)].name for i in range(16)])
-    turned = values[:, _DIRECTIONS].reshape(-1, 3, 3).transpose(0, 2, 1)
-    if not np.allclose(turned @ turned.transpose(0, 2, 1), np.eye(3), atol=_SQUARE):
+def _with_matrix(capture: Capture, stem: str, parts: list[CapturedColumn]) -> Capture:
+    """With the orientation, and of a pose the place, that a matrix is; else as it is."""
+    values = capture.at([part.name for part in parts])
+    pose = len(parts) > len(_DIRECTIONS)
+    turned = (values[:, _DIRECTIONS] if pose else values).reshape(-1, 3, 3).transpose(0, 2, 1)
+    good = np.isfinite(turned).all(axis=(1, 2)) & (
+        np.abs(np.linalg.det(np.nan_to_num(turned))) > 0.5
+    )
+    square = turned[good] @ turned[good].transpose(0, 2, 1)
+    if not good.any() or not np.allclose(square, np.eye(3), atol=_SQUARE):
         return capture
-    unit = parts["12"].unit or "m"
-    columns = [CapturedColumn(f"{stem} position {axis}", unit) for axis in "xyz"]
-    columns += [CapturedColumn(f"{stem} quaternion {axis}") for axis in "xyzw"]
-    quaternions = Rotation.from_matrix(turned).as_quat(canonical=False)
+    body = _ROTATION.sub("", stem)
+    quaternions = np.full((len(values), 4), np.nan)
+    quaternions[good] = Rotation.from_matrix(turned[good]).as_quat(canonical=False)
+    columns, found = [CapturedColumn(f"{body} quaternion {axis}") for axis in "xyzw"], [quaternions]
+    if pose:
+        unit = parts[_PLACE[0]].unit or "m"
+        columns += [CapturedColumn(f"{body} position {axis}", unit) for axis in "xyz"]
+        found.append(values[:, _PLACE])
     return replace(
         capture,
         columns=(*capture.columns, *columns),
-        values=np.hstack([capture.values, values[:, _PLACE], quaternions]),
+        values=np.hstack([capture.values, *found]),
     )
 
 

@@ -42,7 +42,9 @@ def time_section(
     rate_hz  rows a second that somebody stated; None = as the file states
     """
     column = inside.time or ROW_NUMBER
-    counts = inside.counts or inside.time is None
+    if rate_hz is not None and is_coarse(capture.column(column)):
+        column = ROW_NUMBER
+    counts = inside.counts or column == ROW_NUMBER
     steps = np.diff(capture.column(column))
     step = float(np.nanmedian(steps)) if len(steps) else 0.0
     mean = float(np.nanmean(steps)) if len(steps) else 0.0
@@ -61,6 +63,12 @@ def time_section(
         sentence = f"time is in column {column!r}, {unit:.6g} s a unit ({why}): {shown}"
     section = TimeSection(column=column, seconds_per_unit=unit, starts_at_zero=zero)
     return section, [Finding("time", sentence, sure)]
+
+
+def is_coarse(times: FloatArray) -> bool:
+    """Whether times (rows,) are of a clock that stands still in most of the rows."""
+    steps = np.diff(times)
+    return bool(len(steps) and np.all(steps >= 0.0) and 2 * np.count_nonzero(steps) < len(steps))
 
 
 def other_rate(capture: Capture, section: TimeSection) -> str:
