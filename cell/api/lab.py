@@ -43,6 +43,7 @@ from cell.lab.verdict.doubts import lacking_doubt
 from cell.lab.verdict.fit_doubts import fit_doubts
 from cell.study.data import Study
 from cell.study.folder import check_study
+from cell.study.independence import without_copies
 
 _LOG = logging.getLogger(__name__)
 
@@ -121,7 +122,7 @@ def compare(
     raises  InputError, ValueError: no model is given, or one is of another kind of cable, or
             cannot be read
     """
-    opened, given = _opened(study, silent), several(models)
+    opened, given = opened_study(study), several(models)
     if not given:
         raise ValueError("models: there is none; give one or more")
     shown = [_model(m, opened) for m in given]
@@ -252,8 +253,21 @@ def set_up(
 
     work  that the study may take, and that whoever waits may stop; None = that of a diagnosis
     """
+    return set_up_opened(opened_study(study), selection, prior, config, progress, tell, work)
+
+
+def set_up_opened(
+    opened: Study,
+    selection: EffectSelection,
+    prior: Path | str | None = None,
+    config: Path | str | None = None,
+    progress: Progress = no_progress,
+    tell: Tell = silent,
+    work: Work | None = None,
+) -> FitCache:
+    """The same of what `opened_study` gives."""
     work = Work(DIAGNOSIS) if work is None else work
-    opened = _opened(study, tell)
+    tell(opened.notes)
     try:
         fits, more = _made_ready(opened, selection, prior, config, progress, work)
     except SpentError as error:
@@ -367,12 +381,12 @@ def _compared(fits: FitCache, models: Sequence[CableModel]) -> tuple[Comparison,
         return tuple(compare_model(study, model, work=work) for model in models)
 
 
-def _opened(study: StudyOrFolder, tell: Tell) -> Study:
-    if isinstance(study, Study):
-        check_study(study)
-    opened = study if isinstance(study, Study) else read_study(study)
-    tell(opened.notes)
-    return opened
+def opened_study(study: StudyOrFolder) -> Study:
+    """A study that was checked, without copies of its trials.  Raises InputError, ValueError."""
+    if not isinstance(study, Study):
+        return read_study(study)
+    check_study(study)
+    return without_copies(study)
 
 
 def _place(study: StudyOrFolder) -> Path:

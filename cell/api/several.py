@@ -14,8 +14,9 @@ from cell.api.lab import (
     check_given,
     effect_names,
     examined,
+    opened_study,
     rules_with,
-    set_up,
+    set_up_opened,
     several,
     silent,
 )
@@ -30,6 +31,7 @@ from cell.lab.line.together_results import Together
 from cell.lab.report.together_tables import together_page, together_parts
 from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study
+from cell.study.independence import without_copies_of
 from cell.workers.executor import Executor
 from cell.workers.here import this_computer
 
@@ -95,7 +97,10 @@ def found_together(
     if not names:
         raise ValueError("studies: there is none; give two or more")
     check_names(names)
-    made_ready = [set_up(study, selection, None, config, tell=tell) for study in studies]
+    opened: list[Study] = []
+    for study in studies:
+        opened.append(without_copies_of(opened_study(study), opened))
+    made_ready = [set_up_opened(study, selection, None, config, tell=tell) for study in opened]
     executor = this_computer(min(threads(), len(names))) if executor is None else executor
     each = []
     progress("diagnosing each study", 0, len(names))

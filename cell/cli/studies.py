@@ -141,19 +141,22 @@ def _look(folder: Path) -> StudyOverview:
     from cell.study.facts import facts_of, oddities
     from cell.study.folder import study_as_it_is, study_folder
     from cell.study.imports.quality import slips
+    from cell.study.independence import Independence
     from cell.study.wrench import wrench_facts
 
     study, problems = study_as_it_is(study_folder(folder))
     notes = list(study.notes)
-    wrong = [str(p) for p in problems]
+    wrong, independence = [str(p) for p in problems], None
     if not wrong:
         try:
             notes += slips(study)
-            open_study(folder)
+            independence = Independence.of(open_study(folder))
         except InputError as error:
             wrong = [str(p) for p in error.problems]
     facts = facts_of(study.trials, study.arc_length_m, study.gravity_m_per_s2)
     wrenches = [w for t in study.trials if (w := wrench_facts(t)) is not None]
     odd = [*notes, *map(str, rest_drifts(study)), *oddities(facts, study.noise_std_m)]
     title = f"A look at {study.name}"
-    return StudyOverview(study.name, title, study.trials, facts, {}, wrong, odd, wrenches)
+    return StudyOverview(
+        study.name, title, study.trials, facts, {}, wrong, odd, wrenches, independence
+    )

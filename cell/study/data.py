@@ -128,6 +128,7 @@ class Study:
                   None = gravity is.  See `cell.study.clocks`
     arc_length_std_m  (markers,) standard deviation of arc lengths; None = they are exact
     sensor         of the trials' wrenches, if any has one
+    copies         names of trials that are one recording; only one of each is among the trials
     """
 
     name: str
@@ -141,6 +142,7 @@ class Study:
     pull_m_per_s2: float | None = None
     arc_length_std_m: FloatArray | None = None
     sensor: WrenchSensor = WrenchSensor()
+    copies: tuple[tuple[str, ...], ...] = ()
 
     @property
     def scale_m_per_s2(self) -> float:

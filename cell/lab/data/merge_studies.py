@@ -16,6 +16,7 @@ from cell.identify.noise import still_frames
 from cell.lab.data.cycles import measured
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study, study_folder, write_study
+from cell.study.independence import without_copies
 from cell.study.left_out import without_outliers
 
 #: Datasheets of the same cable agree to this.
@@ -52,7 +53,8 @@ def merge_studies(runs: Sequence[Path], name: str) -> Study:
     The first cycle's roles are kept; later cycles' trials are only compared with, so that what was
     fitted stays what one cable showed.  Trials are named after their cycle's folder.  The noise of
     markers and wrenches, and the uncertainty of arc lengths, is the largest that any of them
-    states.  Wrong samples of what the cell filmed are left out, and the notes say which.
+    states.  Wrong samples of what the cell filmed are left out, and copies of other trials; the
+    notes say which.
     raises  InputError: a folder has no study or is given twice, two trials have one name then, or
             it is of another cable, markers, gravity, camera, arm, gripper or home, or shows
             another individual
@@ -77,7 +79,7 @@ def merge_studies(runs: Sequence[Path], name: str) -> Study:
     ]
     notes = tuple(note for cycle in cycles for note in cycle.study.notes)
     made = replace(first.study, name=name, trials=tuple(trials), notes=notes)
-    return _with_largest_errors(made, [cycle.study for cycle in cycles])
+    return without_copies(_with_largest_errors(made, [cycle.study for cycle in cycles]))
 
 
 def _merged_name(cycle: _Cycle, trial: Trial) -> str:

@@ -15,6 +15,7 @@ from cell.study.clocks import with_pull
 from cell.study.data import Study, Trial
 from cell.study.facts import facts_of, stated_oddly, trial_facts
 from cell.study.folder import read_study, study_folder
+from cell.study.independence import without_copies
 from cell.study.left_out import without_outliers, without_wrench_outliers
 from cell.study.rest_shape import WEAK_M_PER_S2
 
@@ -58,7 +59,7 @@ def open_study(folder: Path) -> Study:
     stated = None if study.filmed else stated_oddly(facts, study.noise_std_m)
     told += [] if stated is None else [f"{folder / 'study.yaml'}: {stated}"]
     study = without_wrench_outliers(replace(study, notes=(*study.notes, *told)), folder)
-    return with_tested_starts(without_outliers(study))
+    return with_tested_starts(without_copies(without_outliers(study)))
 
 
 def _left_out(log: Path, grip: Motion) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from cell.files.atomic import write_atomic
 from cell.files.plain import plain
+from cell.study.independence import Independence
 
 Verdict = Literal["complete", "missing", "unexplained", "cannot_tell"]
 Status = Literal["present", "absent", "inspect", "cannot_tell"]
@@ -203,6 +204,7 @@ class Diagnosis:
     limits    how strong the effects could be that are neither named nor tied
     agreement  of the trials, in each parameter of the final model; none of a single trial
     checks    asked of the model, in order; the verdict is the worst of those that failed
+    independence  the independent recordings and motions of the study
     """
 
     noise_m: float
@@ -218,6 +220,7 @@ class Diagnosis:
     agreement: tuple[Agreement, ...] = ()
     noise_is_stated: bool = False
     checks: tuple[CheckResult, ...] = ()
+    independence: Independence = Independence((), (), 0)  # noqa: RUF009
 
     @property
     def codes(self) -> frozenset[str]:
@@ -242,6 +245,7 @@ _ENTRIES = (
     "partial",
     "nearest",
     "checks",
+    "independence",
     "warnings",
     "limits",
     "agreement",
@@ -253,6 +257,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     content = plain(asdict(diagnosis))
     for name in ("missing", "partial", "nearest"):
         content[name] = [_flat(found) for found in content[name]]
+    content["independence"] = diagnosis.independence.to_json()
     return {"format": FORMAT} | {name: content[name] for name in _ENTRIES}
 
 

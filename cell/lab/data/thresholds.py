@@ -59,8 +59,9 @@ class Rules:
     Numbers:
     most_named       effects added one after another, tied, or told as nearest: more than three
                      cannot be tested; a partial explanation has one less
-    max_unconfirmed  effects that no held-out trial confirms, or that only an earlier cable's model
-                     asks for: none, because this study alone is no evidence for them
+    least_heldout    independent trials that must be held out for a claim, of motions not fitted to
+    max_unconfirmed  effects that only an earlier cable's model asks for: none, because this study
+                     alone is no evidence for them
     max_refits       of the screen that are refitted, besides all that are not smooth
 
     own              a user's own checks, in addition to those of the lab
@@ -79,6 +80,7 @@ class Rules:
     small_share: float = 0.1
     most_share: float = 0.5
     most_named: int = 3
+    least_heldout: int = 1
     max_unconfirmed: int = 0
     max_refits: int = 6
     own: tuple[OwnCheck, ...] = ()

@@ -26,6 +26,7 @@ from cell.lab.line.cables_space import SECOND, CablesSpace, Progress, on_all
 from cell.lab.line.effect_fit import EffectFit, LearningBudget, is_tied
 from cell.lab.search.stepwise import levels
 from cell.study.data import Study
+from cell.study.independence import originals
 from cell.workers.executor import Executor
 from cell.workers.here import this_computer
 
@@ -113,11 +114,29 @@ def learned_from(
         cycle, found = pair
         return cycle.held is not None, cycle.executed is None, -found.model_error_m
 
-    ranked = sorted(usable, key=rank)
-    if more := ranked[FITTED_TO:]:
-        named = ", ".join(sorted(cycle.name for cycle, _ in more))
+    chosen: list[tuple[RecordedCycle, Identified]] = []
+    more: list[str] = []
+    for pair in sorted(usable, key=rank):
+        if len(chosen) == FITTED_TO:
+            more.append(pair[0].name)
+        elif original := _same_cycle(pair[0], [cycle for cycle, _ in chosen]):
+            budget.cables.append(
+                f"{pair[0].name}: the same recording as {original}, their noise is the same; "
+                "it is counted once, record another cable"
+            )
+        else:
+            chosen.append(pair)
+    if more:
+        named = ", ".join(sorted(more))
         budget.cables.append(f"{named}: {FITTED_TO} cables are learned from at most")
-    return ranked[:FITTED_TO]
+    return chosen
+
+
+def _same_cycle(cycle: RecordedCycle, others: Sequence[RecordedCycle]) -> str:
+    """Name of the first of other cycles with a recording that this one has too; empty = none."""
+    known = [(other.name, t.markers) for other in others for t in other.study.trials]
+    found = originals([t.markers for t in cycle.study.trials], [markers for _, markers in known])
+    return next((known[number][0] for number in found if number is not None), "")
 
 
 #: Cables that the library is tried on, at most.

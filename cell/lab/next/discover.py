@@ -21,6 +21,7 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence
 from cell.study.data import Study, Trial
+from cell.study.independence import Independence
 
 
 def effect_source(
@@ -186,7 +187,7 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
         noise_m=joined.prepared.noise_model.noise.std_m,
         before_m=_error(base),
         after_m=_error(final),
-        confirmed=final.heldout is not None,
+        confirmed=Independence.of(joined.prepared.study).held_out > 0,
         complete=examination.diagnosis.verdict != "unexplained",
     )
 

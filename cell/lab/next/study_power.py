@@ -28,6 +28,7 @@ from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.verdict.doubts import no_model_doubt
+from cell.study.independence import Independence
 from cell.workers.executor import Executor
 from cell.workers.here import this_computer
 
@@ -271,12 +272,12 @@ def _tried(
 def _doubts(fits: FitCache) -> tuple[Doubt, ...]:
     """Why power may be other than it is said to be."""
     prepared, found = fits.prepared, []
-    if not prepared.study.role("validate"):
+    if not Independence.of(prepared.study).held_out:
         found.append(
             Doubt(
                 "confirmation",
-                "no trial is held out, and a diagnosis claims only what such a trial confirms; "
-                "mark one with another motion `role: validate`",
+                "no trial of another motion is held out, and a diagnosis claims only what such a "
+                "trial confirms; mark one with another motion `role: validate`",
             )
         )
     over = fits.base.fit.rms_m / prepared.expected_m("fit")

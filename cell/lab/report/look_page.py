@@ -19,6 +19,7 @@ from cell.files.words import counted
 from cell.lab.report.wrench_report import wrench_facts_table, wrench_figure
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts
+from cell.study.independence import Independence
 from cell.study.wrench import WrenchFacts
 
 #: Shapes of a film strip, and of a line of it.
@@ -179,6 +180,7 @@ class StudyOverview:
     wrong  what must be mended before a model can be fitted
     odd    what may be wrong
     wrenches  facts of those trials that have a wrench
+    independence  the independent recordings and motions; None = not known
     """
 
     name: str
@@ -189,6 +191,7 @@ class StudyOverview:
     wrong: Sequence[str] = ()
     odd: Sequence[str] = ()
     wrenches: Sequence[WrenchFacts] = ()
+    independence: Independence | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -198,6 +201,7 @@ class StudyOverview:
             "name": self.name,
             "wrong": list(self.wrong),
             "odd": list(self.odd),
+            "independence": None if self.independence is None else self.independence.to_json(),
             "trials": [f.to_json() | wrenches.get(f.name, {}) for f in self.facts],
         }
 
@@ -226,7 +230,7 @@ class _TrialPlots:
 
 def look_page(look: StudyOverview) -> str:
     """One page with the pictures of all trials, one shown at a time."""
-    count, trials = len(look.wrong) + len(look.odd), len(look.trials)
+    count = len(look.wrong) + len(look.odd)
     if look.wrong:
         top = f"{len(look.wrong)} to be mended before a model can be fitted"
     else:
@@ -235,7 +239,7 @@ def look_page(look: StudyOverview) -> str:
         Path(__file__).parent / "templates",
         "look.html",
         look.title,
-        says=f"{trials} trial{'s' * (trials != 1)}; {top}",
+        says=f"{_evidence(look)}; {top}",
         wrong=look.wrong,
         said=look.says,
         odd=look.odd,
@@ -271,8 +275,13 @@ def facts_table(look: StudyOverview) -> TableData:
         ]
         for f in look.facts
     ]
-    title = f"{look.name}: {counted(len(look.trials), 'trial')}"
+    title = f"{look.name}: {_evidence(look)}"
     return TableData(title, FACT_HEADS, rows, range(2, len(FACT_HEADS) - 1))
+
+
+def _evidence(look: StudyOverview) -> str:
+    trials = counted(len(look.trials), "trial")
+    return trials if look.independence is None else f"{trials}; {look.independence}"
 
 
 def _frequencies(facts: TrialFacts) -> str:

@@ -182,10 +182,11 @@ def discovery_sentence(discovery: Discovery) -> str:
         left = f"What is left is {times:.1f} times the noise: another effect is missing too."
     elif times > NOISE_ALONE:
         left = f"What is left is {times:.1f} times the noise: small, but more than noise."
-    doubt = "" if discovery.confirmed else " No trial is held out: the law is not confirmed."
+    doubt = "No trial of another motion is held out: the law is not confirmed."
+    said = left if discovery.confirmed else f"{left} {doubt}"
     return (
         f"With {discovery.effect} the {where} falls from {mm(discovery.before_m)} to "
-        f"{mm(discovery.after_m)} mm, noise {mm(discovery.noise_m)} mm. {left}{doubt}"
+        f"{mm(discovery.after_m)} mm, noise {mm(discovery.noise_m)} mm. {said}"
     )
 
 

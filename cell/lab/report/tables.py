@@ -192,6 +192,7 @@ def diagnosis_parts(
         sentence(diagnosis, comparisons[0], comparisons[-1]),
         verdict_line(diagnosis),
         *warning_lines(diagnosis.warnings),
+        *([f"Evidence: {diagnosis.independence}."] if diagnosis.independence.recordings else []),
         *([f"The study states: {sensors}."] if sensors else []),
         *([agreement_sentence(agreement)] if agreement else []),
         waterfall_table(diagnosis),

@@ -122,11 +122,9 @@ def explained_of_earlier(evidence: Evidence) -> Reading | None:
     return Reading(removed_share(prepared.noise_model.noise.std_m, before, after))
 
 
-def without_heldout_trial(evidence: Evidence) -> Reading | None:
-    """Number of effects found that no trial is held out to confirm; None where none was found."""
-    if evidence.is_base:
-        return None
-    return Reading(float(len(evidence.added)) if evidence.final.heldout is None else 0.0)
+def heldout_motions(evidence: Evidence) -> Reading | None:
+    """Number of independent motions held out, which confirm what was found; None without that."""
+    return None if evidence.is_base else Reading(float(evidence.independence.held_out))
 
 
 def least_visible(evidence: Evidence) -> Reading | None:

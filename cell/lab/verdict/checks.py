@@ -139,14 +139,14 @@ def _prior_driven(evidence: Evidence) -> Reading | None:
 MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
     Check(
         "confirmation",
-        "How many effects were found without a held-out trial?",
-        "effects",
-        check_statistics.without_heldout_trial,
-        "<=",
-        "max_unconfirmed",
+        "How many independent trials of other motions are held out?",
+        "trials",
+        check_statistics.heldout_motions,
+        ">=",
+        "least_heldout",
         "cannot_tell",
-        "No trial is held out: it is not confirmed.",
-        "their number: an effect is confirmed only on a motion that was not fitted to",
+        "No trial of another motion is held out: it is not confirmed.",
+        "their number without copies and repetitions of what was fitted to: these confirm nothing",
     ),
     Check(
         "heldout_insensitive",

@@ -39,6 +39,7 @@ from cell.lab.verdict.doubts import doubts, ended_doubt
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.fit_doubts import is_meaningless
 from cell.lab.verdict.ties import tied_so_far
+from cell.study.independence import Independence
 
 _LOG = logging.getLogger(__name__)
 
@@ -113,6 +114,7 @@ def conclude(
             *(doubt for outcome in checks for doubt in outcome.warnings(evidence)),
         ),
         checks=tuple(outcome.result for outcome in checks),
+        independence=evidence.independence,
     )
     return Examination(
         diagnosis, fits, tuple(path), search.singles, evidence.final, final, joint.prepared, most
@@ -150,6 +152,7 @@ def unconfirmed(fits: FitCache, rules: Rules, verdict: Verdict, why: Doubt) -> E
             why,
             *(d for d in doubts(fits, fits, base) if d.code != why.code),
         ),
+        independence=Independence.of(fits.prepared.study),
     )
     return Examination(diagnosis, fits, (base,), singles, base, base, fits.prepared, ())
 

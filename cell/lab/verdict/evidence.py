@@ -25,6 +25,7 @@ from cell.lab.verdict.smooth_part import (
     all_trials_residual,
     smooth_part,
 )
+from cell.study.independence import Independence
 
 #: Draws end when so many exceed what was measured: p is then known to a third …
 EXCEEDING = 10
@@ -149,6 +150,11 @@ class Evidence:
         """Of a user's own checks by name; None where a trial cannot be simulated."""
         limit = self.rules.residual_significance
         return p_values(self.prepared, self.final.fit, self.rules.own, limit)
+
+    @cached_property
+    def independence(self) -> Independence:
+        """The independent recordings and motions of the study."""
+        return Independence.of(self.prepared.study)
 
     @property
     def below_stated(self) -> bool:

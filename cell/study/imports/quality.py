@@ -14,6 +14,7 @@ from cell.study.checks import MAX_TRIAL_S, exchange_problem
 from cell.study.clocks import GAP_S, GAP_STEPS, cut_off, gap
 from cell.study.data import Source, Study, Trial
 from cell.study.imports.capture import Capture
+from cell.study.independence import without_copies
 from cell.study.left_out import without_outliers
 from cell.study.plausible import SLACK
 
@@ -87,9 +88,12 @@ def examined(
 
 
 def slips(study: Study) -> list[str]:
-    """What is told of single wrong samples.  Raises InputError: there are too many of them."""
+    """What is told of single wrong samples, and of trials that are one recording.
+
+    raises  InputError: too many samples are wrong
+    """
     before = len(study.notes)
-    return list(without_outliers(study).notes[before:])
+    return list(without_copies(without_outliers(study)).notes[before:])
 
 
 def _too_long(measured: Measured) -> Problem | None:

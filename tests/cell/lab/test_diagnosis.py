@@ -32,6 +32,7 @@ SCHEMA = {
     "required": [
         "format", "noise_m", "baseline", "verdict", "missing", "ranking", "left", "partial",
         "nearest", "warnings", "limits", "agreement", "noise_is_stated", "checks",
+        "independence",
     ],
     "properties": {
         "format": {"const": "cable-diagnosis/1"},
@@ -49,6 +50,9 @@ SCHEMA = {
                     "failed",
                 ],
             },
+        },
+        "independence": {
+            "required": ["effective_trials", "recordings", "motions", "held_out"],
         },
         "limits": {
             "items": {"required": ["effect", "parameter", "unit", "low", "high", "tip_m"]},

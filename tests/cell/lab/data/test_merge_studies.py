@@ -22,13 +22,23 @@ def measured(make_study):
     return make_study(seed=1), make_study(seed=2)
 
 
+def recorded_anew(study, name):
+    """The same motions of the same cable, with noise of their own."""
+    rng = np.random.default_rng(list(name.encode()))
+    trials = [
+        replace(t, markers=replace(t.markers, xy_m=rng.normal(t.markers.xy_m, 1e-4)))
+        for t in study.trials
+    ]
+    return replace(study, trials=tuple(trials))
+
+
 @pytest.fixture
 def record(tmp_path, measured):
     """Makes a cycle's folder: a study, and settings with words replaced."""
 
     def make(name, *, study=0, changes=()):
         run = tmp_path / name
-        made = measured[study] if isinstance(study, int) else study
+        made = recorded_anew(measured[study], name) if isinstance(study, int) else study
         write_study(made, run / "study")
         text = FAKE.read_text()
         for old, new in changes:
