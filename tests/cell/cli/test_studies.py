@@ -24,10 +24,29 @@ def study() -> Study:
     m = made()
     grip = Motion(m.t_s, *(np.ascontiguousarray(v) for v in m.hand_m.T), m.angle_rad)
     trials = [
-        Trial(name, "fit", "equilibrium", grip, Markers(m.t_s, m.markers_m[:, ::-1]))
-        for name in ("one", "two")
+        Trial(name, "fit", "equilibrium", grip, Markers(m.t_s, made(seed).markers_m[:, ::-1]))
+        for seed, name in enumerate(("one", "two"))
     ]
     return Study("swings", Cable(0.1, 0.0074, 0.016, 1e-4), ARCS_M[::-1], tuple(trials))
+
+
+def test_a_recording_that_is_there_twice_is_odd_and_counted_once(
+    study: Study, tmp_path: Path
+) -> None:
+    first, second = study.trials
+    copy = replace(second, role="validate", markers=first.markers)
+    write_study(replace(study, trials=(first, copy)), tmp_path / "s")
+    done = CliRunner().invoke(app, ["look", str(tmp_path / "s"), "--json"])
+    data = json.loads(done.stdout)
+    assert data["independence"] == {
+        "effective_trials": 1.0,
+        "recordings": [["one", "two"]],
+        "motions": [["one", "two"]],
+        "held_out": 0,
+    }
+    assert "one and two are one recording" in data["odd"][0]
+    done = CliRunner().invoke(app, ["look", str(tmp_path / "s")])
+    assert "effective trials 1.0 of 2, 1 motion, 0 held out" in " ".join(done.output.split())
 
 
 def test_a_study_is_shown_with_all_its_trials(study: Study, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from cell.lab.verdict import check_statistics
 from cell.lab.verdict.checks import CHECKS, LEAVES_NOISE, MAY_BE_CLAIMED, evaluate, explains
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.smooth_part import SmoothPart
+from cell.study.independence import Independence
 
 NAMES = [c.name for c in CHECKS]
 
@@ -128,12 +129,12 @@ def test_a_negligible_smooth_part_passes_whatever_its_chance(monkeypatch):
     assert by_name("heldout_smooth").evaluate(evidence).passed is False
 
 
-def test_what_no_trial_is_held_out_for_is_not_confirmed():
+@pytest.mark.parametrize(("held_out", "passed"), [(2, True), (1, True), (0, False)])
+def test_only_held_out_trials_of_other_motions_confirm(held_out, passed):
     evidence = fake(final=(1e-4, 1000.0, ["an effect"]))
-    assert by_name("confirmation").evaluate(evidence).passed is True
-    evidence.final.heldout = None
+    vars(evidence)["independence"] = Independence((("a",), ("b",)), (("a", "b"),), held_out)
     answer = by_name("confirmation").evaluate(evidence)
-    assert (answer.reading.value, answer.passed) == (1.0, False)
+    assert (answer.reading.value, answer.passed) == (held_out, passed)
 
 
 def test_ties_count_the_effect_itself():
