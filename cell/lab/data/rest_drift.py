@@ -78,9 +78,11 @@ def _drift(study: Study, trial: Trial) -> RestDrift | None:
         return None
     xy_m = trial.markers.xy_m[:, markers]
     resolution = resolution_m(list(xy_m.reshape(len(xy_m), -1).T))
-    if RestFrames.of(blocks, resolution, FIRST_DEGREE).degree == 0:
+    # A polynomial through half as many frames as there are is no course, but their noise.
+    most = min(len(b.z_m) for b in blocks) // 2 - 1
+    if RestFrames.of(blocks, resolution, min(FIRST_DEGREE, most)).degree == 0:
         return None
-    rest = RestFrames.of(blocks, resolution, DRIFT_DEGREE)
+    rest = RestFrames.of(blocks, resolution, min(DRIFT_DEGREE, most))
     standstill = RestFrames(rest.blocks, 0, resolution)
     if standstill.bic - rest.bic < DECISIVE:
         return None

@@ -104,3 +104,12 @@ def test_slow_noise_at_rest_is_no_drift(swinging, ar1):
         noise_m = coloured(trial.markers.xy_m.shape, ar1, seed)
         rests = replace(trial, markers=Markers(trial.markers.t_s, still + noise_m))
         assert not list(rest_drifts(replace(swinging, trials=(rests,))))
+
+
+def test_a_rest_of_few_frames_is_no_course(swinging):
+    """A polynomial of degree 5 went through 6 frames, and left nothing to divide by."""
+    trial = swinging.trials[0]
+    few = trial.markers.t_s >= 0.2 - 5.5 * 0.005
+    short = Markers(trial.markers.t_s[few], trial.markers.xy_m[few])
+    study = replace(swinging, trials=(replace(trial, markers=short),))
+    assert list(rest_drifts(study)) == []
