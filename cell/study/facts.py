@@ -386,7 +386,7 @@ def _of_root(facts: TrialFacts) -> list[str]:
         )
     if abs(begins.turned_rad) > _TURNED_RAD:
         found.append(
-            f"at rest the cable leaves the clamp {np.degrees(begins.turned_rad):+.0f}° from its "
+            f"at rest the cable leaves the clamp {np.degrees(begins.turned_rad):+z.0f}° from its "
             f"angle, limit {np.degrees(_TURNED_RAD):.0f}°; check angle_rad (positive = pointing "
             "down) and the axes"
         )
