@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from calib.board import Board, BoardView
+from calib.copies import Independent, independent
 from calib.errors import BlurredError, MisfitError, OneSidedError, TooFewError
 from calib.lens import Lens, pose, project, rotation
 from calib.plane import fit_homography, map_homography
@@ -71,13 +72,14 @@ class CameraFit:
 
 
 def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
-    """Lens from pictures of a board.
+    """Lens from pictures of a board; those that show the same count once.
 
     raises  TooFewError, OneSidedError, BlurredError, MisfitError
     """
+    views = different_views(views).kept
     if len(views) < LEAST_VIEWS:
         raise TooFewError(
-            f"the board was found in {len(views)} of at least {LEAST_VIEWS} pictures",
+            f"the board was found in {len(views)} of at least {LEAST_VIEWS} pictures that differ",
             "take more, 20 are good: the board in all corners, near and far, tilted to all sides",
         )
     sizes = {view.size_px for view in views}
@@ -109,6 +111,11 @@ def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
         lens_difference(Lens.of(halves[0]), Lens.of(halves[1]), size),
         lens_spread(lens, cov[:9, :9], size),
     )
+
+
+def different_views(views: Sequence[BoardView]) -> Independent[BoardView]:
+    """Views in which the board stands elsewhere."""
+    return independent(views, lambda view: view.ids)
 
 
 # --- the fit ----------------------------------------------------------------------------------

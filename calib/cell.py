@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.copies import independent
 from calib.errors import BlurredError, MisfitError, OneSidedError, TooFewError, WrongScaleError
 from calib.jaw_marks import (
     BESIDE,
@@ -67,6 +68,7 @@ class CellFit:
     scale             of the marks as seen / as stated, and its standard deviation
     in_plane          whether the arm can only move in the plane, which then is the one it moves in
     bend_m            how far a mark is off the plane of all, the furthest
+    left_out          pictures that show the same as others, one sentence each
     """
 
     mean: FloatArray
@@ -84,6 +86,7 @@ class CellFit:
     up: FloatArray
     in_plane: bool
     bend_m: float
+    left_out: tuple[str, ...] = ()
 
     def spread_m(self, pixels: FloatArray) -> FloatArray:
         """(…,) standard deviation of where pixels (…, 2) lie in the plane, over both axes, m."""
@@ -166,6 +169,10 @@ def view_of(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> 
     return PlaneView.from_pose(Lens.of(x[LENS]), X_CP)
 
 
+def _marks(one: JawObservation) -> NDArray[np.int64]:
+    return np.arange(len(one.pixels))
+
+
 def fit_cell(
     shown: Sequence[JawObservation],
     held_out: Sequence[JawObservation],
@@ -179,9 +186,13 @@ def fit_cell(
 ) -> CellFit:
     """Camera, robot, marks and gravity together, from the jaw shown at rest in many poses.
 
+    Pictures that show the same count once: a copy of one that is fitted to is not held out.
     home    (4, 4) X_BT in which cables are gripped: the plane's origin
     raises  TooFewError, OneSidedError, WrongScaleError, MisfitError
     """
+    found = independent(shown, _marks)
+    hidden = independent(held_out, _marks, known=found.kept)
+    shown, held_out = found.kept, hidden.kept
     if len(shown) < LEAST_POSES:
         raise TooFewError(
             f"the jaw's marks were found in {len(shown)} of at least {LEAST_POSES} poses",
@@ -230,6 +241,7 @@ def fit_cell(
         gravity.up,
         in_plane,
         bend_m,
+        (*found.left_out, *hidden.left_out),
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calib.board import Board, BoardView, find_board
-from calib.camera import CameraFit, fit_camera, picture_grid
+from calib.camera import CameraFit, different_views, fit_camera, picture_grid
 from calib.cell import CellFit, fit_cell
 from calib.errors import CalibrationError, TooFewError, WrongBoardError
 from calib.hand_eye import classic_view
@@ -43,11 +43,14 @@ def camera_from(
     raises  CalibrationError
     """
     troubles: list[str] = []
-    first = _views(pictures, board, None, troubles)
-    lens = fit_camera(first, board).lens
-    views = _views(pictures, board, lens, [])
+    first = different_views(_views(pictures, board, None, troubles))
+    troubles += first.left_out
+    lens = fit_camera(first.kept, board).lens
+    names = {view.name for view in first.kept}
+    again = _views([p for p in pictures if p.name in names], board, lens, [])
+    views = different_views(again).kept
     fit = fit_camera(views, board)
-    return fit, tuple(views), (*troubles, *doubts_about(fit))
+    return fit, views, (*troubles, *doubts_about(fit))
 
 
 def doubts_about(fit: CameraFit) -> tuple[str, ...]:

@@ -169,6 +169,8 @@ class CalibrationJob:
             shown = raw.read_cell(source)
             self._check_taken(source, [one.picture for one in shown.poses])
         fit = conclude.cell_from(shown, camera, self._settings)
+        for sentence in fit.left_out:
+            self._say(sentence)
         classic_m = conclude.disagreement_m(fit, shown, camera, self._settings)
         stored = conclude.stored_cell(fit, classic_m, self._settings)
         self._report("cell", cell_report(stored, fit, shown, classic_m, self._settings))

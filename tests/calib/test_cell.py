@@ -110,6 +110,22 @@ def test_the_map_is_right_and_says_how_right(in_plane):
     assert 2e-6 < np.sqrt(np.mean(np.square(held_out))) < 4e-5
 
 
+def test_a_pose_shown_twice_is_one_and_what_is_fitted_to_is_not_held_out():
+    rng = np.random.default_rng(4)
+    truth = Truth(rng, in_plane=True)
+    lens, gravity = camera_of(truth, rng), truth.gravity(rng)
+    shown = truth.shown(rng, hands(rng, 24, in_plane=True))
+    burst = [replace(o, name=f"{o.name} again", pixels=o.pixels + 0.02) for o in shown]
+    fits = [
+        fit_cell(poses, held_out, Plate(MARKS_M), *lens, gravity, truth.home, in_plane=True)
+        for poses, held_out in ((shown, []), ([*shown, *burst], burst[:6]))
+    ]
+    np.testing.assert_allclose(fits[1].covariance, fits[0].covariance)
+    assert len(fits[1].held_out_m) == 0
+    assert len(fits[1].left_out) == 30
+    assert "pose 0 again shows the same as pose 0" in fits[1].left_out[0]
+
+
 def truth_roll(truth):
     return np.arctan2(truth.eye.X_CP[1, 0], truth.eye.X_CP[0, 0])
 
