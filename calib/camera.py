@@ -76,6 +76,7 @@ def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
 
     raises  TooFewError, OneSidedError, BlurredError, MisfitError
     """
+    _check_blur(views)
     views = different_views(views).kept
     if len(views) < LEAST_VIEWS:
         raise TooFewError(
@@ -86,7 +87,6 @@ def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
     if len(sizes) > 1:
         raise MisfitError(f"pictures of different sizes: {sorted(sizes)}", "take them anew")
     size = views[0].size_px
-    _check_blur(views)
     start, poses = _first_guess(views, board, size)
     _check_tilts(poses)
     fit = _fit(views, board, start, poses)

@@ -43,10 +43,11 @@ def camera_from(
     raises  CalibrationError
     """
     troubles: list[str] = []
-    first = different_views(_views(pictures, board, None, troubles))
-    troubles += first.left_out
-    lens = fit_camera(first.kept, board).lens
-    names = {view.name for view in first.kept}
+    first = _views(pictures, board, None, troubles)
+    lens = fit_camera(first, board).lens
+    different = different_views(first)
+    troubles += different.left_out
+    names = {view.name for view in different.kept}
     again = _views([p for p in pictures if p.name in names], board, lens, [])
     views = different_views(again).kept
     fit = fit_camera(views, board)

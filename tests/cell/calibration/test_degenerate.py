@@ -141,7 +141,7 @@ def smeared(image: Image) -> Image:
         ),
         pytest.param(
             lambda: fit_camera(views_of(EYE, RNG, count=3), BOARD),
-            TooFewError, "found in 3 of at least 8 pictures that differ; take more", id="three images",
+            TooFewError, "in 3 of at least 8 pictures that differ; take more", id="three images",
         ),
         pytest.param(
             lambda: from_board(change=blurred),
