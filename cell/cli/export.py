@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.arguments import folder_of, maybe_folder_of
+from cell.cli.arguments import folder_of, maybe_folder_of, taking
 from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import (
     BAD_INPUT,
@@ -45,17 +46,19 @@ def _model_file(ctx: typer.Context, given: Path) -> Path:
     return found / "model.json" if found.is_dir() else found
 
 
-@app.command(cls=JsonCommand)
-def export(
+@dataclass(frozen=True)
+class ExportOptions:
+    """What `cell export` is told."""
+
     model: Annotated[
         Path,
         typer.Argument(
             help="Model by `cell fit -o` or `cell identify -o`; or a cycle's folder or recording.",
             callback=_model_file,
         ),
-    ],
-    to: Annotated[Target, typer.Option("--to", help="MuJoCo's XML, or a plain description.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Write it to this file.")],
+    ]
+    to: Annotated[Target, typer.Option("--to", help="MuJoCo's XML, or a plain description.")]
+    out: Annotated[Path, typer.Option("-o", "--out", help="Write it to this file.")]
     links: Annotated[
         int | None,
         typer.Option(
@@ -64,7 +67,7 @@ def export(
             max=200,
             help="Links of the MuJoCo chain. Without: as few as keep the tip within 0.03 mm rms.",
         ),
-    ] = None,
+    ] = None
     study: Annotated[
         Path | None,
         typer.Option(
@@ -72,13 +75,13 @@ def export(
             help="Compare in this study's or cycle's own motions too.",
             callback=maybe_folder_of,
         ),
-    ] = None,
+    ] = None
     effect: Annotated[
         list[str] | None,
         typer.Option(
             "--effect", help="The file.py of an effect in the model, if the file was moved."
         ),
-    ] = None,
+    ] = None
     samples: Annotated[
         int,
         typer.Option(
@@ -88,25 +91,34 @@ def export(
             help="So many cables more, drawn from the distribution of the parameters: in the "
             "description, or each in a file of its own, OUT_001.xml and so on.",
         ),
-    ] = 0,
-    as_json: Json = None,
-    force: Force = False,
-) -> None:
+    ] = 0
+    as_json: Json = None
+    force: Force = False
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files of the cable, and of one sample each where these have their own."""
+        own = range(1, 1 + self.samples * (self.to is Target.MUJOCO))
+        return (self.out, *(_numbered(self.out, k) for k in own))
+
+
+@app.command(cls=JsonCommand)
+@taking(ExportOptions)
+def export(options: ExportOptions) -> None:
     """Write a cable's model for another program, and say how far MuJoCo is from the model."""
     from cell.lab.data.named_effects import select_effects
     from cell.lab.fit.individual_model import read_model
 
-    more = [] if to is Target.JSON else [_numbered(out, k) for k in range(1, samples + 1)]
-    with refusing(out, as_json, *more, force=force):
-        own = {n: e for name in effect or [] for n, e in select_effects([name]).own.items()}
-        identified = read_model(model, own)
-    if to is Target.JSON:
-        if links is not None or study is not None:
+    with refusing(*options.files, options.as_json, force=options.force):
+        own = {n: e for name in options.effect or [] for n, e in select_effects([name]).own.items()}
+        identified = read_model(options.model, own)
+    if options.to is Target.JSON:
+        if options.links is not None or options.study is not None:
             print("--links and --study are for --to mujoco; leave them out", file=sys.stderr)
             raise typer.Exit(BAD_INPUT)
-        _describe(identified, out, samples, as_json)
+        _describe(identified, options)
     else:
-        _to_mujoco(identified, model, (out, *more), links, study, as_json)
+        _to_mujoco(identified, options)
 
 
 def _numbered(out: Path, number: int) -> Path:
@@ -114,42 +126,33 @@ def _numbered(out: Path, number: int) -> Path:
     return out.with_name(f"{out.stem}_{number:03d}{out.suffix}")
 
 
-def _describe(identified: Identified, out: Path, samples: int, as_json: Path | None) -> None:
+def _describe(identified: Identified, options: ExportOptions) -> None:
     """Write the description; it is also the result that `--json` prints."""
     from cell.exchange.description import description
 
-    data = description(identified, samples)
+    data = description(identified, options.samples)
 
     def printed() -> None:
-        print_result(data, as_json)
+        print_result(data, options.as_json)
 
-    deliver(printed, *json_files(data, out, as_json))
-    if as_json != STDOUT:
-        show(f"written to {out}: {data['format']}")
+    deliver(printed, *json_files(data, options.out, options.as_json))
+    if options.as_json != STDOUT:
+        show(f"written to {options.out}: {data['format']}")
 
 
-def _to_mujoco(
-    identified: Identified,
-    model: Path,
-    files: tuple[Path, ...],
-    links: int | None,
-    study: Path | None,
-    as_json: Path | None,
-) -> None:
-    """Write the XML and say how far the tips are apart; ends with 1 beyond the bar.
-
-    files  of the most probable cable, then of one sample each
-    """
+def _to_mujoco(identified: Identified, options: ExportOptions) -> None:
+    """Write the XML and say how far the tips are apart; ends with 1 beyond the bar."""
     from cell.cable.solver import LanesError
     from cell.exchange.export import export_parts, export_to_mujoco, sampled_xml
     from cell.files.atomic import write_atomic
     from cell.files.input_error import InputError
 
+    model, files = options.model, options.files
     with refusing(), working("export") as progress:
-        trials = () if study is None else _motions(study, model, identified)
+        trials = () if options.study is None else _motions(options.study, model, identified)
         progress("comparing with MuJoCo")
         try:
-            done = export_to_mujoco(identified.model, model.name, links, trials)
+            done = export_to_mujoco(identified.model, model.name, options.links, trials)
             drawn = [identified.space.model(q) for q in identified.samples(len(files) - 1)]
             texts = [done.xml, *sampled_xml(done, drawn, model.name)]
         except LanesError as error:
@@ -158,14 +161,14 @@ def _to_mujoco(
     data = done.to_json()
 
     def printed() -> None:
-        if print_result(data, as_json):
+        if print_result(data, options.as_json):
             show(*export_parts(done))
 
     written = [
         (file, partial(write_atomic, content=text)) for file, text in zip(files, texts, strict=True)
     ]
-    deliver(printed, *written, *json_files(data, as_json))
-    if as_json != STDOUT:
+    deliver(printed, *written, *json_files(data, options.as_json))
+    if options.as_json != STDOUT:
         more = f", and {counted(len(drawn), 'sample')} to {files[1]} …" if drawn else ""
         show(f"written to {files[0]}{more}")
     if not done.within_bar:

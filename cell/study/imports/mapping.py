@@ -229,7 +229,7 @@ def _missing(document: Document, mapping: Mapping) -> list[Problem]:
         (("time", "seconds_per_unit"), _seconds_per_unit(mapping, lambda of: of.time),
          "give 1 / frames a second, such as 0.01 for 100"),
         (("metres_per_unit",), mapping.metres_per_unit,
-         "give 0.001 for millimetres; for pixels, the length of one in metres"),
+         "give 0.001 for millimetres, 1 for metres; for pixels, the length of one in metres"),
     ]  # fmt: skip
     if mapping.hand.time is not None:
         key = ("hand", "time", "seconds_per_unit")
