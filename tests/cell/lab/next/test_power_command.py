@@ -67,7 +67,7 @@ format: cell-motion/1
 start: {x_m: 0.0, y_m: 0.0, angle_rad: 0.0}
 still_s: 0.2
 moves:
-- {x_m: 0.0, y_m: -0.08, angle_rad: 0.0, duration_s: 0.35}
+- {x_m: 0.0, y_m: -0.09, angle_rad: 0.0, duration_s: 0.35}
 hold_s: 0.8
 """
 
