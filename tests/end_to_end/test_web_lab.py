@@ -187,7 +187,7 @@ def opened(browser: Any, started: Started, config: Path, runs: Path) -> LabPage:
 
 
 def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
-    browser: Any, started: Started, config: Path, tmp_path: Path
+    few_effects: None, browser: Any, started: Started, config: Path, tmp_path: Path
 ) -> None:
     page = opened(browser, started, config, tmp_path / "runs")
     lab = Workspace.of_runs(tmp_path / "runs")

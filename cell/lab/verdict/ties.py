@@ -43,6 +43,8 @@ def _special_case(
     fits: FitCache, final: FittedModel, effect: type[Effect], rules: Rules
 ) -> FittedModel | None:
     """The model with a special case in place of `effect`, if that explains as much; None if not."""
+    if not any(e.wider is effect for e in fits.library.values()):
+        return None
     rivals = StudySpace(fits, rules.max_refits).extended(fits.fit_reduced(final, effect))
     special = [c for c in rivals if any(e.wider is effect for e in c.effects)]
     close = close_rivals(fits, final, special, rules)

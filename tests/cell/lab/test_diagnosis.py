@@ -286,6 +286,7 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     alone = SimpleNamespace(effects=[first])
     fits = SimpleNamespace(
         base=None,
+        library={},
         added=lambda found: found.effects,
         fit_reduced=lambda found, effect: {second: alone}.get(effect),
     )

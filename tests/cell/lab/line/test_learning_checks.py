@@ -74,8 +74,10 @@ def test_nothing_is_complete_while_effects_were_left_out() -> None:
 def test_a_line_of_more_cables_than_are_learned_from_can_be_complete() -> None:
     """From the thirteenth cable on no model was complete, and "some were not tried" of effects."""
     found: Any = SimpleNamespace(model_error_m=1e-5)
+    no_trials = SimpleNamespace(trials=())
     cables: Any = [
-        (SimpleNamespace(name=f"c{i:02d}", held=1, executed=1), found) for i in range(FITTED_TO + 1)
+        (SimpleNamespace(name=f"c{i:02d}", held=1, executed=1, study=no_trials), found)
+        for i in range(FITTED_TO + 1)
     ]
     budget = LearningBudget()
     assert len(learned_from(cables, budget)) == FITTED_TO
