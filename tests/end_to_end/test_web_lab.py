@@ -186,6 +186,7 @@ def opened(browser: Any, started: Started, config: Path, runs: Path) -> LabPage:
     return LabPage(browser)
 
 
+@pytest.mark.real_time  # beside three others the browser and its jobs take ten minutes, alone one
 def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     few_effects: None, browser: Any, started: Started, config: Path, tmp_path: Path
 ) -> None:

@@ -10,6 +10,7 @@ from datetime import datetime
 from pathlib import Path
 
 import pytest
+from nicegui import core
 from starlette.websockets import WebSocketDisconnect
 
 from cell.plant.client import Client
@@ -89,6 +90,8 @@ def film(runs: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """Once more in a process where it was served before: tests of a file may come in two parts."""
+    core.app.middleware_stack = None
     served = Served(tmp_path_factory.mktemp("pages"))
     with served.web:
         yield served
