@@ -75,9 +75,7 @@ class Identified:
 
     def samples(self, count: int, seed: int = 0) -> FloatArray:
         """(count, p) coordinates drawn from the distribution of the parameters, within bounds."""
-        drawn = np.random.default_rng(seed).normal(size=(count, len(self.mean)))
-        root = np.linalg.cholesky(self.covariance + 1e-15 * np.diag(np.diag(self.covariance)))
-        return np.asarray(np.clip(self.mean + drawn @ root.T, self.space.low, self.space.high))
+        return self._at(np.random.default_rng(seed).normal(size=(count, len(self.mean))))
 
     def rigidity_log_std(self, arc_length_m: ArrayLike) -> FloatArray:
         """(n,) standard deviation of log EI(s) at arc lengths from the gripping point (n,), m."""
@@ -94,8 +92,12 @@ class Identified:
 
     def models(self, deviates: FloatArray) -> list[CableModel]:
         """Models at standard normal deviates (lanes, p) of the parameters' distribution."""
-        q = self.mean + np.atleast_2d(deviates) @ self.root.T
-        return [self.space.model(row) for row in np.clip(q, self.space.low, self.space.high)]
+        return [self.space.model(q) for q in self._at(np.atleast_2d(deviates))]
+
+    def _at(self, deviates: FloatArray) -> FloatArray:
+        """(lanes, p) coordinates at standard normal deviates (lanes, p), within bounds."""
+        q = self.mean + deviates @ self.root.T
+        return np.asarray(np.clip(q, self.space.low, self.space.high))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; `from_dict` reads it back."""

@@ -13,7 +13,7 @@ from cell.cable.geometry import ROUGHLY_STILL, moves_from_s
 from cell.files.plain import plain
 from cell.files.words import counted
 from cell.study.data import Trial
-from cell.study.rest_shape import Root, SwingScale, root, swing_scale
+from cell.study.rest_shape import ClampedEnd, SwingScale, clamped_end, swing_scale
 
 #: A frequency is told of at least so many swings and frames after the hand has stopped.
 FEWEST_SWINGS, FEWEST_FRAMES = 1.5, 16
@@ -61,7 +61,7 @@ class TrialFacts:
     spectrum      of the tip; None = too short
     sensors       by which more is told than by a log and markers: see `sensors_of`
     swings        by what units of time and length are tested; None = no gravity, or no arc length
-    root          by what place and angle of the clamp are tested; None = no marker is near it
+    clamped_end   by what place and angle of the clamp are tested; None = no marker is near it
     """
 
     name: str
@@ -83,11 +83,12 @@ class TrialFacts:
     spectrum: SwingSpectrum | None
     sensors: tuple[str, ...] = ()
     swings: SwingScale | None = None
-    root: Root | None = None
+    clamped_end: ClampedEnd | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; the spectrum by its frequencies, None for what is not known."""
-        data = {k: v for k, v in vars(self).items() if k not in ("spectrum", "swings", "root")}
+        shown = set(vars(self)) - {"spectrum", "swings", "clamped_end"}
+        data = {k: v for k, v in vars(self).items() if k in shown}
         peaks_hz = () if self.spectrum is None else self.spectrum.peaks_hz
         return {**plain(data), "frequencies_hz": plain(peaks_hz)}
 
@@ -128,7 +129,7 @@ def trial_facts(
         swing_spectrum(t_s, xy_m[:, tip], swings_s, still_noise_m),
         sensors_of(trial),
         swing_scale(trial, rest, tip, float(arc_length_m[tip]), gravity_m_per_s2),
-        root(trial, rest, arc_length_m),
+        clamped_end(trial, rest, arc_length_m),
     )
 
 
@@ -341,7 +342,7 @@ def _of_trial(facts: TrialFacts, stated_noise: bool) -> list[str]:
             f"the tip moves by {facts.tip_m * 1e3:.2g} mm, only {facts.tip_m / facts.noise_m:.2g} "
             "times the noise; move the hand farther or faster"
         )
-    return [*found, *_of_root(facts), *_of_swing(facts)]
+    return [*found, *_of_clamped_end(facts), *_of_swing(facts)]
 
 
 def _of_swing(facts: TrialFacts) -> list[str]:
@@ -366,9 +367,9 @@ def _of_swing(facts: TrialFacts) -> list[str]:
     return found
 
 
-def _of_root(facts: TrialFacts) -> list[str]:
+def _of_clamped_end(facts: TrialFacts) -> list[str]:
     """That the cable at rest does not begin where, or as, the clamp is said to be."""
-    begins = facts.root
+    begins = facts.clamped_end
     if begins is None:
         return []
     found = []

@@ -16,6 +16,10 @@ from cell.study.data import Trial
 
 #: Gravity in the plane below this is no scale: a level plane that is 6° off has as much, m/s².
 WEAK_M_PER_S2 = 1.0
+#: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
+SWING = 1.545
+#: Of a chain that hangs: ω = 2.4048/2 √(g/L), by the first zero of the Bessel function J₀.
+CHAIN = 1.2024
 #: A droop of less than this share of the arc length is as well one of the clamp's angle.
 _LEAST_DROOP = 0.05
 #: The nearest marker is within this share of the length, of so many, where the root is told.
@@ -29,7 +33,7 @@ class SwingScale:
     """Frequencies that gravity sets for a cable, whatever its stiffness.
 
     slowest_hz  of a chain that hangs: 1.2 √(g/L) / 2π; no cable is slower
-    droops_hz   of a cantilever that its weight bends by δ at its tip: √(1.54 g/δ) / 2π, for the
+    droops_hz   of a cantilever that its weight bends by δ at its tip: √(1.545 g/δ) / 2π, for the
                 stiffness that its weight bends is the one that brings it back; nan = δ is not seen
     droop_m     δ
     source      Euler-Bernoulli beam: δ = ρA g L⁴ / 8EI, ω² = 12.36 EI / (ρA L⁴)
@@ -51,7 +55,7 @@ def swing_scale(
     size = float(np.hypot(*gravity_m_per_s2))
     if size < WEAK_M_PER_S2 or not arc_m > 0.0:
         return None
-    slowest_hz = 1.2 * np.sqrt(size / arc_m) / (2.0 * np.pi)
+    slowest_hz = CHAIN * np.sqrt(size / arc_m) / (2.0 * np.pi)
     grip, still = trial.grip, trial.markers.xy_m[:rest, tip]
     droop_m = np.nan
     if len(still) and np.isfinite(still).any(axis=0).all() and not trial.bent:
@@ -59,11 +63,11 @@ def swing_scale(
         straight = [grip.x_m[0], grip.y_m[0]] - arc_m * np.array([np.cos(angle), np.sin(angle)])
         below = (np.nanmedian(still, axis=0) - straight) @ np.array(gravity_m_per_s2) / size
         droop_m = float(below) if below > _LEAST_DROOP * arc_m else np.nan
-    return SwingScale(slowest_hz, np.sqrt(1.54 * size / droop_m) / (2.0 * np.pi), droop_m)
+    return SwingScale(slowest_hz, np.sqrt(SWING * size / droop_m) / (2.0 * np.pi), droop_m)
 
 
 @dataclass(frozen=True)
-class Root:
+class ClampedEnd:
     """Where the curve through the markers at rest begins, beside what the trial says of the clamp.
 
     away_m   from the gripping point; length_m of the cable, up to its last marker
@@ -78,8 +82,8 @@ class Root:
     worst_arc_m: float
 
 
-def root(trial: Trial, rest: int, arc_length_m: FloatArray) -> Root | None:
-    """The root of the curve through the markers; None where too few of them are near the clamp.
+def clamped_end(trial: Trial, rest: int, arc_length_m: FloatArray) -> ClampedEnd | None:
+    """Where the curve through the markers begins; None where too few of them are near the clamp.
 
     The curvature of a cable with a free end is (1 − s/L)(a + b s): least squares of place and
     direction at s = 0, a and b.
@@ -106,7 +110,7 @@ def root(trial: Trial, rest: int, arc_length_m: FloatArray) -> Root | None:
     turned = float((best[2] - angle + np.pi) % (2.0 * np.pi) - np.pi)
     apart = np.linalg.norm(missed(best).reshape(-1, 2), axis=1)
     worst = int(np.argmax(apart))
-    return Root(
+    return ClampedEnd(
         float(np.hypot(*(best[:2] - clamp))) * length_m,
         length_m,
         turned,

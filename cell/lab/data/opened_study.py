@@ -17,11 +17,7 @@ from cell.study.facts import facts_of, stated_oddly, trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.independence import without_copies
 from cell.study.left_out import without_outliers, without_wrench_outliers
-from cell.study.rest_shape import WEAK_M_PER_S2
-
-#: A uniform clamped strip that droops by δ swings at ω² = 1.545 g/δ (β₁L = 1.8751).
-SWING = 1.545
-
+from cell.study.rest_shape import SWING, WEAK_M_PER_S2
 
 #: No camera sees so little motion, noise included: positions that were not measured, m.
 STANDS_M = 1e-6

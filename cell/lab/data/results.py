@@ -220,7 +220,7 @@ class Diagnosis:
     agreement: tuple[Agreement, ...] = ()
     noise_is_stated: bool = False
     checks: tuple[CheckResult, ...] = ()
-    independence: Independence = Independence((), (), 0)  # noqa: RUF009
+    independence: Independence = field(default_factory=Independence)
 
     @property
     def codes(self) -> frozenset[str]:

@@ -26,7 +26,7 @@ from cell.lab.line.cables_space import SECOND, CablesSpace, Progress, on_all
 from cell.lab.line.effect_fit import EffectFit, LearningBudget, is_tied
 from cell.lab.search.stepwise import levels
 from cell.study.data import Study
-from cell.study.independence import originals
+from cell.study.same_recording import originals
 from cell.workers.executor import Executor
 from cell.workers.here import this_computer
 

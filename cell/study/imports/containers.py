@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from cell.files.input_error import InputError
 from cell.study.imports.capture import NOT_SEEN, Capture, CapturedColumn, number
 from cell.study.imports.column_names import ColumnKind, meaning
-from cell.study.imports.delimited import pivoted
 from cell.study.imports.header import read_header
+from cell.study.imports.long_tables import pivoted
 from cell.study.imports.units import METRES, unit_of
 from cell.study.table import MAX_ROWS
 

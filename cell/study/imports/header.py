@@ -106,7 +106,7 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
             break
         apart = all(parts[-1]) and len(set(names)) == width
     if parts:
-        return _told_apart(parts, kinds), last
+        return _unique_names(parts, kinds), last
     for line, cells in rows:
         if _MARKER_NAMES.match(cells[0].strip().lower().replace(" ", "_")):
             return _of_markers(path, line, cells, width), line
@@ -155,7 +155,7 @@ def _carried(words: Sequence[str]) -> list[str]:
     return carried
 
 
-def _told_apart(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]) -> list[str]:
+def _unique_names(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]) -> list[str]:
     """Names of columns; of those that are there twice, with what the lines of kinds say of them.
 
     A body's marker and the same one by itself have one name in some programs.

@@ -10,12 +10,8 @@ from scipy.signal import decimate
 
 from cell.cable.geometry import Cable, Motion
 from cell.study.data import Markers, Study, Trial
-from cell.study.independence import (
-    Independence,
-    same_recordings,
-    without_copies,
-    without_copies_of,
-)
+from cell.study.independence import Independence, without_copies, without_copies_of
+from cell.study.same_recording import same_recordings
 
 CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
 ARCS_M = np.linspace(0.1, 0.02, 5)

@@ -12,7 +12,7 @@ from cell.cable.geometry import Cable, Motion
 from cell.study.data import Markers, Trial
 from cell.study.facts import facts_of, oddities
 from cell.study.plausible import doubt, impossible
-from cell.study.rest_shape import root, swing_scale
+from cell.study.rest_shape import clamped_end, swing_scale
 
 LENGTH_M, DROOP = 0.1, 0.028
 GRAVITY = (0.0, -9.81)
@@ -65,12 +65,12 @@ def test_a_cantilever_swings_at_the_frequency_of_its_droop() -> None:
 
 
 def test_the_root_is_where_and_as_the_cable_leaves() -> None:
-    found = root(a_trial(0.1), 80, ARCS_M)
+    found = clamped_end(a_trial(0.1), 80, ARCS_M)
     assert found is not None
     assert found.away_m < 2e-4
     assert abs(found.turned_rad) < 0.02
     assert found.worst_m < 2e-4
-    assert root(a_trial(), 80, ARCS_M + 0.02) is None  # no marker is near the clamp
+    assert clamped_end(a_trial(), 80, ARCS_M + 0.02) is None  # no marker is near the clamp
 
 
 def markers(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Trial], Trial]:

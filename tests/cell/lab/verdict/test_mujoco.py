@@ -17,8 +17,8 @@ pytest.importorskip("mujoco")
 pytestmark = pytest.mark.usefixtures("own_mesh")
 
 RIVALS = (
-    "tip_mass", "bending_hysteresis", "grip_compliance", "grip_angle", "natural_curvature",
-    "linear_air_drag",
+    "tip_mass", "point_mass", "bending_hysteresis", "grip_compliance", "grip_angle",
+    "natural_curvature", "linear_air_drag",
 )  # fmt: skip
 
 
@@ -84,3 +84,13 @@ def test_what_is_hidden_in_a_chain_is_named_and_measured(explored, effect, hidde
     assert value.low < true < value.high
     assert value.value == pytest.approx(true, rel=0.12)
     assert found.missing[0].errors.heldout_rms_m < 1.04e-4
+
+
+def test_a_mass_between_clamp_and_tip_is_named_with_its_place(explored):
+    """MuJoCo has it in the link behind the middle: 0.5 to 0.53 of the length."""
+    found = explored(mid_mass=1e-4)
+    assert found.verdict == "missing"
+    assert [f.effect for f in found.missing] == ["point_mass"]
+    mass, place = (found.missing[0].parameters[name] for name in ("mass_kg", "place"))
+    assert mass.low < 1e-4 < mass.high
+    assert place.value == pytest.approx(0.515, abs=0.05)
