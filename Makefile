@@ -54,20 +54,15 @@ compiled-effects: $(VENV)/.dev
 compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests begin at the same time
 	@$(BIN)/pytest -q --collect-only > /dev/null || true  # what is wrong the tests say themselves
 
-# An arm's process that is not run for 40 ms has lost its controller, on a busy computer too; a
-# gripper on a serial line that does not answer in time is lost.
-ARM := tests/drivers/conformance/test_arm.py tests/drivers/test_ur.py tests/drivers/test_ur_claim.py \
-	tests/drivers/test_serial_gripper.py tests/drivers/emulators/test_gripper.py
-
 tests: tests-real-time   # alone: nothing computes beside what runs in real time
-	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time' $(ARM:%=--ignore=%)  # many tests wait
+	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time'  # many tests wait
 
 # A part of its own, for who works on the lab; it takes the processor's spare time.
 COMPUTING := tests/cell/lab
 
+# A camera, an arm's process or a serial line that is not served for 40 ms is lost.
 tests-real-time: $(VENV)/.dev
-	$(BIN)/pytest -m real_time tests/end_to_end --ignore tests/end_to_end/test_fault_trials.py
-	$(BIN)/pytest $(ARM)
+	$(BIN)/pytest -m real_time tests/end_to_end tests/drivers --ignore tests/end_to_end/test_fault_trials.py
 
 tests-computing: $(VENV)/.dev
 	$(BIN)/pytest -n 2 --dist worksteal --spare-time $(COMPUTING)

@@ -24,6 +24,7 @@ HARDWARE = "hardware"
 REAL_TIME = (
     "drivers/conformance",
     "drivers/emulators",
+    "drivers/test_genicam_camera",
     "drivers/test_opencv_camera",
     "drivers/test_serial_gripper",
     "drivers/test_ur",  # and the gripper behind its URCap
@@ -212,18 +213,21 @@ def _longest_first(items: list[pytest.Item]) -> None:
     items[:] = ordered[:at] + kinds["browser"] + ordered[at:]
 
 
+@pytest.hookimpl(tryfirst=True)  # before `-m` selects
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     _longest_first(items)
     if not config.getoption("--hardware"):
         for item in items:
             room = item.path.relative_to(Path(__file__).parent).as_posix()
-            alone = item.get_closest_marker("real_time") is not None
-            if alone and not room.startswith("end_to_end/"):
+            if room.startswith(REAL_TIME):
+                item.add_marker(pytest.mark.real_time)
+            if item.get_closest_marker("real_time") is None:
+                continue
+            if not room.startswith(("end_to_end/", "drivers/")):
                 raise pytest.UsageError(
-                    f"{item.nodeid}: `make tests` runs alone what is end_to_end"
+                    f"{item.nodeid}: `make tests` runs alone what is in end_to_end and drivers"
                 )
-            if room.startswith(REAL_TIME) or alone:
-                item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
+            item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
         return
     on_hardware = [
         item

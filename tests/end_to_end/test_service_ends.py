@@ -148,6 +148,7 @@ def test_an_adapter_is_kept_running_and_dies_with_the_service(
     assert not listens(port)
 
 
+@pytest.mark.real_time
 def test_a_device_that_fails_in_idle_aborts_and_is_recorded(
     start: Start, client: Client, light_config: Path, tmp_path: Path
 ) -> None:

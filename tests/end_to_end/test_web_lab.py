@@ -250,6 +250,7 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     assert started.end() == [0]  # not by the signal: what it has open, as jobs, is closed
 
 
+@pytest.mark.real_time
 def test_what_recorded_cycles_lack_is_learned_promoted_and_undone(
     few_effects: None, browser: Any, started: Started, quick_config: Path, tmp_path: Path
 ) -> None:
