@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from cell.files.input_error import InputError
 
 if TYPE_CHECKING:
     from cell.run.cycle import Cell
@@ -40,11 +42,24 @@ class Products:
         """Which ids their parts have; None = any."""
         return {name: product.part_ids for name, product in self.default.products.items()}
 
+    def with_whole_frames(self, config: Path) -> Products:
+        """The same, recorded with whole frames.  Raises InputError: nothing is recorded."""
+        settings = {name: _whole_frames(of, config) for name, of in self.settings.items()}
+        return replace(self, default=_whole_frames(self.default, config), settings=settings)
+
     def chosen(self, asked: str | None, part: str | None) -> str | None:
         """What is made of a part, as `product_for` says; None without products."""
         from cell.settings.product import product_for
 
         return product_for(self.patterns, asked, part, self.usual)
+
+
+def _whole_frames(settings: Settings, config: Path) -> Settings:
+    if settings.recording is None:
+        message = "says `recording: null`: nothing is recorded; leave out --whole-frames"
+        raise InputError.at(config, message)
+    recording = settings.recording.model_copy(update={"whole_frames": True})
+    return settings.model_copy(update={"recording": recording})
 
 
 def products_in(config: Path, asked: str | None) -> Products:

@@ -117,6 +117,13 @@ class RunOptions:
             help="What is made, of the settings' `products`; ids of parts may say it, too."
         ),
     ] = None
+    whole_frames: Annotated[
+        bool,
+        typer.Option(
+            "--whole-frames",
+            help="Record all frames whole, 450 MB a cycle, not only what vision reads of them.",
+        ),
+    ] = False
     dry_run: DryRun = False
     speed: Annotated[
         float,
@@ -166,6 +173,8 @@ def run(options: RunOptions) -> None:
     results: list[Result] = []
     with _refusing_first(results):
         products = products_in(options.config, options.product)
+        if options.whole_frames:
+            products = products.with_whole_frames(options.config)
         first = _first(products, options)
         settings = products.default if first is None else products.settings[first]
         known = products.calibrations[first] if first else calibrated(settings, options.config)

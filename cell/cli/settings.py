@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cell.cli.records import Runs
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse, tell_notes
 
 if TYPE_CHECKING:
@@ -89,8 +90,9 @@ def doctor(
         float, typer.Option(min=1.0, max=3600.0, help="Time for which stalls are measured.")
     ] = 5.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    runs: Runs = Path("runs"),
 ) -> None:
-    """Check whether this computer can run the cell: cores, scheduler, clock, stalls, pictures/s.
+    """Check whether this computer can run the cell: cores, scheduler, stalls, pictures/s, disk.
 
     Nothing is connected and nothing moves. Run it under the usual load of the computer.
 
@@ -101,11 +103,11 @@ def doctor(
     from rich.console import Console
 
     from cell.files.input_error import InputError
-    from cell.run.computer_check import CameraLoad, check_computer
+    from cell.records.recording.retention import recording_room
+    from cell.run.computer_check import CameraLoad, check_computer, check_room
     from cell.settings import Settings, load_settings
-    from cell.settings.devices import FilesCameraSettings
     from cell.settings.starting import answered
-    from cell.settings.translate import vision_of
+    from cell.settings.translate import picture_size, vision_of
     from cell.terminal.console import conditions_table
     from cell.terminal.fitting import show
 
@@ -117,14 +119,12 @@ def doctor(
         )
     except InputError as error:
         refuse(error)
-    camera = settings.camera
-    size = (
-        (1280, 1024)
-        if isinstance(camera, FilesCameraSettings)
-        else (camera.width_px, camera.height_px)
-    )
-    load = CameraLoad(*size, camera.frame_rate_hz, vision_of(settings))
+    size = picture_size(settings)
+    load = CameraLoad(*size, settings.camera.frame_rate_hz, vision_of(settings))
     found = check_computer(load, seconds, lambda step: print(f"measuring {step}", file=sys.stderr))
+    wanted = settings.recording
+    room = None if wanted is None else recording_room(runs, wanted, size[0] * size[1])
+    found.append(check_room(room))
     if as_json:
         print(json.dumps([asdict(c) for c in found], indent=2, ensure_ascii=False))
     else:
@@ -134,16 +134,18 @@ def doctor(
 
 
 @app.command()
-def check(config: Config) -> None:
+def check(config: Config, runs: Runs = Path("runs")) -> None:
     """Validate settings, and the calibration that is there, without moving anything.
 
     Exit codes: 0 if they are right; 2 if not. Every mistake is reported with line and column.
     """
     from cell.files.input_error import InputError
+    from cell.records.recording.retention import recording_room
     from cell.settings import load_settings
     from cell.settings.calibrated import calibrated, not_yet_calibrated
     from cell.settings.check import freedoms, oddities
     from cell.settings.loading import products_of
+    from cell.settings.translate import picture_size
 
     try:
         settings = load_settings(config)
@@ -156,12 +158,16 @@ def check(config: Config) -> None:
         0.0 if notes or settings.calibration is None else calibrated(settings, config).map_std_m
     )
     offsets_m = settings.motion.offsets.values_m
+    width_px, height_px = picture_size(settings)
+    recorded = settings.recording
+    room = None if recorded is None else recording_room(runs, recorded, width_px * height_px)
     print(
         f"{config}: right; arm {settings.arm.kind}, camera {settings.camera.kind}, gripper "
         f"{settings.gripper.kind}; {len(offsets_m)} offsets, {offsets_m[0] * 1e3:g} … "
         f"{offsets_m[-1] * 1e3:g} mm"
         + f"; {freedoms(settings, map_std_m)}"
         + (f"; products {', '.join(settings.products)}" if settings.products else "")
+        + ("; nothing is recorded" if room is None else f"; room for {room}")
     )
 
 

@@ -74,7 +74,7 @@ def packages() -> str:
 def items_of_cycle(folder: Path, *, recordings: bool) -> Iterator[Item]:
     """All files of a cycle's folder; without its frames if `recordings` is False."""
     for file in sorted(p for p in folder.rglob("*") if p.is_file()):
-        if recordings or file.name not in (form.FILE, form.PART, form.REST, form.TORN):
+        if recordings or file.name not in form.WITH_FRAMES:
             yield Item(f"cycles/{folder.name}/{file.relative_to(folder)}", file)
 
 
@@ -141,7 +141,7 @@ class _UnreadableError(Exception):
 
 
 def _is_recording(item: Item) -> bool:
-    return isinstance(item.content, Path) and item.content.name.startswith(form.FILE)
+    return isinstance(item.content, Path) and item.content.name in form.WITH_FRAMES
 
 
 def _content(item: Item) -> tuple[Path | bytes, bool]:

@@ -18,13 +18,15 @@ from cell.cable.arrays import FloatArray
 from cell.identify.identified import Identified
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry, entry_of_folder, estimates_of
 from cell.records.recording import form
+from cell.records.recording.band import VisionSetup
 from cell.records.recording.retention import Retention
 from cell.records.recording.unpack import study_to_plain
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import FilmedMotion, Findings
-from cell.run.station import ProductTask, Station
+from cell.run.station import ProductTask, Station, Task
 from cell.study.data import Study
+from cell.vision.sighting import Sighting
 
 #: Versions on which the last digit of a result may depend.
 _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
@@ -38,17 +40,19 @@ class EventSink(Protocol):
 
     notes: list[str]
 
-    def begin(self, path: Path, begun: Mapping[str, str]) -> None:
-        """A recording begins."""
+    def begin(
+        self, path: Path, begun: Mapping[str, str], vision: VisionSetup | None = None
+    ) -> None:
+        """A recording begins; `vision` = of its frames a band is kept."""
 
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
         """A message of a JSON topic."""
 
-    def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
+    def add_detections(self, sightings: Sequence[Sighting], points_px: FloatArray) -> None:
         """The cable as it was seen in frames."""
 
-    def end(self, keep: bool = True) -> None:
-        """The recording ends."""
+    def end(self, keep: bool = True, whole: bool = False) -> None:
+        """The recording ends; `whole` = its frames are kept whole too."""
 
     def note(self, text: str) -> None:
         """Something that a person should know."""
@@ -80,6 +84,7 @@ class RecordingSetup:
 
     settings   as resolved for what a cycle makes
     files      texts that they refer to, by path: the calibration, effects of one's own
+    whole      whether all frames are kept whole, or a band of those that vision has read
     retention  what makes room for a recording; None = nothing has to
     uploads    what brings recordings to a store; None = they stay
     """
@@ -88,6 +93,7 @@ class RecordingSetup:
     settings: Mapping[str, Any] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     keeping: Keeping = Keeping()
+    whole: bool = False
     retention: Retention | None = None
     uploads: Uploads | None = None
 
@@ -124,7 +130,14 @@ class CycleRecording:
         self._told = Findings()
         self._path = Path()
 
-    def begin(self, folder: Path, cycle: int, started: datetime, plan: Mapping[str, Any]) -> None:
+    def begin(
+        self,
+        folder: Path,
+        cycle: int,
+        started: datetime,
+        plan: Mapping[str, Any],
+        task: Task,
+    ) -> None:
         """The cycle begins; `plan` says what is meant to be done."""
         if self._recording is None:
             return
@@ -135,7 +148,8 @@ class CycleRecording:
             return
         self._path = folder / form.FILE
         to = self._recording.recorder
-        to.begin(self._path, recording_metadata(cycle, started))
+        vision = None if self._recording.whole else VisionSetup(task.view, task.vision)
+        to.begin(self._path, recording_metadata(cycle, started), vision)
         about = {"cycle": cycle, "started": started.isoformat(), "folder": str(folder)}
         to.event(form.CYCLE, {**about, **plan})
         settings, files = dict(self._recording.settings), dict(self._recording.files)
@@ -177,7 +191,7 @@ class CycleRecording:
             return
         self._event(form.RESULT, result.to_json())
         kept = self._recording.keeping.keeps(result)
-        self._recording.recorder.end(kept)
+        self._recording.recorder.end(kept, result.outcome is not Outcome.INSERTED)
         if self._recording.retention is not None:
             self._recording.retention.add(self._path)
         if kept and self._recording.uploads is not None:
@@ -191,7 +205,7 @@ class CycleRecording:
         assert self._recording is not None
         nodes_m = np.array([sighting.nodes_m for sighting in filmed.sightings])
         points_px = station.task.view.to_pixels(nodes_m)
-        self._recording.recorder.add_detections([s.t_s for s in filmed.sightings], points_px)
+        self._recording.recorder.add_detections(filmed.sightings, points_px)
 
 
 def decision_of(findings: Findings) -> dict[str, Any]:

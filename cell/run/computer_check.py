@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib.plane import PlaneView
 from cell.computer.abilities import Abilities, StallProbe, Stalls, abilities
+from cell.records.recording.retention import RecordingRoom
 from cell.run.warm_up import made_up_picture
 from cell.vision.detect import VisionOptions, detect
 
@@ -97,6 +98,20 @@ def _full_picture(camera: CameraLoad) -> tuple[NDArray[np.uint8], PlaneView]:
     light *= np.linspace(1.0, _DIMMEST, columns)
     light += np.random.default_rng(0).normal(scale=_NOISE, size=light.shape)
     return np.clip(np.rint(light), 0, 255).astype(np.uint8), view
+
+
+def check_room(room: RecordingRoom | None) -> Condition:
+    """Whether the disk has the room that the settings give to recordings; None = none are made."""
+    if room is None:
+        return _condition("room for recordings", "nothing is recorded", "any", True, "")
+    limit = room.limit_bytes
+    return _condition(
+        "room for recordings",
+        str(room),
+        "any" if limit is None else f"{limit / 1e9:g} GB (recording.max_size_gb)",
+        limit is None or room.bytes >= limit,
+        f"lower recording.max_size_gb to {room.bytes / 1e9:.0f}, or make room on the disk",
+    )
 
 
 def _of_computer(computer: Abilities) -> list[Condition]:

@@ -288,7 +288,8 @@ class Cell:
             progress.recording = CycleRecording(self._archive.recording_of(cycle.made))
             what = {"aim": plan.aim.value, "product": cycle.made.name}
             meant = {**what, "steps": plan.names, "speed": plan.speed}
-            progress.recording.begin(record.folder, progress.number, started, meant)
+            task = progress.station.task
+            progress.recording.begin(record.folder, progress.number, started, meant, task)
         cycle.part = part
         if cycle.made.name is not None:
             record.state(product=cycle.made.name)

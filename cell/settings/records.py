@@ -76,15 +76,23 @@ class RecordingSettings(Section):
     """Recordings of cycles that ended so are kept; the others are removed at once."""
     keep_every: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """And those of cycles whose number is a multiple of it; 0 = no others."""
+    whole_frames: bool = False
+    """Frames are kept whole, 450 MB a cycle.  Else of an inserted cable's frames only what vision
+    reads is kept, the jaw's marks, the cable and what has changed, 20 MB a cycle; frames of other
+    cycles stay whole while there is room."""
     memory_mb: Annotated[int, Field(ge=16, le=16_384)] = 512
     """Memory for frames that wait to be written; more frames are left out and the gap is marked."""
     max_age_days: Positive | None = None
     """Older recordings are removed.  Null = never."""
     max_size_gb: Positive | None = 20.0
-    """Beyond it the oldest recordings of the folder are removed.  Null = no limit."""
+    """Beyond it recordings of the folder are removed: first whole frames of which a band is kept as
+    well, then the oldest.  Null = no limit."""
     min_free_gb: NotNegative = 1.0
     """Free room on the disk before a cycle; with less the oldest recordings are removed, and if
     that is not enough nothing is recorded.  1 GB = 10⁹ bytes."""
+    last_removed_every: Annotated[int, Field(ge=0, le=1_000_000)] = 100
+    """Recordings of cycles whose number is a multiple of it are removed after all others, as those
+    of cables that were not inserted and of the first cycle of a shift are; 0 = not."""
     store: Annotated[str, AfterValidator(store_url)] | None = None
     """Recordings are brought to this folder or object store (`/mnt/nas/line3`, `s3://bucket/line3`)
     while no cable is in the jaws, verified there and then removed here; what is not there yet is

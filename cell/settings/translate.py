@@ -12,6 +12,7 @@ from cell.cable.geometry import Cable
 from cell.identify.individual import IdentifyOptions
 from cell.identify.model_class import ModelClass, effect_from
 from cell.settings import model as given
+from cell.settings.devices import FilesCameraSettings
 from cell.settings.model import Settings
 from cell.vision.detect import VisionOptions
 from cell.vision.marks import JawMarks
@@ -46,6 +47,14 @@ def arm_limits_of(settings: Settings) -> ArmLimits:
         max_acceleration_m_per_s2=limits.acceleration_m_per_s2,
         max_jerk_m_per_s3=limits.jerk_m_per_s3,
     )
+
+
+def picture_size(settings: Settings) -> tuple[int, int]:
+    """Width and height of the camera's pictures, px; of files, which say it themselves, usual."""
+    camera = settings.camera
+    if isinstance(camera, FilesCameraSettings):
+        return 1280, 1024
+    return camera.width_px, camera.height_px
 
 
 def vision_of(settings: Settings) -> VisionOptions:

@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from datetime import time as time_of_day
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from cell.plant.messages import MessageKind, Notice, Status
 from cell.plant.status_reducer import status_after
 from cell.plant.wire import NoCellError, ProtocolError
 from cell.records.ledger.actions import take_over
-from cell.records.ledger.effectiveness import Shift, shifts
+from cell.records.ledger.effectiveness import Shift, shift_start, shifts
 from cell.records.ledger.entry import LedgerError
 from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.settings.model import Settings
@@ -170,25 +170,17 @@ def state_after(seen: WatchedState, message: Notice | Status) -> WatchedState:
     return replace(seen, status=status, connected=True, step_since_s=begun)
 
 
-def shift_start(begins: tuple[str, ...], now: datetime) -> datetime:
-    """When the shift under way began; `begins` of every day, local time."""
-    times = [time_of_day.fromisoformat(t) for t in begins]
-    days = (now.date() - timedelta(days=1), now.date())
-    marks = [datetime.combine(day, t).astimezone() for day in days for t in times]
-    return max(m for m in marks if m <= now)
-
-
 def shift_figures(settings: Settings, runs: Path, now: datetime) -> ShiftFigures | None:
     """Figures of the shift under way; None = there is no ledger, or it cannot be read."""
     if settings.ledger is None:
         return None
     given: LedgerSettings = settings.ledger
-    begun = shift_start(given.shifts, now)
+    begins = [time_of_day.fromisoformat(t) for t in given.shifts]
+    begun = shift_start(begins, now)
     wanted = LedgerQuery(since=begun, line=line_name(settings))
     try:
         ledger = Ledger(given.url or runs)
         try:
-            begins = [time_of_day.fromisoformat(t) for t in given.shifts]
             found = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
             told = [*ledger.faults(replace(wanted, fault="")), *ledger.not_inserted(wanted)]
             reasons = tuple(sorted(told, key=lambda reason: -reason[1]))

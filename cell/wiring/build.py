@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from datetime import time as time_of_day
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -19,7 +20,7 @@ from cell.plan.paths import MotionLimits
 from cell.records.ledger.outbox import LaterLedger, LedgerWriter, outbox_of
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
-from cell.records.recording.retention import DiskRoom, Retention
+from cell.records.recording.retention import DiskRoom, LastRemoved, Retention
 from cell.records.recording.store import Store
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Outcome
@@ -31,6 +32,7 @@ from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
 from cell.settings.provenance import calibration_hash, files_of, line_name
+from cell.settings.records import LedgerSettings
 from cell.settings.translate import (
     arm_limits_of,
     cable_of,
@@ -91,16 +93,14 @@ def with_recorder(
         return devices, None
     patience_s = 0.0 if in_real_time(settings) else PATIENCE_S
     recorder = Recorder(devices.arm, devices.clock, wanted.memory_mb * 10**6, patience_s)
-    days, size_gb = wanted.max_age_days, wanted.max_size_gb
-    room = DiskRoom(
-        None if days is None else days * 86_400.0,
-        None if size_gb is None else size_gb * 1e9,
-        wanted.min_free_gb * 1e9,
-    )
+    room = DiskRoom.of(wanted)
+    shifts = (settings.ledger or LedgerSettings()).shifts
+    last = LastRemoved(wanted.last_removed_every, tuple(map(time_of_day.fromisoformat, shifts)))
     recording = RecordingSetup(
         recorder,
         keeping=Keeping(frozenset(map(Outcome, wanted.keep)), wanted.keep_every),
-        retention=Retention(runs, room, only_stored=wanted.store is not None),
+        whole=wanted.whole_frames,
+        retention=Retention(runs, room, last=last, only_stored=wanted.store is not None),
         uploads=None if wanted.store is None else _uploads(settings, wanted.store, runs),
     )
     return recorded_devices(devices, recorder, recording.uploads), recording

@@ -245,17 +245,17 @@ class _ReplayedEvents:
         self.notes: list[str] = []
         self._events: dict[str, list[dict[str, Any]]] = {}
 
-    def begin(self, path: Path, begun: Mapping[str, str]) -> None:
+    def begin(self, path: Path, begun: Mapping[str, str], vision: Any = None) -> None:
         self.begun = dict(begun)
 
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
         """Kept as it would be read from a file."""
         self._events.setdefault(topic, []).append(plain(data))
 
-    def add_detections(self, t_s: Sequence[float], points_px: Any) -> None:
+    def add_detections(self, sightings: Sequence[Any], points_px: Any) -> None:
         """Follows from the rest."""
 
-    def end(self, keep: bool = True) -> None:
+    def end(self, keep: bool = True, whole: bool = False) -> None:
         """Nothing is written."""
 
     def note(self, text: str) -> None:

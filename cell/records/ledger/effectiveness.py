@@ -101,6 +101,13 @@ def shifts(
     return found
 
 
+def shift_start(begins: Sequence[time], now: datetime) -> datetime:
+    """When the shift under way began; `begins` of every day, local time."""
+    days = (now.date() - timedelta(days=1), now.date())
+    marks = [datetime.combine(day, begin).astimezone() for day in days for begin in begins]
+    return max(m for m in marks if m <= now)
+
+
 def _bounds(
     first: datetime, last: datetime, begins: Sequence[time]
 ) -> list[tuple[datetime, datetime]]:

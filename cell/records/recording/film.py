@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError
 from cell.files.yaml_document import read_yaml
 from cell.records.recording import form
-from cell.records.recording.reading import UNREADABLE, damaged, image_of
+from cell.records.recording.reading import UNREADABLE, damaged, image_of, shown_image
 from cell.records.recording.retention import KEPT
 
 #: Before a record: what it is, and its length.
@@ -37,13 +37,13 @@ class RecordedFilm:
 
     stamps_ns  when each was taken, nanoseconds since 1970
     places     time → where in the file the chunk with the frame, and with what was seen in it, is
-    channels   numbers of the two topics
+    channels   numbers of the topics with frames, with what was seen, and with what frames leave out
     """
 
     path: Path
     stamps_ns: tuple[int, ...]
     places: Mapping[int, tuple[int, ...]] = field(repr=False)
-    channels: tuple[int, int]
+    channels: tuple[int, int, int]
 
     @property
     def times_s(self) -> tuple[float, ...]:
@@ -62,15 +62,16 @@ def read_film(path: Path) -> RecordedFilm:
         if summary is None:
             raise ValueError("it has no index")
         known = {c.topic: c.id for c in summary.channels.values()}
-        channels = known.get(form.IMAGE, -1), known.get(form.SEEN, -1)
+        image, seen, frame = (known.get(t, -1) for t in (form.IMAGE, form.SEEN, form.FRAME))
+        channels = image, seen, frame
         stamps: list[int] = []
         for chunk in summary.chunk_indexes:
-            for channel in channels:
+            for channel in (image, seen):
                 if channel not in chunk.message_index_offsets:
                     continue
                 file.seek(chunk.message_index_offsets[channel] + _HEAD_BYTES)
                 found = [stamp for stamp, _ in MessageIndex.read(ReadDataStream(file)).records]
-                stamps += found if channel == channels[0] else ()
+                stamps += found if channel == image else ()
                 for stamp in found:
                     places[stamp] = (*places.get(stamp, ()), chunk.chunk_start_offset)
     return RecordedFilm(path, tuple(sorted(stamps)), places, channels)
@@ -81,28 +82,52 @@ def frame_jpeg(film: RecordedFilm, number: int, width_px: int) -> bytes:
 
     raises  IndexError: there is no such frame; InputError: the recording cannot be read
     """
-    stamp_ns = film.stamps_ns[number]
-    image: NDArray[np.uint8] | None = None
-    seen: list[tuple[float, float]] = []
+    if not 0 <= number < len(film.stamps_ns):
+        raise IndexError(number)
     with _told(film.path), film.path.open("rb") as file:
-        for place in dict.fromkeys(film.places[stamp_ns]):
-            file.seek(place + _HEAD_BYTES)
-            for message in breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True):
-                if not isinstance(message, Message) or message.log_time != stamp_ns:
-                    continue
-                if message.channel_id == film.channels[0]:
-                    image = image_of(message.data)
-                elif message.channel_id == film.channels[1]:
-                    lines = ImageAnnotations.FromString(message.data).points
-                    seen = [(p.x, p.y) for line in lines for p in line.points]
-        if image is None:
-            raise ValueError(f"it has no frame {number}")
+        kept, blank, seen = _kept(film, file, number)
+        later = [(kept, blank)]
+        while blank is not None and number > 0:  # elsewhere it shows what was shown before
+            number -= 1
+            kept, blank, _ = _kept(film, file, number)
+            later.append((kept, blank))
+        image: NDArray[np.uint8] | None = None
+        for kept, blank in reversed(later):
+            image = shown_image(image, kept, blank)
+    assert image is not None
     picture = drawn(image, np.array(seen).reshape(-1, 2))
     scale = min(1.0, width_px / picture.shape[1])
     if scale < 1.0:
         size = (round(scale * picture.shape[1]), round(scale * picture.shape[0]))
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
     return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])[1])
+
+
+def _kept(
+    film: RecordedFilm, file: BinaryIO, number: int
+) -> tuple[NDArray[np.uint8], int | None, list[tuple[float, float]]]:
+    """A frame as it was kept, its blank grey level, and the cable as it was seen.
+
+    raises  ValueError: it is not in the file
+    """
+    stamp_ns = film.stamps_ns[number]
+    image, blank = None, None
+    seen: list[tuple[float, float]] = []
+    for place in dict.fromkeys(film.places[stamp_ns]):
+        file.seek(place + _HEAD_BYTES)
+        for message in breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True):
+            if not isinstance(message, Message) or message.log_time != stamp_ns:
+                continue
+            if message.channel_id == film.channels[0]:
+                image = image_of(message.data)
+            elif message.channel_id == film.channels[1]:
+                lines = ImageAnnotations.FromString(message.data).points
+                seen = [(p.x, p.y) for line in lines for p in line.points]
+            elif message.channel_id == film.channels[2]:
+                blank = json.loads(message.data).get("blank")
+    if image is None:
+        raise ValueError(f"it has no frame {number}")
+    return image, blank, seen
 
 
 @contextmanager

@@ -4,7 +4,8 @@ Frames, poses, log and overlay have the standard schemas of Foxglove, which view
 them stand JSON messages with the same numbers unrounded, from which a replay computes.
 
   /camera/image    RawImage          a frame, mono8; its exact time is in /camera/frame
-  /camera/frame    JSON              index, t_s
+  /camera/frame    JSON              index, t_s; blank: where the frame has this grey level it shows
+                                     what was shown there before
   /camera/seen     ImageAnnotations  the cable as it was seen
   /arm/measured    PoseInFrame       at the arm's own rate, in the cell's plane
   /arm/commanded   PoseInFrame       every path that the arm was told to follow
@@ -35,6 +36,10 @@ EPOCH = "epoch_ns"
 
 #: File of a recording in its cycle's folder, and its name until it is complete.
 FILE, PART = "recording.mcap", "recording.mcap.part"
+#: The same recording with whole frames, while there is room for it.
+WHOLE = "recording.whole.mcap"
+#: A recording whose frames are being reduced to a band.
+BAND = "recording.mcap.band"
 #: File that says in which store the recording is.
 STORED = "recording.stored.json"
 #: File that says when a recording was removed, and why.
@@ -43,6 +48,9 @@ REMOVED = "recording.removed.json"
 TORN = "recording.mcap.torn"
 #: What was recovered from memory, until it is in the recovered file.
 REST = "recording.mcap.rest"
+
+#: Files of a cycle that hold frames.
+WITH_FRAMES: Final = (FILE, PART, WHOLE, BAND, TORN, REST)
 
 IMAGE, FRAME, SEEN = "/camera/image", "/camera/frame", "/camera/seen"
 MEASURED, COMMANDED = "/arm/measured", "/arm/commanded"
@@ -62,7 +70,7 @@ JSON_TOPICS: Final = (
 _NUMBER, _NUMBERS = {"type": "number"}, {"type": "array", "items": {"type": "number"}}
 _POSES = {"t_s": _NUMBERS, "x_m": _NUMBERS, "y_m": _NUMBERS, "angle_rad": _NUMBERS}
 _PROPERTIES: Final[dict[str, dict[str, Any]]] = {
-    FRAME: {"index": {"type": "integer"}, "t_s": _NUMBER},
+    FRAME: {"index": {"type": "integer"}, "t_s": _NUMBER, "blank": {"type": "integer"}},
     PATH: {"start_s": {"type": ["number", "null"]}, **_POSES},
     REVISION: {"from_s": _NUMBER, **_POSES},
     ANSWER: {"start_s": _NUMBER, "end_s": _NUMBER, **_POSES},

@@ -65,23 +65,23 @@ class RingConsumer:
 
     def _act(self, header: tuple[Any, ...], payload: bytes) -> None:
         match header:
-            case ("begin", path, begun):
+            case ("begin", path, begun, vision):
                 if self._recording is not None:
                     self._end(True, False)
-                self._recording = RecordingSession(Path(path), begun)
-            case ("end", keep):
-                self._end(keep, True)
+                self._recording = RecordingSession(Path(path), begun, vision=vision)
+            case ("end", keep, whole):
+                self._end(keep, True, whole)
             case _ if self._recording is not None:
                 self._recording.write(header, payload)
 
-    def _end(self, keep: bool, complete: bool) -> None:
+    def _end(self, keep: bool, complete: bool, whole: bool = False) -> None:
         """Bring a recording to its end, beside the next one, which does not wait for that."""
         recording, self._recording = self._recording, None
         if recording is None:
             return
 
         def finish() -> None:
-            tell(recording.end(keep, complete))
+            tell(recording.end(keep, complete, whole))
 
         def torn(error: BaseException) -> None:
             tell({"path": str(recording.path), "error": said(error)})

@@ -139,11 +139,13 @@ class Recording:
         exact = {}
         for log_time, data in self._messages(form.FRAME):
             said = json.loads(data)
-            exact[log_time] = (said["index"], said["t_s"])
+            exact[log_time] = (said["index"], said["t_s"], said.get("blank"))
+        shown = None
         for log_time, data in self._messages(form.IMAGE):
             if log_time in exact:
-                index, t_s = exact[log_time]
-                yield Frame(index, t_s, image_of(data)), seen.get(log_time)
+                index, t_s, blank = exact[log_time]
+                shown = shown_image(shown, image_of(data), blank)
+                yield Frame(index, t_s, shown), seen.get(log_time)
 
     def trajectories(self, topic: str) -> Iterator[tuple[dict[str, Any], Trajectory]]:
         """Messages of `/arm/path` or `/arm/answer` with their poses."""
@@ -250,6 +252,22 @@ def image_of(data: bytes) -> np.ndarray:
     if message.encoding != "mono8" or message.step != message.width:
         raise ValueError(f"a frame is {message.encoding} with step {message.step}, not mono8")
     return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width)
+
+
+def shown_image(
+    before: NDArray[np.uint8] | None, image: NDArray[np.uint8], blank: int | None
+) -> NDArray[np.uint8]:
+    """(H, W) grey levels of a frame of which a band was kept.
+
+    before  what was shown before it; None = nothing
+    image   as kept
+    blank   grey level of what shows the same as before; None = the image is whole
+    """
+    if blank is None or before is None or before.shape != image.shape:
+        return image
+    shown = before.copy()
+    np.copyto(shown, image, where=image != blank)
+    return shown
 
 
 if __name__ == "__main__":  # as the recorder's process verifies a file

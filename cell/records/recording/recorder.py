@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import pickle
 import subprocess
 import sys
 import threading
@@ -15,7 +16,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,12 @@ from cell.records.recording.ring import (
     remove_forgotten,
     shared_memory,
 )
+from cell.vision.sighting import Sighting
 from drivers.interfaces import Arm, Clock, DeviceError, Frame, Trajectory
 from drivers.threads import GuardedThread, said
+
+if TYPE_CHECKING:  # it brings the compiler
+    from cell.records.recording.band import VisionSetup
 
 _LOG = logging.getLogger(__name__)
 
@@ -108,8 +113,13 @@ class Recorder:
             for descriptor in passed:
                 os.close(descriptor)
 
-    def begin(self, path: Path, begun: Mapping[str, str]) -> None:
-        """Begin a recording at `path`."""
+    def begin(
+        self, path: Path, begun: Mapping[str, str], vision: VisionSetup | None = None
+    ) -> None:
+        """Begin a recording at `path`.
+
+        vision  how its frames are looked at: of them a band is kept; None = they are kept whole
+        """
         try:
             self.prepare()
         except OSError as error:
@@ -121,15 +131,19 @@ class Recorder:
         self._lost_frames, self._full = [], False
         self._under_way = True
         said = {form.EPOCH: str(epoch_ns), form.RING: str(self._file or ""), **begun}
-        self._put(("begin", str(path.absolute()), said))
+        looked = None if vision is None else pickle.dumps(vision)  # the process need not know it
+        self._put(("begin", str(path.absolute()), said, looked))
         self._waiting += 1
         for logger in _LOGGERS:
             logging.getLogger(logger).addHandler(self._handler)
         self._stream = _PoseStream(self, self._arm, now_s)
         self._stream.start()
 
-    def end(self, keep: bool = True) -> None:
-        """Nothing more comes; the file is closed, verified and kept, or removed, meanwhile."""
+    def end(self, keep: bool = True, whole: bool = False) -> None:
+        """Nothing more comes; the file is closed, verified and kept, or removed, meanwhile.
+
+        whole  whether its frames are kept whole too
+        """
         if self._stream is not None:
             self._stream.end()
             self._stream = None
@@ -139,7 +153,7 @@ class Recorder:
             return
         if self._lost_frames:
             self._mark_gap(self._clock.now_s())
-        self._put(("end", keep))
+        self._put(("end", keep, whole))
         self._under_way = False
 
     def wait(self, timeout_s: float = LAST_WAIT_S) -> bool:
@@ -184,9 +198,9 @@ class Recorder:
             columns = (poses.t_s, poses.x_m, poses.y_m, poses.angle_rad)
             self._put(("poses", topic, np.stack(columns, axis=-1)))
 
-    def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
+    def add_detections(self, sightings: Sequence[Sighting], points_px: FloatArray) -> None:
         """The cable as it was seen in frames: (n, points, 2) column and row, nan = not seen."""
-        self._put(("seen", tuple(t_s), points_px))
+        self._put(("seen", tuple(sightings), points_px))
 
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
         """A message of a JSON topic, of now."""
@@ -273,6 +287,8 @@ class Recorder:
         elif report["kept"]:
             size = report["bytes"] / 1e6
             _LOG.info("%s: %d frames, %.0f MB, verified", path, report["frames"], size)
+        if why := report.get("not_reduced"):
+            self.note(f"{path}: all of its frames are kept whole: {why}")
 
     def note(self, note: str) -> None:
         """Tell in the log, and keep for the end of the run, what a person should know."""

@@ -1,25 +1,36 @@
-"""Removes old recordings to make room for new ones; never one that is marked as kept."""
+"""Removes recordings to make room for new ones; never one that is marked as kept.
+
+At first go the whole frames of which a band is kept as well, then the oldest recordings of inserted
+cables, and last those that somebody will ask for (`LastRemoved`).
+"""
 
 from __future__ import annotations
 
 import json
 import logging
 import os
+import statistics
 import time
-from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from datetime import time as time_of_day
+from enum import IntEnum
 from pathlib import Path
 
 from cell.files.atomic import write_atomic
+from cell.records.folder import cycle_of, started_of
+from cell.records.ledger.effectiveness import shift_start
 from cell.records.recording import form
+from cell.records.result import Outcome
+from cell.settings.records import RecordingSettings
 
 _LOG = logging.getLogger(__name__)
 
 #: A file of this name in a cycle's folder keeps its recording, whatever is in the file.
 KEPT = "keep"
 _DAY_S = 86_400.0
+_NAMES = form.WHOLE, form.FILE
 
 
 @dataclass(frozen=True)
@@ -35,12 +46,47 @@ class DiskRoom:
     max_bytes: float | None = None
     min_free_bytes: float = 0.0
 
+    @classmethod
+    def of(cls, wanted: RecordingSettings) -> DiskRoom:
+        """As the settings say."""
+        days, size_gb = wanted.max_age_days, wanted.max_size_gb
+        return cls(
+            None if days is None else days * _DAY_S,
+            None if size_gb is None else size_gb * 1e9,
+            wanted.min_free_gb * 1e9,
+        )
+
+
+@dataclass(frozen=True)
+class LastRemoved:
+    """Recordings that are removed after all others: of cycles that were not inserted, too.
+
+    every   cycles whose number is a multiple of it; 0 = none
+    shifts  the first cycle of each shift; these are when they begin, local time
+    """
+
+    every: int = 0
+    shifts: tuple[time_of_day, ...] = ()
+
+
+class _Rank(IntEnum):
+    """What is removed first."""
+
+    WHOLE_FRAMES = 0
+    USUAL = 1
+    LAST = 2
+
 
 @dataclass(frozen=True)
 class _Known:
     path: Path
     bytes: int
     written_s: float
+    rank: _Rank
+
+    @property
+    def order(self) -> tuple[int, float]:
+        return self.rank, self.written_s
 
 
 class Retention:
@@ -49,13 +95,22 @@ class Retention:
     The folder is listed once; what is recorded afterwards is known.
     """
 
-    def __init__(self, runs: Path, room: DiskRoom, *, only_stored: bool = False) -> None:
+    def __init__(
+        self,
+        runs: Path,
+        room: DiskRoom,
+        *,
+        last: LastRemoved = LastRemoved(),
+        only_stored: bool = False,
+    ) -> None:
         """`only_stored`: recordings that are in no store yet are not removed either."""
         self._runs = runs
         self._room = room
+        self._last = last
         self._only_stored = only_stored
-        self._known: deque[_Known] | None = None
+        self._known: list[_Known] | None = None
         self._ended: list[Path] = []
+        self._shifts: set[datetime] = set()
 
     def make_room(self) -> str:
         """Remove the oldest recordings as far as needed; why there is no room, or "".
@@ -65,18 +120,19 @@ class Retention:
         known = self._listed()
         for one in [k for k in known if not k.path.exists()]:  # removed by somebody else
             known.remove(one)
-        removable = deque(k for k in known if self._removable(k.path.parent))
         total = sum(k.bytes for k in known)
-        while removable and (why := self._too_much(removable[0], total)):
-            oldest = removable.popleft()
-            known.remove(oldest)
-            total -= oldest.bytes
+        for one in sorted(known, key=lambda k: k.order):
+            why = self._too_old(one) or self._too_much(total)
+            if not why or not self._removable(one):
+                continue
+            known.remove(one)
+            total -= one.bytes
             try:
-                remove_recording(oldest.path, why)
-                _LOG.info("%s is removed: %s", oldest.path, why)
+                self._remove(one, why)
+                _LOG.info("%s is removed: %s", one.path, why)
             except OSError as error:
-                _LOG.warning("%s cannot be removed: %s", oldest.path, error.strerror)
-        free = self._free_bytes()
+                _LOG.warning("%s cannot be removed: %s", one.path, error.strerror)
+        free = free_bytes(self._runs)
         if free < self._room.min_free_bytes:
             return (
                 f"{free / 1e9:.2f} GB are free on the disk of {self._runs}, "
@@ -89,57 +145,188 @@ class Retention:
         """A recording was ended: it becomes a file soon, if it is kept."""
         self._ended.append(path)
 
-    def _removable(self, folder: Path) -> bool:
+    def _removable(self, one: _Known) -> bool:
+        folder = one.path.parent
         stored = not self._only_stored or (folder / form.STORED).exists()
-        return stored and not (folder / KEPT).exists()
+        again = one.rank is _Rank.WHOLE_FRAMES
+        return (stored or again) and not (folder / KEPT).exists()
 
-    def _listed(self) -> deque[_Known]:
+    def _remove(self, one: _Known, why: str) -> None:
+        if one.rank is _Rank.WHOLE_FRAMES:  # the recording is there still
+            one.path.unlink(missing_ok=True)
+        else:
+            remove_recording(one.path, why)
+
+    def _listed(self) -> list[_Known]:
         if self._known is None:
-            files = self._runs.glob(f"*/{form.FILE}") if self._runs.is_dir() else ()
-            found = [known for path in files if (known := _known(path)) is not None]
-            self._known = deque(sorted(found, key=lambda k: k.written_s))
+            there = self._runs.is_dir()
+            paths = (p for name in _NAMES for p in self._runs.glob(f"*/{name}")) if there else ()
+            self._known = []
+            for path in sorted(paths, key=_written_s):
+                self._known += self._ranked(path)
             return self._known
         unfinished = []
         for path in self._ended:
             begun = path.with_name(form.PART).exists()  # asked first: it gets its name meanwhile
-            if (known := _known(path)) is not None:
-                self._known.append(known)
-            elif begun:
+            found = [k for name in _NAMES for k in self._ranked(path.with_name(name))]
+            self._known += found
+            if not found and begun:
                 unfinished.append(path)
         self._ended = unfinished
         return self._known
 
-    def _too_much(self, oldest: _Known, total_bytes: int) -> str:
-        """Why the oldest recording has to go; "" = it may stay."""
-        room = self._room
-        age_s = time.time() - oldest.written_s
-        if room.max_age_s is not None and age_s > room.max_age_s:
+    def _ranked(self, path: Path) -> list[_Known]:
+        """A recording; nothing if it is not there, or not there any more."""
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            return []
+        if path.name == form.WHOLE:
+            rank = _Rank.WHOLE_FRAMES
+        else:
+            rank = _Rank.LAST if self._is_last(path.parent) else _Rank.USUAL
+        return [_Known(path, found.st_size, found.st_mtime, rank)]
+
+    def _is_last(self, folder: Path) -> bool:
+        """Whether a cycle's recording is removed after all others; see `LastRemoved`."""
+        cycle = cycle_of(folder)
+        if cycle is None:
+            return False
+        first = False
+        if self._last.shifts:
+            started = started_of(folder, None)
+            shift = shift_start(self._last.shifts, started)
+            first = shift not in self._shifts
+            self._shifts.add(shift)
+        sample = self._last.every > 0 and cycle % self._last.every == 0
+        return first or sample or not _is_inserted(folder)
+
+    def _too_old(self, one: _Known) -> str:
+        """Why a recording has to go, as old as it is; "" = it may stay."""
+        age_s = time.time() - one.written_s
+        if self._room.max_age_s is not None and age_s > self._room.max_age_s:
             return f"it is {age_s / _DAY_S:.1f} days old"
+        return ""
+
+    def _too_much(self, total_bytes: int) -> str:
+        """Why there must be fewer recordings; "" = there is room for all."""
+        room = self._room
         if room.max_bytes is not None and total_bytes > room.max_bytes:
             return f"recordings take {total_bytes / 1e9:.1f} GB"
-        free = self._free_bytes()
+        free = free_bytes(self._runs)
         return f"{free / 1e9:.1f} GB are free" if free < room.min_free_bytes else ""
 
-    def _free_bytes(self) -> int:
-        place = self._runs
-        while not place.exists():
-            place = place.parent
-        found = os.statvfs(place)
-        return found.f_bavail * found.f_frsize
+
+def free_bytes(place: Path) -> int:
+    """Free room on the disk of a folder, which need not exist yet."""
+    place = place.absolute()
+    while not place.exists():
+        place = place.parent
+    found = os.statvfs(place)
+    return found.f_bavail * found.f_frsize
+
+
+#: Frames of a usual cycle, and bytes that are kept of a pixel: of a band, and of whole frames.
+_FRAMES, _OF_BAND, _OF_WHOLE = 550, 0.025, 0.63
+#: A cycle's time where none has been, s.
+_CYCLE_S = 10.0
+#: The size of so many recordings, the newest, tells that of the next.
+_NEWEST = 20
+
+
+@dataclass(frozen=True)
+class RecordingRoom:
+    """How many recordings fit.
+
+    cycle_bytes  of one recording: the mean of the newest ones, else what is usual
+    cycle_s      time of one cycle: the median of the newest ones, else 10 s
+    bytes        that recordings may take up, limit and disk regarded
+    limit_bytes  the same by the settings alone; None = no limit
+    """
+
+    cycle_bytes: float
+    cycle_s: float
+    bytes: float
+    limit_bytes: float | None
+
+    @property
+    def cycles(self) -> int:
+        """Recordings that fit."""
+        return int(self.bytes / self.cycle_bytes)
+
+    @property
+    def hours(self) -> float:
+        """For so long of uninterrupted work."""
+        return self.cycles * self.cycle_s / 3600.0
+
+    def __str__(self) -> str:
+        return (
+            f"{self.cycles:,} recordings of {self.cycle_bytes / 1e6:.0f} MB, {self.hours:.1f} h of "
+            f"work at {self.cycle_s:.0f} s a cable"
+        )
+
+
+def recording_room(runs: Path, wanted: RecordingSettings, pixels: int) -> RecordingRoom:
+    """How many recordings fit into the folder of the records.
+
+    pixels  of a frame
+    """
+    files = sorted(runs.glob(f"*/{form.FILE}"), key=_written_s)[-_NEWEST:] if runs.is_dir() else []
+    sizes = [size for path in files if (size := _size(path))]
+    usual = _FRAMES * pixels * (_OF_WHOLE if wanted.whole_frames else _OF_BAND)
+    times = [s for path in files if (s := _cycle_s(path.parent)) is not None]
+    taken = sum(_size(path) for name in _NAMES for path in runs.glob(f"*/{name}"))
+    room = DiskRoom.of(wanted)
+    on_disk = max(0.0, free_bytes(runs) + taken - room.min_free_bytes)
+    return RecordingRoom(
+        sum(sizes) / len(sizes) if sizes else usual,
+        statistics.median(times) if times else _CYCLE_S,
+        on_disk if room.max_bytes is None else min(on_disk, room.max_bytes),
+        room.max_bytes,
+    )
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file; 0 = it is not there any more."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
+
+
+def _cycle_s(folder: Path) -> float | None:
+    """Time that a cycle took, by its result; None = it is not known."""
+    try:
+        said = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+        return float(sum(said["seconds"].values()))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
 
 
 def remove_recording(path: Path, why: str) -> None:
-    """Remove a recording, and say why in its cycle's folder.  Raises OSError: it is there still."""
-    path.unlink(missing_ok=True)
+    """Remove a recording, its whole frames too, and say why in its cycle's folder.
+
+    raises  OSError: it is there still
+    """
+    for name in _NAMES:
+        path.with_name(name).unlink(missing_ok=True)
     said = {"at": datetime.now().astimezone().isoformat(timespec="seconds"), "why": why}
     with suppress(OSError):  # the disk is full
         write_atomic(path.with_name(form.REMOVED), json.dumps(said, ensure_ascii=False))
 
 
-def _known(path: Path) -> _Known | None:
-    """A recording; None = it is not there, or not there any more."""
+def _written_s(path: Path) -> float:
+    """When a file was written; 0 = it is not there any more."""
     try:
-        found = path.stat()
+        return path.stat().st_mtime
     except FileNotFoundError:
-        return None
-    return _Known(path, found.st_size, found.st_mtime)
+        return 0.0
+
+
+def _is_inserted(folder: Path) -> bool:
+    """Whether a cycle's result says that its cable was inserted."""
+    try:
+        said = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(said, dict) and said.get("outcome") == Outcome.INSERTED.value

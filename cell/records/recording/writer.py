@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -33,6 +34,7 @@ from cell.cable.arrays import FloatArray
 from cell.files.plain import plain
 from cell.records.recording import form
 from cell.records.recording.reading import TornRecordingError
+from cell.vision.sighting import Sighting
 from drivers.threads import GuardedThread, said
 
 #: Frames end a chunk each; smaller messages share one until the next flush.
@@ -92,14 +94,14 @@ class Sink:
         self._file = -1
 
 
-def open_mcap(sink: Sink, context: Context) -> MCAPWriter:
-    """Begin an MCAP file for the channels of a context."""
+def open_mcap(sink: Sink, context: Context, level: int = LEVEL) -> MCAPWriter:
+    """Begin an MCAP file for the channels of a context, compressed with a level of zstd."""
     return foxglove.open_mcap(
         sink,  # type: ignore[arg-type]
         context=context,
         writer_options=MCAPWriteOptions(
             compression=MCAPCompression.Zstd,
-            compression_level=LEVEL,
+            compression_level=level,
             compression_threads=0,
             chunk_size=CHUNK_BYTES,
         ),
@@ -270,11 +272,20 @@ SYNC_S = 0.25
 class RecordingSession:
     """One recording, from its first message to its last.
 
-    part  file until it is complete; None = `recording.mcap.part` beside `path`
+    part    file until it is complete; None = `recording.mcap.part` beside `path`
+    vision  pickled `VisionSetup`: a band is kept of frames; None = they are kept whole
     """
 
-    def __init__(self, path: Path, begun: Mapping[str, str], part: Path | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        begun: Mapping[str, str],
+        part: Path | None = None,
+        vision: bytes | None = None,
+    ) -> None:
         self.path = path
+        self._vision = vision
+        self._sightings: dict[float, Sighting] = {}
         self._lost = self._all_lost = self._lost_messages = 0
         self._cause = ""
         self._first_lost: int | None = None
@@ -304,7 +315,9 @@ class RecordingSession:
                 case "poses":
                     self._writer.poses(*rest)
                 case "seen":
-                    self._writer.add_detections(*rest)
+                    sightings, points_px = rest
+                    self._sightings |= {one.t_s: one for one in sightings}
+                    self._writer.add_detections([one.t_s for one in sightings], points_px)
                 case "log":
                     self._writer.log(*rest)
                 case "event":
@@ -331,8 +344,11 @@ class RecordingSession:
             self._synced_s = passed_s
             self._writer.sync()
 
-    def end(self, keep: bool, complete: bool) -> dict[str, Any]:
-        """Close the file, read it back and say what became of it."""
+    def end(self, keep: bool, complete: bool, whole: bool = False) -> dict[str, Any]:
+        """Close the file, read it back and say what became of it.
+
+        whole  whether its frames are kept whole too, in a file of their own
+        """
         report = {"path": str(self.path), "kept": keep, "complete": complete}
         report["lost_messages"] = self._lost_messages
         if self._writer is None:
@@ -349,8 +365,7 @@ class RecordingSession:
             with self._part.open("rb"):  # open until it has its name: nobody recovers it
                 self._writer.close(closed)
                 if keep:
-                    _verify_in_process(self._part, counts)
-                    self._part.rename(self.path)
+                    report["not_reduced"] = self._verify(counts, whole)
                 else:
                     self._part.unlink()
             if keep:
@@ -361,6 +376,33 @@ class RecordingSession:
             self._cause = self._cause or str(error)
             report["error"] = str(error)
         return report | {"lost_frames": self._all_lost, "cause": self._cause}
+
+    def _verify(self, counts: dict[str, int], whole: bool) -> str:
+        """Read the complete file back and give it its name, or that to a band of its frames.
+
+        returns  why there is no band though one was wanted, or ""
+        """
+        why = ""
+        if self._vision is not None and self._sightings:
+            band, frames = self.path.with_name(form.BAND), self.path.with_name(form.WHOLE)
+            asked = pickle.dumps((self._vision, self._sightings, counts))
+            try:
+                band.unlink(missing_ok=True)
+                _run("cell.records.recording.band", str(self._part), str(band), given=asked)
+            except (OSError, TornRecordingError) as error:
+                why = str(error)
+                with suppress(OSError):
+                    band.unlink(missing_ok=True)
+            else:
+                band.rename(self.path)
+                if whole:
+                    self._part.rename(frames)
+                else:
+                    self._part.unlink()
+                return ""
+        _run("cell.records.recording.reading", str(self._part), json.dumps(counts))
+        self._part.rename(self.path)
+        return why
 
     def _lose(self, header: tuple[Any, ...]) -> None:
         if header[0] == "frame":
@@ -386,24 +428,20 @@ class RecordingSession:
         self._writer = None
 
 
-def _verify_in_process(path: Path, counts: dict[str, int]) -> None:
-    """Verify in a process of its own: the next cycle is recorded meanwhile.
+def _run(module: str, *arguments: str, given: bytes = b"") -> None:
+    """Read a file back in a process of its own: the next cycle is recorded meanwhile.
 
+    given   on its standard input
     raises  TornRecordingError
     """
-    command = [
-        sys.executable,
-        "-m",
-        "cell.records.recording.reading",
-        str(path),
-        json.dumps(counts),
-    ]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", module, *arguments], input=given, stderr=subprocess.PIPE
+    )
+    if done.returncode < 0:  # as by a system without memory
+        name = signal.Signals(-done.returncode).name
+        raise TornRecordingError(f"{arguments[0]} is not verified: {name} has ended whoever did it")
     if done.returncode:
-        if done.returncode < 0:  # as by a system without memory
-            name = signal.Signals(-done.returncode).name
-            raise TornRecordingError(f"{path} is not verified: {name} has ended whoever did it")
-        raise TornRecordingError(done.stderr.strip().splitlines()[-1])
+        raise TornRecordingError(done.stderr.decode(errors="replace").strip().splitlines()[-1])
 
 
 def _sync_folder(folder: Path) -> None:

@@ -14,8 +14,10 @@ from cell.files.table import TableData
 from cell.plant.users import Role
 from cell.records.recording import form
 from cell.records.recording.film import is_protected, keep_recording
-from cell.records.recording.retention import remove_recording
+from cell.records.recording.retention import recording_room, remove_recording
 from cell.run.machine import CellState
+from cell.settings import load_settings
+from cell.settings.translate import picture_size
 from cell.web.cycle_view import CycleView, cycle_folder, cycle_view, tip_chart
 from cell.web.theme import BLUE, LOOKS, N_, RED, table
 from cell.web.views import STEPS
@@ -71,6 +73,7 @@ class _CyclePage:
 
     def __init__(self, visit: Visit, name: str) -> None:
         self._visit, self._t, self._name = visit, visit.t, name
+        self._hours: float | None = None
         self._place = ui.column().classes("w-full gap-4")
 
     async def fill(self) -> None:
@@ -87,7 +90,7 @@ class _CyclePage:
             return
         if found is None:
             return
-        view, times = found
+        view, times, self._hours = found
         self._place.clear()
         with self._place:
             self._heading(view)
@@ -147,6 +150,9 @@ class _CyclePage:
         with ui.row().classes("items-center"):
             words = t("The film is kept for good.") if kept else t("The film may be removed.")
             ui.label(words).props("data-test=kept")
+            if self._hours is not None:
+                fits = t("Room for films of so many hours of work:")
+                ui.label(f"{fits} {self._hours:.1f}").classes("quiet").props("data-test=room")
 
             async def keep() -> None:
                 what = "release recording" if kept else "keep recording"
@@ -244,8 +250,8 @@ def _word(t: Callable[[str], str], kind: str, name: str) -> str:
     return t(STEPS.get(name, name.replace("_", " ")))
 
 
-def _load_cycle(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...]]:
-    """The cycle, and the times of its frames.  Raises InputError."""
+def _load_cycle(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...], float | None]:
+    """The cycle, the times of its frames, and for how many hours films fit.  Raises InputError."""
     view = cycle_view(folder)
     times: tuple[float, ...] = ()
     if not view.no_film:
@@ -253,4 +259,16 @@ def _load_cycle(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...
             times = visit.room.films.film(folder).times_s
         except OSError:  # removed at this moment
             times = ()
-    return view, times
+    return view, times, _hours_of_films(visit)
+
+
+def _hours_of_films(visit: Visit) -> float | None:
+    """For so long there is room for films; None = the settings cannot be read, or record none."""
+    try:
+        settings = load_settings(visit.room.config)
+    except InputError:
+        return None
+    if settings.recording is None:
+        return None
+    width_px, height_px = picture_size(settings)
+    return recording_room(visit.room.runs, settings.recording, width_px * height_px).hours

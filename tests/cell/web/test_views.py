@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, time
 from pathlib import Path
 
 import pytest
 
 from cell.plant.messages import FaultNotice, MessageKind, Notice, Status
-from cell.records.ledger.effectiveness import Shift
+from cell.records.ledger.effectiveness import Shift, shift_start
 from cell.records.ledger.ledger import Ledger, ListedCycle
 from cell.records.result import Result
 from cell.run.machine import CellState, MachineEvent
@@ -27,7 +27,7 @@ from cell.web.views import (
     live_view,
     reasons_text,
 )
-from cell.web.watching import ShiftFigures, WatchedState, shift_start, state_after
+from cell.web.watching import ShiftFigures, WatchedState, state_after
 from cell.web.wording import translation
 from drivers.interfaces import ArmMode, too_late
 from tests.cell.records.ledger.conftest import ended
@@ -119,7 +119,7 @@ def test_figures_of_the_shift_come_from_the_ledger() -> None:
 
 
 def test_the_shift_under_way_may_have_begun_yesterday() -> None:
-    times = ("06:00", "14:00", "22:00")
+    times = [time(6), time(14), time(22)]
     night = datetime(2026, 11, 25, 3, 0).astimezone()
     assert shift_start(times, night) == datetime(2026, 11, 24, 22, 0).astimezone()
     assert shift_start(times, night.replace(hour=14)).hour == 14

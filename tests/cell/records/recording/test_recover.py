@@ -210,3 +210,17 @@ def test_what_is_in_memory_goes_to_the_recording_that_was_under_way(tmp_path):
     found = [recover_in_place(path) for path in torn_recordings(tmp_path)]
     assert [f.messages[form.IMAGE] for f in found] == [12, 15]
     assert found[1].source == later and not ring.exists()
+
+
+def test_a_recorder_killed_while_it_reduced_a_recording_costs_nothing(make_recording, tmp_path):
+    """Between the writing of a band and the removal of the whole frames, at any moment."""
+    begun, ended = tmp_path / "begun", tmp_path / "ended"
+    for folder in (begun, ended):
+        folder.mkdir()
+    make_recording().rename(begun / form.PART)
+    (begun / form.BAND).write_bytes(b"\x89MCAP0\r\n")
+    make_recording().rename(ended / form.PART)
+    make_recording().rename(ended / form.FILE)
+    assert torn_recordings(tmp_path) == [begun / form.PART]
+    assert {p.name for p in begun.iterdir()} == {form.PART}
+    assert {p.name for p in ended.iterdir()} == {form.FILE, form.WHOLE}

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
+from datetime import datetime, timedelta
+from datetime import time as time_of_day
 from pathlib import Path
 
 import pytest
 
 from cell.records.recording import form, retention
-from cell.records.recording.retention import KEPT, DiskRoom, Retention
+from cell.records.recording.retention import KEPT, DiskRoom, LastRemoved, Retention
 
 
 @pytest.fixture
@@ -109,3 +112,67 @@ def test_one_that_is_brought_to_a_store_meanwhile_is_left_out(runs, monkeypatch)
     monkeypatch.setattr(Path, "exists", lambda path: "cycle-9" in path.parts or look(path))
     assert kept.make_room() == ""
     assert days(runs) == [0, 1, 2, 3, 4]
+
+
+def cycles(runs: Path, outcomes: dict[int, str], first: datetime, whole=()) -> None:
+    """Recordings of 1000 bytes, an hour apart; those of `whole` with 5000 bytes of whole frames."""
+    for number, outcome in outcomes.items():
+        at = first + timedelta(hours=number)
+        file = runs / f"{at:%Y%m%dT%H%M%S}.000-{number}" / form.FILE
+        file.parent.mkdir(parents=True)
+        (file.parent / "result.json").write_text(json.dumps({"outcome": outcome}))
+        names = {form.FILE: 1000} | ({form.WHOLE: 5000} if number in whole else {})
+        for name, size in names.items():
+            file.with_name(name).write_bytes(bytes(size))
+            os.utime(file.with_name(name), (at.timestamp(), at.timestamp()))
+
+
+def numbers(runs: Path, name: str = form.FILE) -> list[int]:
+    return sorted(int(p.parent.name.rpartition("-")[2]) for p in runs.glob(f"*/{name}"))
+
+
+def test_what_somebody_will_ask_for_goes_last(tmp_path):
+    """The first of each shift, what was not inserted, and every third."""
+    outcomes = dict.fromkeys(range(1, 10), "inserted") | {2: "missed", 5: "failed"}
+    cycles(tmp_path, outcomes, datetime.now() - timedelta(hours=20))
+    last = LastRemoved(every=3)
+    Retention(tmp_path, DiskRoom(max_bytes=6000), last=last).make_room()
+    assert numbers(tmp_path) == [2, 3, 5, 6, 8, 9]
+    Retention(tmp_path, DiskRoom(max_bytes=3000), last=last).make_room()
+    assert numbers(tmp_path) == [5, 6, 9]
+
+
+def test_the_first_of_a_shift_goes_last(tmp_path):
+    day = (datetime.now() - timedelta(days=2)).replace(hour=0, minute=0, second=0, microsecond=0)
+    cycles(tmp_path, dict.fromkeys(range(1, 24), "inserted"), day)
+    begins = tuple(time_of_day(hour, 30) for hour in (5, 13, 21))
+    kept = Retention(tmp_path, DiskRoom(max_bytes=5000), last=LastRemoved(shifts=begins))
+    kept.make_room()
+    assert numbers(tmp_path) == [1, 6, 14, 22, 23]
+
+
+def test_whole_frames_go_before_any_recording(tmp_path):
+    outcomes = dict.fromkeys(range(1, 6), "inserted") | {1: "missed", 2: "missed", 3: "failed"}
+    cycles(tmp_path, outcomes, datetime.now() - timedelta(hours=20), whole=(1, 2, 3))
+    kept = Retention(tmp_path, DiskRoom(max_bytes=11_000))
+    kept.make_room()
+    assert (numbers(tmp_path), numbers(tmp_path, form.WHOLE)) == ([1, 2, 3, 4, 5], [3])
+    removed = list(tmp_path.glob(f"*/{form.REMOVED}"))
+    assert removed == []  # the recordings are there still
+    Retention(tmp_path, DiskRoom(max_bytes=5000)).make_room()
+    assert (numbers(tmp_path), numbers(tmp_path, form.WHOLE)) == ([1, 2, 3, 4, 5], [])
+
+
+def test_whole_frames_that_are_marked_stay(tmp_path):
+    cycles(tmp_path, {1: "missed"}, datetime.now() - timedelta(hours=20), whole=(1,))
+    for folder in tmp_path.iterdir():
+        (folder / KEPT).touch()
+    Retention(tmp_path, DiskRoom(max_bytes=1000)).make_room()
+    assert numbers(tmp_path, form.WHOLE) == [1]
+
+
+def test_whole_frames_are_removed_with_their_recording(tmp_path):
+    cycles(tmp_path, {1: "missed"}, datetime.now() - timedelta(hours=20), whole=(1,))
+    (folder,) = tmp_path.iterdir()
+    retention.remove_recording(folder / form.FILE, "by Ada")
+    assert {p.name for p in folder.iterdir()} == {"result.json", form.REMOVED}
