@@ -69,7 +69,7 @@ def show(
     from rich.console import Console
 
     from cell.files.input_error import InputError
-    from cell.records.folder import read_record
+    from cell.records.folder import pictures_in, read_record
     from cell.records.past_cycles import newest
     from cell.terminal.fitting import show as print_parts
     from cell.terminal.past import record_parts
@@ -78,7 +78,7 @@ def show(
         record = read_record(newest(runs) if folder is None else folder)
     except InputError as error:
         refuse(error)
-    images = sorted(record.folder.glob("*.png"))
+    images = pictures_in(record.folder)
     if as_json:
         result = None if record.result is None else record.result.to_json()
         state = dict(record.state)

@@ -26,7 +26,7 @@ _SAID = re.compile(
 #: Text is cleaned of secrets; other files are taken as they are.
 _TEXT = frozenset({".csv", ".json", ".log", ".md", ".py", ".txt", ".yaml", ".yml", ""})
 #: These are small already.
-_PACKED = frozenset({".mcap", ".png", ".gz", ".zip"})
+_PACKED = frozenset({".mcap", ".jpg", ".png", ".gz", ".zip"})
 _BLOCK_BYTES = 2**20
 
 

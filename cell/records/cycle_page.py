@@ -15,7 +15,7 @@ from cell.files.figure_style import ADDED, MODEL, QUIET, SEEN, laid_out
 from cell.files.page import PagePicture, Plot, page
 from cell.files.table import TableData
 from cell.files.words import counted
-from cell.records.folder import Recorded
+from cell.records.folder import Recorded, pictures_in
 from cell.records.recording import form
 from cell.records.recording.film import drawn
 from cell.records.recording.reading import Recording
@@ -158,7 +158,7 @@ def _missing(recording: Recording) -> str:
 
 def _seen(record: Recorded) -> list[PagePicture]:
     """The pictures of the folder that can be read."""
-    read = [(path.stem, cv2.imread(str(path))) for path in sorted(record.folder.glob("*.png"))]
+    read = [(path.stem, cv2.imread(str(path))) for path in pictures_in(record.folder)]
     return [PagePicture.of(image, PICTURE_PX, name) for name, image in read if image is not None]
 
 

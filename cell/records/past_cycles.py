@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.files.input_error import InputError, Problem
-from cell.records.folder import FORMAT, cycle_of, started_of
+from cell.records.folder import FORMAT, cycle_of, pictures_in, started_of
 
 #: Said of a cycle that has no outcome.
 UNFINISHED = "running or killed"
@@ -82,7 +82,7 @@ def _past(folder: Path, cycle: int) -> PastCycle:
         str((state or {}).get("step", "")),
         known.get("offset_m"),
         known.get("prediction_error_m"),
-        tuple(sorted(picture.name for picture in folder.glob("*.png"))),
+        tuple(picture.name for picture in pictures_in(folder)),
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cell.records.recording import form
-from cell.records.recording.film import RecordedFilm, frame_jpeg, read_film
+from cell.records.recording.film import FilmFrame, RecordedFilm, read_film, read_frame
 from cell.records.recording.reading import (
     GrowingRecording,
     is_unrecorded,
@@ -123,6 +123,7 @@ class Films:
         self._lock = threading.Lock()
         self._busy = threading.BoundedSemaphore(_AT_ONCE)
         self._films: OrderedDict[_FrameKey, RecordedFilm] = OrderedDict()
+        self._newest: dict[_FrameKey, FilmFrame] = {}  # of a film: the next one is near
         self._frames: OrderedDict[tuple[_FrameKey, int], bytes] = OrderedDict()
         self.bytes = 0
 
@@ -143,8 +144,12 @@ class Films:
                 self._frames.move_to_end((known, number))
                 return found
         with self._busy:
-            made = frame_jpeg(film, number, WIDTH_PX)
+            frame = read_frame(film, number, self._newest.get(known))
+            made = frame.jpeg(WIDTH_PX)
         with self._lock:
+            self._newest[known] = frame
+            while len(self._newest) > _AT_ONCE:
+                self._newest.pop(next(iter(self._newest)))
             if (known, number) not in self._frames:
                 self._frames[known, number] = made
                 self.bytes += len(made)

@@ -13,7 +13,7 @@ import numpy as np
 from cell.files.input_error import InputError
 from cell.files.table import TableData
 from cell.records.cycle_page import how_it_ended, numbers_table, parameters_table
-from cell.records.folder import Recorded, cycle_of, read_record, started_of
+from cell.records.folder import Recorded, cycle_of, pictures_in, read_record, started_of
 from cell.records.recording import form
 from cell.records.recording.film import why_no_film
 from cell.records.recording.reading import read_recording
@@ -77,7 +77,7 @@ def cycle_view(folder: Path) -> CycleView:
         tip=_tip(record, decision, destination),
         no_film=no_film,
         gaps=gaps,
-        pictures=tuple(sorted(p.name for p in folder.glob("*.png") if p.is_file())),
+        pictures=tuple(p.name for p in pictures_in(folder)),
     )
 
 
@@ -153,13 +153,12 @@ def cycle_folder(runs: Path, name: str) -> Path | None:
 
 def newest_picture(folder: Path) -> Path | None:
     """The picture that was written last; None = there is none."""
-    found = [p for p in folder.glob("*.png") if p.is_file() and not p.is_symlink()]
-    return max(found, key=lambda p: p.stat().st_mtime_ns, default=None)
+    return max(pictures_in(folder), key=lambda p: p.stat().st_mtime_ns, default=None)
 
 
 def picture(folder: Path, name: str) -> Path | None:
     """A picture of a cycle by its file's name; None = there is none of this name."""
-    return next((p for p in folder.glob("*.png") if p.name == name and not p.is_symlink()), None)
+    return next((p for p in pictures_in(folder) if p.name == name), None)
 
 
 def report(folder: Path) -> str:

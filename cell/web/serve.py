@@ -231,7 +231,7 @@ def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) 
 
 
 def _cycle_routes(app: FastAPI, room: PagesContext) -> None:
-    @app.get("/cycles/{name}/newest.png")
+    @app.get("/cycles/{name}/newest")
     def picture(name: str) -> Response:
         folder = cycle_view.cycle_folder(room.runs, name)
         path = None if folder is None else cycle_view.newest_picture(folder)

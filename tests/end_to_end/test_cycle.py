@@ -47,7 +47,7 @@ def test_three_cables_are_inserted_and_leave_complete_records(live: Live, quick:
         assert read.result == r
         assert read.study is not None and read.model is not None
         assert [t.name for t in read.study.trials] == ["identify", "execute"]
-        assert {f.stem for f in Path(r.folder).glob("*.png")} == {
+        assert {f.stem for f in Path(r.folder).glob("*.jpg")} == {
             "identify_still",
             "identify_swing",
             "identify_held",

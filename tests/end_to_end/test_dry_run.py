@@ -66,7 +66,7 @@ def test_a_cell_in_order_is_rehearsed_and_everything_is_recorded(
     assert check(result, "hand: least y") == pytest.approx(-deepest_m, abs=1e-4)
     read = read_record(Path(result.folder))
     assert read.closed and read.result == result and read.study is None
-    pictures = sorted(Path(result.folder).glob("*.png"))
+    pictures = sorted(Path(result.folder).glob("*.jpg"))
     assert [p.stem.split("_", 1)[1] for p in pictures[:4]] == [
         "go_down_begin",
         "go_down_end",
@@ -89,7 +89,7 @@ def test_a_slow_dry_run_is_slower_by_as_much(
 
 
 def test_pictures_show_where_arm_and_camera_see_the_hand(dry_runs: dict[float, Result]) -> None:
-    picture = cv2.imread(str(Path(dry_runs[1.0].folder) / "2_go_in_end.png"))
+    picture = cv2.imread(str(Path(dry_runs[1.0].folder) / "2_go_in_end.jpg"))
     assert picture is not None
     picture = picture[:466]  # the legend below it has the same colours
     blue, green, red = (picture[:, :, i].astype(int) for i in range(3))

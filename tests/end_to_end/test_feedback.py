@@ -232,7 +232,7 @@ def test_a_stopped_cable_is_brought_back_measured_and_inserted(
     still = first.t_s < quick.motion.still_s  # the second film begins at rest as the first one did
     scatter = [np.nanstd(m.xy_m[still, 0, 1]) for m in (first, second)]
     assert scatter[1] < 2.0 * scatter[0] + 1e-5
-    pictures = {p.name for p in Path(result.folder).glob("*.png")}
+    pictures = {p.name for p in Path(result.folder).glob("*.jpg")}
     assert {n for n in pictures if n.startswith("try_1_")}
     assert {n.removeprefix("try_1_") for n in pictures if n.startswith("try_1_")} <= pictures
 

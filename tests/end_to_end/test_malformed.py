@@ -193,7 +193,7 @@ def good(tmp_path_factory: pytest.TempPathFactory, quick_config: Path) -> Path:
     ran = CliRunner().invoke(app, ["run", "-c", str(quick_config), "--out", str(runs)])
     assert ran.exit_code == 0, ran.output
     (cycle,) = runs.iterdir()
-    shutil.copytree(cycle, folder / "cycle", ignore=shutil.ignore_patterns("*.png"))
+    shutil.copytree(cycle, folder / "cycle", ignore=shutil.ignore_patterns("*.jpg"))
     shutil.rmtree(runs)
     return folder
 

@@ -83,7 +83,7 @@ def test_the_motion_is_filmed_and_the_cable_is_let_go_at_home(
     assert read.closed and read.result == result and read.study is not None
     (trial,) = read.study.trials
     assert (trial.name, trial.role, trial.start) == ("tilted", "fit", "equilibrium")
-    assert {f.stem for f in Path(result.folder).glob("*.png")} == {
+    assert {f.stem for f in Path(result.folder).glob("*.jpg")} == {
         "measure_still",
         "measure_swing",
         "measure_held",

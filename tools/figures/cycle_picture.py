@@ -25,7 +25,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         words = ["run", "--config", CONFIG, "--seed", options.seed, "--out", folder]
         subprocess.run([sys.executable, "-m", "cell", *map(str, words)], check=True)
-        (path,) = Path(folder).glob("*/execute_passage.png")
+        (path,) = Path(folder).glob("*/execute_passage.jpg")
         picture = cv2.imread(str(path))
     assert picture is not None
     height_px = round(picture.shape[0] * WIDTH_PX / picture.shape[1])

@@ -45,6 +45,7 @@ _CABLE_PX = 9.0
 _CABLE_WIDTHS, _TIP_PX = 6.0, 18.0
 #: Half of the squares about the jaw's marks, in their radii.
 _MARK_RADII = 1.7
+_WITH_NEIGHBOURS = np.ones((3, 3), np.uint8)
 #: Level of zstd: pictures that are blank but for a band compress in no time.
 _LEVEL = 3
 
@@ -96,7 +97,8 @@ class FilmBand:
     ) -> tuple[Image, int] | None:
         """The same for one that need not be whole; None = it must."""
         assert self._shown is not None and self._means is not None
-        tiles = np.abs(means - self._means) > self._least_change
+        changed = (np.abs(means - self._means) > self._least_change).astype(np.uint8)
+        tiles = cv2.dilate(changed, _WITH_NEIGHBOURS).astype(bool)  # an edge may touch the next one
         tiles |= read_tiles(sighting, self._setup, image.shape)
         within, mask = _pixels(tiles, image.shape)
         levels = np.bincount(image[within][mask], minlength=256)

@@ -77,34 +77,55 @@ def read_film(path: Path) -> RecordedFilm:
     return RecordedFilm(path, tuple(sorted(stamps)), places, channels)
 
 
-def frame_jpeg(film: RecordedFilm, number: int, width_px: int) -> bytes:
-    """A frame with the cable as it was seen, as JPEG of at most this width.
+@dataclass(frozen=True, eq=False)
+class FilmFrame:
+    """A frame as it is shown.
 
+    image      (H, W) grey levels
+    points_px  (n, 2) column and row of the cable as it was seen; none if it was not
+    """
+
+    number: int
+    image: NDArray[np.uint8] = field(repr=False)
+    points_px: NDArray[np.float64] = field(repr=False)
+
+    def jpeg(self, width_px: int) -> bytes:
+        """The frame with the cable as it was seen, as JPEG of at most this width."""
+        picture = drawn(self.image, self.points_px)
+        scale = min(1.0, width_px / picture.shape[1])
+        if scale < 1.0:
+            size = (round(scale * picture.shape[1]), round(scale * picture.shape[0]))
+            picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])[1])
+
+
+def read_frame(film: RecordedFilm, number: int, near: FilmFrame | None = None) -> FilmFrame:
+    """A frame of a recording.
+
+    near    another frame of it, from which this one is found sooner if it is a little later
     raises  IndexError: there is no such frame; InputError: the recording cannot be read
     """
     if not 0 <= number < len(film.stamps_ns):
         raise IndexError(number)
     with _told(film.path), film.path.open("rb") as file:
-        kept, blank, seen = _kept(film, file, number)
-        later = [(kept, blank)]
-        while blank is not None and number > 0:  # elsewhere it shows what was shown before
-            number -= 1
-            kept, blank, _ = _kept(film, file, number)
+        kept, blank, seen = _kept(film, file, number, with_seen=True)
+        later, at = [(kept, blank)], number
+        while blank is not None and at > 0:  # elsewhere it shows what was shown before
+            at -= 1
+            if near is not None and near.number == at:
+                later.append((near.image, None))
+                break
+            kept, blank, _ = _kept(film, file, at)
             later.append((kept, blank))
         image: NDArray[np.uint8] | None = None
         for kept, blank in reversed(later):
             image = shown_image(image, kept, blank)
     assert image is not None
-    picture = drawn(image, np.array(seen).reshape(-1, 2))
-    scale = min(1.0, width_px / picture.shape[1])
-    if scale < 1.0:
-        size = (round(scale * picture.shape[1]), round(scale * picture.shape[0]))
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])[1])
+    return FilmFrame(number, image, np.array(seen).reshape(-1, 2))
 
 
 def _kept(
-    film: RecordedFilm, file: BinaryIO, number: int
+    film: RecordedFilm, file: BinaryIO, number: int, *, with_seen: bool = False
 ) -> tuple[NDArray[np.uint8], int | None, list[tuple[float, float]]]:
     """A frame as it was kept, its blank grey level, and the cable as it was seen.
 
@@ -125,6 +146,8 @@ def _kept(
                 seen = [(p.x, p.y) for line in lines for p in line.points]
             elif message.channel_id == film.channels[2]:
                 blank = json.loads(message.data).get("blank")
+        if image is not None and not with_seen:
+            break
     if image is None:
         raise ValueError(f"it has no frame {number}")
     return image, blank, seen

@@ -239,9 +239,9 @@ class _CyclePage:
             with ui.element("figure").classes("w-full max-w-4xl"):
                 image = ui.element("img").classes("w-full")
                 image.props(f'src="/cycles/{self._name}/pictures/{picture}" loading=lazy')
-                image.props(f'alt="{picture.removesuffix(".png")}"')
+                image.props(f'alt="{Path(picture).stem}"')
                 with ui.element("figcaption"):
-                    ui.label(picture.removesuffix(".png")).classes("text-sm")
+                    ui.label(Path(picture).stem).classes("text-sm")
 
 
 def _word(t: Callable[[str], str], kind: str, name: str) -> str:

@@ -291,7 +291,7 @@ class _Live:
                 folder = cycle_folder(self._visit.room.runs, view.folder)
                 there = folder is not None and newest_picture(folder) is not None
                 picture.set_visibility(there)
-                picture.set_source(f"/cycles/{view.folder}/newest.png" if there else "")
+                picture.set_source(f"/cycles/{view.folder}/newest" if there else "")
                 link.props(f'href="/cycle/{view.folder}"')
             card.set_visibility(bool(view.folder))
 

@@ -79,7 +79,7 @@ def test_pictures_and_settings_are_written_whole(tmp_path: Path) -> None:
     record.pictures({"overlay": np.zeros((4, 5, 3), np.uint8)})
     record.settings({"gripper": {"force_n": 20.0}})
     names = {f.name for f in record.folder.iterdir()}
-    assert names == {"overlay.png", "settings.yaml", "reserve"}, "no half-written file may stay"
+    assert names == {"overlay.jpg", "settings.yaml", "reserve"}, "no half-written file may stay"
 
 
 def test_a_record_never_writes_into_another_one(tmp_path: Path) -> None:

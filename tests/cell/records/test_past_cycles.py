@@ -33,7 +33,7 @@ def test_cycles_are_listed_by_time_with_outcome_and_pictures(tmp_path: Path) -> 
     assert [p.outcome for p in past] == ["running or killed", "unreadable", "inserted"]
     assert [p.cycle for p in past] == [12, 2, 1]
     assert past[0].step == "execute"
-    assert past[2].pictures == ("a.png", "b.png")
+    assert past[2].pictures == ("a.jpg", "b.jpg")
     assert (past[2].offset_m, past[2].prediction_error_m) == (0.024, 1e-4)
     assert past[2].started == datetime(2026, 11, 22, 1, 2, 30).astimezone()
     assert past[2].to_json()["started"] == past[2].started.isoformat()

@@ -22,7 +22,7 @@ from cell.records.recording.band import (
     read_tiles,
     tile_means,
 )
-from cell.records.recording.film import frame_jpeg, read_film
+from cell.records.recording.film import read_film, read_frame
 from cell.records.recording.reading import TornRecordingError, read_recording, shown_image
 from cell.records.recording.writer import RecordingSession, RecordingWriter
 from cell.vision.detect import VisionOptions, detect
@@ -219,7 +219,7 @@ def test_all_but_the_frames_is_as_it_was(tmp_path, images, setup) -> None:
         found = detect(frame.image, frame.t_s, VIEW, setup.options)
         assert values(found) == values(detect(image, frame.t_s, VIEW, setup.options))
     films, numbers = (read_film(source), read_film(target)), (0, 2, COUNT - 2)
-    of_both = [[frame_jpeg(one, n, 640) for n in numbers] for one in films]
+    of_both = [[read_frame(one, n).jpeg(640) for n in numbers] for one in films]
     assert of_both[0][0] == of_both[1][0]
     sizes = np.array([[len(jpeg) for jpeg in one] for one in of_both])
     assert np.all(np.abs(np.diff(sizes, axis=0)) < 0.05 * sizes[0])  # noise alone differs

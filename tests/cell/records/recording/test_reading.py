@@ -14,10 +14,10 @@ from zstandard import ZstdDecompressor
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.film import (
-    frame_jpeg,
     is_protected,
     keep_recording,
     read_film,
+    read_frame,
     why_no_film,
 )
 from cell.records.recording.reading import (
@@ -189,14 +189,14 @@ def test_a_frame_is_found_by_its_number(make_recording):
     film = read_film(make_recording())
     assert film.times_s == pytest.approx(T_S - T_S[0], abs=1e-6)
     for number in (0, 7, 11):
-        shown = cv2.imdecode(np.frombuffer(frame_jpeg(film, number, 640), np.uint8), 0)
+        shown = cv2.imdecode(np.frombuffer(read_frame(film, number).jpeg(640), np.uint8), 0)
         wanted = picture(number)
         off = [np.mean(np.abs(shown.astype(int) - picture(k))) for k in range(12)]
         assert shown.shape == wanted.shape and int(np.argmin(off)) == number
-    small = cv2.imdecode(np.frombuffer(frame_jpeg(film, 0, 32), np.uint8), 0)
+    small = cv2.imdecode(np.frombuffer(read_frame(film, 0).jpeg(32), np.uint8), 0)
     assert small.shape == (24, 32)
     with pytest.raises(IndexError):
-        frame_jpeg(film, 12, 640)
+        read_frame(film, 12).jpeg(640)
 
 
 def test_the_cable_is_drawn_where_it_was_seen(tmp_path):
@@ -207,7 +207,7 @@ def test_the_cable_is_drawn_where_it_was_seen(tmp_path):
     writer.close({})
     film = read_film(tmp_path / form.FILE)
     before, after = (
-        cv2.imdecode(np.frombuffer(frame_jpeg(film, k, 640), np.uint8), 1).max(axis=2) > 60
+        cv2.imdecode(np.frombuffer(read_frame(film, k).jpeg(640), np.uint8), 1).max(axis=2) > 60
         for k in (0, 1)
     )
     assert not before.any()
