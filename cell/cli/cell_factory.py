@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,11 +42,6 @@ class Products:
         """Which ids their parts have; None = any."""
         return {name: product.part_ids for name, product in self.default.products.items()}
 
-    def with_whole_frames(self, config: Path) -> Products:
-        """The same, recorded with whole frames.  Raises InputError: nothing is recorded."""
-        settings = {name: _whole_frames(of, config) for name, of in self.settings.items()}
-        return replace(self, default=_whole_frames(self.default, config), settings=settings)
-
     def chosen(self, asked: str | None, part: str | None) -> str | None:
         """What is made of a part, as `product_for` says; None without products."""
         from cell.settings.product import product_for
@@ -54,7 +49,7 @@ class Products:
         return product_for(self.patterns, asked, part, self.usual)
 
 
-def _whole_frames(settings: Settings, config: Path) -> Settings:
+def _with_whole_frames(settings: Settings, config: Path) -> Settings:
     if settings.recording is None:
         message = "says `recording: null`: nothing is recorded; leave out --whole-frames"
         raise InputError.at(config, message)
@@ -62,17 +57,21 @@ def _whole_frames(settings: Settings, config: Path) -> Settings:
     return settings.model_copy(update={"recording": recording})
 
 
-def products_in(config: Path, asked: str | None) -> Products:
+def products_in(config: Path, asked: str | None, whole_frames: bool = False) -> Products:
     """The products of a settings file, with their calibrations.
 
-    asked   the usual one, in place of the file's
-    raises  InputError: settings or calibrations are wrong; there is no such product
+    asked         the usual one, in place of the file's
+    whole_frames  record frames whole
+    raises        InputError: settings or calibrations are wrong, or there is no such product;
+                  whole frames are wanted where nothing is recorded
     """
     from cell.settings import load_settings
     from cell.settings.calibrated import calibrated
     from cell.settings.loading import load_product, products_of
 
     whole = load_settings(config)
+    if whole_frames:
+        whole = _with_whole_frames(whole, config)
     if asked is not None:
         load_product(config, asked)
     settings = products_of(whole)

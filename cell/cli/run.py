@@ -172,9 +172,7 @@ def run(options: RunOptions) -> None:
     _refuse_contradictions(options)
     results: list[Result] = []
     with _refusing_first(results):
-        products = products_in(options.config, options.product)
-        if options.whole_frames:
-            products = products.with_whole_frames(options.config)
+        products = products_in(options.config, options.product, options.whole_frames)
         first = _first(products, options)
         settings = products.default if first is None else products.settings[first]
         known = products.calibrations[first] if first else calibrated(settings, options.config)

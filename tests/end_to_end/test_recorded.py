@@ -23,7 +23,7 @@ from cell.wiring.build import build_cell
 from cell.wiring.replay import replay
 from tools.faults.kill_study import kill_once
 
-from .conftest import changed, run
+from .conftest import changed, run, unrecorded
 
 
 def recorded_cycles(settings: Settings, runs: Path, count: int = 1, **changes):
@@ -83,6 +83,43 @@ def test_everything_is_in_it(recorded):
     seconds = recording.last(form.FILMING)["end_s"] - recording.last(form.FILMING)["begin_s"]
     assert recording.count(form.MEASURED) > 500 * seconds
     assert any("step lower took" in text for text in log_of(recording))
+
+
+def test_of_an_inserted_cable_a_band_is_kept_unless_whole_frames_are_asked_for(
+    recorded, quick_config, tmp_path
+):
+    """By `cell run --whole-frames`; both are replayed to the same end."""
+    assert {p.name for p in recorded.glob("recording*")} == {form.FILE}
+    said = list(read_recording(recorded).json(form.FRAME))
+    assert sum("blank" not in frame for frame in said) <= 0.1 * len(said)
+    text = "\n".join(
+        line for line in quick_config.read_text("utf-8").splitlines() if line != "recording: null"
+    )
+    (tmp_path / "cell.yaml").write_text(text, "utf-8")
+    command = "run", "--config", tmp_path / "cell.yaml", "--whole-frames", "--out"
+    done = run(*command, tmp_path / "runs")
+    assert done.returncode == 0, done.stderr
+    (whole,) = (tmp_path / "runs").glob(f"*/{form.FILE}")
+    assert not any("blank" in frame for frame in read_recording(whole).json(form.FRAME))
+    assert whole.stat().st_size > 5 * (recorded / form.FILE).stat().st_size
+    unrecorded(tmp_path / "cell.yaml")
+    done = run(*command, tmp_path / "none")
+    assert done.returncode == 2
+    assert "leave out --whole-frames" in done.stderr
+    assert not (tmp_path / "none").exists()
+
+
+def test_frames_of_a_cable_that_is_not_inserted_stay_whole_too(quick, tmp_path):
+    out_of_reach = quick.destination.model_copy(update={"y_m": (0.5, 0.51)})
+    settings = quick.model_copy(update={"destination": out_of_reach})
+    (result,) = recorded_cycles(settings, tmp_path / "runs")
+    assert result.outcome is Outcome.REJECTED
+    folder = Path(result.folder)
+    assert {p.name for p in folder.glob("recording*")} == {form.FILE, form.WHOLE}
+    frames = read_recording(folder / form.WHOLE).json(form.FRAME)
+    assert not any("blank" in frame for frame in frames)
+    again = replay(read_recording(folder), None, tmp_path / "again")
+    assert again.decided and again.differences == ()
 
 
 def log_of(recording):

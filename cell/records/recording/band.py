@@ -2,7 +2,7 @@
 
 The band of a frame is the jaw's marks, the cable, and what has changed since it was shown last.
 Outside it a frame is blank, and a reader shows there what was shown before.  Whole are the first
-and the last frame of a film, every hundredth, and each in which vision would find anything else
+and the last frame of a film, every 150th, and each in which vision would find anything else
 than it found while the cable was held: a replay stays the same to the last bit.
 
     python -m cell.records.recording.band SOURCE TARGET
@@ -34,7 +34,7 @@ from cell.vision.sighting import Sighting
 #: A band is made of squares so wide.
 TILE_PX = 4
 #: One frame of a film in so many is whole.
-WHOLE_EVERY = 100
+WHOLE_EVERY = 150
 #: A square has changed if its mean did by so many grey levels …
 CHANGED_LEVELS = 4.0
 #: … and by so many standard deviations of the camera's noise.
