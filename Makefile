@@ -12,6 +12,7 @@ help:            ## list the targets
 
 run: $(VENV)/.user   ## three simulated cables through the whole cycle
 	$(BIN)/cell run --config config/fake.yaml --cycles $(CYCLES) $(ARGS)
+	@echo "next: . $(BIN)/activate makes \`cell\` known to this shell; \`cell\` says what to do first"
 
 serve: $(VENV)/.web   ## the pages of a simulated cell at http://127.0.0.1:8080, until Ctrl-C
 	@folder=$$(mktemp -d) && sed 's/^world:.*/&\n  real_time_factor: 1.0/' config/fake.yaml > $$folder/cell.yaml \

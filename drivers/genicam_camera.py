@@ -1,4 +1,4 @@
-"""Industrial cameras (GigE Vision, USB3 Vision) through GenICam: `pip install cable-cell[genicam]`.
+"""Industrial cameras (GigE Vision, USB3 Vision) through GenICam: the extra `genicam`.
 
 The camera's maker gives a GenTL producer, a file `*.cti`; harvesters loads it.  The camera's own
 count of pictures (block or frame id) finds gaps, its own clock stamps them where it has one.
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from drivers.capture import StreamingCamera
+from drivers.installing import install_extra
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
 from drivers.recording import CaptureOptions, Shot, check_settings
 
@@ -112,7 +113,7 @@ class _GenicamSource:
             raise ConnectError(
                 self._device,
                 f"GenICam is not installed ({error})",
-                "pip install 'cable-cell[genicam]'",
+                install_extra("genicam"),
             ) from error
         harvester = Harvester()
         self._closers.append(harvester.reset)

@@ -40,6 +40,7 @@ from cell.lab.strength.compare import Comparison, comparisons_json
 from cell.lab.strength.kept_model import identified
 from cell.lab.verdict.doubts import interrupted_doubt
 from cell.study.wrench import COLUMNS
+from drivers.installing import install_extra
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +70,7 @@ class Shown:
             import pandas as pd
         except ImportError as error:
             raise ImportError(
-                "data frames need pandas; install it with: pip install 'cable-cell[notebook]'"
+                f"data frames need pandas; install it with: {install_extra('notebook')}"
             ) from error
         return pd.DataFrame.from_records(self.rows())
 

@@ -26,6 +26,7 @@ from cell.cli import (
     export,
     fit,
     handshake,
+    help,
     identify,
     imports,
     lab,
@@ -56,11 +57,50 @@ WATCHED = (
 )
 
 
+#: Commands by what one wants to do; help and completion list them in this order.
+PANELS = {
+    "Set up": ("init", "check", "doctor", "calibrate", "emulate", "schema"),
+    "Run": ("run", "status", "send"),
+    "Past cycles": (
+        *("list", "show", "report", "identify", "replay", "recover", "upload", "fetch"),
+    ),
+    "Model lab": (
+        *("import", "look", "study", "fit", "compare", "diagnose", "discover", "effects"),
+        *("suggest", "power", "export"),
+    ),
+    "Line": ("learn", "promote", "history", "acknowledge"),
+    "Plant": ("serve", "service", "mqtt", "opcua", "handshake"),
+    "Administration": ("help", "user", "actions", "bundle"),
+}
+#: What `cell` alone says.
+_FIRST = """\
+Three things to do first:
+
+  cell init --yes && cell run --config cell.yaml     insert a cable in a simulated cell
+  cell serve --config cell.yaml                      watch the cell in a browser
+  cell import swing.csv -o study                     find the physics of a swing of your own:
+    && cell diagnose study                             `cell help studies`
+
+`cell --help` lists all commands, `cell help` the topics of the documentation."""
+
+
 class _Commands(typer.core.TyperGroup):
     """All commands; Ctrl-C in one that has no answer to it is told, and ends it with 130.
 
     So is Ctrl-D in place of an answer, which ends it with 2.
     """
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names, in the order of `PANELS`."""
+        return [name for names in PANELS.values() for name in names]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """A command, which knows its panel."""
+        command = super().get_command(ctx, cmd_name)
+        if command is not None:
+            of = (panel for panel, names in PANELS.items() if cmd_name in names)
+            command.rich_help_panel = next(of)  # type: ignore[attr-defined]
+        return command
 
     def make_context(self, *given: Any, **named: Any) -> Any:
         with _reporting_interruption():
@@ -91,12 +131,12 @@ app = typer.Typer(
     name="cell",
     cls=_Commands,
     help="Grips bendable cables, identifies each from pictures of its swing, and inserts it.",
-    no_args_is_help=True,
+    invoke_without_command=True,
     pretty_exceptions_enable=False,
 )
 for group in (
     *(run, emulate, plant, settings, records, identify, ledger, acknowledge, actions, bundle),
-    *(recordings, store, fit, lab, power, studies, imports, export, line, mqtt, handshake),
+    *(recordings, store, fit, lab, power, studies, imports, export, line, mqtt, handshake, help),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
@@ -113,6 +153,8 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def options(
+    ctx: typer.Context,
+    *,
     version: Annotated[
         bool,
         typer.Option(
@@ -133,6 +175,9 @@ def options(
     to_terminal(verbose=verbose)
     if log is not None:
         to_file(log)
+    if ctx.invoked_subcommand is None:
+        print(_FIRST)
+        return
     logging.getLogger(__name__).info("cell %s", shlex.join(sys.argv[1:]))
 
 

@@ -14,6 +14,7 @@ import typer
 from cell.cli.arguments import records_folder
 from cell.cli.shared import MaybeConfig, group, refuse, refusing
 from cell.cli.streams import emit
+from drivers.installing import install_extra
 
 if TYPE_CHECKING:
     from cell.plant.mqtt.adapter import MqttAdapter
@@ -88,7 +89,7 @@ def _settings(config: Path | None) -> tuple[Settings, Mqtt]:
     try:
         import aiomqtt  # noqa: F401
     except ImportError as error:
-        raise ValueError("MQTT needs aiomqtt: pip install 'cable-cell[mqtt]'") from error
+        raise ValueError(f"MQTT needs aiomqtt: {install_extra('mqtt')}") from error
     return settings, settings.plant.mqtt
 
 

@@ -11,6 +11,7 @@ import typer
 from cell.cli.arguments import records_folder
 from cell.cli.shared import BAD_INPUT, Config, MaybeConfig, group, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
+from drivers.installing import install_extra
 
 if TYPE_CHECKING:
     from cell.settings import Settings
@@ -95,4 +96,4 @@ def _folder(config: Path) -> Path:
 def _without_extra(error: ImportError) -> None:
     if (error.name or "").partition(".")[0] not in ("asyncua", "argon2", "cryptography"):
         raise error
-    refuse(ValueError(f"OPC UA needs {error.name}: pip install 'cable-cell[opcua]'"))
+    refuse(ValueError(f"OPC UA needs {error.name}: {install_extra('opcua')}"))

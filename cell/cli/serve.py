@@ -12,6 +12,7 @@ import typer
 from cell.cli.arguments import records_folder
 from cell.cli.shared import BAD_INPUT, MaybeConfig, group, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
+from drivers.installing import install_extra
 
 if TYPE_CHECKING:
     from cell.web.visit import PagesContext
@@ -140,4 +141,4 @@ def _without_extra(error: ImportError) -> None:
     needed = (error.name or "").partition(".")[0]
     if needed not in ("nicegui", "argon2", "fastapi", "starlette", "uvicorn"):
         raise error
-    refuse(ValueError(f"the pages need {error.name}: pip install 'cable-cell[web]'"))
+    refuse(ValueError(f"the pages need {error.name}: {install_extra('web')}"))

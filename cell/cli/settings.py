@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.cli.records import Runs
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse, tell_notes
 
 if TYPE_CHECKING:
     from cell.settings.starting import CellKind, Question
 
 app = group()
+
+Runs = Annotated[
+    Path, typer.Option("--runs", help="Folder of the cycles, whose recordings need room.")
+]
 
 
 @app.command()

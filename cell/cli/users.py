@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from cell.cli.shared import MaybeConfig, group, refuse
+from drivers.installing import install_extra
 
 
 def typed_password() -> str:
@@ -69,7 +70,7 @@ def add_user(file: Path, name: str, role: str, folder: Path | None) -> None:
     except ImportError as error:
         if (error.name or "").partition(".")[0] != "argon2":
             raise
-        refuse(ValueError("users need argon2: pip install 'cable-cell[web]' or [opcua]"))
+        refuse(ValueError(f"users need argon2: {install_extra('web')}"))
     except (OSError, ValueError) as error:
         refuse(error)
 

@@ -16,6 +16,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Connector
 from cell.exchange.chain import Chain
+from drivers.installing import install_extra
 
 
 class NoMujocoError(ValueError):
@@ -30,13 +31,11 @@ def mujoco_library() -> Any:
     try:
         import mujoco
     except ImportError as error:
-        raise NoMujocoError(
-            "MuJoCo is needed for this: pip install 'cable-cell[mujoco]'"
-        ) from error
+        raise NoMujocoError(f"MuJoCo is needed for this: {install_extra('mujoco')}") from error
     if not hasattr(mujoco.MjModel, "jnt_stiffnesspoly"):
         raise NoMujocoError(
             f"MuJoCo {mujoco.__version__} has no polynomial springs; a newer one is needed: "
-            "pip install -U 'cable-cell[mujoco]'"
+            f"{install_extra('mujoco')} --upgrade"
         )
     return mujoco
 

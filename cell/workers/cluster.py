@@ -20,6 +20,7 @@ from cell.computer.memory import release_free_memory, use_one_arena
 from cell.workers.executor import Job, JobResult, Returned, WorkersError
 from cell.workers.identity import WorkerIdentity, identity
 from cell.workers.shipping import done, know_own_effects, pack, result_of
+from drivers.installing import install_extra
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -138,7 +139,7 @@ def cluster(address: str, tell: Callable[[str], None] = lambda note: None) -> It
     except ImportError as error:
         raise WorkersError(
             f"--workers {address}: the package `distributed` is missing; "
-            'install it: pip install "cable-cell[cluster]"'
+            f"install it: {install_extra('cluster')}"
         ) from error
     use_one_arena()  # of this process, as Dask's threads begin now
     try:

@@ -102,6 +102,7 @@ TABLE: dict[str, Run | Served | ByTest] = {
     "acknowledge": ByTest(
         "end_to_end/test_listed.py::test_a_person_acknowledges_a_fault_afterwards"
     ),
+    "help": Run("recordings", "Recordings"),
     "actions": Run("--ledger {runs}", "lab promote"),
     "bundle": Run("-c {config} --runs {runs} -o {out}/b.zip", "b.zip", "b.zip"),
     "replay": Run("{cycle}", "identical"),

@@ -117,6 +117,9 @@ BEST = 4
 #: A fit of which χ² is above the best by this factor after so many passes is given up; an effect of
 #: which each cable's own fit leaves so much is not fitted to all at once.
 FAR_ABOVE, ENOUGH_PASSES = 4.0, 4
+#: A fit to all cables goes on while its linear model promises that χ² falls by this share, and it
+#: does: where it is left, each cable alone would have the effects otherwise than all together.
+UNFINISHED = 0.1
 #: Shares of the limit of work after which no more own solutions are looked for, and so on.
 OWN, REFITS, ENDS, SECOND = 0.4, 0.5, 0.6, 0.6
 
@@ -356,6 +359,13 @@ def on_all(
         fit = fitted(plausible)
     except UNSIMULATED:
         fit = fitted(simpler.q[:, : plausible.shape[1]])
+    while fit.solution.promised > UNFINISHED * fit.chi2:  # as in a long curved valley
+        if not budget.allows(ENDS, f"the end of the fit of {best.name} to all cables"):
+            break
+        more = fit_shared(prepared, base, fit.q, best.effects, natural(fit), options=options)
+        if more.chi2 > (1.0 - UNFINISHED) * fit.chi2:
+            break
+        fit = more
     fall = (simpler.chi2 - fit.chi2) / fit.inflation
     return replace(best, fit=fit, fall=float(fall))
 

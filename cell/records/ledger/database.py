@@ -19,6 +19,7 @@ from sqlalchemy.exc import NoSuchModuleError as NoDialectError
 from cell.files.atomic import named_folder
 from cell.records.ledger.entry import LedgerError
 from cell.records.ledger.tables import HEAD
+from drivers.installing import install_extra
 
 #: How the file of a ledger ends.
 _SUFFIX = ".sqlite"
@@ -93,7 +94,7 @@ def open_engine(url: URL, *, create: bool) -> Engine:
     except (NoDialectError, ModuleNotFoundError) as error:
         raise LedgerError(
             f"{url.render_as_string()} needs a package that is not installed: {error}; "
-            "pip install 'cable-cell[postgresql]'"
+            f"{install_extra('postgresql')}"
         ) from error
     if in_file:
         if path is not None and create:

@@ -10,6 +10,7 @@ from typing import Any
 
 from cell.files.atomic import write_atomic
 from cell.records.ledger.ledger import ListedCycle
+from drivers.installing import install_extra
 
 
 def rows_of(cycles: Sequence[ListedCycle]) -> tuple[list[str], list[dict[str, Any]]]:
@@ -50,5 +51,5 @@ def need_parquet() -> None:
     try:
         import pyarrow  # noqa: F401
     except ModuleNotFoundError as error:
-        message = f"--parquet needs a package: {error}; pip install 'cable-cell[parquet]'"
+        message = f"--parquet needs a package: {error}; {install_extra('parquet')}"
         raise ValueError(message) from error

@@ -16,6 +16,7 @@ from cell.files.input_error import InputError
 from cell.files.rescue import NO_ROOM
 from cell.files.text_file import read_json_object
 from cell.records.recording import form
+from drivers.installing import install_extra
 
 #: So much is sent at once, the least that a part of an object may have.
 BLOCK_BYTES = 5 * 2**20
@@ -59,7 +60,7 @@ class Store:
         try:
             self._files, self._root = fsspec.core.url_to_fs(self.url)
         except ImportError as error:
-            package = "pip install 'cable-cell[s3]'" if url.startswith("s3") else str(error)
+            package = install_extra("s3") if url.startswith("s3") else str(error)
             raise RecordingStoreError(
                 f"{url} needs a package that is not installed: {package}"
             ) from error

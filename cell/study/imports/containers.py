@@ -19,6 +19,7 @@ from cell.study.imports.header import read_header
 from cell.study.imports.long_tables import pivoted
 from cell.study.imports.units import METRES, unit_of
 from cell.study.table import MAX_ROWS
+from drivers.installing import install_extra
 
 #: Arrays by their path within a file, the outermost name first.
 Tree = dict[tuple[str, ...], NDArray[Any]]
@@ -49,7 +50,7 @@ def read_container(path: Path) -> Capture:
         return read(path)
     except ImportError as error:
         library = str(error.name or "a library").split(".")[0]
-        message = f"needs {library} to be read: pip install 'cable-cell[import]'"
+        message = f"needs {library} to be read: {install_extra('import')}"
         raise InputError.at(path, message) from error
     except InputError:
         raise

@@ -16,6 +16,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.table import MAX_ROWS
+from drivers.installing import install_extra
 
 #: Entries of a list of a message that are read, and columns in all: a picture is no measurement.
 _MOST_ENTRIES, _MOST_COLUMNS = 200, 2000
@@ -69,7 +70,7 @@ def read_mcap(path: Path) -> Capture:
             )
     if not table.rows:
         why = f": {', '.join(sorted(undecoded))} cannot be decoded" if undecoded else ""
-        remedy = "pip install 'cable-cell[import]' decodes ROS 2 and protobuf"
+        remedy = f"{install_extra('import')} decodes ROS 2 and protobuf"
         raise InputError.at(path, f"holds no messages with numbers{why}; {remedy}")
     names = list(table.columns)
     times = sorted(table.rows)

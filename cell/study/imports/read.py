@@ -17,6 +17,7 @@ from cell.study.imports.mcap_file import read_mcap
 from cell.study.imports.robot_poses import with_quaternions
 from cell.study.imports.units import METRES, unit_of
 from cell.study.table import MAX_BYTES
+from drivers.installing import install_extra
 
 #: Keys that the second line may hold; the third has their values.
 _KEYS = ("DataRate", "Units")
@@ -92,7 +93,7 @@ def read_c3d(path: Path) -> Capture:
     try:
         import ezc3d
     except ImportError as error:
-        message = "needs ezc3d to be read: pip install 'cable-cell[import]'"
+        message = f"needs ezc3d to be read: {install_extra('import')}"
         raise InputError.at(path, message) from error
     if not path.is_file():
         raise InputError.at(path, "cannot be read: there is no such file; check the name")

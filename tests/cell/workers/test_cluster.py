@@ -18,6 +18,7 @@ from cell.workers.cluster import Cluster, cluster
 from cell.workers.executor import WorkersError, place
 from cell.workers.here import LocalCores, OneAfterAnother, executor
 from cell.workers.identity import code_hash
+from drivers.installing import install_extra
 from tests.cell.workers import jobs
 from tests.cell.workers.conftest import ROOT, when_both_are_there
 from tests.waiting import wait_until
@@ -115,7 +116,7 @@ def test_where_nobody_answers_that_is_said(monkeypatch):
 
 def test_without_its_package_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    told = re.escape('pip install "cable-cell[cluster]"')
+    told = re.escape(install_extra("cluster"))
     with pytest.raises(WorkersError, match=told), executor("tcp://127.0.0.1:9"):
         pass
 

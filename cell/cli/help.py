@@ -1,0 +1,63 @@
+"""`cell help`: the documentation, also where only the wheel is installed."""
+
+from __future__ import annotations
+
+import sys
+import sysconfig
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.cli.shared import group, refuse
+
+app = group()
+_INSTALLED = Path("share", "doc", "cable-cell")
+
+
+@app.command("help")
+def help_(
+    topic: Annotated[
+        str | None, typer.Argument(help="A topic; without one all are listed.", show_default=False)
+    ] = None,
+) -> None:
+    """Show what the documentation says of a topic, or list the topics.
+
+    Exit codes: 0; 2 if there is no such topic.
+    """
+    from difflib import get_close_matches
+
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    pages = topics()
+    if topic is None:
+        width = max(map(len, pages), default=0)
+        for name, path in pages.items():
+            print(f"cell help {name:{width}s}  {_title(path)}")
+        return
+    page = pages.get(topic.lower())
+    if page is None:
+        near = get_close_matches(topic.lower(), pages, 1)
+        meant = f"did you mean {near[0]!r}? " if near else ""
+        refuse(ValueError(f"{topic}: no topic; {meant}`cell help` lists them"))
+    text = page.read_text(encoding="utf-8")
+    if not sys.stdout.isatty():
+        print(text)
+        return
+    console = Console()
+    with console.pager(styles=True):
+        console.print(Markdown(text))
+
+
+def topics() -> dict[str, Path]:
+    """Pages of the documentation by their names, sorted."""
+    clone = Path(__file__).resolve().parents[2] / "docs"
+    folder = clone if clone.is_dir() else Path(sysconfig.get_path("data")) / _INSTALLED
+    return {page.stem: page for page in sorted(folder.glob("*.md"))}
+
+
+def _title(page: Path) -> str:
+    """The heading of a page."""
+    with page.open(encoding="utf-8") as file:
+        return file.readline().lstrip("# ").strip()

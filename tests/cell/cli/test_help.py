@@ -1,0 +1,59 @@
+"""Commands are found by what they are for, and so is what the documentation says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from cell.cli import PANELS, app
+from cell.cli import help as documentation
+
+
+def test_every_command_is_in_one_panel_and_help_lists_them_in_that_order() -> None:
+    listed = [name for names in PANELS.values() for name in names]
+    assert sorted(listed) == sorted(get_command(app).commands)  # type: ignore[attr-defined]
+    said = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "100"}).stdout
+    places = [said.index(f"─ {panel} ─") for panel in PANELS]
+    assert places == sorted(places)
+    assert "─ Commands ─" not in said
+    words = [line.split()[1] for line in said.splitlines() if line[:3] == "│ " + line[2:3]]
+    assert [word for word in words if word in listed] == listed
+
+
+def test_alone_it_says_what_can_be_done_first() -> None:
+    done = CliRunner().invoke(app, [])
+    assert done.exit_code == 0
+    for word in ("cell init", "cell serve", "cell import", "cell diagnose", "cell help"):
+        assert word in done.stdout
+
+
+def test_topics_are_the_pages_of_the_documentation() -> None:
+    done = CliRunner().invoke(app, ["help"])
+    assert done.exit_code == 0
+    for name, page in documentation.topics().items():
+        title = page.read_text("utf-8").splitlines()[0].lstrip("# ")
+        assert f"cell help {name} " in done.stdout
+        assert title in done.stdout
+    page = CliRunner().invoke(app, ["help", "Lab"])
+    assert page.stdout.startswith("# The model lab\n")
+
+
+def test_a_topic_that_is_not_there_is_refused() -> None:
+    done = CliRunner().invoke(app, ["help", "labb"])
+    assert done.exit_code == 2
+    assert done.stderr == "labb: no topic; did you mean 'lab'? `cell help` lists them\n"
+    assert CliRunner().invoke(app, ["help", "xyzzy"]).stderr.startswith("xyzzy: no topic; `cell")
+
+
+def test_of_a_wheel_the_pages_are_where_it_was_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pages = tmp_path / "share" / "doc" / "cable-cell"
+    pages.mkdir(parents=True)
+    (pages / "lab.md").write_text("# The model lab\n")
+    monkeypatch.setattr(documentation, "__file__", str(tmp_path / "a" / "b" / "cell" / "help.py"))
+    monkeypatch.setattr("sysconfig.get_path", lambda name: str(tmp_path))
+    assert documentation.topics() == {"lab": pages / "lab.md"}
