@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice studies checks discover fault-trials handshake calibration-study malformed endurance kills plant insertion clean help jaw-plate picture docs
+.PHONY: run serve test lint types imports quick compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice studies checks discover fault-trials handshake calibration-study malformed endurance kills plant insertion clean help jaw-plate picture docs
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -28,6 +28,10 @@ export PYTHONDONTWRITEBYTECODE =
 test: $(VENV)/.dev   ## everything that CI checks
 	$(MAKE) --no-print-directory -j 2 lint compiled-cell types compiled-arm compiled-effects imports compiled-tests
 	$(MAKE) --no-print-directory tests
+
+quick: $(VENV)/.dev   ## before a commit: lint, types, the tests that the change touches; a minute at most
+	$(MAKE) --no-print-directory -j 2 lint types
+	@files=$$($(BIN)/python -m tools.quick $(ARGS)) && { test -z "$$files" || $(BIN)/pytest -n 2 --budget 40 -m 'not real_time' $$files; }
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

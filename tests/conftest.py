@@ -6,6 +6,7 @@ import gc
 import itertools
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -117,6 +118,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="take only the processor's time that no other process wants",
     )
+    parser.addoption(
+        "--budget",
+        type=float,
+        metavar="SECONDS",
+        help="skip what has not begun after so many seconds; the first files are the nearest",
+    )
     group = parser.getgroup("devices that are really there")
     group.addoption(
         "--hardware",
@@ -153,6 +160,15 @@ class _AtOnce:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.failed:
             self._terminal.write_line(f"\n{report.nodeid}, {report.when}: {report.longreprtext}")
+
+
+_BEGUN_S = time.monotonic()
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    budget_s = item.config.getoption("--budget")
+    if budget_s is not None and time.monotonic() - _BEGUN_S > budget_s:
+        pytest.skip(f"not within {budget_s:g} s")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -59,6 +59,8 @@ TABLE: dict[str, Small | ByTest | OfCI] = {
     **dict.fromkeys(("test", "lint", "types", "imports", "tests", "tests-real-time"), OfCI()),
     **dict.fromkeys(("tests-computing", "compiled", "compiled-cell", "compiled-arm"), OfCI()),
     **dict.fromkeys(("compiled-effects", "compiled-tests"), OfCI()),
+    "quick": ByTest("tools/test_quick.py::"
+                    "test_a_changed_module_leads_to_its_tests_and_to_those_of_its_importers"),
     "hardware": ByTest("end_to_end/test_hardware.py::"
                        "test_arm_camera_and_gripper_of_the_settings_are_tested"),
     "bench": Small("ARGS=plugin", "user's / project's", measures=True),

@@ -85,7 +85,8 @@ class FilmBand:
             self._least_change = _least_change(means - self._means)
         band = None
         whole = last or index % WHOLE_EVERY == 0
-        if not whole and sighting is not None and self._shown is not None:
+        before = None if self._shown is None else self._shown.shape
+        if not whole and sighting is not None and before == image.shape:
             band = self._band(image, means, sighting)
         if band is None:
             self._shown, self._means = image, means

@@ -215,7 +215,7 @@ def test_without_pandas_it_says_how_to_get_it(
     diagnosed: cell.DiagnoseResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"pip install 'cable-cell\[notebook\]'"):
+    with pytest.raises(ImportError, match=r"pip install -e .*\[notebook\]"):
         diagnosed.to_frame()
 
 

@@ -216,7 +216,7 @@ def test_a_library_that_is_missing_is_named_with_its_extra(
     file.write_bytes(b"x")
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(
-        InputError, match=rf"needs {library.split('.')[0]} .*pip install 'cable-cell\[import\]'"
+        InputError, match=rf"needs {library.split('.')[0]} .*pip install -e .*\[import\]"
     ):
         read_capture(file)
 

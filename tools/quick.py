@@ -1,0 +1,100 @@
+"""The tests that a change touches, the nearest first, for a run before every commit.
+
+    python -m tools.quick [--since HEAD]
+
+Prints files of tests: those that were changed, those that import a changed module, and those that
+import a module which does.  Whole cells and pages (`end_to_end`, `docs`) are left to `make test`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import subprocess
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("cell", "drivers", "calib", "tools")
+_SLOW = ("tests/end_to_end", "tests/docs")
+
+
+def changed_files(root: Path, since: str) -> list[str]:
+    """Files that differ from a commit, and new ones, relative to the project's root.
+
+    raises  SystemExit: git knows no such commit, or no project
+    """
+    found = []
+    for words in (("diff", "--name-only", since), ("ls-files", "--others", "--exclude-standard")):
+        done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True)
+        if done.returncode:
+            raise SystemExit(f"--since {since}: {done.stderr.strip()}")
+        found += done.stdout.split("\n")
+    return [name for name in found if name]
+
+
+def imported_by(file: Path, package: str = "") -> Iterator[str]:
+    """Modules that a file imports, and what it takes from them, which may be modules too.
+
+    package  that relative imports begin at
+    """
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: 1 - node.level or None] if node.level else []
+            name = ".".join([*above, *([node.module] if node.module else [])])
+            yield name
+            yield from (f"{name}.{alias.name}" for alias in node.names)
+
+
+def module_of(path: str) -> str:
+    """Name of a module: cell/plan/choose.py → cell.plan.choose."""
+    return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def touched(
+    changed: Sequence[str], modules: Mapping[str, set[str]], tests: Mapping[str, set[str]]
+) -> list[str]:
+    """Files of tests, the nearest first.
+
+    changed         files
+    modules, tests  module → what it imports; file of tests → what it imports
+    """
+    near = {module_of(name) for name in changed if name.endswith(".py")}
+    far = {name for name, imports in modules.items() if imports & near} - near
+    ways = (
+        (name for name in tests if name in changed),
+        (name for name, imports in tests.items() if imports & near),
+        (name for name, imports in tests.items() if imports & far),
+    )
+    return list(dict.fromkeys(name for way in ways for name in way))
+
+
+def _imports(root: Path, files: Iterable[Path]) -> dict[str, set[str]]:
+    found = {}
+    for file in sorted(files):
+        name = file.relative_to(root).as_posix()
+        package = (
+            module_of(name) if file.name == "__init__.py" else module_of(name).rpartition(".")[0]
+        )
+        found[name] = set(imported_by(file, package))
+    return found
+
+
+def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--since", default="HEAD", help="commit that a change begins after")
+    since = parser.parse_args(arguments).since
+    sources = (file for room in ROOMS for file in (root / room).rglob("*.py"))
+    modules = {module_of(name): taken for name, taken in _imports(root, sources).items()}
+    files = [
+        file
+        for file in (root / "tests").rglob("test_*.py")
+        if not file.relative_to(root).as_posix().startswith(_SLOW)
+    ]
+    print("\n".join(touched(changed_files(root, since), modules, _imports(root, files))))
+
+
+if __name__ == "__main__":
+    main()
