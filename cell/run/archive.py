@@ -26,7 +26,6 @@ from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import FilmedMotion, Findings
 from cell.run.station import ProductTask, Station, Task
 from cell.study.data import Study
-from cell.vision.sighting import Sighting
 
 #: Versions on which the last digit of a result may depend.
 _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
@@ -48,7 +47,7 @@ class EventSink(Protocol):
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
         """A message of a JSON topic."""
 
-    def add_detections(self, sightings: Sequence[Sighting], points_px: FloatArray) -> None:
+    def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
         """The cable as it was seen in frames."""
 
     def end(self, keep: bool = True, whole: bool = False) -> None:
@@ -205,7 +204,7 @@ class CycleRecording:
         assert self._recording is not None
         nodes_m = np.array([sighting.nodes_m for sighting in filmed.sightings])
         points_px = station.task.view.to_pixels(nodes_m)
-        self._recording.recorder.add_detections(filmed.sightings, points_px)
+        self._recording.recorder.add_detections([s.t_s for s in filmed.sightings], points_px)
 
 
 def decision_of(findings: Findings) -> dict[str, Any]:

@@ -252,7 +252,7 @@ class _ReplayedEvents:
         """Kept as it would be read from a file."""
         self._events.setdefault(topic, []).append(plain(data))
 
-    def add_detections(self, sightings: Sequence[Any], points_px: Any) -> None:
+    def add_detections(self, t_s: Sequence[float], points_px: Any) -> None:
         """Follows from the rest."""
 
     def end(self, keep: bool = True, whole: bool = False) -> None:

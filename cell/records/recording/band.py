@@ -3,9 +3,9 @@
 The band of a frame is the jaw's marks, the cable, and what has changed since it was shown last.
 Outside it a frame is blank, and a reader shows there what was shown before.  Whole are the first
 and the last frame of a film, every 150th, and each in which vision would find anything else
-than it found while the cable was held: a replay stays the same to the last bit.
+than it finds in the whole frame: a replay stays the same to the last bit.
 
-    python -m cell.records.recording.band SOURCE TARGET
+    python -m cell.records.recording.band SOURCE TARGET COUNTS < pickled `VisionSetup`
 """
 
 from __future__ import annotations
@@ -71,22 +71,20 @@ class FilmBand:
         self._before: Sighting | None = None
         self._least_change = np.inf
 
-    def keep(
-        self, index: int, image: Image, sighting: Sighting | None, *, last: bool
-    ) -> tuple[Image, int | None]:
+    def keep(self, index: int, t_s: float, image: Image, *, last: bool) -> tuple[Image, int | None]:
         """What is kept of a frame, (H, W), and the grey level that is blank; None = it is whole.
 
-        index     of the frame in its film
-        sighting  what vision found in it; None = it was not looked at
-        last      whether it is the last one of its film
+        index  of the frame in its film
+        last   whether it is the last one of its film
         """
+        before = None if index == 0 else self._before
+        sighting = detect(image, t_s, self._setup.view, self._setup.options, before)
         means = tile_means(image)
         if index == 1 and self._means is not None:
             self._least_change = _least_change(means - self._means)
         band = None
         whole = last or index % WHOLE_EVERY == 0
-        before = None if self._shown is None else self._shown.shape
-        if not whole and sighting is not None and before == image.shape:
+        if not whole and self._shown is not None and self._shown.shape == image.shape:
             band = self._band(image, means, sighting)
         if band is None:
             self._shown, self._means = image, means
@@ -188,19 +186,18 @@ class _BandCopy(RecordingCopy):
     Whether a frame is the last of its film is known when the next one comes: until then it waits.
     """
 
-    def __init__(self, path: Path, setup: VisionSetup, sightings: Mapping[float, Sighting]) -> None:
+    def __init__(self, path: Path, setup: VisionSetup) -> None:
         super().__init__(path, _LEVEL)
         self._band = FilmBand(setup)
-        self._sightings = sightings
         self._waiting: tuple[dict[str, Any], int] | None = None
-        self._image = b""
+        self._image: bytes | None = None
 
     def log(self, topic: str, data: bytes, log_ns: int) -> None:
         """Write a message, or what is kept of the frame before it."""
         if topic == form.FRAME:
             said = json.loads(data)
             self.finish_film(ended=said["index"] == 0)
-            self._waiting = said, log_ns
+            self._waiting, self._image = (said, log_ns), None
         elif topic == form.IMAGE and self._waiting is not None:
             self._image = data
         else:
@@ -210,33 +207,28 @@ class _BandCopy(RecordingCopy):
         """Write the frame that waits, which is the last of its film or is not."""
         if self._waiting is None:
             return
-        (said, log_ns), self._waiting = self._waiting, None
-        seen = self._sightings.get(said["t_s"])
-        kept, blank = self._band.keep(said["index"], image_of(self._image), seen, last=ended)
-        if blank is not None:
-            said["blank"] = blank
-            message = RawImage.FromString(self._image)
-            message.data = kept.tobytes()
-            self._image = message.SerializeToString()
+        (said, log_ns), data, self._waiting = self._waiting, self._image, None
+        if data is not None:  # else the disk had no room for it
+            image = image_of(data)
+            kept, blank = self._band.keep(said["index"], said["t_s"], image, last=ended)
+            if blank is not None:
+                said["blank"] = blank
+                message = RawImage.FromString(data)
+                message.data = kept.tobytes()
+                data = message.SerializeToString()
         super().log(form.FRAME, json.dumps(said).encode(), log_ns)
-        super().log(form.IMAGE, self._image, log_ns)
+        if data is not None:
+            super().log(form.IMAGE, data, log_ns)
 
 
-def keep_band(
-    source: Path,
-    target: Path,
-    setup: VisionSetup,
-    sightings: Mapping[float, Sighting],
-    counts: Mapping[str, int],
-) -> None:
+def keep_band(source: Path, target: Path, setup: VisionSetup, counts: Mapping[str, int]) -> None:
     """Write a recording with bands in place of its frames, and read it back.
 
-    source     a complete recording with whole frames
-    sightings  by the time of their frames, s
-    counts     messages that it has, by topic
-    raises     TornRecordingError: it lacks something; OSError; FileExistsError: there is a target
+    source  a complete recording with whole frames
+    counts  messages that it has, by topic
+    raises  TornRecordingError: it lacks something; OSError; FileExistsError: there is a target
     """
-    copy = _BandCopy(target, setup, sightings)
+    copy = _BandCopy(target, setup)
     try:
         copy.take_all(source)
         copy.finish_film(ended=True)
@@ -250,7 +242,7 @@ def keep_band(
 
 if __name__ == "__main__":  # as the recorder's process has it done
     try:
-        setup, sightings, counts = pickle.load(sys.stdin.buffer)
-        keep_band(Path(sys.argv[1]), Path(sys.argv[2]), pickle.loads(setup), sightings, counts)
+        setup = pickle.load(sys.stdin.buffer)
+        keep_band(Path(sys.argv[1]), Path(sys.argv[2]), setup, json.loads(sys.argv[3]))
     except (TornRecordingError, OSError) as error:
         sys.exit(str(error))

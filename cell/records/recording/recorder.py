@@ -30,7 +30,6 @@ from cell.records.recording.ring import (
     remove_forgotten,
     shared_memory,
 )
-from cell.vision.sighting import Sighting
 from drivers.interfaces import Arm, Clock, DeviceError, Frame, Trajectory
 from drivers.threads import GuardedThread, said
 
@@ -198,9 +197,9 @@ class Recorder:
             columns = (poses.t_s, poses.x_m, poses.y_m, poses.angle_rad)
             self._put(("poses", topic, np.stack(columns, axis=-1)))
 
-    def add_detections(self, sightings: Sequence[Sighting], points_px: FloatArray) -> None:
+    def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
         """The cable as it was seen in frames: (n, points, 2) column and row, nan = not seen."""
-        self._put(("seen", tuple(sightings), points_px))
+        self._put(("seen", tuple(t_s), points_px))
 
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
         """A message of a JSON topic, of now."""

@@ -62,12 +62,12 @@ def torn_recordings(place: Path) -> list[Path]:
         return [] if _is_complete_file(place) else [place]
     if not place.is_dir():
         raise InputError.at(place, "is missing; give a recording or a folder")
-    for band in [p for p in place.rglob(form.BAND) if not being_written(p)]:
-        band.unlink(missing_ok=True)  # of whole frames that are there
     parts = [p for p in place.rglob(form.PART) if not being_written(p)]
-    for part in [p for p in parts if p.with_name(form.FILE).exists()]:  # the band was complete
-        parts.remove(part)
-        part.replace(part.with_name(form.WHOLE))
+    for part in parts:  # its recorder was killed while it reduced the frames
+        part.with_name(form.BAND).unlink(missing_ok=True)
+        if part.with_name(form.FILE).exists():
+            part.replace(part.with_name(form.WHOLE))
+    parts = [p for p in parts if p.exists()]
     return sorted([*parts, *(p for p in place.rglob(form.FILE) if lacks_end(p))])
 
 

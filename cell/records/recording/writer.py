@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -34,7 +33,6 @@ from cell.cable.arrays import FloatArray
 from cell.files.plain import plain
 from cell.records.recording import form
 from cell.records.recording.reading import TornRecordingError
-from cell.vision.sighting import Sighting
 from drivers.threads import GuardedThread, said
 
 #: Frames end a chunk each; smaller messages share one until the next flush.
@@ -285,7 +283,6 @@ class RecordingSession:
     ) -> None:
         self.path = path
         self._vision = vision
-        self._sightings: dict[float, Sighting] = {}
         self._lost = self._all_lost = self._lost_messages = 0
         self._cause = ""
         self._first_lost: int | None = None
@@ -315,9 +312,7 @@ class RecordingSession:
                 case "poses":
                     self._writer.poses(*rest)
                 case "seen":
-                    sightings, points_px = rest
-                    self._sightings |= {one.t_s: one for one in sightings}
-                    self._writer.add_detections([one.t_s for one in sightings], points_px)
+                    self._writer.add_detections(*rest)
                 case "log":
                     self._writer.log(*rest)
                 case "event":
@@ -382,13 +377,13 @@ class RecordingSession:
 
         returns  why there is no band though one was wanted, or ""
         """
-        why = ""
-        if self._vision is not None and self._sightings:
+        why, said = "", json.dumps(counts)
+        if self._vision is not None:
             band, frames = self.path.with_name(form.BAND), self.path.with_name(form.WHOLE)
-            asked = pickle.dumps((self._vision, self._sightings, counts))
             try:
                 band.unlink(missing_ok=True)
-                _run("cell.records.recording.band", str(self._part), str(band), given=asked)
+                place = str(self._part), str(band)
+                _run("cell.records.recording.band", *place, said, given=self._vision)
             except (OSError, TornRecordingError) as error:
                 why = str(error)
                 with suppress(OSError):
@@ -400,7 +395,7 @@ class RecordingSession:
                 else:
                     self._part.unlink()
                 return ""
-        _run("cell.records.recording.reading", str(self._part), json.dumps(counts))
+        _run("cell.records.recording.reading", str(self._part), said)
         self._part.rename(self.path)
         return why
 

@@ -22,7 +22,6 @@ from cell.records.recording.reading import read_recording
 from cell.records.recording.recorder import Recorder
 from cell.records.recording.recover import recover_in_place
 from cell.records.recording.writer import RecordingSession
-from cell.vision.sighting import Sighting
 from drivers.clock import RealClock
 from drivers.interfaces import Frame, Trajectory
 
@@ -95,8 +94,7 @@ def test_what_is_handed_over_is_in_the_file(recorder, tmp_path):
     for frame in given:
         recorder.frame(frame)
     recorder.event(form.STATE, {"state": "execute", "step": "lower"})
-    seen = [Sighting(f.t_s, np.ones((11, 2)), np.zeros(2), 0.0, 1.0) for f in given]
-    recorder.add_detections(seen, np.full((20, 11, 2), 5.0))
+    recorder.add_detections([f.t_s for f in given], np.full((20, 11, 2), 5.0))
     path = Trajectory(np.arange(3.0), *np.ones((3, 3)))
     recorder.poses(form.COMMANDED, path)
     time.sleep(0.1)  # poses of so much time

@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from cell.records.recording import form, retention
-from cell.records.recording.retention import KEPT, DiskRoom, LastRemoved, Retention
+from cell.records.recording.retention import KEPT, DiskRoom, LastRemoved, Retention, recording_room
+from cell.run.computer_check import check_room
+from cell.settings.records import RecordingSettings
 
 
 @pytest.fixture
@@ -176,3 +178,30 @@ def test_whole_frames_are_removed_with_their_recording(tmp_path):
     (folder,) = tmp_path.iterdir()
     retention.remove_recording(folder / form.FILE, "by Ada")
     assert {p.name for p in folder.iterdir()} == {"result.json", form.REMOVED}
+
+
+def test_the_room_for_recordings_is_told_by_those_that_are_there(tmp_path, monkeypatch):
+    class Disk:
+        f_bavail, f_frsize = 10**6, 10**4  # 10 GB are free
+
+    monkeypatch.setattr(retention.os, "statvfs", lambda path: Disk)
+    pixels = 1280 * 1024
+    wanted = RecordingSettings(max_size_gb=2.0, min_free_gb=1.0)
+    usual = recording_room(tmp_path, wanted, pixels)
+    assert usual.bytes == usual.limit_bytes == 2e9
+    assert usual.cycle_bytes == pytest.approx(17e6, rel=0.1)
+    whole = recording_room(tmp_path, wanted.model_copy(update={"whole_frames": True}), pixels)
+    assert whole.cycle_bytes == pytest.approx(460e6, rel=0.1)
+    cycles(tmp_path, {1: "inserted", 2: "inserted"}, datetime.now() - timedelta(hours=5))
+    for folder in tmp_path.iterdir():
+        said = {"outcome": "inserted", "seconds": {"lower": 4.0, "execute": 5.0}}
+        (folder / "result.json").write_text(json.dumps(said))
+    there = recording_room(tmp_path, wanted, pixels)
+    assert (there.cycle_bytes, there.cycle_s, there.cycles) == (1000, 9.0, 2_000_000)
+    assert there.hours == pytest.approx(5000.0)
+    assert check_room(there).met
+    small = recording_room(tmp_path, wanted.model_copy(update={"max_size_gb": 20.0}), pixels)
+    assert small.bytes == pytest.approx(9e9, rel=1e-5)
+    assert not check_room(small).met
+    assert "lower recording.max_size_gb to 9" in check_room(small).remedy
+    assert check_room(None).met
