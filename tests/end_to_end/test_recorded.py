@@ -241,6 +241,7 @@ def test_nothing_is_recorded_if_that_is_wanted(quick, tmp_path):
         read_recording(Path(result.folder))
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("both", [False, True])
 def test_a_killed_cell_leaves_all_but_the_last_instant(recorded_config, tmp_path, both):
     """The bar is 50 ms, measured by the study; a busy computer may stall a process for longer."""

@@ -271,7 +271,8 @@ class RecordingSession:
     """One recording, from its first message to its last.
 
     part    file until it is complete; None = `recording.mcap.part` beside `path`
-    vision  pickled `VisionSetup`: a band is kept of frames; None = they are kept whole
+    vision  pickled `VisionSetup`: a band is kept of the frames of a recording that is complete;
+            None = they are kept whole
     """
 
     def __init__(
@@ -360,7 +361,8 @@ class RecordingSession:
             with self._part.open("rb"):  # open until it has its name: nobody recovers it
                 self._writer.close(closed)
                 if keep:
-                    report["not_reduced"] = self._verify(counts, whole)
+                    vision = self._vision if complete else None  # else somebody waits for it
+                    report["not_reduced"] = self._verify(counts, vision, whole)
                 else:
                     self._part.unlink()
             if keep:
@@ -372,18 +374,18 @@ class RecordingSession:
             report["error"] = str(error)
         return report | {"lost_frames": self._all_lost, "cause": self._cause}
 
-    def _verify(self, counts: dict[str, int], whole: bool) -> str:
+    def _verify(self, counts: dict[str, int], vision: bytes | None, whole: bool) -> str:
         """Read the complete file back and give it its name, or that to a band of its frames.
 
         returns  why there is no band though one was wanted, or ""
         """
         why, said = "", json.dumps(counts)
-        if self._vision is not None:
+        if vision is not None:
             band, frames = self.path.with_name(form.BAND), self.path.with_name(form.WHOLE)
             try:
                 band.unlink(missing_ok=True)
                 place = str(self._part), str(band)
-                _run("cell.records.recording.band", *place, said, given=self._vision)
+                _run("cell.records.recording.band", *place, said, given=vision)
             except (OSError, TornRecordingError) as error:
                 why = str(error)
                 with suppress(OSError):

@@ -254,6 +254,13 @@ def test_one_that_cannot_be_reduced_stays_whole_and_says_why(tmp_path, images, s
     assert all(np.array_equal(f.image, i) for f, i in zip(frames, images, strict=True))
 
 
+def test_one_of_a_killed_cell_keeps_its_frames_whole(tmp_path, images, setup) -> None:
+    """Somebody recovers it, and waits for that."""
+    report = session(tmp_path, images, setup).end(True, complete=False)
+    assert report["not_reduced"] == ""
+    assert all("blank" not in said for said in read_recording(tmp_path).json(form.FRAME))
+
+
 def test_a_frame_whose_picture_found_no_room_is_kept_as_it_is(tmp_path, images, setup) -> None:
     source, target = tmp_path / "whole.mcap", tmp_path / "band.mcap"
     writer = RecordingWriter(source, {form.EPOCH: "0", "cycle": "7"})
