@@ -25,6 +25,8 @@ from tests.waiting import free_port, wait_until
 
 from .test_web import CONFIG, LivePage, answers, browser  # noqa: F401
 
+pytestmark = pytest.mark.real_time
+
 #: Prints every command that it obeys.
 CELL = """
 import sys, time
@@ -163,8 +165,8 @@ def test_a_halted_server_is_seen_and_a_start_that_it_gets_late_is_refused(
     wait_until(lambda: "no answer. If it comes late it is refused" in screen.seen()["lost"])
     assert screen.seen()["lost"].startswith("Start, ")
     server.go_on()
+    wait_until(lambda: "start was given" in screen.text_at("body"))  # for some seconds
     wait_until(lambda: screen.seen()["state"] == "Idle")
-    wait_until(lambda: "start was given" in screen.text_at("body"))
     assert asks.status().state is CellState.IDLE
     screen.click("start")
     screen.reaches("Execute")

@@ -107,6 +107,7 @@ def studies(draw: st.DrawFn) -> Study:
         # Within reach of the hand, on the side to which the clamp points.
         towards = draw(hnp.arrays(float, (rows, count, 2), elements=st.floats(-0.7, 0.0)))
         xy_m = grip.T[:, None] + towards * (fractions * free_length_m)[:, None]
+        xy_m += 1e-5 * free_length_m * np.arange(rows)[:, None, None]  # none was lost and stays
         unseen = draw(hnp.arrays(bool, (rows, count)))
         unseen[0, 0] = False
         xy_m[unseen] = np.nan
