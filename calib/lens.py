@@ -61,15 +61,15 @@ class Lens:
         """(…, 2) pixels of the picture → (…, 2) ideal pixels; nan where no point is seen there."""
         pixels = np.asarray(pixels, dtype=np.float64)
         flat = np.ascontiguousarray(pixels.reshape(-1, 2))
-        return np.asarray(_undistorted(self.numbers, flat)).reshape(pixels.shape)
+        return np.asarray(_all_undistorted(self.numbers, flat)).reshape(pixels.shape)
 
 
 def distort(numbers: FloatArray, ideal_px: FloatArray) -> FloatArray:
     """(…, 2) ideal pixels → (…, 2) pixels, for the (9,) numbers of a lens."""
-    return np.stack(_distorted(numbers, ideal_px[..., 0], ideal_px[..., 1]), axis=-1)
+    return np.stack(distorted(numbers, ideal_px[..., 0], ideal_px[..., 1]), axis=-1)
 
 
-def _distorted(numbers: FloatArray, column: Any, row: Any) -> tuple[Any, Any]:
+def distorted(numbers: FloatArray, column: Any, row: Any) -> tuple[Any, Any]:
     """Column and row in the picture of an ideal pixel, or of arrays of them."""
     fx, fy, cx, cy = numbers[0], numbers[1], numbers[2], numbers[3]
     k1, k2, p1, p2, k3 = numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
@@ -81,13 +81,8 @@ def _distorted(numbers: FloatArray, column: Any, row: Any) -> tuple[Any, Any]:
     return fx * u + cx, fy * v + cy
 
 
-#: The same for one pixel, to be called by compiled functions.
-distort_pixel = njit(_distorted)
-
-
-@njit(cache=True)
-def undistort_pixel(numbers, column, row):  # type: ignore[no-untyped-def]
-    """Ideal column and row by Newton's method: 1e-9 px after five steps, or nan; compiled."""
+def undistorted(numbers, column, row):  # type: ignore[no-untyped-def]
+    """Ideal column and row by Newton's method: 1e-9 px after five steps, or nan."""
     fx, fy, cx, cy = numbers[0], numbers[1], numbers[2], numbers[3]
     k1, k2, p1, p2, k3 = numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
     u, v = (column - cx) / fx, (row - cy) / fy
@@ -116,12 +111,15 @@ def undistort_pixel(numbers, column, row):  # type: ignore[no-untyped-def]
     return np.nan, np.nan
 
 
+_undistorted = njit(undistorted)
+
+
 @njit(cache=True)
-def _undistorted(numbers, pixels):  # type: ignore[no-untyped-def]
+def _all_undistorted(numbers, pixels):  # type: ignore[no-untyped-def]
     """(N, 2) ideal pixels, or nan."""
     out = np.empty_like(pixels)
     for i in range(len(pixels)):
-        out[i, 0], out[i, 1] = undistort_pixel(numbers, pixels[i, 0], pixels[i, 1])
+        out[i, 0], out[i, 1] = _undistorted(numbers, pixels[i, 0], pixels[i, 1])
     return out
 
 

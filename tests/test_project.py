@@ -19,7 +19,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 
 MOST_LINES, MOST_PARAMETERS = 80, 8
 #: Loops that numba compiles: what they call costs time, and they take arrays, not objects.
-KERNEL = ("njit", "compiled", "inline")
+KERNEL = ("njit", "compiled", "inline", "part")
 
 #: The modules that call devices; everything else works with what these hand on.
 CALLERS = {"steps", "measuring_steps", "dry_run", "endings", "filming", "waiting", "watch"}

@@ -313,7 +313,8 @@ def _solve(t: FloatArray, y: FloatArray, root: FloatArray, scaled: bool) -> Floa
 def _cubic(t: FloatArray, y: FloatArray, bend: FloatArray) -> FloatArray:
     """(T, 4) coefficients of every piece, by the time since its knot; behind the last, at rest."""
     pieces = np.zeros((t.size, 4))
-    pieces[:, 0] = y
+    for j in range(t.size):
+        pieces[j, 0] = y[j]
     for j in range(t.size - 1):
         h = t[j + 1] - t[j]
         pieces[j, 1] = (y[j + 1] - y[j]) / h - h * (2.0 * bend[j] + bend[j + 1]) / 6.0

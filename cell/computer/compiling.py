@@ -1,7 +1,10 @@
 """How numerical functions are compiled, and when compiled code on disk is out of date."""
 
+# mypy: disable-error-code="no-untyped-call"
+
 from __future__ import annotations
 
+import gc
 import hashlib
 import threading
 import time
@@ -12,8 +15,14 @@ from typing import Any, TypeVar
 import numba
 from llvmlite.binding import get_host_cpu_features
 from numba import njit, types
+from numba._dynfunc import make_function
+from numba.core.caching import NullCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, _LowerResult
+from numba.core.compiler_machinery import register_pass
 from numba.core.event import Event, Listener, register
 from numba.core.registry import CPUDispatcher
+from numba.core.typed_passes import NativeLowering
 from numba.extending import intrinsic
 
 #: Fused multiply-add is allowed, reordering is not: results do not depend on the vector width.
@@ -33,26 +42,118 @@ OPTIONS: dict[str, Any] = {
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class _Inlined(CPUDispatcher):
+def _with_room(function: Callable[..., Any], *args: Any) -> Any:
+    """Call a function with room for the frames of deep recursion."""
+    return function(*args)
+
+
+# The interpreter asks the system for room for frames, and gives it back, 16 KB at a time: a
+# recursion that goes back and forth over such an edge, as the compiler's does, spends a quarter of
+# its time there.  This function asks for a megabyte at once.
+_with_room.__code__ = _with_room.__code__.replace(co_stacksize=100_000)
+
+
+class Entry(CPUDispatcher):
+    """A function that Python can call, compiled once for all values of its arguments."""
+
+    def compile(self, sig: Any) -> Any:
+        """See `Dispatcher`; without garbage collection, which finds little in what is in use."""
+        collected = gc.isenabled()
+        gc.disable()
+        try:
+            return _with_room(super().compile, sig)
+        finally:
+            if collected:
+                gc.enable()
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """See `Dispatcher`; a constant is a number as any other."""
+        plain = {name: types.unliteral(kind) for name, kind in kws.items()}
+        return super().get_call_template([types.unliteral(kind) for kind in args], plain)
+
+
+class Part(Entry):
     """A function without an entry from Python: to jump there anyway would end the process."""
 
     def __call__(self, *_: Any, **__: Any) -> Any:
+        """Python calls it.  Raises TypeError."""
         raise TypeError(f"{self.py_func.__name__}: only compiled code can call it")
 
 
-def inline(function: Callable[..., Any], *, checked: bool = False) -> Any:
-    """Decorator of a function that becomes part of every compiled function that calls it.
+class _PartCode(JITCodeLibrary):
+    """Code that exists within others alone, where it is optimised and becomes machine code."""
 
-    Nobody else can call it: entries from Python and C took more than half of its compilation.
+    def finalize(self) -> None:
+        """Add the code of what it calls."""
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """There is no machine code."""
+        self._ensure_finalized()
+        return 0
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _PartLowering(NativeLowering):
+    """Writes a function's code for others to take in."""
+
+    _name = "part_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """See `NativeLowering`."""
+        context = state.targetctx
+        state.library = _PartCode(context.codegen(), state.func_id.func_qualname)
+        state.flags = state.flags.copy()
+        state.flags.no_compile = True
+        super().run_pass(state)
+        function, env = state.cr.fndesc, state.cr.env
+        # by it those that call the function know it; it jumps nowhere
+        entry = make_function(function.lookup_module(), function.qualname, "", 0, env, ())
+        context.insert_user_function(entry, function, [state.library])
+        state.reload_init.extend(state.library._reload_init)
+        state.cr = _LowerResult(function, state.cr.call_helper, cfunc=entry, env=env)
+        return True
+
+
+class _PartCompiler(CompilerBase):
+    """Compiles a function for others to take in."""
+
+    def define_pipelines(self) -> list[Any]:
+        """See `CompilerBase`."""
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.passes = [
+            (_PartLowering, why) if a_pass is NativeLowering else (a_pass, why)
+            for a_pass, why in passes.passes
+        ]
+        passes.finalize()
+        return [passes]
+
+
+def part(function: Callable[..., Any], **options: bool) -> Any:
+    """Decorator of a function that is compiled within every compiled function that calls it.
+
+    Nobody else can call it: machine code for each of them alone took half of all compilation.
+
+    options  of numba
+    """
+    alone = {"no_cpython_wrapper": True, "pipeline_class": _PartCompiler}
+    dispatcher: Any = njit(**OPTIONS | options | alone)(function)
+    dispatcher.__class__ = Part
+    return dispatcher
+
+
+def inline(function: Callable[..., Any], *, checked: bool = False) -> Any:
+    """Decorator of a small function: a `part` that is written out wherever it is called.
 
     checked  an index beyond an array raises IndexError, as in Python; else it reads what is there
     """
-    options = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True}
-    if checked:
-        options["boundscheck"] = True
-    dispatcher: Any = njit(**options)(function)
-    dispatcher.__class__ = _Inlined
-    return dispatcher
+    options = {"forceinline": True} | ({"boundscheck": True} if checked else {})
+    return part(function, **options)
 
 
 class _Compiling(Listener):
@@ -75,12 +176,18 @@ class _Compiling(Listener):
 
 
 _COMPILING = _Compiling()
-register("numba:compile", _COMPILING)  # type: ignore[no-untyped-call]
+register("numba:compile", _COMPILING)
 
 
 def computing_s() -> float:
     """CPU seconds of this process without compilation, which happens once on a computer."""
     return time.process_time() - _COMPILING.cpu_s
+
+
+def is_to_be_compiled(function: Any) -> bool:
+    """Whether no code of a compiled function is on the disk, where another process can leave it."""
+    cache = function._cache
+    return not isinstance(cache, NullCache) and not cache._cache_file._load_index()
 
 
 def hash_of(sources: Iterable[Path]) -> str:
@@ -100,10 +207,12 @@ def compiler(fingerprint: Callable[[], str]) -> Callable[[F], F]:
     """
 
     def compiled(function: F) -> F:
+        dispatcher: Any = njit(**OPTIONS)(function)
+        dispatcher.__class__ = Entry
         try:
-            dispatcher: Any = njit(cache=True, **OPTIONS)(function)
+            dispatcher.enable_caching()
         except RuntimeError:  # numba found no folder that it may write to
-            return njit(**OPTIONS)(function)  # type: ignore[no-any-return]
+            return dispatcher  # type: ignore[no-any-return]
         index = dispatcher._cache._cache_file
         index._source_stamp = fingerprint()
         # numba compares the stamp after it has read the rest, which may name types that are gone;

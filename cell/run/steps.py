@@ -36,8 +36,8 @@ from cell.run.movements import APPROACH_SLOWER, Movement, Movements, paths_from
 from cell.run.station import Station, Task
 from cell.run.trials import executed_trial, held_trial
 from cell.run.waiting import AHEAD_S, await_rest, check_arm, wait_until
+from cell.run.warm_up import second_process, warm_up_vision
 from cell.run.warm_up import warm_up as warm_up_engine
-from cell.run.warm_up import warm_up_vision
 from cell.vision.sighting import why_unseen
 from drivers.interfaces import (
     DeviceError,
@@ -83,12 +83,16 @@ def warm_up(station: Station, findings: Findings) -> Findings:
     raises  DeviceLostError; DeviceError: the model of the settings cannot be simulated
     """
     tasks = (station.task, *station.others)
-    for task in tasks:
-        warm_up_vision(task.vision)
+    models = list(dict.fromkeys((t.cable, t.identification.kind) for t in tasks))
     try:
-        for cable, kind in dict.fromkeys((t.cable, t.identification.kind) for t in tasks):
-            warm_up_engine(cable, kind)
-            station.computer.submit(warm_up_engine, cable, kind).result()
+        with second_process(station.computer) as computer:
+            computed = [computer.submit(warm_up_engine, *model) for model in models]
+            for task in tasks:  # meanwhile
+                warm_up_vision(task.vision)
+            for job in computed:
+                job.result()
+        for model in models:
+            warm_up_engine(*model)
     except BrokenExecutor as error:
         raise DeviceLostError(
             "computer",

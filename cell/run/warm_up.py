@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from functools import cache
 
 import cv2
@@ -11,6 +15,9 @@ from numpy.typing import NDArray
 from calib.plane import PlaneView
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.stepping import integrate
+from cell.computer.compiling import is_to_be_compiled
+from cell.computer.second_process import SecondProcess
 from cell.identify.individual import IdentifyOptions, hold_trial, identify, predict_frames
 from cell.identify.model_class import ModelClass
 from cell.plan.choose import choose, forecast
@@ -20,9 +27,22 @@ from cell.vision.detect import VisionOptions, detect_all
 from cell.vision.marks import find_jaw
 from drivers.interfaces import Pose
 
+_LOG = logging.getLogger(__name__)
+
 _NOISE_M = 2e-5
 #: Of a made-up picture: its mark's size, and grey levels.
 _MARK_PX, _DARK, _BEHIND, _LIGHT = 6.0, 30, 120, 210
+
+
+@contextmanager
+def second_process(computer: Executor) -> Iterator[Executor]:
+    """A process beside this one that compiles, where much is to be compiled; else `computer`."""
+    if isinstance(computer, SecondProcess) or not is_to_be_compiled(integrate):
+        yield computer
+        return
+    _LOG.info("compiling for this processor, once: about half a minute")
+    with SecondProcess() as other:
+        yield other
 
 
 @cache

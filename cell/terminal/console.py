@@ -25,6 +25,8 @@ KEYS = {
     "u": (MachineEvent.UNHOLD, MAY_HOLD),
 }
 
+#: Steps that are said in other words than their names.
+_STEPS = {"warm_up": "warm up (on a new computer it compiles, once)"}
 #: Cables that have a column of their own in the table of times.
 MOST_COLUMNS = 5
 
@@ -114,7 +116,7 @@ class RunProgress:
         if step in self._steps:
             done = (number - 1) * len(self._steps) + self._steps.index(step)
             self._progress.update(self._line, completed=done)
-        words = step.replace("_", " ")
+        words = _STEPS.get(step, step.replace("_", " "))
         now_s = self._now_s()
         self._stage = self._stage.then(f"{words}, cables done", number - 1, self._cycles, now_s)
         left = self._stage.remaining(now_s)

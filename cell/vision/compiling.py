@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import calib.lens
-from cell.computer.compiling import compiler, hash_of, inline
+from cell.computer.compiling import compiler, hash_of, inline, part
 
-__all__ = ["compiled", "hypot", "inline"]
+__all__ = ["compiled", "hypot", "inline", "part"]
 
 
 @lru_cache(maxsize=1)

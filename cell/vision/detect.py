@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calib.plane import PlaneView
 from cell.cable.arrays import FloatArray
-from cell.vision.compiling import compiled, hypot, inline
+from cell.vision.compiling import compiled, hypot, inline, part
 from cell.vision.discs import (
     DiscMemory,
     Marks,
@@ -45,7 +45,7 @@ _APART_PX = 6.0  # a point of another line nearer to the cable does not count
 _EVERY_POINT = 4  # one of so many dense points of the cable is compared with
 
 
-@compiled
+@part
 def another_line(picture, memory, grip, outward, contrast, length):  # type: ignore[no-untyped-def]
     """Whether a second line like the cable runs near it: long, as strong, and somewhere else.
 
@@ -72,7 +72,7 @@ def another_line(picture, memory, grip, outward, contrast, length):  # type: ign
     return False
 
 
-@compiled
+@part
 def _apart(picture, memory, place, heading, contrast, length):  # type: ignore[no-untyped-def]
     """How far, in pixels, a line goes on from a place away from the cable."""
     start = find_start(picture, place, heading, 2.0, 1.0, memory.scratch)
@@ -147,7 +147,7 @@ def frame_memory(shape: tuple[int, int], appearance: Appearance) -> FrameMemory:
     )
 
 
-@compiled
+@part
 def nodes_in_frame(picture, view, appearance, memory, previous, nodes):  # type: ignore[no-untyped-def]
     """Find jaw and cable in one picture; writes the nodes.
 
@@ -204,7 +204,7 @@ def _nothing(nodes):  # type: ignore[no-untyped-def]
         nodes[n, 0], nodes[n, 1] = np.nan, np.nan
 
 
-@compiled
+@part
 def _in_plane(view, memory, nodes):  # type: ignore[no-untyped-def]
     """Nodes at equal arc length, tip first, in the plane; returns the cable's length, m."""
     dense, s = memory.trace.dense, memory.arc_length_m
@@ -228,7 +228,7 @@ def _in_plane(view, memory, nodes):  # type: ignore[no-untyped-def]
     return length
 
 
-@compiled
+@part
 def _unusable(image, histogram):  # type: ignore[no-untyped-def]
     """Code of a picture so black, blank or saturated that nothing can be measured, or −1."""
     height, width = image.shape
@@ -247,7 +247,7 @@ def _unusable(image, histogram):  # type: ignore[no-untyped-def]
     return -1
 
 
-@compiled
+@part
 def _quantile(histogram, count, share):  # type: ignore[no-untyped-def]
     """Grey level below which a share of the pixels is, between two of them by interpolation."""
     place = share * (count - 1)

@@ -7,9 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.lens import distort_pixel, undistort_pixel
+from calib.lens import distorted, undistorted
 from cell.cable.arrays import FloatArray
-from cell.vision.compiling import compiled, hypot, inline
+from cell.vision.compiling import compiled, hypot, inline, part
+
+_distorted, _undistorted = part(distorted), part(undistorted)
 
 _MOST = 512  # discs in one picture; those beyond are not looked at
 _SURROUNDINGS = 2.5  # of a disc, in its radii
@@ -89,20 +91,20 @@ def _mapped(maps, which, u, v):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@part
 def to_plane(view, u, v):  # type: ignore[no-untyped-def]
     """Place in the plane, m, of a pixel (column, row)."""
     if view.distorts:
-        u, v = undistort_pixel(view.lens, u, v)
+        u, v = _undistorted(view.lens, u, v)
     return _mapped(view.maps, 0, u, v)
 
 
-@compiled
+@part
 def to_pixels(view, x, y):  # type: ignore[no-untyped-def]
     """Pixel (column, row) of a place in the plane, m."""
     u, v = _mapped(view.maps, 1, x, y)
     if view.distorts:
-        u, v = distort_pixel(view.lens, u, v)
+        u, v = _distorted(view.lens, u, v)
     return u, v
 
 
@@ -115,7 +117,7 @@ def scale_at(view, u, v):  # type: ignore[no-untyped-def]
     return 1.0 / np.sqrt(abs((ax - x) * (by - y) - (ay - y) * (bx - x)))
 
 
-@compiled
+@part
 def find_body(image, view, marks, memory, previous, reach):  # type: ignore[no-untyped-def]
     """`BodyPose` of a body by its marks: the same wherever it is looked for first.
 
@@ -145,7 +147,7 @@ def find_body(image, view, marks, memory, previous, reach):  # type: ignore[no-u
     return _find(image, (0, 0, width, height), blocks, view, marks, memory)
 
 
-@compiled
+@part
 def _moved(near, pose, marks):  # type: ignore[no-untyped-def]
     """How far a mark has moved at most, m; of a body that may have turned, the body."""
     x, y, angle = near
@@ -168,7 +170,7 @@ def body_values(image, view, marks, memory, previous, reach):  # type: ignore[no
     return found.x_m, found.y_m, found.angle_rad, found.marks, found.rms_m
 
 
-@compiled
+@part
 def _around(view, marks, near, reach):  # type: ignore[no-untyped-def]
     """Left, top, right, bottom of the pixels where the marks can be."""
     x, y, angle = near
@@ -200,7 +202,7 @@ def _around(view, marks, near, reach):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@part
 def _find(image, box, blocks, view, marks, memory):  # type: ignore[no-untyped-def]
     """`BodyPose` by what a box (left, top, right, bottom) of a picture shows.
 
@@ -222,7 +224,7 @@ def _find(image, box, blocks, view, marks, memory):  # type: ignore[no-untyped-d
     return _rigid_match(memory.centres[:count], marks, memory)
 
 
-@compiled
+@part
 def _block_means(part, shrink, sums, coarse):  # type: ignore[no-untyped-def]
     """Means of blocks of shrink × shrink pixels; of halves the even number, but of blocks of four.
 
@@ -248,7 +250,7 @@ def _block_means(part, shrink, sums, coarse):  # type: ignore[no-untyped-def]
             coarse[r, c] = level + up
 
 
-@compiled
+@part
 def _lighter(coarse, half, sums, light):  # type: ignore[no-untyped-def]
     """Where a picture is lighter than the mean of the square of ± half about it, edges repeated."""
     rows, columns = coarse.shape
@@ -270,7 +272,7 @@ def _lighter(coarse, half, sums, light):  # type: ignore[no-untyped-def]
             light[r, c] = coarse[r, c] - mean > _LIGHTER
 
 
-@compiled
+@part
 def _discs(image, light, shrink, corner, view, marks, memory):  # type: ignore[no-untyped-def]
     """Number of discs of about the marks' radius; their centres, in pixels, into memory.
 
@@ -312,7 +314,7 @@ def _discs(image, light, shrink, corner, view, marks, memory):  # type: ignore[n
     return count
 
 
-@compiled
+@part
 def _centroid(image, column, row, radius):  # type: ignore[no-untyped-def]
     """Column and row, nan where there is no disc: grey levels between inside and around count."""
     height, width = image.shape
@@ -357,7 +359,7 @@ def _centroid(image, column, row, radius):  # type: ignore[no-untyped-def]
     return column, row
 
 
-@compiled
+@part
 def _rigid_match(points, marks, memory):  # type: ignore[no-untyped-def]
     """Best rigid fit of the marks to (N, 2) points in the plane, at least 3 of them agreeing."""
     centres, tolerance = marks.centres_m, marks.tolerance_m
@@ -385,7 +387,7 @@ def _rigid_match(points, marks, memory):  # type: ignore[no-untyped-def]
     return found
 
 
-@compiled
+@part
 def _nearest(centres, points, pose, most, nearest):  # type: ignore[no-untyped-def]
     """Points nearest to the marks of a body at a pose, −1 where further than `most`, m.
 
@@ -409,7 +411,7 @@ def _nearest(centres, points, pose, most, nearest):  # type: ignore[no-untyped-d
     return used
 
 
-@compiled
+@part
 def _rigid_fit(centres, points, nearest):  # type: ignore[no-untyped-def]
     """`BodyPose` that brings the marks to their points (`nearest`, −1 = none), least squares."""
     used = 0

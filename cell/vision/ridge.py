@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.vision.compiling import compiled, hypot, inline
+from cell.vision.compiling import hypot, inline, part
 
 Image = NDArray[np.uint8]
 
@@ -101,7 +101,7 @@ def _level(picture, u, v):  # type: ignore[no-untyped-def]
     return picture.sign * (upper + b * (lower - upper))
 
 
-@compiled
+@part
 def _profile(picture, u, v, du, dv, scratch, row, taps):  # type: ignore[no-untyped-def]
     """Levels across a line, a pixel apart, about (u, v), into a row of memory.
 
@@ -124,7 +124,7 @@ def _contrast(scratch, row, k):  # type: ignore[no-untyped-def]
     return middle - max(left, right)
 
 
-@compiled
+@part
 def find_start(picture, at, direction, reach, slope, scratch):  # type: ignore[no-untyped-def]
     """Where a line leaves a place about `at`, heading about `direction` (column, row each).
 
@@ -182,7 +182,7 @@ def _heading(line, n, du, dv):  # type: ignore[no-untyped-def]
     return du, dv
 
 
-@compiled
+@part
 def follow(picture, start, share, step, gap, line, scratch):  # type: ignore[no-untyped-def]
     """Follow a line from a `Start` until it ends, or there is no room for another point.
 
@@ -263,7 +263,7 @@ def offset_at(picture, u, v, nu, nv, fit, scratch):  # type: ignore[no-untyped-d
     return offset, amplitude, np.sqrt(rest / (taps - 4))
 
 
-@compiled
+@part
 def crossings(picture, arc, scratch, found):  # type: ignore[no-untyped-def]
     """Lines that cross an arc about a place.
 

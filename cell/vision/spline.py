@@ -13,7 +13,7 @@ from math import floor, sqrt
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.vision.compiling import compiled, inline
+from cell.vision.compiling import inline, part
 
 DEGREE = 5
 INTERVALS = 7  # of the cable's curve: room for the fourth bending mode
@@ -102,7 +102,7 @@ def at(pieces, u):  # type: ignore[no-untyped-def]
     return x, y, dx * INTERVALS, dy * INTERVALS
 
 
-@compiled
+@part
 def fit_cable(points, pieces, equations):  # type: ignore[no-untyped-def]
     """Curve through points at parameters 0 … 1, by penalised least squares.
 

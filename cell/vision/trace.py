@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.vision.compiling import compiled, hypot, inline
+from cell.vision.compiling import hypot, inline, part
 from cell.vision.ridge import (
     ProfileFit,
     RidgeStart,
@@ -124,7 +124,7 @@ def trace_memory(diagonal_px: float) -> TraceMemory:
     )
 
 
-@compiled
+@part
 def trace_cable(picture, appearance, memory, grip, outward, length):  # type: ignore[no-untyped-def]
     """Trace of the cable that leaves the gripping point about along `outward` (column, row each).
 
@@ -164,7 +164,7 @@ def trace_cable(picture, appearance, memory, grip, outward, length):  # type: ig
     return _refined(picture, appearance.along, memory, grip, tip, contrast)
 
 
-@compiled
+@part
 def _chord_parameters(line):  # type: ignore[no-untyped-def]
     """Give the points of a line parameters 0 … 1, by distance."""
     total = 0.0
@@ -177,7 +177,7 @@ def _chord_parameters(line):  # type: ignore[no-untyped-def]
         line[n, PARAMETER] /= total
 
 
-@compiled
+@part
 def _tip(picture, fit, memory):  # type: ignore[no-untyped-def]
     """Parameter at which the line ends: where its amplitude falls to half, to a part of a pixel.
 
@@ -236,7 +236,7 @@ def _half(scratch, count, end, blur):  # type: ignore[no-untyped-def]
     return end
 
 
-@compiled
+@part
 def _refined(picture, fit, memory, grip, tip, contrast):  # type: ignore[no-untyped-def]
     """The curve again, from offsets across it, sampled at equal arc length from grip to tip."""
     last = tip
@@ -281,7 +281,7 @@ def _median_used(memory, column):  # type: ignore[no-untyped-def]
     return median(memory.scratch, count)
 
 
-@compiled
+@part
 def _equal_steps(memory, first, last):  # type: ignore[no-untyped-def]
     """Points and normals at equal arc length, into `samples`; returns the length from grip to tip.
 
@@ -309,7 +309,7 @@ def _equal_steps(memory, first, last):  # type: ignore[no-untyped-def]
     return length
 
 
-@compiled
+@part
 def _measure(picture, fit, samples, length, scratch):  # type: ignore[no-untyped-def]
     """Offsets across the curve at the samples, and what the next curve is fitted to.
 
@@ -334,7 +334,7 @@ def _measure(picture, fit, samples, length, scratch):  # type: ignore[no-untyped
     return usable, clear
 
 
-@compiled
+@part
 def median(scratch, count):  # type: ignore[no-untyped-def]
     """Median of the first values of row 0, by Hoare's selection; the row is left partly sorted."""
     rank, low, high = count // 2, 0, count - 1

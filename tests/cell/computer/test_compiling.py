@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import pkgutil
 import subprocess
@@ -18,7 +19,7 @@ from numba.core.registry import CPUDispatcher
 import calib.lens
 import cell.cable
 import cell.vision
-from cell.computer.compiling import compiler, hash_of, inline, widest_vectors
+from cell.computer.compiling import Part, compiler, hash_of, inline, part, widest_vectors
 from cell.vision.compiling import compiled
 
 
@@ -75,13 +76,40 @@ def test_what_only_compiled_code_can_call_says_so() -> None:
         plus_one(1.0)
 
 
-def test_what_the_engine_computes_does_not_depend_on_who_compiled_it() -> None:
+def test_a_number_written_down_is_a_number_as_any_other() -> None:
+    @part
+    def scaled(x, by):
+        return by * x
+
+    @njit
+    def call(x, by):
+        return scaled(x, 2) + scaled(x, 3) + scaled(x, by)
+
+    assert call(1.0, 4) == 9.0
+    assert len(scaled.signatures) == 1
+
+
+def test_the_garbage_collector_is_as_it_was() -> None:
+    @compiled
+    def twice(x):
+        return 2.0 * x
+
+    for is_on in (False, True):
+        gc.disable()
+        if is_on:
+            gc.enable()
+        twice(1.0 if is_on else 1)
+        assert gc.isenabled() is is_on
+
+
+@pytest.mark.parametrize("package", [cell.cable, cell.vision])
+def test_what_is_computed_does_not_depend_on_who_compiled_it(package) -> None:
     """A process that compiles has each function apart, one that loads it has it in its callers.
 
     The two are optimised differently, and their last digits differ.  So what compiled functions of
-    the engine call becomes part of them.
+    the engine and of vision call becomes part of them.
     """
-    modules = pkgutil.walk_packages(cell.cable.__path__, "cell.cable.")
+    modules = pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
     known = {m.name: vars(importlib.import_module(m.name)) for m in modules}
     functions = [f for names in known.values() for f in names.values() if isinstance(f, Dispatcher)]
     assert len(functions) > 30
@@ -89,9 +117,26 @@ def test_what_the_engine_computes_does_not_depend_on_who_compiled_it() -> None:
         f"{f.py_func.__name__} calls {name}"
         for f in functions
         for name in f.py_func.__code__.co_names
-        if type(f.py_func.__globals__.get(name)) is CPUDispatcher
+        if isinstance(called := f.py_func.__globals__.get(name), CPUDispatcher)
+        and not isinstance(called, Part)
     ]
-    assert not apart, "decorate what is called with `inline`"
+    assert not apart, "decorate what is called with `inline` or `part`"
+
+
+def test_code_that_another_process_can_leave_is_looked_for_on_the_disk(tmp_path: Path) -> None:
+    program = tmp_path / "shared.py"
+    program.write_text(
+        "from cell.computer.compiling import compiler, is_to_be_compiled\n"
+        "@compiler(lambda: 'stamp')\ndef twice(x):\n    return 2.0 * x\n"
+        "print(is_to_be_compiled(twice), twice(1.0))\n"
+    )
+    command = [
+        sys.executable,
+        "-c",
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import shared",
+    ]
+    said = [subprocess.check_output(command, text=True).strip() for _ in range(2)]
+    assert said == ["True 2.0", "False 2.0"]
 
 
 _PROGRAM = """

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from cell.cable.geometry import Cable
-from cell.run.warm_up import made_up_picture, warm_up
+from cell.computer.second_process import SecondProcess
+from cell.run.warm_up import made_up_picture, second_process, warm_up
 from cell.vision.detect import VisionOptions, detect_all
 from cell.vision.marks import JawMarks
 
@@ -86,3 +89,16 @@ def test_nothing_is_compiled_or_imported_while_the_cell_moves(
     config.write_text(text, encoding="utf-8")
     script = ONE_CYCLE.replace("{plan}", plan)
     assert knowing_what_is_compiled(script, config, tmp_path / "runs") == [outcome]
+
+
+@pytest.mark.parametrize("compiles", [False, True])
+def test_two_processes_compile_where_much_is_to_be_compiled(
+    compiles: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cell.run.warm_up.is_to_be_compiled", lambda function: compiles)
+    with ThreadPoolExecutor(1) as given:
+        with second_process(given) as computer:
+            process = computer.submit(os.getpid).result()
+        assert (process != os.getpid()) is compiles
+    with SecondProcess() as given, second_process(given) as computer:
+        assert computer is given

@@ -14,6 +14,8 @@ from cell.vision.discs import _block_means, to_pixels, to_plane
 from cell.vision.marks import JawMarks, compiled_view, find_jaw, pixels_per_metre
 from drivers.sim.render import JAW_MARKS_M, RenderOptions, render
 
+from .entries import entry
+
 VIEW = PlaneView.from_scale(2e-4, 640.0, 512.0)
 
 
@@ -103,9 +105,9 @@ def test_the_compiled_view_is_that_of_the_calibration(lens):
         np.array([[2.0e-4, 1.0e-5, -0.13], [8.0e-6, -2.1e-4, 0.105], [3.0e-5, -4.0e-5, 1.0]]), lens
     )
     pixels = np.random.default_rng(6).uniform([0.0, 0.0], [1280.0, 1024.0], (50, 2))
-    places = np.array([to_plane(compiled_view(view), u, v) for u, v in pixels])
+    places = np.array([entry(to_plane)(compiled_view(view), u, v) for u, v in pixels])
     assert places == pytest.approx(view.to_plane(pixels), abs=1e-12)
-    back = np.array([to_pixels(compiled_view(view), x, y) for x, y in places])
+    back = np.array([entry(to_pixels)(compiled_view(view), x, y) for x, y in places])
     assert back == pytest.approx(pixels, abs=1e-7)
 
 
@@ -128,6 +130,6 @@ def test_means_of_blocks_are_rounded_as_opencv_rounds_them(shrink: int) -> None:
     rng = np.random.default_rng(shrink)
     picture = rng.integers(0, 256, (60 * shrink, 80 * shrink)).astype(np.uint8)
     coarse = np.empty((60, 80), np.uint8)
-    _block_means(picture, shrink, np.empty(picture.shape[1], np.int32), coarse)
+    entry(_block_means)(picture, shrink, np.empty(picture.shape[1], np.int32), coarse)
     expected = cv2.resize(picture, (80, 60), interpolation=cv2.INTER_AREA)
     np.testing.assert_array_equal(coarse, expected)

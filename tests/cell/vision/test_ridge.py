@@ -20,6 +20,8 @@ from cell.vision.ridge import (
     profile_fit,
 )
 
+from .entries import entry
+
 
 def painted(angle, offset, *, ends=(-1e9, 1e9), sign=1, slope=0.0, width=1.0, edge=0.0):
     """A line through the middle of 240 × 320 pixels, `offset` px beside it, and its direction."""
@@ -44,13 +46,14 @@ def offsets_beside(picture, points, normal, fit, scratch):
 
 def followed(picture, start, *, gap=10.0, longest=400.0):
     line = np.empty((int(longest / 2.0), 3))
-    count, why = follow(picture, start, 0.4, 2.0, gap, line, new_scratch())
+    count, why = entry(follow)(picture, start, 0.4, 2.0, gap, line, new_scratch())
     return line[:count], End(why)
 
 
 def crossed(picture):
     found = np.empty((64, 3))
-    return found[: crossings(picture, (160.0, 120.0, 60.0, 0.5, 1.5), new_scratch(200), found)]
+    ring = (160.0, 120.0, 60.0, 0.5, 1.5)
+    return found[: entry(crossings)(picture, ring, new_scratch(200), found)]
 
 
 @settings(max_examples=60, deadline=None)
@@ -86,7 +89,7 @@ def test_a_line_is_started_and_followed_to_its_end(angle, end):
     image, d = painted(angle, 0.0, ends=(-20.0, end))
     picture = GreyImage.of(image, 1)
     at = np.array([160.0, 120.0]) + 2.0 * np.array([-d[1], d[0]])
-    start = find_start(picture, tuple(at), tuple(d), 4.0, 0.5, new_scratch())
+    start = entry(find_start)(picture, tuple(at), tuple(d), 4.0, 0.5, new_scratch())
     assert start.contrast > 20.0
     assert np.array([start.du, start.dv]) @ d > 0.99
     line, why = followed(picture, start)
@@ -118,7 +121,8 @@ def test_an_edge_is_not_a_line():
     at = np.array([160.0, 120.0]) + 10.0 * np.array([-d[1], d[0]])
     for sign in (1, -1):
         picture = GreyImage.of(image, sign)
-        assert find_start(picture, tuple(at), tuple(d), 6.0, 0.5, new_scratch()).contrast < 3.0
+        start = entry(find_start)(picture, tuple(at), tuple(d), 6.0, 0.5, new_scratch())
+        assert start.contrast < 3.0
 
 
 def test_a_line_is_crossed_once_where_it_is():
@@ -130,5 +134,6 @@ def test_a_line_is_crossed_once_where_it_is():
 
 def test_what_lies_beyond_the_edge_is_no_line():
     image, d = painted(0.0, 0.0)
-    start = find_start(GreyImage.of(image, 1), (319.0, 120.0), tuple(d), 3.0, 0.5, new_scratch())
+    picture = GreyImage.of(image, 1)
+    start = entry(find_start)(picture, (319.0, 120.0), tuple(d), 3.0, 0.5, new_scratch())
     assert not start.contrast > 5.0
