@@ -2,6 +2,8 @@
 # ARGS=… takes the place of the arguments of a study or measurement: make coverage ARGS="--cables 3".
 VENV ?= .venv
 BIN := $(VENV)/bin
+# Bytecode of what is used comes with its first use: of 10,000 modules few are.
+INSTALL := $(if $(shell command -v uv),uv pip install --quiet --python $(BIN)/python,$(BIN)/pip install --quiet --disable-pip-version-check --no-compile)
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
@@ -142,15 +144,15 @@ $(VENV)/bin/python:
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --upgrade pip || true  # that of Python 3.11 takes twice as long
 
 $(VENV)/.user: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -e .
+	$(INSTALL) -e .
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -e ".[dev]"  # of 10,000 modules few are used
+	$(INSTALL) -e ".[dev]"
 	@touch $(VENV)/.user $@
 
 $(VENV)/.web: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -e ".[web]"
+	$(INSTALL) -e ".[web]"
 	@touch $(VENV)/.user $@
 
 clean:           ## remove the environment and caches

@@ -83,19 +83,13 @@ class Part(Entry):
 class _PartCode(JITCodeLibrary):
     """Code that exists within others alone, where it is optimised and becomes machine code."""
 
-    def finalize(self) -> None:
-        """Add the code of what it calls."""
-        self._raise_if_finalized()
-        for library in dict.fromkeys(self._linking_libraries):
-            self._reload_init.update(library._reload_init)
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+    def _optimize_final_module(self) -> None:
+        """Later, with the code that takes it in."""
+
+    def _finalize_final_module(self) -> None:
+        """Nothing is handed to the linker."""
         self._finalize_dynamic_globals()
         self._finalized = True
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """There is no machine code."""
-        self._ensure_finalized()
-        return 0
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -115,7 +109,6 @@ class _PartLowering(NativeLowering):
         # by it those that call the function know it; it jumps nowhere
         entry = make_function(function.lookup_module(), function.qualname, "", 0, env, ())
         context.insert_user_function(entry, function, [state.library])
-        state.reload_init.extend(state.library._reload_init)
         state.cr = _LowerResult(function, state.cr.call_helper, cfunc=entry, env=env)
         return True
 
