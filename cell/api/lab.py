@@ -41,6 +41,7 @@ from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.doubts import lacking_doubt
 from cell.lab.verdict.fit_doubts import fit_doubts
+from cell.lab.verdict.knots import with_more_knots
 from cell.study.data import Study
 from cell.study.folder import check_study
 from cell.study.independence import without_copies
@@ -328,6 +329,7 @@ def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
 
 def fitted(fits: FitCache) -> FitResult:
     """The model of a study that was made ready; interrupted, what is known by then."""
+    fits = with_more_knots(fits, fits) or fits
     model, candidate, fitted_to = fit_study(fits)
     lacking = lacking_doubt(model.lacks)
     result = FitResult(fits.prepared, fitted_to, candidate, model, lacking, ())

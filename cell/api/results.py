@@ -33,7 +33,7 @@ from cell.lab.report.model_tables import (
     suggestion_table,
 )
 from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
-from cell.lab.report.tables import agreement_table, diagnosis_parts, warning_lines
+from cell.lab.report.tables import agreement_table, diagnosis_parts, knots_lines, warning_lines
 from cell.lab.report.wording import agreement_sentence, by_evidence
 from cell.lab.report.wrench_report import wrenches_table
 from cell.lab.strength.compare import Comparison, comparisons_json
@@ -127,7 +127,8 @@ class FitResult(Shown):
         if self.agreement:
             apart = agreement_sentence(self.agreement), agreement_table(self.agreement)
         error = errors_line(self.prepared, self.candidate.errors)
-        return (*warning_lines(self.warnings), error, model_table(self.model), *apart)
+        knots = knots_lines(self.model.space.knots)
+        return (*warning_lines(self.warnings), error, *knots, model_table(self.model), *apart)
 
     def to_json(self) -> dict[str, Any]:
         """As `cell fit -o` writes it (identified-cable/1)."""

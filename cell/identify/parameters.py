@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
-from cell.cable.model import CableModel
+from cell.cable.model import CableModel, knot_basis
 
 
 def one_sided_steps(q: FloatArray, step: FloatArray, high: FloatArray) -> FloatArray:
@@ -176,6 +176,54 @@ class ParameterSpace:
             tuple(held.items()),
             pull_m_per_s2,
         )
+
+    @property
+    def rigidity_is_unknown(self) -> bool:
+        """Whether nothing is known of EI(s) but that it changes little along the cable."""
+        k, usual = self.knots, self._usual(self.knots)
+        known = self.precision[:k].copy()
+        known[:, :k] -= usual.precision[:k, :k]
+        return not known.any() and bool(np.all(self.mean[:k] == usual.mean[:k]))
+
+    def with_knots(self, knots: int) -> ParameterSpace:
+        """The same with log EI at so many knots, of which nothing is known beforehand."""
+        k, usual = self.knots, self._usual(knots)
+        precision = np.zeros((knots + len(self.names) - k,) * 2)
+        precision[:knots, :knots] = usual.precision[:knots, :knots]
+        precision[knots:, knots:] = self.precision[k:, k:]
+
+        def joined(of_rigidity: FloatArray, others: FloatArray) -> FloatArray:
+            return np.concatenate([of_rigidity[:knots], others[k:]])
+
+        return replace(
+            self,
+            knots=knots,
+            names=usual.names[:knots] + self.names[k:],
+            units=usual.units[:knots] + self.units[k:],
+            logarithmic=np.concatenate([usual.logarithmic[:knots], self.logarithmic[k:]]),
+            mean=joined(usual.mean, self.mean),
+            precision=precision,
+            low=joined(usual.low, self.low),
+            high=joined(usual.high, self.high),
+            step=joined(usual.step, self.step),
+        )
+
+    def _usual(self, knots: int) -> ParameterSpace:
+        """The space of such a cable without effects of which nothing is known."""
+        return ParameterSpace.of(
+            self.cable,
+            gravity_m_per_s2=self.gravity_m_per_s2,
+            prior=Prior(knots=knots),
+            pull_m_per_s2=self.pull_m_per_s2,
+        )
+
+    def at_knots(self, q: FloatArray, knots: int) -> FloatArray:
+        """Coordinates q (p,) of the same cable in a space with so many knots.
+
+        EI(s) is the same where they are a multiple of its own intervals, else its nearest spline.
+        """
+        basis = knot_basis(self.knots, tuple(np.linspace(0.0, 1.0, knots)))
+        return np.concatenate([basis @ q[: self.knots], q[self.knots :]])
 
     def natural(self, q: FloatArray) -> FloatArray:
         """(…, p) natural values of fit coordinates."""

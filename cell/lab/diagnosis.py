@@ -3,6 +3,7 @@
     prepare     outliers, clocks, initial states, noise; the baseline fitted     `search.setup`
     search      effects added while they are significant and confirmed           `search`
     noise       re-estimated given the model found; the search is repeated once  `search.fit_cache`
+    knots       more of EI(s) where no effect explains as much; searched again   `verdict.knots`
     explain     effects tied with those found, or else what explains most        `verdict.ties`
     check       the table of checks on the evidence                              `verdict.checks`
     conclude    verdict, claims, doubts                                          `conclusion`
@@ -16,10 +17,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from cell.identify.gauss_newton import UNSIMULATED, UnsimulatedError
+from cell.lab.data.check import CheckOutcome, worst_verdict
 from cell.lab.data.results import Limit
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import SpentError, WorkStoppedError
@@ -35,6 +37,7 @@ from cell.lab.verdict.conclusion import Examination, conclude, interrupted, unco
 from cell.lab.verdict.doubts import ended_doubt, no_model_doubt, unsimulated_doubt
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.fit_doubts import MEANINGLESS
+from cell.lab.verdict.knots import with_more_knots
 from cell.lab.verdict.ties import with_ties
 
 _LOG = logging.getLogger(__name__)
@@ -48,9 +51,11 @@ def diagnose(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
 
     Stopped, or where nothing more can be simulated, it returns what is known by then.
     """
-    work = fits.work
+    work, first = fits.work, fits
+    usual: _Judged | None = None
+    stage, again = _SEARCHES
     try:
-        for stage in _SEARCHES:
+        while True:
             _LOG.info(
                 "study %s, baseline: %s", fits.prepared.study.name, errors_in_words(fits.base)
             )
@@ -58,12 +63,20 @@ def diagnose(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
                 return unconfirmed(fits, rules, "unexplained", no_model_doubt())
             with work.stage(stage):
                 search = search_effects(fits, rules)
-            if search.refined is None:
+            stage = again
+            if search.refined is not None:
+                with work.stage(again):
+                    fits = FitCache.of(search.refined)
+                continue
+            with work.stage("conclude"):
+                judged = _judged(search, rules)
+            with work.stage(again):
+                finer = None if judged.is_complete else with_more_knots(fits, first)
+            if finer is None:
                 break
-            with work.stage(_SEARCHES[-1]):
-                fits = FitCache.of(search.refined)
+            usual, fits = usual or judged, finer
         with work.stage("conclude"):
-            return _concluded(search, rules)
+            return _concluded(judged if usual is None or judged.explained else usual, rules)
     except WorkStoppedError as error:
         work.conclude()
         return interrupted(fits, rules, error)
@@ -71,20 +84,39 @@ def diagnose(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
         return unconfirmed(fits, rules, "cannot_tell", unsimulated_doubt())
 
 
-def _concluded(search: SearchResult, rules: Rules) -> Examination:
-    """The conclusion from a search: effects that explain the study, or what comes nearest."""
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A search, the checks of the model that it accepted, and whether that explains the study."""
+
+    search: SearchResult
+    evidence: Evidence
+    checks: tuple[CheckOutcome[Evidence], ...]
+    explained: bool
+    all_tried: bool
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the baseline is all that the study needs."""
+        return self.evidence.is_base and worst_verdict(self.checks, is_base=True) == "complete"
+
+
+def _judged(search: SearchResult, rules: Rules) -> _Judged:
+    """A search with the checks of the model that it accepted."""
     fits, left_out = search.fits, search.fits.work.left_out
     evidence = Evidence(fits, search.model, rules)
-    if not explains(evidence):
-        partial = explain_partly(fits, rules)
-        checks, alone = tuple(evaluate(evidence)), (fits.base,)
-        return conclude(search, evidence, checks, alone, partial, all_tried=search.all_tried)
-    before = len(left_out)
-    evidence = with_ties(evidence)
+    explained, before = explains(evidence), len(left_out)
+    if explained:
+        evidence = with_ties(evidence)
     all_tried = search.all_tried and len(left_out) == before
-    path = path_to(fits, evidence.final, rules)
-    checks = tuple(evaluate(evidence))
-    return conclude(search, evidence, checks, path, None, all_tried=all_tried)
+    return _Judged(search, evidence, tuple(evaluate(evidence)), explained, all_tried)
+
+
+def _concluded(judged: _Judged, rules: Rules) -> Examination:
+    """The conclusion from a search: effects that explain the study, or what comes nearest."""
+    search, evidence, fits = judged.search, judged.evidence, judged.evidence.fits
+    partial = None if judged.explained else explain_partly(fits, rules)
+    path = path_to(fits, evidence.final, rules) if judged.explained else (fits.base,)
+    return conclude(search, evidence, judged.checks, path, partial, all_tried=judged.all_tried)
 
 
 def with_strength(examination: Examination) -> Examination:

@@ -7,13 +7,15 @@
 
 Sources, each with kinds and how many of them:
 
-    --made      usual studies (`made_studies.py`): `complete`; `one` effect hidden; `unknown`, that
-                effect taken out of the library; `pair`; `mixed`, a pair whose second is taken out;
-                `prior`, beside a model of another cable that is no model of this one
+    --made      usual studies (`made_studies.py`): `complete`; `step`, complete with a step of EI;
+                `one` effect hidden; `unknown`, that effect taken out of the library; `pair`;
+                `mixed`, a pair whose second is taken out; `prior`, beside a model of another cable
+                that is no model of this one
     --breadth   the breadth of what users bring (`breadth_world.py`): `complete`, `one`, `outside`;
                 --uneven, --pixel and --colour set a condition for all of them
     --rigs      imitated rigs (`rigs.py`), one effect hidden in each: `all` features, or one kind
                 of rig; `complete=60` hides nothing
+    --mujoco    made by MuJoCo (`mujoco_studies.py`): `complete`; `step` of EI; `mass`, 2 % at 60 %
     --practice, --real   of `../shared/data` beside the project; real ones have no known answer
 
 Each study is a row of the file as soon as it is judged; rows that are there are kept, so that a
@@ -48,6 +50,7 @@ from cell.lab.data.results import MissingEffect
 from tools.worlds.cases import (
     BREADTH,
     MADE,
+    MUJOCO,
     RIGS,
     SHARED,
     Case,
@@ -66,6 +69,8 @@ class Row:
 
     named, partial  effects joined by "+", ties by "|"; also of `cannot_tell`, which claims nothing
     noise_ratio     estimated over true noise; error_ratio: baseline's larger error over true noise
+    knots           of EI(s)
+    values          of the named effects' parameters
     cpu_s           of the diagnosis with its report's comparison, forks included
     """
 
@@ -85,6 +90,8 @@ class Row:
     cpu_s: float = 0.0
     refused: str = ""
     conditions: str = "{}"
+    values: str = "{}"
+    knots: str = ""
 
     @property
     def seen(self) -> bool:
@@ -182,7 +189,15 @@ def _said(case: Case, there: Made) -> Row:
         error_ratio=round(float(np.nanmax(errors)) / noise_m, 3),
         simulated_s=round(fits.work.simulated_s),
         cpu_s=round(cpu_s() - before_s, 2),
+        values=json.dumps(_values(found.missing)),
+        knots=str(found.knots),
     )
+
+
+def _values(effects: Sequence[MissingEffect]) -> dict[str, float]:
+    """Of all parameters of effects, by `effect.parameter`."""
+    named = {f"{m.effect}.{n}": e.value for m in effects for n, e in m.parameters.items()}
+    return {name: float(f"{value:.5g}") for name, value in named.items()}
 
 
 def _joined(effects: Sequence[MissingEffect]) -> str:
@@ -209,9 +224,10 @@ def cases(given: argparse.Namespace) -> list[Case]:
     for kind, count in given.breadth:
         numbers = range(count)
         found += [Case("breadth", kind, str(n), given.seed, count, changed) for n in numbers]
-    for kind, count in given.rigs:
-        seeds = range(given.first, given.first + count)
-        found += [Case("rigs", kind, str(seed)) for seed in seeds]
+    for source, counts_of in (("rigs", given.rigs), ("mujoco", given.mujoco)):
+        for kind, count in counts_of:
+            seeds = range(given.first, given.first + count)
+            found += [Case(source, kind, str(seed)) for seed in seeds]
     if given.practice is not None:
         truth = json.loads((SHARED / "practice" / "truth.json").read_text(encoding="utf-8"))
         found += [Case("practice", "all", name) for name in given.practice or truth]
@@ -354,11 +370,11 @@ def kinds(known: Sequence[str]) -> Callable[[str], tuple[str, int]]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file", type=Path)
-    for name, known in (("made", MADE), ("breadth", BREADTH), ("rigs", RIGS)):
+    for name, known in (("made", MADE), ("breadth", BREADTH), ("rigs", RIGS), ("mujoco", MUJOCO)):
         parser.add_argument(f"--{name}", nargs="+", type=kinds(known), default=[])
     parser.add_argument("--practice", nargs="*", metavar="NAME", help="default: all of them")
     parser.add_argument("--real", action="store_true")
-    parser.add_argument("--first", type=int, default=0, help="seed of made studies and rigs")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first study")
     parser.add_argument("--seed", type=int, default=1, help="of the breadth's conditions")
     for name in CHANGED:
         parser.add_argument(f"--{name}", type=float)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -28,14 +28,17 @@ from tools.worlds.known_truth import (
     that_shows,
     without_noise,
 )
-from tools.worlds.made_studies import hidden, make_study
+from tools.worlds.made_studies import Step, hidden, make_study
 from tools.worlds.outside_laws import LAWS
 from tools.worlds.rig_kinds import KINDS as RIG_KINDS
 from tools.worlds.rigs import Rig, rig_study
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
-MADE = ("complete", "one", "unknown", "pair", "mixed", "prior")
+MADE = ("complete", "step", "one", "unknown", "pair", "mixed", "prior")
 BREADTH = ("complete", "one", "outside")
+MUJOCO = ("complete", "step", "mass")
+#: A mass that is hidden in a chain of MuJoCo's: share of the cable's mass, and of its length.
+POINT_MASS = (0.02, 0.6)
 RIGS = ("all", "complete", *RIG_KINDS)
 
 
@@ -84,9 +87,12 @@ def made(case: Case) -> Iterator[Made]:
     if case.source in ("practice", "real"):
         yield _given(case)
         return
-    make = {"made": _usual, "breadth": _broad, "rigs": _of_rig}[case.source]
+    make = {"made": _usual, "breadth": _broad, "rigs": _of_rig}.get(case.source)
     with TemporaryDirectory() as root:
         folder = Path(root) / "study"
+        if make is None:
+            yield _by_mujoco(case, folder)
+            return
         study, found = make(case, folder)
         write_study(study, folder)
         yield found
@@ -103,8 +109,11 @@ def _given(case: Case) -> Made:
 
 def _usual(case: Case, folder: Path) -> tuple[Study, Made]:
     known, seed = library(), int(case.number)
-    if case.kind == "complete":
-        return make_study(seed), Made(folder, EffectSelection((), known))
+    if case.kind in ("complete", "step"):
+        step = Step.drawn(seed) if case.kind == "step" else None
+        conditions = {} if step is None else asdict(step)
+        study = make_study(seed, step=step)
+        return study, Made(folder, EffectSelection((), known), conditions=conditions)
     if case.kind == "prior":
         kind = BAD_PRIORS[seed % len(BAD_PRIORS)]
         study, names, model = beside_bad_prior(seed, kind)
@@ -125,6 +134,25 @@ def _usual(case: Case, folder: Path) -> tuple[Study, Made]:
     power = min(power_of(evidence(quiet, s), quiet, len(known)) for s in spaces)
     count = 1 if case.kind == "mixed" else len(names)
     return study, Made(folder, selection, names[:count], names[count:], power)
+
+
+def _by_mujoco(case: Case, folder: Path) -> Made:
+    """A study by MuJoCo, with a step of EI, a mass between clamp and tip, or neither."""
+    from tools.worlds import mujoco_studies as mujoco  # needs mujoco
+
+    seed, names = int(case.number), ()
+    step, hidden = (1.0, 0.5), mujoco.Hidden()
+    if case.kind == "step":
+        step = astuple(Step.drawn(seed))
+    elif case.kind == "mass":
+        share, place = POINT_MASS
+        kilograms = share * mujoco.DENSITY_KG_PER_M * mujoco.LENGTH_M
+        hidden, names = mujoco.Hidden(point_mass=(kilograms, place)), ("point_mass",)
+    cable = mujoco.specimen(seed, hidden, step)
+    # twice the tables' step: it moves the markers by less than a thousandth of the noise
+    mujoco.write_study(folder, cable, seed=seed, step_s=2.0 * mujoco.STEP_S)
+    conditions = dict(zip(("factor", "place"), step, strict=True))
+    return Made(folder, EffectSelection((), library()), names, conditions=conditions)
 
 
 def drawn(

@@ -7,6 +7,7 @@ another family than the model's spline, so that the model is not compared with i
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +48,31 @@ STROKES = (
     ("raised", "validate", -0.5, (-0.05, 0.0), 0.25),
 )
 
+#: Knots of a cable whose EI has a step, and the width of the step over the free length.
+STEP_KNOTS, STEP_WIDTH = 61, 0.01
+
+
+@dataclass(frozen=True)
+class Step:
+    """EI is `factor` times as large beyond `place`, a share of the free length."""
+
+    factor: float
+    place: float
+
+    @staticmethod
+    def drawn(seed: int) -> Step:
+        """By a factor 1.3 … 2 up or down, anywhere but at the ends."""
+        rng = np.random.default_rng([seed, 7])
+        size = rng.uniform(np.log(1.3), np.log(2.0)) * rng.choice([-1.0, 1.0])
+        return Step(float(np.exp(size)), float(rng.uniform(0.1, 0.9)))
+
+    def in_model(self, model: CableModel) -> CableModel:
+        """The model with this step in its EI."""
+        share = np.linspace(0.0, 1.0, STEP_KNOTS)
+        beyond = 0.5 * (1.0 + np.tanh((share - self.place) / STEP_WIDTH))
+        smooth = model.rigidity_at(share * model.cable.free_length_m)
+        return replace(model, rigidity_n_m2=smooth * self.factor**beyond)
+
 
 def make_study(
     seed: int,
@@ -55,16 +81,20 @@ def make_study(
     noise_m: float | None = None,
     colour: float | None = None,
     noise_seed: int | None = None,
+    step: Step | None = None,
 ) -> Study:
     """A study of a random cable.
 
     noise_m     0.05 … 0.3 mm and colour 0 … 0.9 are drawn if not given
     noise_seed  of other noise on the same cable
+    step        of EI; None = EI is smooth
     """
     rng = np.random.default_rng(seed)
     noise = float(np.exp(rng.uniform(np.log(5e-5), np.log(3e-4)))) if noise_m is None else noise_m
     rho = float(rng.uniform(0.0, 0.9)) if colour is None else colour
     model = random_model(rng, CABLE, effects)
+    if step is not None:
+        model = step.in_model(model)
     if noise_seed is not None:
         rng = np.random.default_rng(noise_seed)
     arcs = node_arc_lengths(CABLE.free_length_m)

@@ -63,7 +63,7 @@ class Hidden:
     dry_friction: float = 0.0
     natural_curvature: tuple[float, float] = (0.0, 0.0)
     tip_mass: float = 0.0
-    mid_mass: float = 0.0
+    point_mass: tuple[float, float] = (0.0, 0.5)
     grip_angle: float = 0.0
     grip_compliance: float = 0.0
     grip_slip: float = 0.0
@@ -77,18 +77,23 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Specimen:
-    """A cable: EI at link joints is `rigidity·(1 + wave)`, viscosity C."""
+    """A cable: EI at link joints is `rigidity·(1 + wave)`, viscosity C.
+
+    step  factor by which EI is larger beyond a share of the free length
+    """
 
     rigidity_n_m2: float = 2.5e-5
     wave: float = 0.15
     phase: float = 0.3
     viscosity_n_m2_s: float = 1e-7
+    step: tuple[float, float] = (1.0, 0.5)
     hidden: Hidden = field(default_factory=Hidden)
 
     def rigidity(self, share: np.ndarray) -> np.ndarray:
         """EI at shares of the free length."""
         along = 1.0 + self.wave * np.sin(2.0 * np.pi * (0.7 * share + self.phase))
-        return self.rigidity_n_m2 * along
+        factor, place = self.step
+        return self.rigidity_n_m2 * along * np.where(share > place, factor, 1.0)
 
 
 #: One of each that MuJoCo can make, at the size of a practice study; names as in the library.
@@ -103,7 +108,7 @@ CASES: dict[str, Hidden] = {
     "dry_friction": Hidden(dry_friction=4e-6),
     "natural_curvature": Hidden(natural_curvature=(0.6, 5.0)),
     "tip_mass": Hidden(tip_mass=3e-5),
-    "mid_mass": Hidden(mid_mass=1e-4),
+    "point_mass": Hidden(point_mass=(1e-4, 0.5)),
     "grip_angle": Hidden(grip_angle=0.03),
     "grip_compliance": Hidden(grip_compliance=120.0),
     "grip_slip": Hidden(grip_slip=0.001),
@@ -150,7 +155,8 @@ class Chain:
         hidden, opened = self.hidden, ""
         weight = 1.0 + hidden.added_mass / DENSITY_KG_PER_M
         places = np.concatenate([[self.joint_m[0]], np.diff(self.joint_m)])
-        middle = int(np.searchsorted(self.joint_m, 0.5 * self.length_m))
+        mass, share = hidden.point_mass
+        body = int(np.searchsorted(self.joint_m, share * self.length_m)) - 1
         for i, (place, size) in enumerate(zip(places, self.size_m, strict=True)):
             loss = hidden.dry_friction if self.bends[i] else 0.0
             opened += (
@@ -160,8 +166,9 @@ class Chain:
                 f'<geom type="box" size="{size / 2} {WIDTH_M / 2} {THICKNESS_M / 2}" '
                 f'pos="{-size / 2} 0 0" mass="{self.mass_kg[i] * weight}"/>'
             )
-            if hidden.mid_mass and i == middle:
-                opened += f'<geom type="sphere" size="1e-4" mass="{hidden.mid_mass}"/>'
+            if mass and i == body:
+                along = self.joint_m[i] - share * self.length_m
+                opened += f'<geom type="sphere" size="1e-4" pos="{along} 0 0" mass="{mass}"/>'
         if hidden.tip_mass:
             end = -self.size_m[-1]
             opened += (
@@ -376,7 +383,7 @@ def write_study(
     (folder / "study.yaml").write_text(yaml.safe_dump(header, sort_keys=False), encoding="utf-8")
 
 
-def specimen(seed: int, hidden: Hidden) -> Specimen:
+def specimen(seed: int, hidden: Hidden, step: tuple[float, float] = (1.0, 0.5)) -> Specimen:
     """A random cable with something hidden."""
     rng = np.random.default_rng([seed, 4])
     return Specimen(
@@ -384,5 +391,6 @@ def specimen(seed: int, hidden: Hidden) -> Specimen:
         wave=float(rng.uniform(0.05, 0.25)),
         phase=float(rng.uniform()),
         viscosity_n_m2_s=float(rng.uniform(6e-8, 2e-7)),
+        step=step,
         hidden=hidden,
     )

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from cell.files.atomic import write_atomic
 from cell.files.plain import plain
+from cell.identify.parameters import Prior
 from cell.study.independence import Independence
 
 Verdict = Literal["complete", "missing", "unexplained", "cannot_tell"]
@@ -205,6 +206,7 @@ class Diagnosis:
     agreement  of the trials, in each parameter of the final model; none of a single trial
     checks    asked of the model, in order; the verdict is the worst of those that failed
     independence  the independent recordings and motions of the study
+    knots     of EI(s) in the models; more than usual where the study shows that EI changes fast
     """
 
     noise_m: float
@@ -221,6 +223,7 @@ class Diagnosis:
     noise_is_stated: bool = False
     checks: tuple[CheckResult, ...] = ()
     independence: Independence = field(default_factory=Independence)
+    knots: int = Prior().knots
 
     @property
     def codes(self) -> frozenset[str]:
@@ -246,6 +249,7 @@ _ENTRIES = (
     "nearest",
     "checks",
     "independence",
+    "knots",
     "warnings",
     "limits",
     "agreement",

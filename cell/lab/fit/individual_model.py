@@ -18,7 +18,7 @@ from cell.files.text_file import read_json_object
 from cell.identify.identified import Identified
 from cell.identify.model_class import effect_from, known_effects
 from cell.identify.noise import Noise
-from cell.identify.parameters import ParameterSpace
+from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.fit.fitting import space_with
 from cell.study.data import Study
 
@@ -118,6 +118,7 @@ def prior_space(study: Study, model: Identified) -> ParameterSpace:
     space = ParameterSpace.of(
         study.cable,
         gravity_m_per_s2=study.gravity_m_per_s2,
+        prior=Prior(knots=model.space.knots),
         pull_m_per_s2=study.pull_m_per_s2,
     )
     space = space_with(space, model.space.effects)

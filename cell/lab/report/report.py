@@ -31,6 +31,7 @@ from cell.lab.report.model_tables import comparison_sentence, model_table
 from cell.lab.report.tables import (
     agreement_table,
     checks_table,
+    knots_lines,
     limits_table,
     nearest_table,
     ranking_table,
@@ -111,7 +112,7 @@ def diagnosis_page(
         f"Diagnosis of {first.study.name}",
         says=sentence(diagnosis, first, last),
         told=diagnosis.verdict in ("complete", "missing"),
-        facts=_facts(first),
+        facts=" ".join([_facts(first), *knots_lines(diagnosis.knots)]),
         verdict=diagnosis.verdict,
         meaning=meaning(diagnosis),
         warnings=warning_lines(diagnosis.warnings),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cell.files.table import TableData
+from cell.identify.parameters import Prior
 from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.next.advice import STATUSES, NextStep, meaning
@@ -193,6 +194,7 @@ def diagnosis_parts(
         verdict_line(diagnosis),
         *warning_lines(diagnosis.warnings),
         *([f"Evidence: {diagnosis.independence}."] if diagnosis.independence.recordings else []),
+        *knots_lines(diagnosis.knots),
         *([f"The study states: {sensors}."] if sensors else []),
         *([agreement_sentence(agreement)] if agreement else []),
         waterfall_table(diagnosis),
@@ -216,6 +218,14 @@ def evidence_tables(diagnosis: Diagnosis) -> list[TableData]:
 def verdict_line(diagnosis: Diagnosis) -> str:
     """The verdict and what it means."""
     return f"Verdict {diagnosis.verdict}: {meaning(diagnosis)}."
+
+
+def knots_lines(knots: int) -> list[str]:
+    """How finely EI(s) is described, where that is not as usual."""
+    usual = Prior().knots
+    if knots == usual:
+        return []
+    return [f"EI changes fast along this cable: the model has it at {knots} places, not {usual}."]
 
 
 def warning_lines(warnings: Sequence[Doubt]) -> list[str]:

@@ -126,18 +126,29 @@ def gained(
     log_error  what the gripper log may be wrong by: what could be that is worth as much less
     """
     effect = next(e for e in large.effects if e.name not in small.names)
+    worth, held = worth_of(prepared, small, large, log_error)
+    return Gain(
+        delta_chi2=small.fit.objective - large.fit.objective,
+        p_value=p_value_of_fall(effect, worth),
+        delta_bic=worth - penalty_of(prepared, [effect]),
+        heldout=held,
+    )
+
+
+def worth_of(
+    prepared: PreparedStudy, small: FittedModel, large: FittedModel, log_error: GripperLogError
+) -> tuple[float, float]:
+    """Fall of the objective from one model to another, and ln of how much likelier held-out trials.
+
+    log_error  as of `gained`
+    """
     fall = small.fit.objective - large.fit.objective
     worth = fall / log_error.inflation(_change_fitted(prepared, small, large))
     held = 0.0
     if small.heldout and large.heldout:
         held = large.heldout.log_likelihood - small.heldout.log_likelihood
         held /= log_error.inflation(_change_heldout(prepared, small.heldout, large.heldout))
-    return Gain(
-        delta_chi2=fall,
-        p_value=p_value_of_fall(effect, worth),
-        delta_bic=worth - penalty_of(prepared, [effect]),
-        heldout=held,
-    )
+    return worth, held
 
 
 def _change_fitted(

@@ -115,6 +115,7 @@ def conclude(
         ),
         checks=tuple(outcome.result for outcome in checks),
         independence=evidence.independence,
+        knots=base.fit.space.knots,
     )
     return Examination(
         diagnosis, fits, tuple(path), search.singles, evidence.final, final, joint.prepared, most
@@ -153,6 +154,7 @@ def unconfirmed(fits: FitCache, rules: Rules, verdict: Verdict, why: Doubt) -> E
             *(d for d in doubts(fits, fits, base) if d.code != why.code),
         ),
         independence=Independence.of(fits.prepared.study),
+        knots=base.fit.space.knots,
     )
     return Examination(diagnosis, fits, (base,), singles, base, base, fits.prepared, ())
 

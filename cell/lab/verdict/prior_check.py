@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.effects.base import Effect
-from cell.identify.parameters import ParameterSpace
+from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import space_with
@@ -48,6 +48,7 @@ def _without_prior(fits: FitCache) -> FitCache:
     free = ParameterSpace.of(
         space.cable,
         gravity_m_per_s2=space.gravity_m_per_s2,
+        prior=Prior(knots=space.knots),
         pull_m_per_s2=space.pull_m_per_s2,
     )
     return FitCache.of(

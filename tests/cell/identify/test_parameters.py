@@ -52,6 +52,29 @@ def test_impossible_priors_are_refused(flat_cable: Cable) -> None:
         ParameterSpace.of(flat_cable, gravity_m_per_s2=(0.0, 0.0))
 
 
+def test_more_knots_describe_the_same_cable(flat_cable: Cable) -> None:
+    space = ParameterSpace.of(flat_cable, effects=[AirDrag])
+    q = space.mean + np.array([0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.05, 0.5, 1.5])
+    along = np.linspace(0.0, flat_cable.free_length_m, 301)
+    for knots in (11, 21):
+        finer = space.with_knots(knots)
+        assert finer.names[knots:] == space.names[6:]
+        assert len(finer.mean) == len(finer.low) == len(finer.step) == knots + 3
+        np.linalg.cholesky(finer.precision)
+        model = finer.model(space.at_knots(q, knots))
+        np.testing.assert_allclose(
+            model.rigidity_at(along), space.model(q).rigidity_at(along), rtol=1e-9
+        )
+        assert model.effects[0].values == pytest.approx((1.5,))
+
+
+def test_what_is_known_of_a_kinds_rigidity_is_told_from_what_is_not(flat_cable: Cable) -> None:
+    space = ParameterSpace.of(flat_cable)
+    assert space.rigidity_is_unknown
+    assert with_prior(space, ["viscosity"], [1e-7], [[0.01]]).rigidity_is_unknown
+    assert not with_prior(space, ["rigidity_2"], [3e-5], [[0.01]]).rigidity_is_unknown
+
+
 SMALL = ("tip_mass.mass_kg", "grip_slip.length_m")
 
 

@@ -15,6 +15,7 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.lab.data import named_effects, prepared, work
 from cell.study.data import Markers, Study, Trial
+from tools.worlds.made_studies import Step
 
 PRACTICE = Path(__file__).parents[4] / "shared" / "data" / "practice"
 REAL = Path(__file__).parents[4] / "shared" / "data" / "real"
@@ -78,10 +79,14 @@ def make_study() -> MakeStudy:
         ar1: float = 0.3,
         strokes: Sequence[Stroke] = FEW_STROKES,
         hold_s: float | None = None,
+        step: tuple[float, float] | None = None,
     ) -> Study:
+        """step: EI is so many times as large beyond a share of the free length."""
         rng = np.random.default_rng(seed)
         rigidity = 2.5e-5 * np.exp(rng.uniform(-0.2, 0.2, 4))
         model = CableModel(CABLE, rigidity, 1.05, 1e-7, effects=tuple(effects))
+        if step is not None:
+            model = Step(*step).in_model(model)
         arcs = node_arc_lengths(0.1)
         motions, times_s = [], []
         for stroke in strokes:

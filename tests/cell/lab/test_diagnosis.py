@@ -32,7 +32,7 @@ SCHEMA = {
     "required": [
         "format", "noise_m", "baseline", "verdict", "missing", "ranking", "left", "partial",
         "nearest", "warnings", "limits", "agreement", "noise_is_stated", "checks",
-        "independence",
+        "independence", "knots",
     ],
     "properties": {
         "format": {"const": "cable-diagnosis/1"},
@@ -54,6 +54,7 @@ SCHEMA = {
         "independence": {
             "required": ["effective_trials", "recordings", "motions", "held_out"],
         },
+        "knots": {"type": "integer"},
         "limits": {
             "items": {"required": ["effect", "parameter", "unit", "low", "high", "tip_m"]},
         },

@@ -87,8 +87,7 @@ def test_what_is_hidden_in_a_chain_is_named_and_measured(explored, effect, hidde
 
 
 def test_a_mass_between_clamp_and_tip_is_named_with_its_place(explored):
-    """MuJoCo has it in the link behind the middle: 0.5 to 0.53 of the length."""
-    found = explored(mid_mass=1e-4)
+    found = explored(point_mass=(1e-4, 0.515))
     assert found.verdict == "missing"
     assert [f.effect for f in found.missing] == ["point_mass"]
     mass, place = (found.missing[0].parameters[name] for name in ("mass_kg", "place"))

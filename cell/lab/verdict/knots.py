@@ -1,0 +1,156 @@
+"""The number of knots of EI(s): more than usual where the data show that EI changes faster.
+
+The prior of log EI is the same random walk whatever their number, and the splines contain each
+other, so that more knots only describe a cable more finely.  They are chosen by the likelihood
+integrated over the parameters, which pays for each of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cell.cable.arrays import FloatArray
+from cell.cable.model import knot_basis
+from cell.identify.gauss_newton import UNSIMULATED, jacobian_at
+from cell.identify.parameters import ParameterSpace, Prior
+from cell.lab.data.prepared import ERRS
+from cell.lab.fit.fitting import Fit, fit_model, fit_trials, problem_of
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import POLISH, FittedModel, model_of_fit, worth_of
+
+_LOG = logging.getLogger(__name__)
+
+#: Knots of EI(s): as usual, and more.  Each of their splines is one of the next, too.
+KNOTS = (Prior().knots, 11, 21)
+#: ln of how much likelier more knots, or an effect, must make a study.
+DECISIVE = 5.0
+#: A fit is worth its time if the linear model promises this share of what it must gain, and
+#: residuals within so many times those that explain a study.
+PROMISED, NEAR = 0.5, 2.0
+
+
+def with_more_knots(fits: FitCache, first: FitCache) -> FitCache | None:
+    """A study's fits with as many knots as it shows; None if those that there are suffice.
+
+    More are shown where with them the baseline, or else the likeliest model, explains the study and
+    is decisively likelier than every model so far, and held-out trials do not say otherwise.
+
+    fits   the models so far
+    first  the same before noise was re-estimated given one of them
+    """
+    space = fits.space
+    usable = fits.prior_q is None and space.rigidity_is_unknown and space.knots < KNOTS[-1]
+    if not usable or not fits.work.affords("more knots of EI(s)"):
+        return None
+    likeliest = max(fits.known(), key=_log_likelihood)
+    best = _log_likelihood(likeliest)
+    for model in dict.fromkeys((fits.base, likeliest)):
+        with contextlib.suppress(*UNSIMULATED):
+            more = _more_knots(fits, model, best - _log_likelihood(model) + DECISIVE)
+            if more is not None:
+                _LOG.info("EI(s) at %d knots in place of %d", more.fit.space.knots, space.knots)
+                finer = first.space.with_knots(more.fit.space.knots)
+                start = more.fit.q[: len(finer.names)]
+                return FitCache.of(replace(first.setup, space=finer, start_q=start))
+    return None
+
+
+def _log_likelihood(model: FittedModel) -> float:
+    """ln of the likelihood of all trials: of those fitted to, and of the others given these."""
+    return model.evidence + (model.heldout.log_likelihood if model.heldout else 0.0)
+
+
+def _more_knots(fits: FitCache, model: FittedModel, needed: float) -> FittedModel | None:
+    """A model with the likeliest number of knots; None if that does not gain what is needed.
+
+    raises  UnsimulatedError
+    """
+    prepared, before = fits.prepared, model.fit
+    linear = _LinearModel.of(fits, before)
+    if linear is None:
+        return None
+    usual = linear.evidence(before.space)
+    spaces = [before.space.with_knots(k) for k in KNOTS if k > before.space.knots]
+    likeliest = max(spaces, key=linear.evidence)
+    square = linear.square(likeliest)
+    noise = (NEAR * ERRS) ** 2 * prepared.count(fit_trials(prepared))
+    if linear.evidence(likeliest) - usual < PROMISED * needed or square > noise:
+        return None
+    start = before.space.at_knots(before.q, likeliest.knots)
+    fit = fit_model(prepared, likeliest, start, before.initial_states, options=POLISH)
+    found = model_of_fit(prepared, model.effects, fit)
+    worth, held = worth_of(prepared, model, found, fits.gripper_log_error())
+    gain = held + 0.5 * (worth - _penalty(fits, fit) + _penalty(fits, before))
+    shown = gain > needed and held >= 0.0 and fits.explained_by(found)
+    return found if shown else None
+
+
+def _penalty(fits: FitCache, fit: Fit) -> float:
+    """What the parameters cost a fit: ln of how much narrower the data make their distribution.
+
+    source  Laplace's approximation of a marginal likelihood (MacKay 1992, Neural Comput. 4, 415)
+    """
+    precision = problem_of(fits.prepared, fit.space, fit_trials(fits.prepared)).precision
+    jacobian = fit.solution.jacobian
+    return _log_det(jacobian.T @ jacobian + precision) - _log_det(precision)
+
+
+def _log_det(matrix: FloatArray) -> float:
+    return float(np.linalg.slogdet(matrix)[1])
+
+
+@dataclass(frozen=True, eq=False)
+class _LinearModel:
+    """A fitted model as a linear one of its parameters with the most knots.
+
+    residual  (rows,) white, where it was fitted; jacobian (rows, p) of the most knots, the other
+              parameters, and the trials' initial states
+    """
+
+    fits: FitCache
+    fit: Fit
+    residual: FloatArray
+    jacobian: FloatArray
+
+    @staticmethod
+    def of(fits: FitCache, fit: Fit) -> _LinearModel | None:
+        """None where a finer cable cannot be simulated."""
+        most = fit.space.with_knots(KNOTS[-1])
+        problem = problem_of(fits.prepared, most, fit_trials(fits.prepared))
+        q = fit.space.at_knots(fit.solution.q, KNOTS[-1])
+        jacobian = jacobian_at(problem, q, np.zeros((len(q), len(q))))
+        if not np.all(np.isfinite(jacobian)):
+            return None
+        return _LinearModel(fits, fit, fit.solution.residual, jacobian)
+
+    def evidence(self, space: ParameterSpace) -> float:
+        """ln of the likelihood integrated over the parameters of a space, but for a constant."""
+        jacobian, residual, away, precision, step = self._solved(space)
+        left, there = residual + jacobian @ step, away + step
+        objective = float(left @ left + there @ precision @ there)
+        normal = jacobian.T @ jacobian + precision
+        return -0.5 * (objective + _log_det(normal) - _log_det(precision))
+
+    def square(self, space: ParameterSpace) -> float:
+        """χ² of the residuals at the likeliest parameters of a space."""
+        jacobian, residual, _, _, step = self._solved(space)
+        left = residual + jacobian @ step
+        return float(left @ left)
+
+    def _solved(
+        self, space: ParameterSpace
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Jacobian, residual, coordinates less their prior's mean, its precision; the step."""
+        problem = problem_of(self.fits.prepared, space, fit_trials(self.fits.prepared))
+        most = KNOTS[-1]
+        basis = knot_basis(space.knots, tuple(np.linspace(0.0, 1.0, most)))
+        jacobian = np.hstack([self.jacobian[:, :most] @ basis, self.jacobian[:, most:]])
+        away = self.fit.space.at_knots(self.fit.solution.q, space.knots) - problem.mean
+        normal = jacobian.T @ jacobian + problem.precision
+        slope = jacobian.T @ self.residual + problem.precision @ away
+        step = np.asarray(-np.linalg.solve(normal, slope))
+        return jacobian, self.residual, away, problem.precision, step
