@@ -49,7 +49,7 @@ compiled: compiled-cell compiled-arm compiled-effects   # machine code on disk, 
 
 compiled-cell: $(VENV)/.dev
 	@folder=$$(mktemp -d) && (cat config/fake.yaml; echo "recording: null") > $$folder/cell.yaml \
-		&& $(BIN)/cell run --config $$folder/cell.yaml --cycles 1 --out $$folder/runs > $$folder/log 2>&1 \
+		&& $(BIN)/cell run --config $$folder/cell.yaml --cycles 1 --runs $$folder/runs > $$folder/log 2>&1 \
 		|| { cat $$folder/log; rm -rf $$folder; exit 1; }; rm -rf $$folder
 
 compiled-arm: $(VENV)/.dev

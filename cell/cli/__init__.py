@@ -72,6 +72,14 @@ PANELS = {
     "Plant": ("serve", "service", "mqtt", "opcua", "handshake"),
     "Administration": ("help", "user", "actions", "bundle"),
 }
+#: Spellings of the version before: they work, with a note, until the next one.
+OLD_OPTIONS = {
+    **{command: {"--out": "--runs"} for command in ("run", "show", "service")},
+    **{
+        command: {"--ledger": "--runs"}
+        for command in ("history", "acknowledge", "actions", "learn")
+    },
+}
 #: What `cell` alone says.
 _FIRST = """\
 Three things to do first:
@@ -101,6 +109,17 @@ class _Commands(typer.core.TyperGroup):
             of = (panel for panel, names in PANELS.items() if cmd_name in names)
             command.rich_help_panel = next(of)  # type: ignore[attr-defined]
         return command
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Name, command, and its words with options as they are spelled now."""
+        name, command, rest = super().resolve_command(ctx, args)
+        old = OLD_OPTIONS.get(name or "", {})
+        for i, word in enumerate(rest):
+            option, equals, value = word.partition("=")
+            if option in old:
+                rest[i] = old[option] + equals + value
+                print(f"note: {option} is called {old[option]} now", file=sys.stderr)
+        return name, command, rest
 
     def make_context(self, *given: Any, **named: Any) -> Any:
         with _reporting_interruption():

@@ -38,7 +38,7 @@ def bundle(
         Path,
         typer.Option(
             "--runs",
-            help="Folder of the cycles: that of `cell run --out`.",
+            help="Folder of the cycles: that of `cell run --runs`.",
             callback=records_folder,
         ),
     ] = Path("runs"),

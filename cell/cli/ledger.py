@@ -39,8 +39,8 @@ Since = Annotated[
 LedgerPlace = Annotated[
     str | None,
     typer.Option(
-        "--ledger",
-        help="The ledger: a folder of records, a file or a database's URL.  Default: that of "
+        "--runs",
+        help="Folder of the cycles, or their ledger: a file or a database's URL.  Default: that of "
         "--config, else that of the folder `runs`, `runs.sqlite`.",
         show_default=False,
     ),
@@ -299,7 +299,7 @@ def _import_cycles(ledger: Ledger, folder: Path, settings: Settings | None) -> s
 
     if not folder.is_dir():
         raise ValueError(
-            f"--import {folder}: is no folder of cycles; give the one that `cell run --out` "
+            f"--import {folder}: is no folder of cycles; give the one that `cell run --runs` "
             "wrote to"
         )
     line = line_name(settings)

@@ -210,7 +210,7 @@ class _CycleSelection:
         """The same as it can be typed, beside other folders."""
         if not (self.given or self.since or self.ledger):
             return ["--since", "2000-01-01"]
-        options = (("--since", self.since), ("--ledger", self.ledger))
+        options = (("--since", self.since), ("--runs", self.ledger))
         return [*self.given, *(w for name, value in options if value for w in (name, value))]
 
 
@@ -267,7 +267,7 @@ def _asking(
     if suggestion is None or best is None:
         return ["no safe motion is likely to distinguish the tied effects on these cables"], []
     motion = _motion(out)
-    words = ["cell", "run", *line.words, "--motion", motion, "--out", _measured(out)]
+    words = ["cell", "run", *line.words, "--motion", motion, "--runs", _measured(out)]
     lines = [
         f"this motion distinguishes the tied effects with probability {best.power:.2f}: "
         f"{best.motion.describe()}; measure a cable with it, and learn again:",

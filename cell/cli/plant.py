@@ -146,7 +146,7 @@ def send(
 def service(
     config: Config,
     out: Annotated[
-        Path, typer.Option(help="Folder of the records.", callback=records_folder)
+        Path, typer.Option("--runs", help="Folder of the records.", callback=records_folder)
     ] = Path("runs"),
     user: Annotated[str | None, typer.Option(help="As whom; default: who is logged in.")] = None,
 ) -> None:

@@ -17,14 +17,14 @@ app = group()
 
 
 Runs = Annotated[
-    Path, typer.Option("--out", help="Folder of the cycles: that of `cell run --out`.")
+    Path, typer.Option("--runs", help="Folder of the cycles: that of `cell run --runs`.")
 ]
 
 
 @app.command("list")
 def list_cycles(
     runs: Annotated[
-        Path, typer.Argument(help="Folder of the cycles: that of `cell run --out`.")
+        Path, typer.Argument(help="Folder of the cycles: that of `cell run --runs`.")
     ] = Path("runs"),
     as_json: AsJson = False,
 ) -> None:
@@ -48,7 +48,7 @@ def list_cycles(
     elif past:
         print_parts(Console(), history_table(past), f"look at one: cell show {runs}/FOLDER")
     else:
-        print(f"{runs}: has no cycles; `cell run --out {runs}` records some")
+        print(f"{runs}: has no cycles; `cell run --runs {runs}` records some")
 
 
 @app.command()
@@ -100,7 +100,7 @@ def report(
         typer.Argument(help="A cycle's folder or its recording; default: the newest."),
     ] = None,
     runs: Annotated[
-        Path, typer.Option("--runs", help="Folder of the cycles: that of `cell run --out`.")
+        Path, typer.Option("--runs", help="Folder of the cycles: that of `cell run --runs`.")
     ] = Path("runs"),
     out: Annotated[Path, typer.Option("-o", "--out", help="Write the page to this file.")] = Path(
         "report.html"

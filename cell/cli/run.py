@@ -63,7 +63,9 @@ RunSeed = Annotated[
 Records = Annotated[
     Path,
     typer.Option(
-        help="Folder of the records: one folder in it per cycle.", callback=records_folder
+        "--runs",
+        help="Folder of the records: one folder in it per cycle.",
+        callback=records_folder,
     ),
 ]
 PartId = Annotated[
@@ -245,7 +247,7 @@ def _refusing_first(results: Sequence[Result]) -> Iterator[None]:
     except (InputError, LinkError) as error:
         refuse(error)
     except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved
-        remedy = "choose another folder with --out, or make it writable, with room"
+        remedy = "choose another folder with --runs, or make it writable, with room"
         print(f"{error}; {remedy}", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
 

@@ -18,7 +18,7 @@ app = group()
 @app.command()
 def upload(
     runs: Annotated[
-        Path, typer.Argument(help="Folder of the cycles: that of `cell run --out`.")
+        Path, typer.Argument(help="Folder of the cycles: that of `cell run --runs`.")
     ] = Path("runs"),
     *,
     config: Config,
@@ -46,7 +46,7 @@ def upload(
         if settings.recording is None or settings.recording.store is None:
             raise InputError.at(config, "is missing; name a store", key="recording.store")
         if not runs.is_dir():
-            raise InputError.at(runs, "is missing; give the folder of `cell run --out`")
+            raise InputError.at(runs, "is missing; give the folder of `cell run --runs`")
         found = waiting(runs)
         try:
             store = Store(settings.recording.store)

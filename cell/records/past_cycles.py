@@ -52,7 +52,7 @@ def history(runs: Path) -> tuple[PastCycle, ...]:
     raises  InputError: `runs` is no folder
     """
     if not runs.is_dir():
-        message = "is no folder of cycles; give the one that `cell run --out` wrote to"
+        message = "is no folder of cycles; give the one that `cell run --runs` wrote to"
         raise InputError([Problem(runs, 1, None, "", message)])
     past = [_past(f, number) for f in runs.iterdir() if (number := cycle_of(f)) is not None]
     return tuple(sorted(past, key=lambda p: (p.started, p.cycle)))

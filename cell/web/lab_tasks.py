@@ -152,7 +152,7 @@ class LabTasks:
     def learn(self, name: str, cycles: Sequence[Path], ledger: str, own: Sequence[str]) -> JobTask:
         """Learn what the line's model lacks; of the ledger's cycles if none are given."""
         out = self.workspace.candidates / f"{name}.yaml"
-        which = tuple(map(str, cycles)) or ("--ledger", ledger)
+        which = tuple(map(str, cycles)) or ("--runs", ledger)
         words = ("learn", *which, *self._line(True), *_each("--effect", own), "-o", str(out))
         log = self.workspace.candidates / f"{name}.txt"
         return JobTask(N_("Learn"), name, (words,), _SHOWN, log)
@@ -169,7 +169,7 @@ class LabTasks:
     def measure(self, subject: Subject, runs: Path) -> JobTask:
         """Measure a cable with the motion suggested; the hand moves."""
         motion = self.workspace.results(subject.name) / "motion.yaml"
-        words = (MOVING, *self._line(True), "--motion", str(motion), "--out", str(runs))
+        words = (MOVING, *self._line(True), "--motion", str(motion), "--runs", str(runs))
         return JobTask(N_("Measure"), subject.name, (words,), moves=True)
 
     def model(self, subject: Subject, name: str) -> Path:

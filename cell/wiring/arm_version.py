@@ -84,7 +84,7 @@ def check_arm_version(settings: Settings, config: Path, runs: Path, speed: float
         config,
         f"{arm.allow_version} is not proved: no dry run at a speed of at most {MOST_SPEED:g} has "
         f"passed with PolyScope {which}, as far as {runs / FILE} says; "
-        f"empty the jaws, then: cell run --config {config} --out {runs} --dry-run --speed 0.1",
+        f"empty the jaws, then: cell run --config {config} --runs {runs} --dry-run --speed 0.1",
         key="arm.allow_version",
     )
 

@@ -40,7 +40,7 @@ def cell(*arguments: object) -> tuple[int, str, str]:
 def inserted(quick_config: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder and standard output of a run of one cable with --json."""
     runs = tmp_path_factory.mktemp("runs")
-    code, out, err = cell("run", "--config", quick_config, "--json", "--out", runs)
+    code, out, err = cell("run", "--config", quick_config, "--json", "--runs", runs)
     assert (code, err) == (0, "")
     return runs, out
 
@@ -70,7 +70,7 @@ def test_identification_is_repeated_from_the_folder_alone(inserted: tuple[Path, 
 
 
 def test_a_table_is_printed_for_people(quick_config: Path, tmp_path: Path) -> None:
-    code, out, _ = cell("run", "-c", quick_config, "--out", tmp_path / "runs")
+    code, out, _ = cell("run", "-c", quick_config, "--runs", tmp_path / "runs")
     assert code == 0
     for words in ("offset", "predicted", "measured", "margin", "hold and capture", "robot waited"):
         assert words in out
@@ -81,7 +81,7 @@ def test_bad_settings_end_with_2_and_nothing_is_written(quick_config: Path, tmp_
     bad = tmp_path / "bad.yaml"
     text = quick_config.read_text(encoding="utf-8")
     bad.write_text(text.replace("force_n: 20.0", "force: 20.0"), encoding="utf-8")
-    for command in (("run", "--out", tmp_path / "runs"), ("check",)):
+    for command in (("run", "--runs", tmp_path / "runs"), ("check",)):
         code, out, err = cell(command[0], "--config", bad, *command[1:])
         assert (code, out) == (2, "")
         assert f"{bad}:47:3: gripper.force: unknown key; did you mean 'force_n'?" in err
@@ -95,7 +95,7 @@ def test_hardware_that_is_not_there_fails_by_name_and_ends_with_1(tmp_path: Path
     absent = tmp_path / "line3.yaml"
     text = line3.read_text(encoding="utf-8").replace("/dev/ttyUSB0", str(tmp_path / "no_port"))
     absent.write_text(text, encoding="utf-8")
-    code, out, err = cell("run", "--config", absent, "--json", "--out", tmp_path / "runs")
+    code, out, err = cell("run", "--config", absent, "--json", "--runs", tmp_path / "runs")
     assert code == 1
     result = json.loads(out)
     assert (result["outcome"], result["fault"]["step"]) == ("failed", "connect")
@@ -107,7 +107,7 @@ def test_a_rejected_cable_ends_with_1_and_its_reason(quick_config: Path, tmp_pat
     high = tmp_path / "high.yaml"
     text = quick_config.read_text(encoding="utf-8")
     high.write_text(text.replace("[-0.111, -0.101]", "[-0.065, -0.055]"), encoding="utf-8")
-    code, out, err = cell("run", "-c", high, "--json", "--out", tmp_path / "runs")
+    code, out, err = cell("run", "-c", high, "--json", "--runs", tmp_path / "runs")
     assert code == 1
     assert json.loads(out)["outcome"] == "rejected"
     assert "cable 1 rejected: no offset passes" in err
@@ -117,7 +117,7 @@ def test_a_record_that_cannot_be_written_is_said_before_anything_moves(
     quick_config: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "runs").write_text("a file where a folder should be")
-    code, out, err = cell("run", "-c", quick_config, "--json", "--out", tmp_path / "runs")
+    code, out, err = cell("run", "-c", quick_config, "--json", "--runs", tmp_path / "runs")
     assert (code, out) == (2, "")
     assert "isafile;giveafolder" in "".join(err.replace("│", "").split())  # wrapped anywhere
 
@@ -147,7 +147,7 @@ def test_help_names_the_exit_codes_and_is_quick() -> None:
 
 @pytest.fixture
 def running(forking: Forking, quick_config: Path, tmp_path: Path) -> Iterator[Forked]:
-    words = ("--json", "--cycles", 50, "--out", tmp_path / "runs")
+    words = ("--json", "--cycles", 50, "--runs", tmp_path / "runs")
     process = forking.start("run", "-c", quick_config, *words)
     yield process
     process.kill()

@@ -53,7 +53,7 @@ def on_disk(tmp_path: Path, recorded_config: Path):
     return run
 
 
-CYCLES = "$CELL run -c recorded.yaml --out disk/runs --cycles"
+CYCLES = "$CELL run -c recorded.yaml --runs disk/runs --cycles"
 
 
 def outcomes(copy: Path) -> list[str]:
@@ -95,7 +95,7 @@ def test_with_little_room_frames_are_left_out_and_the_cable_goes_in(on_disk):
 
 def test_where_nobody_may_write_nothing_moves(on_disk):
     script = f"{CYCLES} 1 && mount -o remount,ro disk && cp -r disk before && {CYCLES} 1; "
-    done, copy = on_disk("300m", script + "echo code $?; $CELL history --ledger disk/runs")
+    done, copy = on_disk("300m", script + "echo code $?; $CELL history --runs disk/runs")
     assert "code 2" in done.stdout
     assert "Read-only file system" in done.stderr
     assert "1 inserted" in done.stdout  # the ledger can be asked all the same

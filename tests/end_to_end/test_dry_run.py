@@ -220,7 +220,7 @@ def test_a_measuring_motion_is_rehearsed(live: Live, quick: Settings, tmp_path: 
 
 def test_the_command_prints_a_table_and_ends_with_0(quick_config: Path, tmp_path: Path) -> None:
     code, out, err = run(
-        "run", "-c", quick_config, "--dry-run", "--speed", 0.5, "--out", tmp_path / "runs"
+        "run", "-c", quick_config, "--dry-run", "--speed", 0.5, "--runs", tmp_path / "runs"
     )
     assert (code, err) == (0, "")
     for words in ("dry run at 50% of the speed: rehearsed", "arm: lag", "right", "check paths"):
@@ -234,7 +234,7 @@ def test_json_and_a_cell_that_is_unfit(quick_config: Path, tmp_path: Path) -> No
     wrong.write_text(
         text.replace("lag_s: 0.03", "lag_s: 0.03\n  noise_m: 0.00015"), encoding="utf-8"
     )
-    code, out, err = run("run", "-c", wrong, "--dry-run", "--json", "--out", tmp_path / "runs")
+    code, out, err = run("run", "-c", wrong, "--dry-run", "--json", "--runs", tmp_path / "runs")
     assert code == 1
     result = json.loads(out)
     assert (result["outcome"], result["speed"]) == ("unfit", 1.0)
@@ -244,7 +244,7 @@ def test_json_and_a_cell_that_is_unfit(quick_config: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("speed", ["0.1", "0.99"])
 def test_a_cable_is_never_moved_slowly(quick_config: Path, tmp_path: Path, speed: str) -> None:
-    code, out, err = run("run", "-c", quick_config, "--speed", speed, "--out", tmp_path / "runs")
+    code, out, err = run("run", "-c", quick_config, "--speed", speed, "--runs", tmp_path / "runs")
     assert (code, out) == (2, "")
     assert f"--speed {speed}: only with --dry-run" in err
     assert not (tmp_path / "runs").exists()

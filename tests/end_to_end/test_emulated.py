@@ -46,7 +46,7 @@ def eventually_silent(config: Path) -> None:
 @pytest.mark.real_time
 def test_a_cable_is_inserted_by_the_one_command(light_config: Path, tmp_path: Path) -> None:
     """Its own emulators, one cycle, and nobody left behind."""
-    command = cell("run", "--config", light_config, "--json", "--out", tmp_path)
+    command = cell("run", "--config", light_config, "--json", "--runs", tmp_path)
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     result = json.loads(done.stdout) if done.stdout else {}
     assert result.get("outcome") == "inserted", f"{result.get('reason')} {done.stderr}"
@@ -60,7 +60,7 @@ def test_an_insertion_is_watched_in_flight(light_config: Path, tmp_path: Path) -
     """With feedback: what the cable answers is known in time, and the arm's path stays its own."""
     config = tmp_path / "seeing.yaml"
     config.write_text(light_config.read_text(encoding="utf-8") + "\nfeedback: on\n")
-    done = run("run", "--config", unrecorded(config), "--json", "--out", tmp_path / "runs")
+    done = run("run", "--config", unrecorded(config), "--json", "--runs", tmp_path / "runs")
     result = json.loads(done.stdout) if done.stdout else {}
     assert result.get("outcome") == "inserted", f"{result.get('reason')} {done.stderr}"
     assert result["corrections"] is not None
@@ -112,7 +112,7 @@ def test_addresses_that_are_taken_are_named_and_end_with_2(
     light_config: Path, tmp_path: Path
 ) -> None:
     with socket.create_server((host_of(light_config), 5600)):
-        done = run("run", "--config", light_config, "--out", tmp_path / "runs")
+        done = run("run", "--config", light_config, "--runs", tmp_path / "runs")
     assert done.returncode == 2
     assert f"{light_config}:1: emulated: the emulated camera: OSError" in done.stderr
     assert "in use" in done.stderr

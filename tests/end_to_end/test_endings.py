@@ -56,7 +56,7 @@ def windy(quick_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
         text = text.replace(old, new)
     config = folder / "windy.yaml"
     config.write_text(text, encoding="utf-8")
-    command = ["run", "-c", config, "--cycles", 3, "--json", "--out", folder / "runs"]
+    command = ["run", "-c", config, "--cycles", 3, "--json", "--runs", folder / "runs"]
     done = CliRunner().invoke(app, [str(c) for c in command])
     results = [json.loads(line) for line in done.stdout.splitlines()]
     return Run(config, folder / "runs", done.exit_code, results, done.stderr)

@@ -197,7 +197,7 @@ def test_a_corrected_insertion_is_recorded_and_replayed(
     config = tmp_path / "seeing.yaml"
     text = recorded_config.read_text(encoding="utf-8")
     config.write_text(text + "\nfeedback: on\n", encoding="utf-8")
-    asked = ["run", "--config", str(config), "--cycles", "1", "--out", str(tmp_path / "runs")]
+    asked = ["run", "--config", str(config), "--cycles", "1", "--runs", str(tmp_path / "runs")]
     monkeypatch.setattr(correction, "best_tail", one_change(0.002))
     done = CliRunner().invoke(app, [*asked, "--json"])
     result = json.loads(done.stdout.splitlines()[0])
@@ -270,7 +270,7 @@ def test_a_second_try_is_recorded_and_replayed(
     config = tmp_path / "seeing.yaml"
     text = recorded_config.read_text(encoding="utf-8")
     config.write_text(text + "\nfeedback: on\nretry: 1\n", encoding="utf-8")
-    asked = ["run", "--config", str(config), "--cycles", "1", "--out", str(tmp_path / "runs")]
+    asked = ["run", "--config", str(config), "--cycles", "1", "--runs", str(tmp_path / "runs")]
     hopeless(1)
     done = CliRunner().invoke(app, [*asked, "--json"])
     result = json.loads(done.stdout.splitlines()[0])

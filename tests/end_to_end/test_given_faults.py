@@ -52,7 +52,7 @@ class Emulators:
             time.sleep(0.02)
 
     def run(self, runs: Path) -> dict[str, Any]:
-        done = run("run", "-c", self.config, "--json", "--out", runs)
+        done = run("run", "-c", self.config, "--json", "--runs", runs)
         assert done.stdout, done.stderr
         result: dict[str, Any] = json.loads(done.stdout)
         return result

@@ -74,7 +74,7 @@ def test_arm_camera_and_gripper_of_the_settings_are_tested(config: Path) -> None
 
 @pytest.mark.real_time
 def test_a_dry_run_finds_arm_and_camera_in_order(config: Path, tmp_path: Path) -> None:
-    words = ("--dry-run", "--speed", "0.5", "--out", tmp_path)
+    words = ("--dry-run", "--speed", "0.5", "--runs", tmp_path)
     done = run("run", "--config", config, "--json", *words)
     result = json.loads(done.stdout) if done.stdout else {}
     assert result.get("outcome") == "rehearsed", f"{result.get('reason')} {done.stderr}"

@@ -40,7 +40,7 @@ class Run:
         self.master, self.slave = pty.openpty()
         self.before = termios.tcgetattr(self.slave)
         first = AT_TERMINAL.format(terminal=os.ttyname(self.slave), streams=streams)
-        self.process = start("--json", "--out", runs, *options, first=first)
+        self.process = start("--json", "--runs", runs, *options, first=first)
 
     def hang_up(self) -> None:
         """Close the terminal, as its window or an ssh connection that is gone does."""

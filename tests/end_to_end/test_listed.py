@@ -45,7 +45,7 @@ def listed(place: Path, wanted: LedgerQuery | None = None):
 def runs(quick_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three cycles whose parts are counted on."""
     runs = tmp_path_factory.mktemp("listed") / "runs"
-    words = ("--config", quick_config, "--cycles", 3, "--out", runs, "--part-id", "A-09")
+    words = ("--config", quick_config, "--cycles", 3, "--runs", runs, "--part-id", "A-09")
     done = run("run", *words)
     assert done.returncode == 0, done.stderr
     return runs
@@ -72,7 +72,7 @@ def test_a_run_is_listed_with_all_that_its_records_say(runs: Path) -> None:
 
 def test_history_lists_counts_and_exports(runs: Path, tmp_path: Path) -> None:
     table, parquet = tmp_path / "x.csv", tmp_path / "x.parquet"
-    words = ("--ledger", runs, "--since", "1h")
+    words = ("--runs", runs, "--since", "1h")
     done = run("history", *words, "--csv", table, "--parquet", parquet)
     assert done.returncode == 0, done.stderr
     assert "A-10" in done.stdout
@@ -95,7 +95,7 @@ def test_history_lists_counts_and_exports(runs: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--ledger", "nowhere"], "nowhere.sqlite is missing"),
+        (["--runs", "nowhere"], "nowhere.sqlite is missing"),
         (["--since", "yesterday"], "--since yesterday: no time"),
         (["--outcome", "lost"], "--outcome lost: no outcome"),
         (["--import", "nowhere"], "--import nowhere: is no folder"),
@@ -104,7 +104,7 @@ def test_history_lists_counts_and_exports(runs: Path, tmp_path: Path) -> None:
 def test_what_is_wrong_is_named(
     runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
 ) -> None:
-    given = words if "--ledger" in words else ["--ledger", str(runs), *words]
+    given = words if "--runs" in words else ["--runs", str(runs), *words]
     monkeypatch.chdir(tmp_path)
     done = run("history", *given)
     assert done.returncode == 2
@@ -114,7 +114,7 @@ def test_what_is_wrong_is_named(
 def test_folders_of_before_are_taken_in(runs: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "other"
     for what in ("3 of 3", "0 of 3"):  # the second time nothing is new
-        done = run("history", "--ledger", elsewhere, "--import", runs)
+        done = run("history", "--runs", elsewhere, "--import", runs)
         assert done.returncode == 0, done.stderr
         assert f"{what} cycles are new" in done.stdout
     then, now = listed(runs), listed(elsewhere)
@@ -130,7 +130,7 @@ def test_a_killed_run_is_never_listed_as_finished(
     paced = tmp_path / "paced.yaml"
     paced.write_text(text.replace("\nworld: ", "\nworld:\n  real_time_factor: 1.0\n#"), "utf-8")
     runs = tmp_path / "runs"
-    process = forking.start("run", "--config", paced, "--cycles", 5, "--out", runs)
+    process = forking.start("run", "--config", paced, "--cycles", 5, "--runs", runs)
     try:
         end_s = time.monotonic() + 60.0
         while not any(runs.glob("*/state.json")) or not is_begun(runs):
@@ -142,7 +142,7 @@ def test_a_killed_run_is_never_listed_as_finished(
     (cycle,) = listed(runs)
     assert cycle.outcome == UNFINISHED
     assert not (cycle.folder / "result.json").exists()
-    done = run("run", "--config", quick_config, "--out", runs)  # the next one goes on
+    done = run("run", "--config", quick_config, "--runs", runs)  # the next one goes on
     assert done.returncode == 0, done.stderr
     assert [c.outcome for c in listed(runs)] == [UNFINISHED, "inserted"]
 
@@ -169,7 +169,7 @@ def test_a_fault_is_listed_with_its_code(quick: Settings, tmp_path: Path) -> Non
     assert (cycle.outcome, cycle.part, cycle.fault) == ("failed", "P", result.fault)
     assert result.fault is not None
     assert (result.fault.code, result.fault.step) == ("stop", "lower")
-    done = run("history", "--ledger", tmp_path / "runs", "--faults")
+    done = run("history", "--runs", tmp_path / "runs", "--faults")
     assert "by a test" in done.stdout
 
 
@@ -179,18 +179,18 @@ def test_a_run_goes_on_without_its_server(quick_config: Path, tmp_path: Path) ->
     text = quick_config.read_text(encoding="utf-8")
     away.write_text(f"{text}\nledger: {{url: 'postgresql://cell@127.0.0.1:9/plant'}}\n", "utf-8")
     runs = tmp_path / "runs"
-    done = run("run", "--config", away, "--out", runs)
+    done = run("run", "--config", away, "--runs", runs)
     assert done.returncode == 0, done.stderr
     assert "2 entries for the ledger in" in done.stderr
     assert "whether anything has changed cannot be said" in done.stderr
     assert len(list(outbox_of(runs).iterdir())) == 2
-    done = run("run", "--config", quick_config, "--out", runs)  # another ledger, the same outbox
+    done = run("run", "--config", quick_config, "--runs", runs)  # another ledger, the same outbox
     assert done.returncode == 0, done.stderr
     assert [c.outcome for c in listed(runs)] == ["inserted", "inserted"]
 
 
 def test_ids_are_scanned(quick_config: Path, tmp_path: Path) -> None:
-    words = ("--config", quick_config, "--out", tmp_path / "runs", "--cycles", 3, "--part-id", "-")
+    words = ("--config", quick_config, "--runs", tmp_path / "runs", "--cycles", 3, "--part-id", "-")
     done = run("run", *words, typed="X1\n \nY2\n")
     assert done.returncode == 1  # two of three
     assert "'' is no id" in done.stderr
@@ -198,7 +198,7 @@ def test_ids_are_scanned(quick_config: Path, tmp_path: Path) -> None:
 
 
 def test_an_id_that_is_none_is_refused(quick_config: Path, tmp_path: Path) -> None:
-    done = run("run", "--config", quick_config, "--out", tmp_path / "runs", "--part-id", "")
+    done = run("run", "--config", quick_config, "--runs", tmp_path / "runs", "--part-id", "")
     assert done.returncode == 2
     assert "--part-id '' is no id" in done.stderr
     assert not (tmp_path / "runs").exists()
@@ -208,7 +208,7 @@ def test_learning_finds_the_lines_cycles_in_the_ledger(
     quick_config: Path, runs: Path, tmp_path: Path
 ) -> None:
     words = ("learn", "--config", quick_config, "-o", tmp_path / "candidate.yaml")
-    by_ledger = run(*words, "--ledger", runs, "--since", "1h")
+    by_ledger = run(*words, "--runs", runs, "--since", "1h")
     by_folder = run(*words, runs)
     assert by_ledger.returncode == by_folder.returncode
     assert by_ledger.stdout == by_folder.stdout
@@ -217,7 +217,7 @@ def test_learning_finds_the_lines_cycles_in_the_ledger(
     assert by_folder.stdout.startswith(str(by_function.parts()[0]))
     assert "3 cables: " in by_function._repr_html_()
     assert not by_function.fit_for_line
-    done = run(*words, "--ledger", runs, "--since", "0h")
+    done = run(*words, "--runs", runs, "--since", "0h")
     assert done.returncode == 2
     assert "since 0h is listed whose folder is there" in done.stderr
 
@@ -234,7 +234,7 @@ def test_a_person_acknowledges_a_fault_afterwards(tmp_path: Path) -> None:
         )
     ledger.close()
     (tmp_path / "runs" / "cycle-3").mkdir(parents=True)  # the other records are elsewhere
-    place = ("--ledger", tmp_path / "runs")
+    place = ("--runs", tmp_path / "runs")
     assert run("history", *place).stdout.count("arm.stopped (open)") == 3
     done = run("acknowledge", *place, "--by", "Ada", "--note", "button released", "--json")
     (said,) = json.loads(done.stdout)
@@ -250,5 +250,5 @@ def test_a_person_acknowledges_a_fault_afterwards(tmp_path: Path) -> None:
     assert (nothing.returncode, "no fault is open" in nothing.stderr) == (2, True)
     other = run("acknowledge", *place, "cycle-9")
     assert (other.returncode, "cycle-9: no cycle of this name" in other.stderr) == (2, True)
-    assert run("acknowledge", "--ledger", tmp_path / "nowhere").returncode == 2
+    assert run("acknowledge", "--runs", tmp_path / "nowhere").returncode == 2
     assert not (tmp_path / "nowhere.sqlite").exists()

@@ -190,7 +190,7 @@ def good(tmp_path_factory: pytest.TempPathFactory, quick_config: Path) -> Path:
     text = CONFIG.read_text()
     (folder / "calibrated.yaml").write_text(text + "\ncalibration: {}\n")
     runs = folder / "runs"
-    ran = CliRunner().invoke(app, ["run", "-c", str(quick_config), "--out", str(runs)])
+    ran = CliRunner().invoke(app, ["run", "-c", str(quick_config), "--runs", str(runs)])
     assert ran.exit_code == 0, ran.output
     (cycle,) = runs.iterdir()
     shutil.copytree(cycle, folder / "cycle", ignore=shutil.ignore_patterns("*.jpg"))
@@ -233,7 +233,7 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
         ("calibrated.yaml", "pictures/board_01.png"),
     ),
     "measure": (
-        "run -c {0}/cycle/settings.yaml --motion {0}/motion.yaml --out {0}/runs",
+        "run -c {0}/cycle/settings.yaml --motion {0}/motion.yaml --runs {0}/runs",
         ("motion.yaml",),
     ),
     "list": ("list {0}", ("cycle/state.json", "cycle/result.json")),

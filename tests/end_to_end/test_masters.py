@@ -72,7 +72,7 @@ def begin(forking: Forking, config: Path, tmp_path: Path) -> Iterator[Begin]:
 
     def begin(*words: str, out: str = "") -> Forked:
         folder = (
-            ("--out", str(tmp_path / (out or f"runs{len(begun)}"))) if words[0] == "run" else ()
+            ("--runs", str(tmp_path / (out or f"runs{len(begun)}"))) if words[0] == "run" else ()
         )
         of = to_calibrate(config) if words[0] == "calibrate" else config
         begun.append(forking.start(*words, "--config", of, *folder))

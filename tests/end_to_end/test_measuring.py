@@ -140,7 +140,7 @@ def test_a_cycle_and_a_measuring_cycle_of_a_cable_become_one_study(
 ) -> None:
     runs, folders = tmp_path / "runs", []
     for extra in ((), ("--motion", motion_file)):
-        code, out, err = run("run", "-c", quick_config, "--json", "--out", runs, *extra)
+        code, out, err = run("run", "-c", quick_config, "--json", "--runs", runs, *extra)
         assert (code, err) == (0, "")
         folders.append(json.loads(out)["folder"])
     assert json.loads(out)["outcome"] == "measured"
@@ -156,7 +156,7 @@ def test_a_motion_beyond_the_limits_ends_with_2_and_nothing_moves(
 ) -> None:
     motion_file.write_text(TILTED.replace("y_m: -0.05", "y_m: -0.25"), encoding="utf-8")
     runs = tmp_path / "runs"
-    code, out, err = run("run", "-c", quick_config, "--motion", motion_file, "--out", runs)
+    code, out, err = run("run", "-c", quick_config, "--motion", motion_file, "--runs", runs)
     assert (code, out) == (2, "")
     assert f"{motion_file}:6:18: moves[0].y_m: takes the hand to y_m = -0.25" in err
     assert not runs.exists()
@@ -172,7 +172,7 @@ def test_an_effect_hidden_in_the_world_is_found_through_the_pictures(
     )
     runs, study, out = (tmp_path / name for name in ("runs", "study", "diagnosis.json"))
     for extra in ((), ("--motion", motion_file)):
-        assert run("run", "-c", hidden, "--out", runs, *extra)[0] == 0
+        assert run("run", "-c", hidden, "--runs", runs, *extra)[0] == 0
     assert run("study", *sorted(runs.iterdir()), "-o", study)[0] == 0
     assert run("diagnose", study, "--json", out)[0] == 0
     diagnosis = json.loads(out.read_text(encoding="utf-8"))

@@ -26,7 +26,7 @@ def port(forking: Forking, quick_config: Path, tmp_path: Path) -> Iterator[int]:
     """That of a server beside a cell that waits for starts."""
     runs, port = tmp_path / "runs", free_port()
     opcua = OpcUa(port=port, folder=tmp_path / "opcua", name=NAME)
-    process = forking.start("run", "-c", quick_config, "--cycles", "forever", "--out", runs)
+    process = forking.start("run", "-c", quick_config, "--cycles", "forever", "--runs", runs)
     try:
         with served(settings_with(opcua), runs):
             yield port

@@ -39,7 +39,7 @@ def test_scanned_parts_are_made_by_turns_and_an_unknown_one_is_not(
     config: Path, tmp_path: Path
 ) -> None:
     runs = tmp_path / "runs"
-    command = ("run", "-c", config, "--cycles", 3, "--part-id", "-", "--out", runs, "--json")
+    command = ("run", "-c", config, "--cycles", 3, "--part-id", "-", "--runs", runs, "--json")
     done = run(*command, typed="S-1\nT-1\nX-9\nS-2\n")
     assert done.returncode == 0, done.stderr
     assert "part 'X-9' matches part_ids of no product" in done.stderr
@@ -63,7 +63,7 @@ def test_scanned_parts_are_made_by_turns_and_an_unknown_one_is_not(
     assert [r.product for r in ledger.results(line, "stiff")] == ["stiff"]
     assert ledger.results(line) == [], "charts of no product see none of theirs"
     ledger.close()
-    listed = json.loads(run("history", "--ledger", runs, "--product", "stiff", "--json").stdout)
+    listed = json.loads(run("history", "--runs", runs, "--product", "stiff", "--json").stdout)
     assert [c["part"] for c in listed] == ["T-1"]
 
 
@@ -79,7 +79,7 @@ def test_scanned_parts_are_made_by_turns_and_an_unknown_one_is_not(
 def test_what_is_not_known_to_be_made_moves_nothing(
     config: Path, tmp_path: Path, words: tuple[str, ...], says: str
 ) -> None:
-    done = run("run", "-c", config, "--out", tmp_path / "runs", *words)
+    done = run("run", "-c", config, "--runs", tmp_path / "runs", *words)
     assert done.returncode == 2
     assert says in done.stderr
     assert not (tmp_path / "runs").exists()

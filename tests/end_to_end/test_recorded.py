@@ -96,7 +96,7 @@ def test_of_an_inserted_cable_a_band_is_kept_unless_whole_frames_are_asked_for(
         line for line in quick_config.read_text("utf-8").splitlines() if line != "recording: null"
     )
     (tmp_path / "cell.yaml").write_text(text, "utf-8")
-    command = "run", "--config", tmp_path / "cell.yaml", "--whole-frames", "--out"
+    command = "run", "--config", tmp_path / "cell.yaml", "--whole-frames", "--runs"
     done = run(*command, tmp_path / "runs")
     assert done.returncode == 0, done.stderr
     (whole,) = (tmp_path / "runs").glob(f"*/{form.FILE}")
@@ -294,7 +294,7 @@ def test_recordings_go_to_a_store_between_cables(tmp_path, recorded_config):
     (tmp_path / "nas").mkdir()
     config = with_store(recorded_config, tmp_path)
     runs = tmp_path / "runs"
-    done = run("run", "--config", config, "--cycles", "2", "--out", runs)
+    done = run("run", "--config", config, "--cycles", "2", "--runs", runs)
     assert done.returncode == 0, done.stderr
     folders = sorted(f for f in runs.iterdir() if f.is_dir())
     assert len(folders) == 2
@@ -310,7 +310,7 @@ def test_recordings_go_to_a_store_between_cables(tmp_path, recorded_config):
 def test_upload_brings_what_a_run_could_not(tmp_path, recorded_config):
     config = with_store(recorded_config, tmp_path)
     runs = tmp_path / "runs"
-    done = run("run", "--config", config, "--out", runs)
+    done = run("run", "--config", config, "--runs", runs)
     assert done.returncode == 0  # the cable is in
     assert "not uploaded yet: 1" in done.stderr and "make it, or mount it" in done.stderr
     failed = run("upload", runs, "--config", config)
@@ -357,7 +357,7 @@ def test_a_hold_that_ended_early_is_replayed(tmp_path, recorded_config):
     """With other settings that ask for more frames than were filmed, the replay says so."""
     hold = ("hold_s: 0.4", "start: {}\n  hold: {least_s: 0.4, most_s: 1.0}")
     config = changed(recorded_config, tmp_path / "hold.yaml", [hold])
-    done = run("run", "--config", config, "--cycles", "1", "--out", tmp_path / "runs", "--json")
+    done = run("run", "--config", config, "--cycles", "1", "--runs", tmp_path / "runs", "--json")
     result = json.loads(done.stdout.splitlines()[0])
     assert result["outcome"] == "inserted" and result["hold_saved_s"] > 0.5
     again = run("replay", result["folder"], "--json")
@@ -380,7 +380,7 @@ def test_an_insertion_that_begins_later_is_recorded_and_replayed(tmp_path, recor
         ],
     )
     runs = tmp_path / "runs"
-    done = run("run", "--config", config, "--out", runs)
+    done = run("run", "--config", config, "--runs", runs)
     (result,) = [json.loads(f.read_text()) for f in runs.glob("*/result.json")]
     assert result["outcome"] == "inserted", done.stderr
     assert result["delay_s"] > 0.0

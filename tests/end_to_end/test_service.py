@@ -29,7 +29,7 @@ def start(forking: Forking, quick_config: Path, tmp_path: Path) -> Iterator[Star
     begun: list[Forked] = []
 
     def start(cycles: str = "forever", config: Path = quick_config, **environment: str) -> Forked:
-        words = ("--cycles", cycles, "--json", "--out", tmp_path / "runs")
+        words = ("--cycles", cycles, "--json", "--runs", tmp_path / "runs")
         begun.append(forking.start("run", "-c", config, *words, environment=environment))
         return begun[-1]
 

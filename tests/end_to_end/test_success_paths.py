@@ -77,7 +77,7 @@ class ByTest:
 USERS = "--users {out}/users.json"
 CALIBRATED = "cell/calibration/test_calibrate.py"
 TABLE: dict[str, Run | Served | ByTest] = {
-    "run": Run("-c {config} --out {out}/runs", "robot waited"),
+    "run": Run("-c {config} --runs {out}/runs", "robot waited"),
     "emulate": ByTest(
         "end_to_end/test_emulated.py::test_emulators_can_be_started_beforehand_and_end_with_ctrl_c"
     ),
@@ -98,12 +98,12 @@ TABLE: dict[str, Run | Served | ByTest] = {
     "show": Run("{cycle}", "viscosity"),
     "report": Run("{cycle} -o {out}/report.html", "report.html", "report.html"),
     "identify": Run("{cycle} -o {out}/model.json", "viscosity", "model.json"),
-    "history": Run("--ledger {runs}", "1 inserted"),
+    "history": Run("--runs {runs}", "1 inserted"),
     "acknowledge": ByTest(
         "end_to_end/test_listed.py::test_a_person_acknowledges_a_fault_afterwards"
     ),
     "help": Run("recordings", "Recordings"),
-    "actions": Run("--ledger {runs}", "lab promote"),
+    "actions": Run("--runs {runs}", "lab promote"),
     "bundle": Run("-c {config} --runs {runs} -o {out}/b.zip", "b.zip", "b.zip"),
     "replay": Run("{cycle}", "identical"),
     "recover": ByTest("end_to_end/test_recorded.py::test_what_a_torn_recording_holds_is_replayed"),
@@ -218,7 +218,7 @@ def world(
     """Files that rows are given, by the names that these have in the table."""
     folder = tmp_path_factory.mktemp("world")
     world = {name: folder / name for name in ("runs", "study", "model", "candidate", "users")}
-    done = run("run", "-c", recorded_config, "--out", world["runs"])
+    done = run("run", "-c", recorded_config, "--runs", world["runs"])
     assert done.returncode == 0, done.stderr
     (world["cycle"],) = (path for path in world["runs"].iterdir() if path.is_dir())
     log = Audit(audit_file(world["runs"]))

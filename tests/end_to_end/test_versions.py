@@ -30,7 +30,7 @@ def test_a_cable_is_inserted_with_a_version_somebody_allows(
     passed = {"version": version, "host": host, "serial_number": serial, "speed": 0.1}
     told = [{**passed, "time": "2026-11-25T12:00:00+00:00", "folder": "runs/a-1"}]
     (tmp_path / FILE).write_text(json.dumps(told))
-    done = run("run", "-c", config, "--json", "--out", tmp_path)
+    done = run("run", "-c", config, "--json", "--runs", tmp_path)
     result = json.loads(done.stdout) if done.stdout else {}
     assert result.get("outcome") == "inserted", f"{result.get('reason')} {done.stderr}"
     assert done.returncode == 0

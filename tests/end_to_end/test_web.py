@@ -179,7 +179,7 @@ class LivePage:
 def live(browser: Any, started: Started, config: Path, runs: Path) -> tuple[LivePage, Client, int]:
     """The live page of a cell that waits, which has taken control; the cell; the page's port."""
     port = free_port()
-    started("run", "-c", config, "--cycles", "forever", "--out", runs)
+    started("run", "-c", config, "--cycles", "forever", "--runs", runs)
     started("serve", "-c", config, "--runs", runs, "--port", port)
     wait_until(lambda: answers(port))
     browser.get(f"http://127.0.0.1:{port}/")

@@ -255,7 +255,7 @@ def test_what_recorded_cycles_lack_is_learned_promoted_and_undone(
     few_effects: None, browser: Any, started: Started, quick_config: Path, tmp_path: Path
 ) -> None:
     config, runs = changed(quick_config, tmp_path / "windy.yaml", WINDY), tmp_path / "runs"
-    words = ["run", "-c", str(config), "--cycles", "3", "--out", str(runs)]
+    words = ["run", "-c", str(config), "--cycles", "3", "--runs", str(runs)]
     assert CliRunner().invoke(app, words).exit_code == 1  # two of them are not inserted
     page = opened(browser, started, config, runs)
     lab = Workspace.of_runs(runs)

@@ -33,7 +33,7 @@ def kill_somebody(
     emulated: EmulatedCell, config: Path, runs: Path, victim: str, rng: random.Random
 ) -> Kill:
     """Run a cell as a process of its own and kill one of its processes while the arm moves."""
-    command = [sys.executable, "-m", "cell", "run", "--config", str(config), "--out", str(runs)]
+    command = [sys.executable, "-m", "cell", "run", "--config", str(config), "--runs", str(runs)]
     cell = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     began_s, delay_s = time.monotonic(), rng.uniform(0.0, 0.25)
     moves = rng.choice([1, 2, 3])  # lower, execute, go home

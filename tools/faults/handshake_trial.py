@@ -177,7 +177,7 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> Findings:
         if controller:
             Plc(ControllerWire(host)).say()  # the PLC has power: a stop would stop
         quiet = {"stdout": subprocess.DEVNULL}
-        run = ("cell", "run", *given, "--cycles", "forever", "--out", str(runs))
+        run = ("cell", "run", *given, "--cycles", "forever", "--runs", str(runs))
         stack.enter_context(running(*run, **quiet))
         client = Client(runs).connect(wait_s=_BEGIN_S)
         follower = Follower(client)

@@ -23,7 +23,7 @@ def main() -> None:
     parser.add_argument("--seed", default="1")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        words = ["run", "--config", CONFIG, "--seed", options.seed, "--out", folder]
+        words = ["run", "--config", CONFIG, "--seed", options.seed, "--runs", folder]
         subprocess.run([sys.executable, "-m", "cell", *map(str, words)], check=True)
         (path,) = Path(folder).glob("*/execute_passage.jpg")
         picture = cv2.imread(str(path))

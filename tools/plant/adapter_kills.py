@@ -72,7 +72,7 @@ def service(config: Path, runs: Path, log: Path) -> Iterator[subprocess.Popen[by
     command = [sys.executable, "-m", "cell", "run", "-c", str(config), "--cycles", "forever"]
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("ab") as said:
-        process = subprocess.Popen([*command, "--out", str(runs)], stdout=said, stderr=said)
+        process = subprocess.Popen([*command, "--runs", str(runs)], stdout=said, stderr=said)
     try:
         yield process
         process.terminate()

@@ -180,7 +180,7 @@ def learned_from(commands: Commands, folder: Path, config: Path) -> int:
     for seed in (101, 102):  # other cables than those that come again
         if not motion.exists():
             break
-        of_it = ("--config", config, "--motion", motion, "--out", measured, "--seed", seed)
+        of_it = ("--config", config, "--motion", motion, "--runs", measured, "--seed", seed)
         commands.also_run(CYCLE_S, "run", *of_it)
         motion.unlink()
         again = ("learn", *runs, measured, "--config", config, "-o", out)
@@ -208,13 +208,13 @@ def main() -> int:
     again = ("--cycles", options.cables, "--seed", options.seed)
     cycles_s = options.cables * CYCLE_S
     commands = Commands((cycles_s, options.cables * LEARNING_S, PROMOTING_S, cycles_s))
-    commands.run("run", "--config", config, *again, "--out", folder / "before")
+    commands.run("run", "--config", config, *again, "--runs", folder / "before")
     learned = learned_from(commands, folder, config)
     if learned == 0 and (folder / "candidate.yaml").exists():
         learned = commands.run("promote", folder / "candidate.yaml", "--config", config)
     else:
         commands.taken_s.append(0.0)  # there is nothing to promote
-    commands.run("run", "--config", config, *again, "--out", folder / "after")
+    commands.run("run", "--config", config, *again, "--runs", folder / "after")
     print(f"\nall of it took {_minutes(sum(commands.taken_s))}")
     before = Step("before", old, folder / "before")
     after = Step("after", config, folder / "after")

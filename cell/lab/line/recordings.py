@@ -50,7 +50,7 @@ def recordings_in(folder: Path) -> list[Path]:
     found = sorted(_recordings(folder)) if folder.is_dir() else []
     if not found:
         message = "holds no recorded cycle, no recording (.mcap) and no study"
-        raise InputError.at(folder, f"{message}; give the folder that `cell run --out` wrote to")
+        raise InputError.at(folder, f"{message}; give the folder that `cell run --runs` wrote to")
     return found
 
 

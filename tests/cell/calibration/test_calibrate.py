@@ -58,7 +58,7 @@ def called(*words: object) -> tuple[int, str, str]:
 def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("cell")
     config = settings_file(folder)
-    code, _, refused = called("run", "--config", config, "--out", folder / "runs")
+    code, _, refused = called("run", "--config", config, "--runs", folder / "runs")
     assert code == 2
     assert f"not calibrated yet: {folder / 'calib'} has nothing" in refused
     assert not (folder / "runs").exists()
@@ -134,7 +134,7 @@ def test_a_run_refuses_delays_that_changed_since_from_its_first_motion(
     folder, tmp_path, change, words
 ):
     config = settings_file(folder, "later.yaml", **change)
-    code, out, _ = called("run", "--config", config, "--out", tmp_path, "--json")
+    code, out, _ = called("run", "--config", config, "--runs", tmp_path, "--json")
     result = json.loads(out)
     assert (code, result["outcome"], result["fault"]["step"]) == (1, "failed", "check_clocks")
     said = f"{result['fault']['device']}: {result['fault']['cause']}"
@@ -143,7 +143,7 @@ def test_a_run_refuses_delays_that_changed_since_from_its_first_motion(
 
 
 def test_a_run_with_delays_as_calibrated_records_them(folder, tmp_path):
-    code, out, _ = called("run", "--config", folder / "cell.yaml", "--out", tmp_path, "--json")
+    code, out, _ = called("run", "--config", folder / "cell.yaml", "--runs", tmp_path, "--json")
     late, lag = json.loads(out)["checks"]
     assert code == 0
     assert (late["what"], lag["what"]) == ("camera: stamps late by", "arm: lag changed by")

@@ -144,7 +144,7 @@ def test_effects_as_json_are_printed_alone_or_written_beside_the_table(tmp_path:
 
 
 def test_past_cycles_of_no_folder_end_with_2(tmp_path: Path) -> None:
-    for command in (("list", tmp_path / "no"), ("show", "--out", tmp_path), ("show", tmp_path)):
+    for command in (("list", tmp_path / "no"), ("show", "--runs", tmp_path), ("show", tmp_path)):
         done = cell(*command)
         assert done.exit_code == 2 and done.stderr and not done.stdout
 

@@ -8,7 +8,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from cell.cli import PANELS, app
+from cell.cli import OLD_OPTIONS, PANELS, app
 from cell.cli import help as documentation
 
 
@@ -57,3 +57,22 @@ def test_of_a_wheel_the_pages_are_where_it_was_installed(
     monkeypatch.setattr(documentation, "__file__", str(tmp_path / "a" / "b" / "cell" / "help.py"))
     monkeypatch.setattr("sysconfig.get_path", lambda name: str(tmp_path))
     assert documentation.topics() == {"lab": pages / "lab.md"}
+
+
+@pytest.mark.parametrize(
+    ("command", "old", "new"),
+    [(c, old, new) for c, names in OLD_OPTIONS.items() for old, new in names.items()],
+)
+def test_an_old_spelling_works_with_a_note(command: str, old: str, new: str) -> None:
+    known = get_command(app).commands[command].params  # type: ignore[attr-defined]
+    spellings = {option for p in known for option in p.opts}
+    assert new in spellings and old not in spellings
+    for words in ([old, "x"], [f"{old}=x"]):
+        done = CliRunner().invoke(app, [command, *words, "--no-such"])
+        assert f"note: {old} is called {new} now" in done.stderr
+        assert "--no-such" in done.stderr and f"No such option: {old}" not in done.stderr
+
+
+def test_an_old_spelling_means_what_it_meant(tmp_path) -> None:
+    done = CliRunner().invoke(app, ["history", "--ledger", str(tmp_path / "nowhere")])
+    assert done.exit_code == 2 and "nowhere.sqlite is missing" in done.stderr

@@ -44,12 +44,12 @@ def test_the_folder_one_is_in_is_a_folder_of_records(
     """`.` has an empty name, and files stand beside the folder: it ended in a traceback."""
     monkeypatch.chdir(runs)
     for here in (".", "../runs/.", "../runs/../runs", ""):
-        listed = cell("history", "--ledger", here or ".", "--json")
+        listed = cell("history", "--runs", here or ".", "--json")
         assert [c["outcome"] for c in json.loads(listed.stdout)] == ["inserted"]
         status = cell("status", "--runs", here)
         assert (status.exit_code, "no cell runs" in status.stderr) == (3, True)
-    assert cell("acknowledge", "--ledger", ".").stderr.startswith("no fault is open")
-    assert cell("actions", "--ledger", ".").exit_code == 0
+    assert cell("acknowledge", "--runs", ".").stderr.startswith("no fault is open")
+    assert cell("actions", "--runs", ".").exit_code == 0
     packed = runs.parent / "b.zip"
     assert cell("bundle", "--runs", ".", "-o", packed).exit_code == 0 and packed.exists()
 
@@ -57,12 +57,12 @@ def test_the_folder_one_is_in_is_a_folder_of_records(
 @pytest.mark.parametrize(
     "command",
     [
-        ("run", "--config", CONFIG, "--out", "/"),
+        ("run", "--config", CONFIG, "--runs", "/"),
         ("status", "--runs", "/"),
         ("bundle", "--runs", "/"),
         ("serve", "--runs", "/"),
-        ("history", "--ledger", "/"),
-        ("actions", "--ledger", "/"),
+        ("history", "--runs", "/"),
+        ("actions", "--runs", "/"),
     ],
     ids=lambda command: command[0],
 )
@@ -87,7 +87,7 @@ def test_a_file_is_no_folder_of_records(command: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_an_export_takes_the_place_of_the_last_one(runs: Path, tmp_path: Path, kind: str) -> None:
     table = tmp_path / f"week.{kind}"
-    words = ("history", "--ledger", runs, f"--{kind}", table)
+    words = ("history", "--runs", runs, f"--{kind}", table)
     for _ in range(2):
         done = cell(*words)
         assert done.exit_code == 0, done.stderr
@@ -114,7 +114,7 @@ def test_a_recording_that_is_there_is_not_fetched(runs: Path) -> None:
 @pytest.mark.parametrize("said", ["999999999d", "99999999999h", "0001-01-01"])
 def test_a_time_before_the_calendar_is_none(runs: Path, said: str) -> None:
     for command in ("history", "actions"):
-        done = cell(command, "--ledger", runs, "--since", said)
+        done = cell(command, "--runs", runs, "--since", said)
         if said[-1] in "hd":
             assert (done.exit_code, "no time; give 2026-11-01" in done.stderr) == (2, True)
         assert not isinstance(done.exception, OverflowError)
@@ -122,18 +122,18 @@ def test_a_time_before_the_calendar_is_none(runs: Path, said: str) -> None:
 
 @pytest.mark.parametrize("command", ["history", "actions"])
 def test_nothing_can_have_been_since_a_time_to_come(runs: Path, command: str) -> None:
-    done = cell(command, "--ledger", runs, "--since", "2999-01-01")
+    done = cell(command, "--runs", runs, "--since", "2999-01-01")
     assert (done.exit_code, "2999-01-01: is to come" in done.stderr) == (2, True)
 
 
 def test_times_that_exclude_each_other_are_refused(runs: Path) -> None:
-    done = cell("history", "--ledger", runs, "--since", "1d", "--until", "2d")
+    done = cell("history", "--runs", runs, "--since", "1d", "--until", "2d")
     assert (done.exit_code, "is not before --until 2d" in done.stderr) == (2, True)
 
 
 def test_a_file_that_is_no_ledger_is_named_as_it_is_given(runs: Path) -> None:
     """`settings.yaml.sqlite` was called missing, which nobody had named."""
-    done = cell("history", "--ledger", CONFIG)
+    done = cell("history", "--runs", CONFIG)
     assert (done.exit_code, f"{CONFIG} is a file, and none named" in done.stderr) == (2, True)
 
 
@@ -145,12 +145,12 @@ def test_a_status_without_a_cell_is_json_too(tmp_path: Path) -> None:
 
 
 def test_one_cycle_is_one_cycle(runs: Path, tmp_path: Path) -> None:
-    done = cell("history", "--ledger", tmp_path / "new", "--import", runs)
+    done = cell("history", "--runs", tmp_path / "new", "--import", runs)
     assert "1 of 1 cycle is new to the ledger" in done.stdout
 
 
 def test_faults_and_shifts_are_two_answers(runs: Path) -> None:
-    done = cell("history", "--ledger", runs, "--oee", "--faults")
+    done = cell("history", "--runs", runs, "--oee", "--faults")
     assert (done.exit_code, "give one of them" in done.stderr) == (2, True)
 
 
@@ -178,7 +178,7 @@ def test_a_cycle_of_the_same_name_on_another_line_stays_open(tmp_path: Path) -> 
         ledger.write([LedgerEntry(line, 1, folder, at, "inserted", ended=at, result=result)])
 
     def acknowledge(folder: Path) -> str:
-        words = ["acknowledge", str(folder), "--ledger", str(tmp_path / "plant"), "--by", "Ada"]
+        words = ["acknowledge", str(folder), "--runs", str(tmp_path / "plant"), "--by", "Ada"]
         done = CliRunner().invoke(app, words)
         return f"{done.exit_code} {done.stderr}"
 

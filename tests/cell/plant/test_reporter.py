@@ -96,7 +96,7 @@ def test_a_unit_means_the_paths_that_it_was_made_of(
     meant = [word.replace("%%", "%").replace("$$", "$") for word in words]
     assert meant == [
         *(f"/opt/{of_program}/python", "-m", "cell", "run", "--config", str(config)),
-        *("--out", str(runs), "--cycles", "forever", "--json"),
+        *("--runs", str(runs), "--cycles", "forever", "--json"),
     ]
     for word in (program, *words, unit["WorkingDirectory"], unit["Description"]):
         assert not re.search("%(?!%)", word.replace("%%", ""))

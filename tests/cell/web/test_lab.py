@@ -107,7 +107,7 @@ def test_what_is_asked_for_is_a_command(tasks: LabTasks) -> None:
     assert inferred.commands[0][-1] == "runs.lab/effects/discovered_2.py"
     learned = tasks.learn("c", [], "runs", [])
     assert learned.typed == (
-        "cell learn --ledger runs --config cell.yaml -o runs.lab/candidates/c.yaml"
+        "cell learn --runs runs --config cell.yaml -o runs.lab/candidates/c.yaml"
     )
     assert tasks.promote("c") == (
         *("promote", "runs.lab/candidates/c.yaml", "--config", "cell.yaml"),

@@ -44,7 +44,7 @@ def test_cables_wait_for_a_dry_run_at_low_speed(
     with pytest.raises(InputError) as refused:
         check_arm_version(given, CONFIG, tmp_path, None)
     assert "arm.allow_version" in str(refused.value) and version in str(refused.value)
-    command = f"cell run --config yours.yaml --out {tmp_path} --dry-run --speed 0.1"
+    command = f"cell run --config yours.yaml --runs {tmp_path} --dry-run --speed 0.1"
     assert command in str(refused.value)
     with pytest.raises(InputError, match=r"at most 0\.25"):
         check_arm_version(given, CONFIG, tmp_path, 0.5)

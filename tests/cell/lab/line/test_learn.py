@@ -775,7 +775,7 @@ def test_what_is_printed_can_be_typed(said: tuple[Path, list[str]]) -> None:
     assert run[:4] == ["cell", "run", "--config", str(CONFIG)]
     motion = load_motion(folder / run[run.index("--motion") + 1], SETTINGS)
     assert motion.moves
-    measured = run[run.index("--out") + 1]
+    measured = run[run.index("--runs") + 1]
     assert again == [
         "cell", "learn", *runs, measured, "--config", str(CONFIG),
         "-o", "drag law.yaml",

@@ -35,7 +35,7 @@ def test_actions_are_taken_over_once(tmp_path: Path) -> None:
     assert listed_actions(runs, most=1) == [second]
     now = datetime.now(UTC)
     assert listed_actions(runs, since=now + timedelta(minutes=1)) == []
-    said = CliRunner().invoke(app, ["actions", "--ledger", str(runs), "-n", "1"]).stdout
+    said = CliRunner().invoke(app, ["actions", "--runs", str(runs), "-n", "1"]).stdout
     assert "eve  stop  refused  you may not – do this" in said and "ada" not in said
 
 
