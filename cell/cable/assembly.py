@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cell.cable import layout as at
 from cell.cable.arrays import FloatArray
 from cell.cable.compiling import WIDEST
-from cell.cable.effects.base import Effect
+from cell.cable.effects.base import ActiveEffect, Effect
 from cell.cable.effects.compiled import Hooks, cable_data, hooks_of, in_steps, parameters
 from cell.cable.effects.own import with_compiled_hooks
 from cell.cable.model import CableModel, knot_basis
@@ -183,6 +183,7 @@ def _put_masses(state: FloatArray, models: list[CableModel], body: FloatArray) -
     put(at.WEIGHT, density * body)
     put(at.WEIGHT_1, density * body**2 / 2.0)
     for lane, model in enumerate(models):
+        _put_inertia(state[:, :, lane], body[:, lane], model)
         for mass_kg, arc_m in _point_masses(model):
             _put_point(state[:, :, lane], body[:, lane], mass_kg, arc_m)
     last: FloatArray = body[-1]
@@ -192,6 +193,29 @@ def _put_masses(state: FloatArray, models: list[CableModel], body: FloatArray) -
         state[-1, at.MASS_2, :w] += mass * centre**2 + inertia
         state[-1, at.WEIGHT, :w] += mass
         state[-1, at.WEIGHT_1, :w] += mass * centre
+
+
+#: Gauss–Legendre rule over a body: places and weights over −1 … 1.
+_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+def _put_inertia(state: FloatArray, body_m: FloatArray, model: CableModel) -> None:
+    """Add what differs along the cable to the inertia of the bodies (n + 1)."""
+    varying = [a for a in model.effects if a.effect.varies_along_cable()]
+    if not varying:
+        return
+    half_m = 0.5 * body_m[:, None]
+    within_m = half_m * (1.0 + _PLACES)
+    begins_m = np.concatenate([[0.0], np.cumsum(body_m)[:-1]])
+    arcs_m = (begins_m[:, None] + within_m).ravel()
+    added = added_inertia(model, varying, arcs_m)
+    along, normal = added.reshape(2, *within_m.shape)
+    for moment, (mass, extra) in enumerate(
+        ((at.MASS, at.EXTRA), (at.MASS_1, at.EXTRA_1), (at.MASS_2, at.EXTRA_2))
+    ):
+        weights = half_m * _WEIGHTS * within_m**moment
+        state[:, mass] += np.sum(weights * along, axis=1)
+        state[:, extra] += np.sum(weights * (normal - along), axis=1)
 
 
 def _put_point(state: FloatArray, body_m: FloatArray, mass_kg: float, arc_m: float) -> None:
@@ -256,11 +280,25 @@ def _grip(model: CableModel) -> tuple[float, float]:
 
 
 def _inertia(model: CableModel) -> FloatArray:
-    """Added mass per metre along and normal to the strip, kg/m."""
-    total = np.zeros(2)
-    for active in model.effects:
-        if active.effect.inertia is not None:
-            total += active.effect.inertia(cable_data(model), parameters(active))
+    """Added mass per metre along and normal to the strip, kg/m, that is the same everywhere."""
+    uniform = [a for a in model.effects if not a.effect.varies_along_cable()]
+    return np.asarray(added_inertia(model, uniform, np.zeros(1))[:, 0])
+
+
+def added_inertia(
+    model: CableModel, effects: Sequence[ActiveEffect], arc_length_m: FloatArray
+) -> FloatArray:
+    """(2, n) mass per metre that some of a model's effects add along and normal to it, kg/m.
+
+    arc_length_m  (n,) from the gripping point
+    """
+    total = np.zeros((2, len(arc_length_m)))
+    for active in effects:
+        if (hook := active.effect.inertia) is not None:
+            where = (arc_length_m,) if active.effect.varies_along_cable() else ()
+            along, normal = hook(cable_data(model), *where, parameters(active))
+            total[0] += along
+            total[1] += normal
     return total
 
 

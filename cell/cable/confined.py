@@ -101,9 +101,11 @@ def _called(channel: Channel, effect: type[Effect], hook: str, *args: Any) -> An
         return tuple(np.asarray(v, dtype=np.float64) for v in moved(times))
     cable, *others = first
     result = getattr(effect, hook)(CableData(*cable), *others, p)
-    if isinstance(result, tuple):
-        return tuple(float(v) for v in result)
-    return np.asarray(result, dtype=np.float64) if isinstance(result, np.ndarray) else float(result)
+    return tuple(map(_plain, result)) if isinstance(result, tuple) else _plain(result)
+
+
+def _plain(value: Any) -> Any:
+    return np.asarray(value, dtype=np.float64) if isinstance(value, np.ndarray) else float(value)
 
 
 def _described(effect: type[Effect]) -> dict[str, Any]:
@@ -125,6 +127,7 @@ def _described(effect: type[Effect]) -> dict[str, Any]:
         "smooth": bool(effect.smooth),
         "wider": None if effect.wider is None else effect.wider.name,
         "hooks": hooks,
+        "varies_along_cable": effect.varies_along_cable(),
         "line": first_line(effect) if {*COMPILED} & {*hooks} else 1,
     }
 

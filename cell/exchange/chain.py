@@ -8,7 +8,7 @@ import numpy as np
 
 from cell.cable import layout as at
 from cell.cable.arrays import FloatArray
-from cell.cable.assembly import assemble
+from cell.cable.assembly import added_inertia, assemble
 from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3, AirDrag
 from cell.cable.effects.base import ActiveEffect, Effect
 from cell.cable.effects.bending import StressRelaxation
@@ -34,6 +34,10 @@ _REASONS = {
 }
 
 
+#: Places at which an inertia is looked at.
+_PLACES = 101
+
+
 @dataclass(frozen=True)
 class OmittedEffect:
     """An effect that the export does not have, and why."""
@@ -42,22 +46,24 @@ class OmittedEffect:
     reason: str
 
 
-def why_not(active: ActiveEffect) -> str | None:
-    """Why a chain of hinges in MuJoCo cannot have this effect; None if it can."""
+def why_not(active: ActiveEffect, model: CableModel) -> str | None:
+    """Why a chain of hinges in MuJoCo cannot have this effect of a model; None if it can."""
     effect = active.effect
     if effect in _OWN_ELEMENT:
         return None
     for hook, reason in _REASONS.items():
         if getattr(effect, hook) is not None:
             return reason
-    if effect.inertia is not None and active.named.get("along", 1.0) != 1.0:
+    arcs_m = np.linspace(0.0, model.cable.free_length_m, _PLACES)
+    along, normal = added_inertia(model, [active], arcs_m)
+    if not np.array_equal(along, normal):
         return "inertia that differs along and across the strip; a rigid body's is the same"
     return None
 
 
 def expressible(model: CableModel) -> tuple[CableModel, tuple[OmittedEffect, ...]]:
     """The model with the effects that MuJoCo can have, and the others with their reasons."""
-    reasons = [(active, why_not(active)) for active in model.effects]
+    reasons = [(active, why_not(active, model)) for active in model.effects]
     kept = tuple(active for active, reason in reasons if reason is None)
     left = tuple(
         OmittedEffect(a.effect.name, reason) for a, reason in reasons if reason is not None

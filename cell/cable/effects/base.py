@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -133,6 +134,7 @@ class Effect:
     memory_rate(cable, at: Bend, m, p) -> (rates, …)*  one per name in `memory`, 1/s
     memory_at_rest(cable, at: Bend, p) -> (values, …)* memory of a cable that has long been still
     inertia(cable, p) -> (along, normal)               kg/m added to the strip's, without weight
+    inertia(cable, arc_length, p) -> (along, normal)   the same at arc lengths; arrays, or numbers
     tip_mass(cable, p) -> kg                           point mass with weight at the tip
     point_mass(cable, p) -> (kg, m)                    the same at an arc length
     rest_curvature(cable, arc_length, p) -> κ₀         1/m, arrays
@@ -170,6 +172,12 @@ class Effect:
     clamp: ClassVar[Callable[..., Any] | None] = None
     camera_time: ClassVar[Callable[..., Any] | None] = None
     camera_points: ClassVar[Callable[..., Any] | None] = None
+
+    @classmethod
+    def varies_along_cable(cls) -> bool:
+        """Whether its `inertia` is given the arc length."""
+        hook = inspect.unwrap(cls.inertia) if cls.inertia is not None else None
+        return hook is not None and hook.__code__.co_argcount == 3
 
     @classmethod
     def active(cls, **values: float) -> ActiveEffect:

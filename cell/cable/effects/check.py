@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import (
     Bend,
     CableData,
@@ -45,9 +46,12 @@ HOOKS = {
     "camera_time": ("cable", "t", "xy", "p"),
     "camera_points": ("cable", "xy", "p"),
 }
+#: Arguments that a hook may have instead.
+OTHERWISE = {"inertia": ("cable", "arc_length", "p")}
 _FIELDS = ("name", "parameters", "memory", "dissipative", "smooth", "wider")
 
 _CABLE = CableData(0.016, 1e-4, 0.0074, 0.1)
+_ARCS_M = np.linspace(0.0, 0.1, 5)
 
 
 #: Told what is tried next, its line, and the seconds of computing that it may take.
@@ -117,10 +121,12 @@ def _check_form(effect: type[Effect], path: Path, line: int) -> None:
         refuse("has no hook, so it does nothing")
     for hook in used:
         function = getattr(effect, hook)
-        count, wanted = function.__code__.co_argcount, HOOKS[hook]
-        if count != len(wanted):
+        count, forms = function.__code__.co_argcount, [HOOKS[hook]]
+        forms += [OTHERWISE[hook]] if hook in OTHERWISE else []
+        if count not in map(len, forms):
+            needed = " or ".join(f"({', '.join(form)})" for form in forms)
             refuse(
-                f"{hook} takes {count} arguments, needs ({', '.join(wanted)})",
+                f"{hook} takes {count} arguments, needs {needed}",
                 function.__code__.co_firstlineno,
             )
     if bool(effect.memory) != (effect.memory_rate is not None):
@@ -167,6 +173,8 @@ def _try(effect: type[Effect], hook: str, p: Any, path: Path) -> None:
     elif hook == "memory_at_rest":
         for bend in _bends():
             _numbers(effect, hook, count, path, _CABLE, bend._replace(rate=0.0), p)
+    elif hook == "inertia" and effect.varies_along_cable():
+        _inertia_along(effect, path, p)
     elif hook == "inertia":
         _numbers(effect, hook, 2, path, _CABLE, p)
     elif hook in ("tip_mass", "point_mass", "grip_compliance", "extra_length"):
@@ -175,7 +183,7 @@ def _try(effect: type[Effect], hook: str, p: Any, path: Path) -> None:
         if hook != "extra_length" and min(values) < 0.0:
             _refuse(effect, hook, path, f"returned {values}: must be ≥ 0")
     elif hook == "rest_curvature":
-        _array(effect, hook, (5,), path, _CABLE, np.linspace(0.0, 0.1, 5), p)
+        _array(effect, hook, _ARCS_M.shape, path, _CABLE, _ARCS_M, p)
     elif hook == "clamp":
         pose = HandMotion(lambda t: (0.01 * t, -0.05 * np.tanh(9.0 * t - 2.0), 0.0 * t), 0.0, 0.6)
         moved = _call(effect, hook, path, pose, p)
@@ -215,6 +223,20 @@ def _array(effect: type[Effect], hook: str, shape: tuple[int, ...], path: Path, 
         _refuse(effect, hook, path, f"returned shape {result.shape}: must be {shape}")
     if result.dtype.kind not in "fi" or not np.all(np.isfinite(result)):
         _refuse(effect, hook, path, "returned values that are not finite")
+
+
+def _inertia_along(effect: type[Effect], path: Path, p: Any) -> FloatArray:
+    """(2, places) along and normal, kg/m."""
+    result = _call(effect, "inertia", path, _CABLE, _ARCS_M, p)
+    wanted = f"(along, normal), each a number or of shape {_ARCS_M.shape}"
+    if not isinstance(result, tuple) or len(result) != 2:
+        _refuse(effect, "inertia", path, f"returned {result!r}: must be {wanted}")
+    for each in map(np.asarray, result):
+        if each.shape not in ((), _ARCS_M.shape):
+            _refuse(effect, "inertia", path, f"returned shape {each.shape}: must be {wanted}")
+        if each.dtype.kind not in "fi" or not np.all(np.isfinite(each)):
+            _refuse(effect, "inertia", path, "returned values that are not finite")
+    return np.stack([np.broadcast_to(each, _ARCS_M.shape) for each in result])
 
 
 def _call(effect: type[Effect], hook: str, path: Path, *args: Any) -> Any:
@@ -260,7 +282,9 @@ def _check_off(effect: type[Effect], path: Path) -> None:
         for bend in _bends():
             off("moment", effect.moment(_CABLE, bend, memory, p) == 0.0)
     if effect.inertia is not None:
-        off("inertia", not any(effect.inertia(_CABLE, p)))
+        along = effect.varies_along_cable()
+        added = _inertia_along(effect, path, p) if along else effect.inertia(_CABLE, p)
+        off("inertia", not np.any(added))
     for hook in ("tip_mass", "extra_length"):
         function = getattr(effect, hook)
         off(hook, function is None or function(_CABLE, p) == 0.0)
@@ -269,7 +293,7 @@ def _check_off(effect: type[Effect], path: Path) -> None:
     if effect.grip_compliance is not None:
         off("grip_compliance", effect.grip_compliance(_CABLE, p)[0] == 0.0)
     if effect.rest_curvature is not None:
-        off("rest_curvature", not np.any(effect.rest_curvature(_CABLE, np.linspace(0, 0.1, 5), p)))
+        off("rest_curvature", not np.any(effect.rest_curvature(_CABLE, _ARCS_M, p)))
     xy = np.array([[-0.1, -0.03], [-0.05, -0.01]])
     t = np.array([0.1, 0.2])
     if effect.camera_time is not None:

@@ -245,6 +245,8 @@ def _class_of(file: Path, source: bytes, said: dict[str, Any]) -> type[Effect]:
     effect: type[Effect] = type("Law", (Effect,), fields)
     for hook in hooks:
         call = _clamp(effect) if hook == "clamp" else _hook(effect, hook)
+        if hook == "inertia" and said.get("varies_along_cable"):
+            call = _inertia_along(effect)
         setattr(effect, hook, staticmethod(call))
     effect.file = EffectFile(file, sha256, confined=True)
     module = ModuleType(effect.__module__)
@@ -285,6 +287,23 @@ def _hook(effect: type[Effect], hook: str) -> Callable[..., Any]:
         return numbers if size > 1 else numbers[0]
 
     return called
+
+
+def _inertia_along(effect: type[Effect]) -> Callable[..., Any]:
+    what = f"{effect.name}.inertia"
+
+    def inertia(cable: Any, arc_length: Any, p: Any) -> Any:
+        arcs = np.asarray(arc_length, dtype=np.float64)
+        given = (tuple(map(float, cable)), arcs, _values(p))
+        request = {"effect": effect.name, "hook": "inertia", "args": given}
+        value = _request((effect,), request, what)["value"]
+        arrays = value if isinstance(value, tuple) else ()
+        shapes = [np.shape(a) for a in arrays]
+        if len(arrays) != 2 or any(s not in ((), arcs.shape) for s in shapes):
+            raise _error(effect, f"{what} returned shapes {shapes}: must be two of {arcs.shape}")
+        return tuple(np.asarray(a, dtype=np.float64) for a in arrays)
+
+    return inertia
 
 
 def _clamp(effect: type[Effect]) -> Callable[..., Any]:

@@ -183,6 +183,19 @@ def test_inertia_across_alone_is_left_out(flat_model):
     assert "across" in left[0].reason
 
 
+def test_a_users_own_inertia_that_differs_across_is_left_out(flat_model):
+    class Fins(Effect):
+        name = "fins"
+        parameters = (Parameter("kg_per_m", "kg/m", 0.0, 1.0, 0.0, (1e-4,)),)
+
+        @staticmethod
+        def inertia(cable, arc_length, p):
+            return 0.0, p.kg_per_m * (arc_length > 0.05)
+
+    _, left = expressible(replace(flat_model().model, effects=(Fins.active(kg_per_m=1e-4),)))
+    assert "across" in left[0].reason
+
+
 def test_a_users_own_effect_counts_by_its_hooks(flat_model):
     class Sticker(Effect):
         name = "sticker"

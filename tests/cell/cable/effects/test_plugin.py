@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import simulate
-from cell.cable.effects import EffectError, load_effect
+from cell.cable.effects import EffectError, library, load_effect
 from cell.cable.effects.compiled import loops_of
+from cell.cable.effects.remote import MARK
 from cell.cable.geometry import Cable
 from cell.cable.model import CableModel
 
@@ -87,6 +88,38 @@ def test_changing_a_value_compiles_nothing(tmp_path, cable, arc, jerk):
     assert len(module.loop.overloads) == 1
 
 
+SLEEVE = """import numpy as np
+from cell.cable.effects import Effect, Parameter
+class Sleeve(Effect):
+    name = "sleeve"
+    parameters = (Parameter("kg", "kg", 0.0, 1.0, 0.0, (1e-5,)),)
+    def inertia(cable, arc_length, p):
+        near = np.exp(-0.5 * ((arc_length / cable.free_length_m - 0.6) / 0.02) ** 2)
+        per_m = p.kg * near / (0.02 * cable.free_length_m * np.sqrt(2.0 * np.pi))
+        return per_m, per_m
+"""
+
+
+@pytest.mark.parametrize("trusted", [True, False])
+def test_an_inertia_may_depend_on_arc_length(tmp_path, cable, arc, jerk, trusted):
+    """Without gravity a narrow one is a point mass."""
+    if not trusted:
+        if sys.platform != "linux":
+            pytest.skip("there is no sandbox elsewhere")
+        (tmp_path / MARK).touch()
+    sleeve, t_s = load_effect(written(tmp_path, SLEEVE)), np.arange(0.0, 0.8, 0.02)
+    point, mass_kg = library()["point_mass"], 1e-4
+
+    def swing(*effects):
+        model = CableModel.uniform(cable, 3e-5, 1.0, 1e-7, (0.0, 0.0), effects)
+        return simulate(model, jerk, t_s, arc)[0]
+
+    bare, there = swing(), swing(sleeve.active(kg=mass_kg))
+    at_point = swing(point.active(mass_kg=mass_kg, place=0.6))
+    assert np.abs(at_point - bare).max() > 2e-3
+    assert np.abs(there - at_point).max() < 0.02 * np.abs(at_point - bare).max()
+
+
 @pytest.mark.parametrize("trusted", [True, False])
 def test_what_the_program_wrote_is_compiled_once_wherever_it_lies(tmp_path, monkeypatch, trusted):
     """Every search for a law wrote all of them to a new folder, and compiled them for 9 s.
@@ -156,6 +189,28 @@ MISTAKES = {
         "ZeroDivisionError",
     ),
     "always on": (FORCE + "        return 0.0, 1.0\n", 5, "not off at size = 0"),
+    "arguments of an inertia": (
+        HEAD + "    def inertia(p):\n        return 0.0, 0.0\n",
+        5,
+        "needs (cable, p) or (cable, arc_length, p)",
+    ),
+    "shape of an inertia": (
+        HEAD + "    def inertia(cable, arc_length, p):\n"
+        "        return p.size * arc_length[1:], 0.0\n",
+        5,
+        "returned shape (4,): must be (along, normal), each a number or of shape (5,)",
+    ),
+    "inertia without an end": (
+        HEAD + "    def inertia(cable, arc_length, p):\n"
+        "        return 0.0, p.size / (arc_length - 0.05)\n",
+        5,
+        "not finite",
+    ),
+    "an inertia always on": (
+        HEAD + "    def inertia(cable, arc_length, p):\n        return 0.0, arc_length\n",
+        5,
+        "not off at size = 0",
+    ),
     "no hook": (HEAD, 2, "does nothing"),
     "feeds": (
         HEAD + "    dissipative = True\n    def force(cable, at, p):\n"
