@@ -72,13 +72,16 @@ PANELS = {
     "Plant": ("serve", "service", "mqtt", "opcua", "handshake"),
     "Administration": ("help", "user", "actions", "bundle"),
 }
+_FITTING, _LOOKING = ("fit", "compare", "discover"), ("diagnose", "suggest", "power")
+_FITTING, _LOOKING = ("fit", "compare", "discover"), ("diagnose", "suggest", "power")
 #: Spellings of the version before: they work, with a note, until the next one.
-OLD_OPTIONS = {
+OLD_OPTIONS: dict[str, dict[str, str]] = {
     **{command: {"--out": "--runs"} for command in ("run", "show", "service")},
-    **{
-        command: {"--ledger": "--runs"}
-        for command in ("history", "acknowledge", "actions", "learn")
-    },
+    **{command: {"--ledger": "--runs"} for command in ("history", "acknowledge", "actions")},
+    **{command: {"--effect": "--with"} for command in ("identify", *_FITTING, "export")},
+    **{command: {"--effect": "--try", "--known": "--with"} for command in _LOOKING},
+    "effects": {"--effect": "--try"},
+    "learn": {"--effect": "--try", "--ledger": "--runs"},
 }
 #: What `cell` alone says.
 _FIRST = """\
@@ -117,8 +120,9 @@ class _Commands(typer.core.TyperGroup):
         for i, word in enumerate(rest):
             option, equals, value = word.partition("=")
             if option in old:
-                rest[i] = old[option] + equals + value
-                print(f"note: {option} is called {old[option]} now", file=sys.stderr)
+                new = _new_option(name or "", option, value or "".join(rest[i + 1 : i + 2]))
+                rest[i] = new + equals + value
+                print(f"note: {option} is called {new} now", file=sys.stderr)
         return name, command, rest
 
     def make_context(self, *given: Any, **named: Any) -> Any:
@@ -128,6 +132,15 @@ class _Commands(typer.core.TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         with _reporting_interruption():
             return super().invoke(ctx)
+
+
+def _new_option(command: str, option: str, value: str) -> str:
+    """How an option of the version before is spelled now."""
+    if (command, option) == ("diagnose", "--effect"):  # what is tried anyway was part of the model
+        from cell.cable.effects import library
+
+        return "--with" if value in library() else "--try"
+    return OLD_OPTIONS[command][option]
 
 
 @contextmanager

@@ -79,7 +79,7 @@ class ExportOptions:
     effect: Annotated[
         list[str] | None,
         typer.Option(
-            "--effect", help="The file.py of an effect in the model, if the file was moved."
+            "--with", help="The file.py of an effect in the model, if the file was moved."
         ),
     ] = None
     samples: Annotated[

@@ -62,7 +62,7 @@ class FitCommandOptions:
 
     def of_study_only(self) -> list[str]:
         """Options given that a fit without a study does not have."""
-        named = {"effect": "--effect", "prior": "--prior", "config": "--config"}
+        named = {"effect": "--with", "prior": "--prior", "config": "--config"}
         named["profile"] = "--profile"
         return [named[f.name] for f in fields(self) if f.name in named and getattr(self, f.name)]
 

@@ -73,7 +73,7 @@ class _Identify:
     effect: Annotated[
         list[str] | None,
         typer.Option(
-            "--effect",
+            "--with",
             help="Part of the model: an effect's name, or a file.py with one of your own.",
         ),
     ] = None

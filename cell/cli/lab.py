@@ -28,6 +28,7 @@ from cell.cli.shared import (
 from cell.cli.streams import OutputClosedError
 
 if TYPE_CHECKING:
+    from cell.lab.data.named_effects import EffectSelection
     from cell.lab.data.work import Progress
     from cell.lab.strength.compare import Comparison
 
@@ -43,15 +44,13 @@ StudyFolder = Annotated[
 InModel = Annotated[
     list[str] | None,
     typer.Option(
-        "--effect", help="Part of the model: an effect's name, or a file.py with one of your own."
+        "--with", help="Part of the model: an effect's name, or a file.py with one of your own."
     ),
 ]
-EffectOption = Annotated[
+Tried = Annotated[
     list[str] | None,
     typer.Option(
-        "--effect",
-        help="A file.py with an effect of your own: it is tried beside the library. A name that "
-        "is tried anyway: it is part of the model.",
+        "--try", help="A file.py with an effect of your own: it is tried with those of the library."
     ),
 ]
 Candidates = Annotated[
@@ -61,10 +60,6 @@ Candidates = Annotated[
         help="A folder of files with effects, written by people or programs; all are tried beside "
         "the library. A file that could do more than compute is left out.",
     ),
-]
-Known = Annotated[
-    list[str] | None,
-    typer.Option("--known", help="Name or file.py of an effect that is part of the model."),
 ]
 PriorFile = Annotated[
     Path | None,
@@ -106,7 +101,7 @@ def compare(
     effect: Annotated[
         list[str] | None,
         typer.Option(
-            "--effect", help="The file.py of an effect in the model, if the file was moved."
+            "--with", help="The file.py of an effect in the model, if the file was moved."
         ),
     ] = None,
     residuals: Annotated[
@@ -175,9 +170,9 @@ def compare(
 class _CandidateOptions:
     """What is tried in a study."""
 
-    effect: EffectOption = None
+    effect: Tried = None
     candidates: Candidates = None
-    known: Known = None
+    known: InModel = None
     prior: PriorFile = None
 
     def effects(self, progress: Progress) -> list[str]:
@@ -215,6 +210,22 @@ class _Diagnose(_CandidateOptions):
     force: Force = False
     workers: Workers = None
 
+    def selection(self, progress: Progress) -> EffectSelection:
+        """Effects that are part of the model, and those that are tried.
+
+        raises  ValueError: one is tried anyway; as `select_effects`
+        """
+        from cell.cable.effects import library
+        from cell.lab.data.named_effects import select_effects
+
+        tried = self.effects(progress)
+        for name in tried:
+            if name in library():
+                raise ValueError(
+                    f"--try {name}: is tried anyway; --with {name} makes it part of the model"
+                )
+        return select_effects(self.known or [], tried)
+
 
 @app.command(cls=JsonCommand)
 @taking(_Diagnose)
@@ -228,7 +239,6 @@ def diagnose(given: _Diagnose) -> None:
         return
     (study,) = given.studies
     from cell.api.lab import diagnosed, examined, rules_with, set_up
-    from cell.lab.data.named_effects import select_for_diagnosis
     from cell.lab.data.work import DIAGNOSIS, Work
     from cell.lab.report.tables import verdict_line
 
@@ -243,7 +253,7 @@ def diagnose(given: _Diagnose) -> None:
                 raise ValueError(
                     "--workers is of several studies: one is diagnosed on this computer"
                 )
-            selection = select_for_diagnosis(given.effects(progress), given.known or [])
+            selection = given.selection(progress)
             rules = rules_with(given.check or [])
             fits = set_up(study, selection, given.prior, given.config, progress, tell_notes, work)
             gc.freeze()  # what is loaded stays: not looked through for garbage again and again
@@ -275,13 +285,12 @@ def _diagnose_jointly(given: _Diagnose) -> None:
     """One answer of several studies."""
     from cell.api.lab import rules_with
     from cell.api.several import found_together
-    from cell.lab.data.named_effects import select_for_diagnosis
 
     outputs = (*(given.results or []), given.report)
     with refusing(*outputs, force=given.force), working("diagnose") as progress:
         if given.prior is not None:
             raise ValueError("--prior is of one cable; leave it out with several studies")
-        selection = select_for_diagnosis(given.effects(progress), given.known or [])
+        selection = given.selection(progress)
         rules = rules_with(given.check or [])
         with workers(given.workers, given.config) as executor:
             result = found_together(
@@ -300,9 +309,7 @@ def _diagnose_jointly(given: _Diagnose) -> None:
 def effects(
     effect: Annotated[
         list[str] | None,
-        typer.Option(
-            "--effect", help="A file.py with an effect of your own, to check and list too."
-        ),
+        typer.Option("--try", help="A file.py with an effect of your own, to check and list too."),
     ] = None,
     candidates: Annotated[
         Path | None,
@@ -396,10 +403,10 @@ class _Suggest(_CandidateOptions):
     effect: Annotated[
         list[str] | None,
         typer.Option(
-            "--effect",
+            "--try",
             help="NAME or NAME=SIZE: suggest the motion that best shows this effect, whether or "
             "not the study has it; SIZE in the unit of its first parameter, else a typical one. "
-            "A file.py: an effect of your own, tried beside the library.",
+            "A file.py: an effect of your own, tried with those of the library.",
         ),
     ] = None
     out: Annotated[
@@ -419,7 +426,7 @@ class _Suggest(_CandidateOptions):
 def suggest(given: _Suggest) -> None:
     """Suggest the safe motion that best distinguishes the remaining candidates, and its power.
 
-    With `--effect NAME`: the motion that best shows that effect.
+    With `--try NAME`: the motion that best shows that effect.
     """
     from cell.api.lab import set_up
     from cell.api.results import SuggestResult

@@ -41,7 +41,7 @@ app = group()
 
 OwnEffects = Annotated[
     list[str] | None,
-    typer.Option("--effect", help="A file.py with an effect of your own; it is tried too."),
+    typer.Option("--try", help="A file.py with an effect of your own; it is tried too."),
 ]
 Recorded = Annotated[
     list[Path] | None,
@@ -223,7 +223,7 @@ def _command_to_repeat(
 ) -> str:
     """`cell learn` with the cables measured meanwhile, too."""
     given = [*asked, *([] if _measured(out) in asked else [_measured(out)])]
-    tried = (w for effect in effects for w in ("--effect", effect))
+    tried = (w for effect in effects for w in ("--try", effect))
     sought = [] if laws is None else ["--laws", laws]
     return _typed(["cell", "learn", *given, *line.words, *tried, *sought, "-o", out])
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from cell.cli.arguments import Workers, taking, workers
-from cell.cli.lab import Known, LineModel, Results, StudyFolder
+from cell.cli.lab import InModel, LineModel, Results, StudyFolder
 from cell.cli.output import JsonCommand, deliver, json_files, print_result
 from cell.cli.shared import Force, group, refusing, show, stoppable, tell_notes, working
 
@@ -24,7 +24,7 @@ class _Power:
     effect: Annotated[
         list[str],
         typer.Option(
-            "--effect",
+            "--try",
             help="NAME, NAME=SIZE or NAME.PARAMETER=SIZE of an effect of the library or of a "
             "file.py; SIZE in the parameter's unit.  Without SIZE: the smallest that is found.  "
             "Repeat the option for more.",
@@ -48,7 +48,7 @@ class _Power:
             "out.  Repeat the option for more.",
         ),
     ] = None
-    known: Known = None
+    known: InModel = None
     config: LineModel = None
     results: Results = None
     force: Force = False

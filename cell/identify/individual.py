@@ -76,11 +76,11 @@ def with_effects(options: IdentifyOptions, effects: Sequence[type[Effect]]) -> I
     if not effects:
         return options
     if options.method == "paper":
-        raise ValueError("--effect: the paper's method knows no effects; leave it out")
+        raise ValueError("--with: the paper's method knows no effects; leave it out")
     there = {e.name for e in options.kind.effects}
     for effect in effects:
         if effect.name in there:
-            raise ValueError(f"--effect: {effect.name} is in the settings' model already")
+            raise ValueError(f"--with: {effect.name} is in the settings' model already")
     kind = replace(options.kind, effects=(*options.kind.effects, *effects))
     return replace(options, kind=kind)
 

@@ -26,8 +26,8 @@ PROMOTE_S = 60.0
 #: need not be checked again to be kept.
 _RIGHT = 20
 #: A remedy of the command, and that of the page.
-_OF_FILES = "in a file of --candidates; read the file, and give it as --effect if you trust it"
-_OF_PAGE = "here; on the cell's computer a file may have it, with --effect"
+_OF_FILES = "in a file of --candidates; read the file, and give it as --try if you trust it"
+_OF_PAGE = "here; on the cell's computer a file may have it, with --try"
 #: A longer text of an effect or a mapping is refused, characters.
 LONGEST_TEXT = 60_000
 

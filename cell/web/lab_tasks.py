@@ -125,8 +125,8 @@ class LabTasks:
         """Find what the model lacks."""
         out = self.workspace.results(subject.name)
         words = (
-            *("diagnose", str(subject.folder), *_each("--effect", tried)),
-            *_each("--known", known),
+            *("diagnose", str(subject.folder), *_each("--try", tried)),
+            *_each("--with", known),
             *self._line(from_line),
             *("-o", str(out / "diagnosis.json"), "--report", str(out / "diagnosis.html")),
         )
@@ -136,8 +136,8 @@ class LabTasks:
         """Suggest the motion that tells most."""
         out = self.workspace.results(subject.name)
         words = (
-            *("suggest", str(subject.folder), *_each("--effect", tried)),
-            *_each("--known", known),
+            *("suggest", str(subject.folder), *_each("--try", tried)),
+            *_each("--with", known),
             *(*self._line(True), "-o", str(out / "motion.yaml")),
         )
         return JobTask(N_("Suggest a motion"), subject.name, (words,), log=out / "suggest.txt")
@@ -145,7 +145,7 @@ class LabTasks:
     def discover(self, subject: Subject, name: str, beside: Sequence[str]) -> JobTask:
         """Infer a law from what the model leaves, as an effect that can be edited."""
         out = str(self.workspace.effects / f"{name}.py")
-        words = ("discover", str(subject.folder), *_each("--effect", beside), "-o", out)
+        words = ("discover", str(subject.folder), *_each("--with", beside), "-o", out)
         log = self.workspace.results(subject.name) / "discover.txt"
         return JobTask(N_("Infer a law"), subject.name, (words,), log=log)
 
@@ -153,7 +153,7 @@ class LabTasks:
         """Learn what the line's model lacks; of the ledger's cycles if none are given."""
         out = self.workspace.candidates / f"{name}.yaml"
         which = tuple(map(str, cycles)) or ("--runs", ledger)
-        words = ("learn", *which, *self._line(True), *_each("--effect", own), "-o", str(out))
+        words = ("learn", *which, *self._line(True), *_each("--try", own), "-o", str(out))
         log = self.workspace.candidates / f"{name}.txt"
         return JobTask(N_("Learn"), name, (words,), _SHOWN, log)
 
@@ -180,7 +180,7 @@ class LabTasks:
         self, subject: Subject, name: str, effects: Sequence[str], from_line: bool
     ) -> tuple[str, ...]:
         out = str(self.model(subject, name))
-        options = (*_each("--effect", effects), *self._line(from_line))
+        options = (*_each("--with", effects), *self._line(from_line))
         return ("fit", str(subject.folder), *options, "-o", out)
 
     def _compare(
@@ -188,7 +188,7 @@ class LabTasks:
     ) -> tuple[str, ...]:
         out = self.workspace.results(subject.name)
         paths = [str(self.model(subject, m)) for m in models]
-        options = (*_each("--model", paths), *_each("--effect", effects))
+        options = (*_each("--model", paths), *_each("--with", effects))
         files = ("-o", str(out / f"{name}.json"), "--report", str(out / f"{name}.html"))
         return ("compare", str(subject.folder), *options, *files)
 

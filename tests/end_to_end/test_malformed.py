@@ -206,10 +206,10 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "study": ("study {0}/study -o {0}/out", STUDY),
     "identify": ("identify {0}/study -o {0}/out", STUDY),
     "identify with settings": ("identify {0}/study -c {0}/settings.yaml", ("settings.yaml",)),
-    "effects": ("effects --effect {0}/effect.py -o {0}/out", ("effect.py",)),
+    "effects": ("effects --try {0}/effect.py -o {0}/out", ("effect.py",)),
     "compare": ("compare {0}/study --model {0}/model.json -o {0}/out", ("model.json", *STUDY)),
     "fit": (
-        "fit {0}/study --effect {0}/effect.py -c {0}/settings.yaml -o {0}/out",
+        "fit {0}/study --with {0}/effect.py -c {0}/settings.yaml -o {0}/out",
         (*STUDY, "effect.py", "settings.yaml"),
     ),
     "fit with a prior": ("fit {0}/study --prior {0}/model.json -o {0}/out", ("model.json",)),

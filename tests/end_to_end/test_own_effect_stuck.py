@@ -80,7 +80,7 @@ def test_the_command_ends_and_names_effect_file_and_line(
 ) -> None:
     path, out = tmp_path / "mine.py", tmp_path / "model.json"
     path.write_text(text)
-    done = forking.start("fit", study, "--effect", path, "-o", out, first=IMPATIENT)
+    done = forking.start("fit", study, "--with", path, "-o", out, first=IMPATIENT)
     _, err = done.communicate(timeout=120)
     assert done.returncode == 2
     assert err.decode().splitlines()[-1] == f"{path}:{line}: {said}"
@@ -101,14 +101,14 @@ def tried(forking: Forking, study: Path, tmp_path_factory: pytest.TempPathFactor
     folder = tmp_path_factory.mktemp("tried")
     (folder / "mine.py").write_text(LATER)
     (folder / "study").symlink_to(study)
-    fit = ("fit", "study", "--effect", "mine.py", "-o", "model.json")
+    fit = ("fit", "study", "--with", "mine.py", "-o", "model.json")
     done = forking.start(*fit, first=f"{IMPATIENT}; import os; os.chdir({str(folder)!r})")
     assert done.wait(120) == 0, done.communicate()
     return folder
 
 
 @pytest.mark.parametrize(
-    "words", [["effects", "--effect", "mine.py"], ["compare", "study", "--model", "model.json"]]
+    "words", [["effects", "--try", "mine.py"], ["compare", "study", "--model", "model.json"]]
 )
 def test_an_effect_that_was_tried_before_and_is_stuck_now_is_named(
     forking: Forking, tried: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]

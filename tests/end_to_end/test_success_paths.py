@@ -114,8 +114,8 @@ TABLE: dict[str, Run | Served | ByTest] = {
     "diagnose": Run("{study} -o {out}/d.json --report {out}/page.html", "missing", "page.html"),
     "effects": Run("", "air_drag"),
     "discover": Run("{study} -o {out}/law.py", "With law the held-out error falls", "law.py"),
-    "suggest": Run("{study} --effect tip_mass -o {out}/motion.yaml", "tip_mass", "motion.yaml"),
-    "power": Run("{study} --effect tip_mass", "tip_mass"),
+    "suggest": Run("{study} --try tip_mass -o {out}/motion.yaml", "tip_mass", "motion.yaml"),
+    "power": Run("{study} --try tip_mass", "tip_mass"),
     "study": Run("{cycle} -o {out}/study", "study", "study/study.yaml"),
     "look": Run("{study} -o {out}/look.html", "hand", "look.html"),
     "import": Run(

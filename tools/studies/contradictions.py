@@ -236,7 +236,7 @@ def warnings_and_table(found: Found, text: str) -> list[str]:
 def next_commands(found: Found, text: str) -> list[str]:
     absent = {r["effect"] for r in found["ranking"] if r["status"] == "absent"}
     asked = {e for line in text.splitlines() if line.startswith("    cell ")
-             for e in re.findall(r"--effect '?([^\s']+)", line)}  # fmt: skip
+             for e in re.findall(r"--with '?([^\s']+)", line)}  # fmt: skip
     codes = {w["code"] for w in found["warnings"]}
     wrong = [f"the next command fits {e}, which is absent" for e in sorted(asked & absent)]
     if codes & {"hopeless", "not_searched"} and re.search(r"^    cell ", text, re.MULTILINE):

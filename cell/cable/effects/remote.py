@@ -172,7 +172,7 @@ def _new(file: Path) -> Sandbox:
     except UnconfinedError as error:
         cause = (
             "nobody has read it, and this computer cannot run it where it can do no harm "
-            f"({error}); read it, and give it as --effect if you trust it"
+            f"({error}); read it, and give it as --try if you trust it"
         )
         raise EffectError(file, 1, cause) from error
 

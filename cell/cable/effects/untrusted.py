@@ -50,7 +50,7 @@ _SYNTAX = (
     *(ast.GeneratorExp, ast.comprehension, ast.expr_context, ast.boolop, ast.operator),
     *(ast.unaryop, ast.cmpop),
 )
-_REMEDY = "read the file, and give it as --effect if you trust it"
+_REMEDY = "read the file, and give it as --try if you trust it"
 
 
 def check_untrusted(path: Path) -> None:

@@ -39,11 +39,12 @@ def select_effects(in_model: Sequence[str], candidates: Sequence[str] = ()) -> E
             FileNotFoundError
     """
     effects: dict[str, type[Effect]] = {}
-    for given in (*in_model, *candidates):
+    options = [("--with", given) for given in in_model] + [("--try", given) for given in candidates]
+    for option, given in options:
         effect = effect_named(given)
         if effect.name in effects:
             raise ValueError(
-                f"--effect {given}: another effect {effect.name!r} is given too; leave one out, "
+                f"{option} {given}: another effect {effect.name!r} is given too; leave one out, "
                 "or rename one (`name = …` in its file)"
             )
         effects[effect.name] = effect
@@ -100,14 +101,12 @@ def effect_named(given: str) -> type[Effect]:
         effect = effect_from(given)
         if effect.name in library():
             raise ValueError(
-                f"--effect {given}: its name {effect.name!r} is that of an effect of the library; "
+                f"{given}: its name {effect.name!r} is that of an effect of the library; "
                 "rename it (`name = …` in the file)"
             )
         return effect
     if given not in known:
         close = difflib.get_close_matches(given, known, 1, 0.5)
         hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
-        raise ValueError(
-            f"--effect or --known {given}: no such effect; {hint}; your own as its file.py"
-        )
+        raise ValueError(f"{given}: no such effect; {hint}; your own as its file.py")
     return known[given]

@@ -78,9 +78,9 @@ class Paths:
         return Paths(study, own)
 
     def options(self, effects: Iterable[str]) -> str:
-        """`--effect …` for effects by name or file, with a blank before each."""
+        """`--with …` for effects by name or file, with a blank before each."""
         own = self.files or {}
-        return "".join(f" --effect {shlex.quote(str(own.get(e, e)))}" for e in effects)
+        return "".join(f" --with {shlex.quote(str(own.get(e, e)))}" for e in effects)
 
     def command(self, name: str, effects: Iterable[str] = (), rest: str = "") -> str:
         """A lab command for the study."""

@@ -51,7 +51,7 @@ def select_asked(
     for given, one in zip(asked, found, strict=True):
         if one.effect.name in {e.name for e in selection.in_model}:
             raise ValueError(
-                f"--effect {given}: is part of the model by --known; leave one of them out"
+                f"--try {given}: is part of the model by --with; leave one of them out"
             )
     own = {e.name: e for e in (a.effect for a in found) if e.name not in selection.candidates}
     return found, EffectSelection(selection.in_model, selection.candidates | own)
@@ -76,7 +76,7 @@ def _amplitude(given: str, effect: type[Effect], which: str) -> Parameter:
     chosen = [p for p in amplitudes if which in ("", p.name)]
     if not chosen:
         raise ValueError(
-            f"--effect {given}: {effect.name} has no amplitude {which!r}; "
+            f"--try {given}: {effect.name} has no amplitude {which!r}; "
             f"give one of: {', '.join(p.name for p in amplitudes)}"
         )
     return chosen[0]
@@ -88,17 +88,17 @@ def _size(given: str, parameter: Parameter, text: str) -> float:
         size = float(text)
     except ValueError:
         raise ValueError(
-            f"--effect {given}: the size {text!r} is no number; give {parameter.name}"
+            f"--try {given}: the size {text!r} is no number; give {parameter.name}"
             f"{unit and f' in{unit}'}"
         ) from None
     if not parameter.low <= size <= parameter.high:
         raise ValueError(
-            f"--effect {given}: {parameter.name} = {size:g}{unit} is outside "
+            f"--try {given}: {parameter.name} = {size:g}{unit} is outside "
             f"{parameter.low:g} … {parameter.high:g}{unit}; give a size within"
         )
     if size == parameter.default:
         raise ValueError(
-            f"--effect {given}: {parameter.name} = {size:g}{unit} is none of the "
+            f"--try {given}: {parameter.name} = {size:g}{unit} is none of the "
             f"effect; give another size, or leave it out for the smallest that is found"
         )
     return size

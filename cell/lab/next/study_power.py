@@ -286,7 +286,7 @@ def _doubts(fits: FitCache) -> tuple[Doubt, ...]:
             Doubt(
                 "misfit",
                 f"the fitted model leaves {over:.2g} times the noise, and power is told beside the "
-                "noise alone; add what the study lacks with --known",
+                "noise alone; add what the study lacks with --with",
             )
         )
     return tuple(found)

@@ -173,7 +173,7 @@ def rivals(examination: Examination) -> list[FittedModel]:
     if len(best) < 2:
         raise ValueError(
             f"study {fits.prepared.study.name}: there is only one candidate, give more with "
-            "--effect; nothing to tell apart"
+            "--try; nothing to tell apart"
         )
     return best[: MOST_CANDIDATES if diagnosis.verdict == "cannot_tell" else 2]
 

@@ -114,7 +114,7 @@ def read_models(paths: Sequence[Path], cable: Cable, own: Sequence[str]) -> list
     for name, selection in given.items():
         if selection.in_model[0].name not in used:
             raise ValueError(
-                f"--effect {name}: is not in {' or '.join(map(str, paths))}; "
-                f"fit a model with it: cell fit STUDY --effect {name} -o model.json"
+                f"--with {name}: is not in {' or '.join(map(str, paths))}; "
+                f"fit a model with it: cell fit STUDY --with {name} -o model.json"
             )
     return models

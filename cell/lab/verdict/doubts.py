@@ -174,7 +174,7 @@ def wider_law_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     return tuple(
         Doubt(
             "wider_law",
-            f"{effect.name} explains most, but its law does not hold: the more general `--effect "
+            f"{effect.name} explains most, but its law does not hold: the more general `--with "
             f"{'' if effect.wider is None else effect.wider.name}` explains more; the cause is "
             "similar to it, but not in the library",
         )

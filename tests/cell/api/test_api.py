@@ -168,7 +168,7 @@ def test_one_alone_is_one_of_several(folder: Path) -> None:
 
 def test_power_is_told_as_by_the_command(folder: Path) -> None:
     told = cell.power(folder, ["air_drag=0.3"], known=["tip_mass"])
-    words = ["power", str(folder), "--effect", "air_drag=0.3", "--known", "tip_mass", "--json"]
+    words = ["power", str(folder), "--try", "air_drag=0.3", "--with", "tip_mass", "--json"]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert told.to_json() == json.loads(done.stdout)

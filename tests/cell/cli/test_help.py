@@ -76,3 +76,13 @@ def test_an_old_spelling_works_with_a_note(command: str, old: str, new: str) -> 
 def test_an_old_spelling_means_what_it_meant(tmp_path) -> None:
     done = CliRunner().invoke(app, ["history", "--ledger", str(tmp_path / "nowhere")])
     assert done.exit_code == 2 and "nowhere.sqlite is missing" in done.stderr
+
+
+def test_what_is_tried_anyway_is_no_effect_to_try(tmp_path) -> None:
+    """The spelling of before made it part of the model."""
+    said = [
+        CliRunner().invoke(app, ["diagnose", str(tmp_path), option, "air_drag"]).stderr
+        for option in ("--try", "--effect")
+    ]
+    assert "--try air_drag: is tried anyway; --with air_drag makes it part of the model" in said[0]
+    assert "note: --effect is called --with now" in said[1] and "--try" not in said[1]

@@ -127,7 +127,7 @@ def test_what_another_wrote_is_overwritten_by_force_only(model_file, tmp_path):
     [
         ([], "STUDY is missing"),
         (["study", "--from", "cable.xml"], "leave one out"),
-        (["--from", "cable.xml", "--effect", "air_drag"], "--effect"),
+        (["--from", "cable.xml", "--with", "air_drag"], "--with"),
         (["--from", "cable.xml", "--prior", "m.json", "--profile", "p.html"], "--prior, --profile"),
         (["--from", "none.xml"], "none.xml:1:1: cannot be read"),
     ],

@@ -30,7 +30,7 @@ def folder(make_study, tmp_path_factory):
 
 def test_fit_with_an_effect_then_compare_and_report(folder, tmp_path):
     model, page, out = tmp_path / "model.json", tmp_path / "page.html", tmp_path / "c.json"
-    done = run(app, ["fit", str(folder), "--effect", "tip_mass", "-o", str(model)])
+    done = run(app, ["fit", str(folder), "--with", "tip_mass", "-o", str(model)])
     assert done.exit_code == 0, done.output
     found = {p["name"]: p for p in json.loads(model.read_text())["parameters"]}
     assert found["tip_mass.mass_kg"]["value"] == pytest.approx(2.5e-5, rel=0.05)
@@ -191,7 +191,7 @@ def test_a_prior_of_another_cable_is_refused(folder, tmp_path):
 
 
 def test_unknown_effects_are_refused_with_a_guess(folder):
-    done = run(app, ["fit", str(folder), "--effect", "air_darg"])
+    done = run(app, ["fit", str(folder), "--with", "air_darg"])
     assert done.exit_code == 2
     assert "air_drag" in done.output
 

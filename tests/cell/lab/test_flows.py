@@ -103,7 +103,7 @@ def test_discover_fit_compare(folder, tmp_path):
 
 
 def test_own_effect_diagnose_fit_compare(folder, fan):
-    output = cell("diagnose", folder, "--effect", fan, "--json", "d.json")
+    output = cell("diagnose", folder, "--try", fan, "--json", "d.json")
     found = json.loads(Path("d.json").read_text())
     assert found["verdict"] == "missing"
     assert [f["effect"] for f in found["missing"]] == ["fan"]

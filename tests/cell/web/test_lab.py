@@ -84,7 +84,7 @@ def test_what_is_asked_for_is_a_command(tasks: LabTasks) -> None:
     study = Subject("made", Path("runs.lab/studies/made"))
     cycle = Subject("20261121T021043.800-3", Path("runs/20261121T021043.800-3"), True)
     assert tasks.diagnose(study, ["runs.lab/effects/a.py"], ["air_drag"], True).typed == (
-        "cell diagnose runs.lab/studies/made --effect runs.lab/effects/a.py --known air_drag "
+        "cell diagnose runs.lab/studies/made --try runs.lab/effects/a.py --with air_drag "
         "--config cell.yaml -o runs.lab/results/made/diagnosis.json "
         "--report runs.lab/results/made/diagnosis.html"
     )
@@ -93,8 +93,8 @@ def test_what_is_asked_for_is_a_command(tasks: LabTasks) -> None:
         "-o runs.lab/results/20261121T021043.800-3/models/baseline.json"
     )
     before, after, compared = tasks.fit_own(study, "a", ["air_drag"]).commands
-    assert before[2:4] == ("--effect", "air_drag") and "without_a.json" in before[-1]
-    assert after[2:6] == ("--effect", "air_drag", "--effect", "runs.lab/effects/a.py")
+    assert before[2:4] == ("--with", "air_drag") and "without_a.json" in before[-1]
+    assert after[2:6] == ("--with", "air_drag", "--with", "runs.lab/effects/a.py")
     assert compared[2:6] == ("--model", before[-1], "--model", after[-1])
     before, after, _ = tasks.fit_own(study, "baseline", []).commands
     assert before[-1] != after[-1], "whatever an effect is called, two models are two files"

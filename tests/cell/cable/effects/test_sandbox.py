@@ -392,7 +392,7 @@ def test_without_landlock_nothing_that_nobody_has_read_is_run(
     monkeypatch.setattr(remote, "_nursery", nursery)
     (tmp_path / "law.py").write_text(OWN)
     confine_effects(tmp_path)
-    said = r"law\.py:1: .*the kernel offers no Landlock\); read it, and give it as --effect"
+    said = r"law\.py:1: .*the kernel offers no Landlock\); read it, and give it as --try"
     with nursery._control, pytest.raises(EffectError, match=said):
         load_effect(tmp_path / "law.py")
 

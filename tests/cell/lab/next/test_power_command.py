@@ -27,7 +27,7 @@ def test_size_and_smallest_size_are_told_and_written(folder, tmp_path):
     out = tmp_path / "power.json"
     done = run(
         app,
-        ["power", str(folder), "--effect", "air_drag=0.3", "--effect", "tip_mass", "-o", str(out)],
+        ["power", str(folder), "--try", "air_drag=0.3", "--try", "tip_mass", "-o", str(out)],
     )
     assert done.exit_code == 0, done.output
     data = json.loads(out.read_text())
@@ -39,7 +39,7 @@ def test_size_and_smallest_size_are_told_and_written(folder, tmp_path):
 
 
 def test_copies_are_diagnosed_beside_the_forecast(folder):
-    done = run(app, ["power", str(folder), "--effect", "air_drag=1.5", "--verify", "1", "--json"])
+    done = run(app, ["power", str(folder), "--try", "air_drag=1.5", "--verify", "1", "--json"])
     assert done.exit_code == 0, done.output
     (drag,) = json.loads(done.stdout)["effects"]
     assert drag["recovery"]["copies"] == drag["recovery"]["found"] == 1
@@ -49,10 +49,10 @@ def test_copies_are_diagnosed_beside_the_forecast(folder):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--effect", "air_dragg"], "no such effect; did you mean"),
-        (["--effect", "air_drag=60"], "is outside 0 … 50"),
-        (["--effect", "air_drag", "--verify", "0"], "greater than or equal to 1"),
-        (["--effect", "air_drag=1", "--known", "air_drag"], "part of the model by --known"),
+        (["--try", "air_dragg"], "no such effect; did you mean"),
+        (["--try", "air_drag=60"], "is outside 0 … 50"),
+        (["--try", "air_drag", "--verify", "0"], "greater than or equal to 1"),
+        (["--try", "air_drag=1", "--with", "air_drag"], "part of the model by --with"),
     ],
 )
 def test_what_is_meant_wrongly_is_refused_and_nothing_is_written(folder, tmp_path, words, says):
@@ -75,7 +75,7 @@ hold_s: 0.8
 def test_a_motion_counts_as_if_it_had_been_recorded_and_held_out(make_study, tmp_path):
     write_study(all_fitted(make_study(seed=21)), tmp_path / "made")
     (tmp_path / "deeper.yaml").write_text(MOTION)
-    asked = ["power", str(tmp_path / "made"), "--effect", "air_drag=0.5", "--json"]
+    asked = ["power", str(tmp_path / "made"), "--try", "air_drag=0.5", "--json"]
     before = json.loads(run(app, asked).stdout)
     assert before["effects"][0]["forecast"]["found"] == 0.0
     assert [w["code"] for w in before["warnings"]] == ["confirmation"]
@@ -96,7 +96,7 @@ def test_a_motion_counts_as_if_it_had_been_recorded_and_held_out(make_study, tmp
 )
 def test_a_motion_that_cannot_be_meant_is_refused(folder, tmp_path, name, text, says):
     (tmp_path / name).write_text(text)
-    given = ["power", str(folder), "--effect", "air_drag", "--motion", str(tmp_path / name)]
+    given = ["power", str(folder), "--try", "air_drag", "--motion", str(tmp_path / name)]
     done = run(app, given)
     assert done.exit_code == 2
     assert says in done.stderr
@@ -105,6 +105,6 @@ def test_a_motion_that_cannot_be_meant_is_refused(folder, tmp_path, name, text, 
 def test_a_study_that_no_model_fits_is_refused(folder, monkeypatch):
     """As if this error were larger than the motion of the markers."""
     monkeypatch.setattr("cell.lab.fit.plausibility.NO_MODEL", 0.0)
-    done = run(app, ["power", str(folder), "--effect", "air_drag"])
+    done = run(app, ["power", str(folder), "--try", "air_drag"])
     assert done.exit_code == 2
     assert "is not a model of this cable; correct the study first" in done.stderr

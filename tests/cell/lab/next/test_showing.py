@@ -87,7 +87,7 @@ def test_the_command_writes_the_motion_for_the_cell(fits: FitCache, tmp_path: Pa
     config, text = tmp_path / "cell.yaml", FAKE.read_text("utf-8")
     assert "angle_rad: [-0.6, 1.1]" in text
     config.write_text(text.replace("angle_rad: [-0.6, 1.1]", "angle_rad: [-0.1, 0.1]"), "utf-8")
-    command = ["suggest", str(tmp_path / "study"), "--effect", "draught", "-o", str(out)]
+    command = ["suggest", str(tmp_path / "study"), "--try", "draught", "-o", str(out)]
     command += ["--config", str(config)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output

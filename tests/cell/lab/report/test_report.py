@@ -84,7 +84,7 @@ def shown(figure, name):
 
 def test_next_commands_are_given_to_be_copied_and_verdicts_explained(diagnosed):
     words = " ".join(Page(diagnosed[-1]).text)
-    assert "cell fit STUDY --effect tip_mass -o after.json" in words
+    assert "cell fit STUDY --with tip_mass -o after.json" in words
     assert "`" not in words
     assert "missing in the model, confirmed on motions not fitted to" in words
 
@@ -128,7 +128,7 @@ def test_the_first_words_say_what_is_missing(diagnosed):
     assert "with tip mass in it" in words
     assert words.index("with tip mass in it") < words.index("Error as effects are added")
     assert "Point mass with weight at the tip" in words  # the law
-    assert "--effect tip_mass" in words
+    assert "--with tip_mass" in words
 
 
 def test_waterfall_and_ranking_show_the_diagnosis(diagnosed):

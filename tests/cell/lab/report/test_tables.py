@@ -82,7 +82,7 @@ def test_small_noise_is_not_rounded_to_nothing():
     ("found", "says"),
     [
         (diagnosis("complete"), "Nothing"),
-        (diagnosis("missing", "tip_mass"), "cell fit STUDY --effect tip_mass -o"),
+        (diagnosis("missing", "tip_mass"), "cell fit STUDY --with tip_mass -o"),
         (diagnosis("missing", "tip_mass"), "cell compare STUDY --model before.json --model"),
         (diagnosis("missing", "tip_mass", tied=("added_mass",)), "cell suggest STUDY"),
         (diagnosis("unexplained"), "cell discover STUDY"),
@@ -96,15 +96,15 @@ def test_the_advice_fits_the_verdict(found, says):
 def test_commands_name_what_was_given_and_quote_it():
     paths = Paths(Path("my study"), {"fan": Path("effects/fan.py")})
     said = steps_text(advice(diagnosis("missing", "fan"), paths))
-    assert "cell fit 'my study' --effect effects/fan.py -o after.json" in said
+    assert "cell fit 'my study' --with effects/fan.py -o after.json" in said
     assert "`" not in said
 
 
 def test_a_law_of_ones_own_that_does_not_explain_all_does_not_end_in_a_circle():
     paths = Paths(Path("s"), {"discovered": Path("discovered.py")})
     said = steps_text(advice(diagnosis("unexplained"), paths, accepted=("discovered",)))
-    assert "cell fit s --effect discovered.py -o after.json" in said
-    assert "cell discover s --effect discovered.py -o discovered_2.py" in said
+    assert "cell fit s --with discovered.py -o after.json" in said
+    assert "cell discover s --with discovered.py -o discovered_2.py" in said
 
 
 def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_better(make_study):

@@ -18,7 +18,7 @@ def profiled(make_study, tmp_path_factory):
     folder = tmp_path_factory.mktemp("profiled")
     write_study(make_study(seed=2, strokes=(STROKES[0], STROKES[3])), folder / "study")
     model, page = folder / "model.json", folder / "page.html"
-    done = run(app, ["fit", str(folder / "study"), "--effect", "bending_hysteresis",
+    done = run(app, ["fit", str(folder / "study"), "--with", "bending_hysteresis",
                      "-o", str(model), "--profile", str(page)])  # fmt: skip
     assert done.exit_code == 0, done.output
     return json.loads(model.read_text()), page.read_text(), model, done.output

@@ -148,7 +148,7 @@ def test_a_next_command_fits_no_effect_that_the_table_calls_absent(found):
         ),
     )
     commands = " ".join(s.command for s in advice(left, accepted=("tip_mass", "air_drag")))
-    assert "--effect tip_mass" in commands
+    assert "--with tip_mass" in commands
     assert "air_drag" not in commands
     commands = " ".join(s.command for s in advice(left, accepted=("air_drag",)))
     assert "cell discover STUDY -o" in commands
@@ -191,7 +191,7 @@ def explained_in_part_and_absent(d, text):
         (lambda d, t: (d, t + "of -0.0 mm"), "-0.0"),
         (lambda d, t: (d, t + "that is -0 %"), "-0"),
         (lambda d, t: (d, t + "(p = 0)"), "p = 0"),
-        (lambda d, t: (d, t + "    cell fit S --effect air_drag -o a.json"), "which is absent"),
+        (lambda d, t: (d, t + "    cell fit S --with air_drag -o a.json"), "which is absent"),
         (lambda d, t: (replace(d, verdict="complete"), t), "complete, and effects are missing"),
         (lambda d, t: (replace(d, noise_m=2.0 * d.noise_m), t), "“camera noise ("),
         (lambda d, t: (replace(d, noise_m=0.5 * d.noise_m), t), "times it"),

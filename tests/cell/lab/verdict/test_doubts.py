@@ -62,7 +62,7 @@ def test_an_answer_at_its_bound_is_flagged(make_study, tmp_path):
         replace(t, markers=Markers(t.markers.t_s + 0.05, t.markers.xy_m)) for t in study.trials
     ]
     write_study(replace(study, trials=tuple(trials), noise_std_m=1e-4), tmp_path / "late")
-    model, said = fitted(tmp_path / "late", tmp_path, "--effect", "camera_latency")
+    model, said = fitted(tmp_path / "late", tmp_path, "--with", "camera_latency")
     assert "at_bound" in {w["code"] for w in model["warnings"]}
     assert "camera_latency.delay_s is at its bound" in " ".join(said.split())
 
@@ -171,7 +171,7 @@ def test_a_fit_of_too_few_passes_warns_and_writes_that_it_did_not_converge(
     for name in ("REFIT", "POLISH"):
         monkeypatch.setattr(f"cell.lab.search.baseline.{name}", Options(max_iterations=1))
         monkeypatch.setattr(f"cell.lab.search.fit_cache.{name}", Options(max_iterations=1))
-    model, said = fitted(tmp_path / "loaded", tmp_path, "--effect", "tip_mass")
+    model, said = fitted(tmp_path / "loaded", tmp_path, "--with", "tip_mass")
     assert model["converged"] is False
     assert "not_converged" in {w["code"] for w in model["warnings"]}
     assert "before its minimum" in " ".join(said.split())
@@ -193,7 +193,7 @@ def test_a_prior_and_an_effect_that_it_lacks_go_together(loaded, tmp_path):
     write_study(loaded, tmp_path / "loaded")
     prior = tmp_path / "prior.json"
     assert run(app, ["fit", str(tmp_path / "loaded"), "-o", str(prior)]).exit_code == 0
-    more = ["--prior", str(prior), "--effect", "tip_mass"]
+    more = ["--prior", str(prior), "--with", "tip_mass"]
     model, _ = fitted(tmp_path / "loaded", tmp_path, *more)
     found = {p["name"]: p for p in model["parameters"]}["tip_mass.mass_kg"]
     assert found["low"] <= found["value"] <= found["high"]

@@ -33,7 +33,7 @@ def heights(make_study, tmp_path_factory):
 
 def test_one_coordinate_is_fitted_compared_and_shown(heights, tmp_path):
     model, out, page = (tmp_path / n for n in ("model.json", "c.json", "page.html"))
-    done = run(app, ["fit", str(heights), "--effect", "camera_latency", "-o", str(model)])
+    done = run(app, ["fit", str(heights), "--with", "camera_latency", "-o", str(model)])
     assert done.exit_code == 0, done.output
     found = {p["name"]: p for p in json.loads(model.read_text())["parameters"]}
     delay = found["camera_latency.delay_s"]

@@ -68,7 +68,7 @@ def heldout_m(folder, model, tmp_path, *options):
 @pytest.fixture(scope="module")
 def model(folder, effect_file, tmp_path_factory):
     path = tmp_path_factory.mktemp("models") / "with.json"
-    fit(folder, path, "--effect", effect_file)
+    fit(folder, path, "--with", effect_file)
     return path
 
 
@@ -104,7 +104,7 @@ def test_a_changed_file_of_a_models_effect_is_refused_with_both_hashes(
     mine.write_text(PULL.replace("return p.pull_n_m", "return 2.0 * p.pull_n_m"))
     after = hashlib.sha256(mine.read_bytes()).hexdigest()
     out = tmp_path / "out.json"
-    for given in ((), ("--effect", mine)):
+    for given in ((), ("--with", mine)):
         done = compare(folder, mine_model, out, *given)
         assert done.exit_code == 2
         for part in (str(mine_model), str(mine), before, after, "fit the model again"):
@@ -124,9 +124,9 @@ def test_a_missing_file_of_a_models_effect_is_named_and_may_be_given_elsewhere(
     done = compare(folder, mine_model, tmp_path / "out.json")
     assert done.exit_code == 2
     sha256 = json.loads(model.read_text())["effect_files"]["side_pull"]["sha256"]
-    for part in (str(mine), sha256, "missing", "--effect"):
+    for part in (str(mine), sha256, "missing", "--with"):
         assert part in done.output
-    assert heldout_m(folder, mine_model, tmp_path, "--effect", elsewhere) < 1.03 * NOISE_M
+    assert heldout_m(folder, mine_model, tmp_path, "--with", elsewhere) < 1.03 * NOISE_M
     moved = elsewhere.parent / "model.json"
     shutil.copy(mine_model, moved)
     elsewhere.rename(elsewhere.with_name("mine.py"))
@@ -137,9 +137,9 @@ def test_an_effect_that_no_model_has_is_refused(folder, effect_file, tmp_path):
     without = tmp_path / "without.json"
     fit(folder, without)
     for name in (effect_file, "air_drag"):
-        done = compare(folder, without, tmp_path / "out.json", "--effect", name)
+        done = compare(folder, without, tmp_path / "out.json", "--with", name)
         assert done.exit_code == 2
-        assert f"cell fit STUDY --effect {name}" in done.output
+        assert f"cell fit STUDY --with {name}" in done.output
 
 
 @pytest.fixture
@@ -153,7 +153,7 @@ def few_rivals(monkeypatch):
 def test_a_priors_own_effect_is_part_of_the_next_model(
     folder, effect_file, model, tmp_path, few_rivals
 ):
-    for given in ((), ("--effect", effect_file)):
+    for given in ((), ("--with", effect_file)):
         again = fit(folder, tmp_path / "again.json", "--prior", model, *given)
         assert again["effects"] == ["side_pull"]
         assert again["residual_rms_m"] < 1.03 * NOISE_M
@@ -164,12 +164,12 @@ def test_a_diagnosis_finds_an_own_effect_and_takes_a_known_one_as_given(
 ):
     out = tmp_path / "d.json"
     given = ["diagnose", str(folder), "--json", str(out)]
-    done = run(app, [*given, "--effect", str(effect_file)])
+    done = run(app, [*given, "--try", str(effect_file)])
     assert done.exit_code == 0, done.output
     found = json.loads(out.read_text())
     assert found["verdict"] == "missing"
     assert [f["effect"] for f in found["missing"]] == ["side_pull"]
-    done = run(app, [*given, "--known", str(effect_file)])
+    done = run(app, [*given, "--with", str(effect_file)])
     assert done.exit_code == 0, done.output
     found = json.loads(out.read_text())
     assert found["verdict"] == "complete"
@@ -178,7 +178,7 @@ def test_a_diagnosis_finds_an_own_effect_and_takes_a_known_one_as_given(
 
 
 def test_a_cable_is_identified_again_with_an_own_effect(folder, effect_file):
-    done = run(app, ["identify", str(folder), "--json", "--effect", str(effect_file)])
+    done = run(app, ["identify", str(folder), "--json", "--with", str(effect_file)])
     assert done.exit_code == 0, done.output
     found = {p["name"]: p for p in json.loads(done.stdout)["parameters"]}
     pull = found["side_pull.pull_n_m"]
@@ -190,14 +190,15 @@ def test_two_effects_of_one_name_are_refused(folder, effect_file, tmp_path, comm
     twin, shadow = tmp_path / "twin.py", tmp_path / "shadow.py"
     shutil.copy(effect_file, twin)
     shadow.write_text(PULL.replace('"side_pull"', '"air_drag"'))
+    option = "--try" if command in ("diagnose", "suggest") else "--with"
     given = [
         command,
         str(folder),
         *(["-o", str(tmp_path / "x.py")] if command == "discover" else []),
     ]
-    done = run(app, [*given, "--effect", str(effect_file), "--effect", str(twin)])
+    done = run(app, [*given, option, str(effect_file), option, str(twin)])
     assert done.exit_code == 2
     assert "side_pull" in done.output
-    done = run(app, [*given, "--effect", str(shadow)])
+    done = run(app, [*given, option, str(shadow)])
     assert done.exit_code == 2
     assert "air_drag" in done.output

@@ -66,10 +66,10 @@ def test_what_explains_most_is_reported_with_its_share_and_what_it_leaves(unexpl
     said = sentence(unexplained)
     assert "natural curvature explains most of it, not all: fitted to all trials the model" in said
     assert f"{1e3 * left.before_rms_m:.2f} mm without it and {1e3 * left.rms_m:.2f} mm with" in said
-    assert "--effect natural_curvature" in steps_text(advice(unexplained))
+    assert "--with natural_curvature" in steps_text(advice(unexplained))
     passed_by = advice(unexplained, accepted=("draught",))  # of measured cables: not what was said
-    assert "--effect draught" not in steps_text(passed_by)
-    assert "--effect natural_curvature" in steps_text(passed_by)
+    assert "--with draught" not in steps_text(passed_by)
+    assert "--with natural_curvature" in steps_text(passed_by)
 
 
 def test_the_nearest_effects_are_named_with_what_they_leave_and_where(
@@ -147,7 +147,7 @@ def test_an_effect_in_place_of_one_that_the_library_lacks_is_not_claimed(
     assert [f.effect for f in found.diagnosis.partial] == ["natural_curvature"]
     (doubt,) = [w for w in found.diagnosis.warnings if w.code == "wider_law"]
     assert "natural_curvature explains most, but its law does not hold" in doubt.message
-    assert "--effect rest_shape" in doubt.message
+    assert "--with rest_shape" in doubt.message
 
 
 def test_drag_of_a_power_between_is_not_claimed_as_two_laws_together(make_study):
@@ -160,7 +160,7 @@ def test_drag_of_a_power_between_is_not_claimed_as_two_laws_together(make_study)
     found = diagnose(explore(study, ("air_drag", "linear_air_drag"))).diagnosis
     assert found.verdict == "unexplained"
     assert {f.effect for f in found.partial} == {"air_drag", "linear_air_drag"}
-    assert any("--effect power_drag" in w.message for w in found.warnings if w.code == "wider_law")
+    assert any("--with power_drag" in w.message for w in found.warnings if w.code == "wider_law")
     space = ParameterSpace.of(study.cable, effects=[drag])
     known = FitCache.of(SearchSetup(PreparedStudy.of(study), space, {}))
     right = diagnose(known)
