@@ -69,7 +69,7 @@ def no_forks_of_the_lab() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         if "PYTEST_XDIST_WORKER" in os.environ:
-            for module in ("data.side_by_side", "strength.limits"):
+            for module in ("data.work", "strength.limits"):
                 patch.setattr(f"cell.lab.{module}.threads", lambda: 1)
         yield
 

@@ -13,6 +13,7 @@ from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResu
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
+from cell.lab.data.check import read_own_checks
 from cell.lab.data.named_effects import (
     EffectSelection,
     candidates_in,
@@ -20,7 +21,6 @@ from cell.lab.data.named_effects import (
     select_for_diagnosis,
 )
 from cell.lab.data.opened_study import open_study
-from cell.lab.data.own_check import read_own_checks
 from cell.lab.data.prepared import ERRS, PreparedStudy, as_measured
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
@@ -39,8 +39,7 @@ from cell.lab.strength.kept_model import identified
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.conclusion import Examination
-from cell.lab.verdict.doubts import lacking_doubt
-from cell.lab.verdict.fit_doubts import fit_doubts
+from cell.lab.verdict.doubts import fit_doubts, lacking_doubt
 from cell.lab.verdict.knots import with_more_knots
 from cell.study.data import Study
 from cell.study.folder import check_study
@@ -183,8 +182,11 @@ def suggest(
              that the motion is to show, without a diagnosis
     config   settings of the cell, for its limits too; other arguments and errors as of `diagnose`
     """
-    from cell.lab.next.showing import asked_and_tried, showing_motion
-    from cell.lab.next.suggest import suggest_motion  # settings: a fifth of a second
+    from cell.lab.next.suggest import (
+        asked_and_tried,
+        showing_motion,
+        suggest_motion,  # settings: a fifth of a second
+    )
     from cell.settings.surroundings import Surroundings
 
     around = Surroundings.read(None if config is None else Path(config))

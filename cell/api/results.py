@@ -30,9 +30,11 @@ from cell.lab.report.model_tables import (
     correlations_table,
     errors_line,
     model_table,
+    power_sentences,
+    power_table,
+    recovery_table,
     suggestion_table,
 )
-from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
 from cell.lab.report.tables import agreement_table, diagnosis_parts, knots_lines, warning_lines
 from cell.lab.report.wording import agreement_sentence, by_evidence
 from cell.lab.report.wrench_report import wrenches_table

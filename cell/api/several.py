@@ -26,9 +26,8 @@ from cell.files.table import TableData
 from cell.lab.data.named_effects import EffectSelection, select_for_diagnosis
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import Progress, no_progress
-from cell.lab.line.together import Examined, check_names, together
-from cell.lab.line.together_results import Together
-from cell.lab.report.together_tables import together_page, together_parts
+from cell.lab.line.together import Examined, Together, check_names, together
+from cell.lab.report.line_tables import together_page, together_parts
 from cell.lab.search.fit_cache import FitCache
 from cell.study.data import Study
 from cell.study.independence import without_copies_of

@@ -136,10 +136,9 @@ def _one(given: _Identify) -> None:
 
 def _all(given: _Identify) -> None:
     from cell.lab.data.work import Work, WorkStoppedError
-    from cell.lab.line.identified_table import identified_table
-    from cell.lab.line.identify_all import IdentifiedAll, identify_all
+    from cell.lab.line.identify_all import IdentifiedAll, identified_table, identify_all
     from cell.lab.line.recordings import packer, recordings_in
-    from cell.lab.report.identified_tables import identified_parts
+    from cell.lab.report.line_tables import identified_parts
 
     wanted = Work()
     with (

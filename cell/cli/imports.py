@@ -201,8 +201,7 @@ def _recorded(options: ImportOptions) -> RecordedImport:
 
 
 def _propose(options: ImportOptions) -> NoReturn:
-    from cell.lab.report.look_page import look_page
-    from cell.lab.report.preview import preview_of
+    from cell.lab.report.look_page import look_page, preview_of
     from cell.records.recording.form import BEGUN
     from cell.study.imports.mapping import FILE
     from cell.study.imports.mcap_file import metadata_names

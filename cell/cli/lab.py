@@ -434,8 +434,7 @@ def suggest(given: _Suggest) -> None:
     from cell.lab.data.work import DIAGNOSIS, Work
     from cell.lab.diagnosis import diagnose as diagnose_study
     from cell.lab.next.asked import select_asked
-    from cell.lab.next.showing import asked_and_tried, showing_motion
-    from cell.lab.next.suggest import suggest_motion
+    from cell.lab.next.suggest import asked_and_tried, showing_motion, suggest_motion
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.settings.surroundings import Surroundings
 

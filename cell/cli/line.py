@@ -164,7 +164,7 @@ def _so_far(
     known: Sequence[LearningResult], interrupted: Interruption, tidy_up: Callable[[], object]
 ) -> Iterator[None]:
     """Interrupted, it prints the last of what is known by then, and ends the command."""
-    from cell.lab.report.learning_tables import learning_lines
+    from cell.lab.report.line_tables import learning_lines
 
     try:
         yield
@@ -247,24 +247,29 @@ def _asking(
     result: LearningResult, line: _LineOptions, out: Path, again: str, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
     """The motion that tells what these cycles cannot: the commands for it, and its file."""
-    from cell.lab.line.next_cable import asked, open_to
-    from cell.lab.next.next_motion import MOST_ASKED, distinguishing_motion, worth_measuring
+    from cell.lab.next.suggest import (
+        MOST_ASKED,
+        MOST_CANDIDATES,
+        distinguishing_motions,
+        worth_measuring,
+    )
     from cell.lab.next.suggestion import write_motion
     from cell.settings.surroundings import Surroundings
 
     if not result.tied:
         return [], []
-    if asked(result.cycles) >= MOST_ASKED:
+    if sum(c.held is None for c in result.cycles) >= MOST_ASKED:  # measured by such a motion
         told = f"{MOST_ASKED} motions could not distinguish the tied effects on these cables"
         return [told], []
     try:
         around = Surroundings.read(line.config, line.product)
         cable = result.baseline.cables[0]
-        suggestion = distinguishing_motion(cable, open_to(result), around, progress)
+        rivals = result.rivals()[:MOST_CANDIDATES]
+        suggestion = distinguishing_motions(cable, rivals, around, progress)
     except ValueError as error:
         return [f"no motion distinguishes the tied effects: {error}"], []
-    best = None if suggestion is None else worth_measuring(suggestion)
-    if suggestion is None or best is None:
+    best = worth_measuring(suggestion)
+    if best is None:
         return ["no safe motion is likely to distinguish the tied effects on these cables"], []
     motion = _motion(out)
     words = ["cell", "run", *line.words, "--motion", motion, "--runs", _measured(out)]

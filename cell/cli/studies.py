@@ -135,8 +135,7 @@ def look_at_study(
 def _look(folder: Path) -> StudyOverview:
     """A study as it is, with all that is known to be wrong and odd.  Raises InputError."""
     from cell.files.input_error import InputError
-    from cell.lab.data.opened_study import open_study
-    from cell.lab.data.rest_drift import rest_drifts
+    from cell.lab.data.opened_study import open_study, rest_drifts
     from cell.lab.report.look_page import StudyOverview
     from cell.study.facts import facts_of, oddities
     from cell.study.folder import study_as_it_is, study_folder

@@ -34,9 +34,8 @@ from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import evaluate, explains
 from cell.lab.verdict.conclusion import Examination, conclude, interrupted, unconfirmed
-from cell.lab.verdict.doubts import ended_doubt, no_model_doubt, unsimulated_doubt
+from cell.lab.verdict.doubts import MEANINGLESS, ended_doubt, no_model_doubt, unsimulated_doubt
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.fit_doubts import MEANINGLESS
 from cell.lab.verdict.knots import with_more_knots
 from cell.lab.verdict.ties import with_ties
 

@@ -13,8 +13,7 @@ from typing import Any
 
 from cell.lab.data.check import Check
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.line.learning_checks import GATES, LEARNING
-from cell.lab.line.learning_questions import LineRules
+from cell.lab.line.learning_checks import GATES, LEARNING, LineRules
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.doubts import MEANINGS
 

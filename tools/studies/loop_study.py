@@ -26,11 +26,15 @@ import numpy as np
 
 from cell.cable.effects import ActiveEffect, library
 from cell.lab.data.cycles import RecordedCycle
-from cell.lab.line.candidate import section
-from cell.lab.line.gates import best_judged
+from cell.lab.line.candidate import best_judged, section
 from cell.lab.line.learn import LearningResult, learn
 from cell.lab.next.discover import laws_in
-from cell.lab.next.next_motion import MOST_ASKED, distinguishing_motion, worth_measuring
+from cell.lab.next.suggest import (
+    MOST_ASKED,
+    MOST_CANDIDATES,
+    distinguishing_motions,
+    worth_measuring,
+)
 from cell.run.station import Task
 from cell.settings import Settings, load_settings
 from cell.settings.surroundings import Surroundings
@@ -195,11 +199,14 @@ def _learned(
         ).effects
     result = learn(recorded, task.cable, task.identification, tried, _said())
     for done in range(MOST_ASKED):
+        if not result.tied:
+            return result, done
         try:
-            suggestion = distinguishing_motion(result, surroundings)
+            cable, rivals = result.baseline.cables[0], result.rivals()[:MOST_CANDIDATES]
+            suggestion = distinguishing_motions(cable, rivals, surroundings)
         except ValueError:
             return result, done
-        best = None if suggestion is None else worth_measuring(suggestion)
+        best = worth_measuring(suggestion)
         if best is None:
             return result, done
         number, motion = 1000 + done, best.motion.motion()

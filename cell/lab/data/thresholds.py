@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cell.lab.data.check import OwnCheck
 from cell.lab.data.noise_model import KNOWN_WITHIN
-from cell.lab.data.own_check import OwnCheck
 from cell.lab.data.prepared import ERRS
 
 #: Probability of calling something an effect, a law, a disagreement that is none, for all tests of

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from cell.identify.parameters import difference_points
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit, best_initial_state, extended
 from cell.lab.fit.series import overall
-from cell.study.data import Trial
+from cell.study.data import Markers, Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,3 +187,32 @@ def _spread_of_initial_states(
     parts = prepared.by_trial(trials, moved.T)
     blocks = [_spread_of_initial_state(prepared, t, parts[t.name].T) for t in trials]
     return np.asarray(block_diag(*blocks))
+
+
+#: Points that show the whole cable, however few markers it has.
+DRAWN = 21
+
+
+def predict_whole_cable(
+    prepared: PreparedStudy,
+    trial: Trial,
+    models: Sequence[CableModel],
+    initial_states: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Where models put the markers, (models, times, markers, 2), and the cable, (…, `DRAWN`, 2).
+
+    In metres; nan where they cannot be simulated.  Behind the markers are gauges, if there are any.
+    """
+    study = prepared.study
+    drawn = np.linspace(study.cable.length_m, 0.0, DRAWN)
+    arcs = np.unique(np.concatenate([study.arc_length_m, drawn]))[::-1]
+    t_s = trial.markers.t_s
+    gauges = trial.markers.xy_m.shape[1] - len(study.arc_length_m)
+    blank = replace(trial, markers=Markers(t_s, np.zeros((len(t_s), len(arcs) + gauges, 2))))
+    finer = replace(prepared, study=replace(study, arc_length_m=arcs))
+    points = finer.predict(
+        blank, models, None if initial_states is None else np.tile(initial_states, (len(models), 1))
+    )
+    at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
+    at = np.concatenate([at, np.arange(len(arcs), len(arcs) + gauges)])
+    return points[:, :, at], points[:, :, shape]

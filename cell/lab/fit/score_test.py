@@ -78,9 +78,7 @@ class Score:
     others: tuple[tuple[int, FloatArray], ...] = ()
 
 
-def score_test(
-    nuisance: Nuisance, sensitivity: FloatArray, *, one_sided: bool, seed: int = 0
-) -> Score:
+def score_test(nuisance: Nuisance, sensitivity: FloatArray, *, one_sided: bool) -> Score:
     """Nuisance-projected score test of an effect whose shape parameters are unknown.
 
     sensitivity  (shapes, amplitudes, values) whitened output per unit of each amplitude, for each
@@ -108,7 +106,7 @@ def score_test(
     if dof == 1:
         unit = left[usable[:, 0], 0] / norm[usable[:, 0]]
         z = float(np.sign(best.signed) * np.sqrt(abs(best.signed)))
-        p_value = _p_of_maximum(z, unit @ unit.T, one_sided, seed)
+        p_value = _p_of_maximum(z, unit @ unit.T, one_sided)
     else:
         p_value = min(1.0, shapes * float(chi2_sf(dof, max(best.signed, 0.0))))
     return Score(
@@ -146,7 +144,7 @@ def _distinct(tried: list[_ShapeScore]) -> list[_ShapeScore]:
     return kept or tried[:1]
 
 
-def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool, seed: int) -> float:
+def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool) -> float:
     """P(max of correlated unit normals, or of their magnitudes, ≥ z)."""
     single = float(normal_cdf(-z)) * (1.0 if one_sided else 2.0)
     count = len(correlation)
@@ -156,7 +154,7 @@ def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool, seed: int)
     if bound * DRAWS < MIN_EXCEEDING:
         return bound
     root = covariance_root(correlation)
-    draws = np.random.default_rng(seed).standard_normal((DRAWS, count)) @ root.T
+    draws = np.random.default_rng(0).standard_normal((DRAWS, count)) @ root.T
     largest = (draws if one_sided else np.abs(draws)).max(axis=1)
     return float(np.clip((1 + np.sum(largest >= z)) / (DRAWS + 1), single, bound))
 
@@ -170,15 +168,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
         running = max(running, min(1.0, (count - rank) * p_values[index]))
         adjusted[index] = running
     return adjusted
-
-
-def delta_bic(delta_chi2: float, parameters: int, values: int, effective_fraction: float) -> float:
-    """BIC gained by an effect (positive = better), with autocorrelated values counted as fewer.
-
-    delta_chi2 is the fall of whitened χ²; each parameter costs the logarithm of the effective
-    number of values.
-    """
-    return float(delta_chi2 - parameters * np.log(max(values * effective_fraction, 2.0)))
 
 
 def boundary_p_value(delta_chi2: float, parameters: int, bounded: int, shapes: int = 1) -> float:

@@ -65,22 +65,22 @@ def lomb_scargle(t_s: FloatArray, values: FloatArray, frequency_hz: FloatArray) 
     return np.asarray(0.5 * (squares[0] + squares[1]))
 
 
-def ljung_box(white: FloatArray, lags: int = LAGS) -> float:
+def ljung_box(white: FloatArray) -> float:
     """p-value that white series (times, series), nan = unseen, are white: Ljung and Box 1978."""
     statistic, dof = 0.0, 0
     for values in white.T:
         seen = values[np.isfinite(values)]
         n = len(seen)
-        if n <= 2 * lags:
+        if n <= 2 * LAGS:
             continue
         centred = seen - seen.mean()
         power = float(centred @ centred)
         if power <= 0.0:
             continue
-        for lag in range(1, lags + 1):
+        for lag in range(1, LAGS + 1):
             r = float(centred[lag:] @ centred[:-lag]) / power
             statistic += n * (n + 2) * r * r / (n - lag)
-        dof += lags
+        dof += LAGS
     return float(chi2_sf(dof, statistic)) if dof else float("nan")
 
 

@@ -47,7 +47,7 @@ def along_lines(fit: SharedFit) -> list[PreparedStudy] | None:
     Where that explains them: else the line as measured is nearer to the true one.
     returns  None if no cable has such markers and moves otherwise yet, or they are not explained
     """
-    if fit.rms_m > ERRS * float(np.mean([c.noise.std_m for c in fit.cables])):
+    if fit.rms_m > ERRS * fit.noise_m:
         return None
     found, changed = [], False
     for i, cable in enumerate(fit.cables):
@@ -100,11 +100,15 @@ class SharedFit:
         return np.array([float(np.sum(self.solution.residual[r] ** 2)) for r in self.rows])
 
     @property
+    def noise_m(self) -> float:
+        """Mean noise of the cables, m."""
+        return float(np.mean([c.noise.std_m for c in self.cables]))
+
+    @property
     def rms_m(self) -> float:
         """Residual per coordinate, in units of each cable's noise, times the mean noise, m."""
         count = sum(w.count for c in self.cables for w in c.whiteners.values())
-        noise_m = float(np.mean([c.noise.std_m for c in self.cables]))
-        return noise_m * float(np.sqrt(self.chi2_by_cable.sum() / count))
+        return self.noise_m * float(np.sqrt(self.chi2_by_cable.sum() / count))
 
     def model(self, i: int) -> CableModel:
         """Of a cable."""

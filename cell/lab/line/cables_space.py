@@ -166,7 +166,8 @@ class CablesSpace:
         """
         self.progress("screening the library")
         screens = [screen(p, as_fit(a), others) for p, a in zip(self.prepared, alone, strict=True)]
-        chosen = _shortlist(screens)
+        ranked = ranked_by_screens(screens)
+        chosen = ranked[:BEST] + [e for e in ranked[BEST:] if not e.smooth]
         own = self._own_solutions(alone, chosen, simpler)
         fits: list[tuple[type[Effect], SharedFit]] = []
         for effect in chosen:
@@ -319,15 +320,14 @@ class CablesSpace:
         return min(found, key=lambda f: f.chi2, default=None)
 
 
-def _shortlist(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[Effect]]:
-    """The best of all cables' screens, and those that are not smooth, the likeliest first."""
+def ranked_by_screens(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[Effect]]:
+    """Effects by the sum of their scores in all cables' screens, the likeliest first."""
     score: dict[str, float] = {}
-    for screened in screens:
-        for s in screened:
-            score[s.effect.name] = score.get(s.effect.name, 0.0) + s.score.statistic
-    effects = {s.effect.name: s.effect for s in screens[0]}
-    ranked = [effects[n] for n in sorted(effects, key=lambda n: -score[n])]
-    return ranked[:BEST] + [e for e in ranked[BEST:] if not e.smooth]
+    effects: dict[str, type[Effect]] = {}
+    for s in (s for screened in screens for s in screened):
+        score[s.effect.name] = score.get(s.effect.name, 0.0) + s.score.statistic
+        effects.setdefault(s.effect.name, s.effect)
+    return [effects[n] for n in sorted(effects, key=lambda n: -score[n])]
 
 
 def on_all(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,86 @@ import numpy as np
 from cell.files.atomic import write_atomic
 from cell.files.yaml_document import yaml_text
 from cell.identify.model_class import source_of
+from cell.lab.data.check import CheckOutcome
 from cell.lab.data.cycles import RecordedCycle
-from cell.lab.line.gates import Judgement
+from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.learning_checks import learning_outcomes, learning_verdict
+from cell.lab.line.learning_checks import (
+    LineEvidence,
+    forecast_better,
+    gate_outcomes,
+    learning_outcomes,
+    learning_verdict,
+)
+from cell.plan.destination import Destination
 from cell.settings import Settings, load_settings
 from cell.settings.model import ModelSettings
 from cell.settings.promotion import FORMAT, distinct, line_identity
-from cell.settings.translate import model_hash
+from cell.settings.translate import cable_of, identification_of, model_hash
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Conditions that a candidate was held against, and the forecasts they rest on."""
+
+    gates: tuple[CheckOutcome[LineEvidence], ...] = ()
+    paired: tuple[ForecastPair, ...] = ()
+
+    @property
+    def fit_for_line(self) -> bool:
+        """Whether every condition is met."""
+        return all(gate.passed for gate in self.gates)
+
+    @property
+    def failed(self) -> list[str]:
+        """Names of the conditions that are not met."""
+        return [gate.name for gate in self.gates if not gate.passed]
+
+
+def judge(
+    result: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
+) -> Judgement:
+    """The candidate held against every condition, for the line of these settings.
+
+    known   forecasts of the present model that were made already; of any candidate
+    raises  as `identification_of`
+    """
+    if result.best is None:
+        return Judgement()
+    destination = Destination(*settings.destination.x_m, *settings.destination.y_m)
+    cable, options = cable_of(settings), identification_of(settings)
+    paired = forecasts(result, cable, options, destination, known)
+    evidence = LineEvidence(result, paired, destination)
+    return Judgement(tuple(gate_outcomes(evidence)), tuple(paired))
+
+
+def best_judged(
+    result: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
+) -> tuple[LearningResult, Judgement]:
+    """The result, or the simpler one in it if its last effect does not help; and its judgement.
+
+    The last effect helps if with it unseen cables are forecast better than without, by the gate
+    that a first effect must pass.
+    known   as in `judge`
+    """
+    judgement = judge(result, settings, known)
+    if result.simpler is None:
+        return result, judgement
+    simpler = replace(
+        result.simpler, left_out=result.left_out, cables_left_out=result.cables_left_out
+    )
+    simpler, without = best_judged(simpler, settings, judgement.paired)
+    pairs = zip(without.paired, judgement.paired, strict=True)
+    gained = [
+        replace(after, present_m=before.candidate_m, present_rms_m=before.candidate_rms_m)
+        for before, after in pairs
+    ]
+    evidence = LineEvidence(result, gained)
+    rules = evidence.rules
+    helps = len(gained) >= rules.fewest and forecast_better(evidence).value <= rules.significance
+    if judgement.fit_for_line and helps:
+        return result, judgement
+    return simpler, without
 
 
 def lines_of(cycles: Sequence[RecordedCycle], settings: Settings) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
+from cell.lab.data.rival import Rival
 from cell.lab.data.work import Budget, Work
 from cell.lab.fit.shared import PASSES, SharedFit
 
@@ -101,6 +102,21 @@ class EffectFit:
     def names(self) -> tuple[str, ...]:
         """Shared parameters, as `effect.parameter`."""
         return tuple(self.fit.space.names[i] for i in self.fit.common)
+
+    def on_next_cable(self) -> Rival:
+        """The prediction of a cable not measured yet: one like these, as different as these are."""
+        fit, space = self.fit, self.fit.space
+        n, own, common = len(fit.cables), fit.own, fit.common
+        covariance = np.zeros((len(space.names), len(space.names)))
+        for i in range(n):
+            mine = slice(i * own, (i + 1) * own)
+            covariance[:own, :own] += fit.inflation * fit.solution.covariance[mine, mine] / n
+        if n > 1:
+            covariance[:own, :own] += np.cov(fit.q.T)
+        covariance[np.ix_(common, common)] = fit.covariance
+        q = space.mean.copy()
+        q[:own], q[common] = fit.q.mean(axis=0), fit.theta
+        return Rival(self.name, space, q, covariance)
 
 
 def is_tied(other: EffectFit, best: EffectFit) -> bool:

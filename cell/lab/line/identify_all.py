@@ -2,19 +2,126 @@
 
 from __future__ import annotations
 
+import csv
 import heapq
+import io
+import json
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field, replace
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
+from cell.files.input_error import InputError, Problem
+from cell.files.rescue import naming
 from cell.lab.data.work import Progress, no_progress
-from cell.lab.line.identified_again import IdentifiedAgain, identified_again
-from cell.lab.line.identified_table import IdentifiedTable
-from cell.lab.line.recordings import Packed
+from cell.lab.line.recordings import IdentifiedAgain, Packed, identified_again
 from cell.workers.executor import Executor
+
+COLUMNS = tuple(f.name for f in fields(IdentifiedAgain))
+_WHOLE = ("frames_used", "frames_total")
+_NUMBERS = ("moved_std", "residual_rms_m", "noise_std_m")
+
+
+class IdentifiedTable:
+    """A table that rows are added to; each is in the file before the next is computed."""
+
+    def __init__(self, file: TextIO, known: dict[str, IdentifiedAgain]) -> None:
+        self._file = file
+        self.known = known
+
+    def add(self, row: IdentifiedAgain) -> None:
+        """Write a row.  Raises OSError."""
+        with naming(Path(self._file.name)):
+            self._file.write(_line(row))
+            self._file.flush()
+
+
+@contextmanager
+def identified_table(path: Path, *, afresh: bool = False) -> Iterator[IdentifiedTable]:
+    """The table in a file, with the rows that it has, each recording's last, without parameters.
+
+    A line that was torn when a run was killed is removed.
+    afresh  any other file is overwritten too, and no row is known
+    raises  InputError: the file is another table; OSError
+    """
+    known: dict[str, IdentifiedAgain] = {}
+    whole = 0
+    if path.exists() and not afresh:
+        known, whole = _read(path)
+    file = path.open("r+" if whole else "w", encoding="utf-8", newline="")
+    try:
+        if whole:
+            file.truncate(whole)
+            file.seek(0, os.SEEK_END)
+        else:
+            file.write(",".join(COLUMNS) + "\n")
+        yield IdentifiedTable(file, known)
+    finally:
+        with naming(path):  # what a full disk did not take is tried once more
+            file.close()
+
+
+def rows_of(path: Path) -> Iterator[IdentifiedAgain]:
+    """Rows of a table, one after another.
+
+    raises  InputError: a line is wrong
+    """
+    with path.open("rb") as file:
+        for number, line in enumerate(file, 1):
+            if number == 1:
+                if line.rstrip(b"\r\n") != ",".join(COLUMNS).encode():
+                    raise _wrong(path, 1, "is no table of `cell identify --all`")
+            elif line.endswith(b"\n"):  # one that is torn may end within a letter
+                yield _row(path, number, line)
+
+
+def _read(path: Path) -> tuple[dict[str, IdentifiedAgain], int]:
+    """Rows by recording, and the bytes of whole lines."""
+    content = path.read_bytes()
+    if not content:
+        return {}, 0
+    known = {row.recording: replace(row, parameters=None) for row in rows_of(path)}
+    return known, content.rfind(b"\n") + 1
+
+
+def _line(row: IdentifiedAgain) -> str:
+    cells = {name: getattr(row, name) for name in COLUMNS}
+    numbers = cells["parameters"]
+    cells["parameters"] = None if numbers is None else json.dumps(numbers, ensure_ascii=False)
+    cells["why"] = " ".join(str(row.why).split())  # a row is a line
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(
+        ["" if v is None else repr(v) if isinstance(v, float) else v for v in cells.values()]
+    )
+    return line.getvalue()
+
+
+def _row(path: Path, number: int, line: bytes) -> IdentifiedAgain:
+    try:
+        cells = next(csv.reader([line.decode()]), [])
+    except ValueError as error:
+        raise _wrong(path, number, f"is no text: {error}") from error
+    if len(cells) != len(COLUMNS):
+        raise _wrong(path, number, f"has {len(cells)} cells, must have {len(COLUMNS)}")
+    said: dict[str, Any] = dict(zip(COLUMNS, cells, strict=True))
+    try:
+        for name in (*_NUMBERS, *_WHOLE):
+            kind = int if name in _WHOLE else float
+            said[name] = kind(said[name]) if said[name] else None
+        numbers = json.loads(said["parameters"] or "null")
+        said["parameters"] = numbers and {name: tuple(v) for name, v in numbers.items()}
+    except (ValueError, AttributeError, TypeError) as error:
+        raise _wrong(path, number, f"is wrong: {error}") from error
+    return IdentifiedAgain(**said)
+
+
+def _wrong(path: Path, line: int, what: str) -> InputError:
+    message = f"{what}; give another file, or --force to begin anew"
+    return InputError([Problem(path, line, None, "", message)])
+
 
 FORMAT = "cable-identified/1"
 #: Recordings that are named in the summary of each kind; the table has all.

@@ -19,6 +19,7 @@ from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.rival import Rival
 from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.fitting import space_with
 from cell.lab.fit.shared import SharedFit, Spread, along_lines, fit_shared, prepared_cycle
@@ -182,11 +183,11 @@ class LearningResult:
 
     cycles: tuple[RecordedCycle, ...]
     baseline: SharedFit
-    ranking: tuple[EffectFit, ...]
-    best: EffectFit | None
-    tied: tuple[str, ...]
-    spread: tuple[Spread, ...]
-    cycle_evidence: tuple[CycleEvidence, ...]
+    ranking: tuple[EffectFit, ...] = ()
+    best: EffectFit | None = None
+    tied: tuple[str, ...] = ()
+    spread: tuple[Spread, ...] = ()
+    cycle_evidence: tuple[CycleEvidence, ...] = ()
     simpler: LearningResult | None = None
     left_out: tuple[str, ...] = ()
     cables_left_out: tuple[str, ...] = ()
@@ -203,7 +204,13 @@ class LearningResult:
     @property
     def noise_m(self) -> float:
         """Mean noise of the cycles."""
-        return float(np.mean([c.noise.std_m for c in self.baseline.cables]))
+        return self.baseline.noise_m
+
+    def rivals(self) -> list[Rival]:
+        """Predictions for the next cable by the effect found and those tied with it, if any are."""
+        likeliest = self.ranking[:1] if self.tied else ()
+        tied = [t for t in self.ranking[1:] if t.effect.name in self.tied]
+        return [t.on_next_cable() for t in (*likeliest, *tied)]
 
 
 def learn(
@@ -264,7 +271,7 @@ class _LineCables:
         alone, baseline = self._fitted(prepared)
         if (moving := along_lines(baseline)) is not None:
             alone, baseline = self._fitted(moving)
-        none = result = self._none(baseline)
+        none = result = LearningResult(self.cycles, baseline)
         self.known(none)
         if negligible(baseline):
             return none
@@ -277,9 +284,6 @@ class _LineCables:
             if step:
                 self.known(result)
         return result
-
-    def _none(self, baseline: SharedFit) -> LearningResult:
-        return LearningResult(self.cycles, baseline, (), None, (), (), ())
 
     def _space(self, alone: Sequence[SharedFit], baseline: SharedFit) -> _LearningSpace:
         others = [e for e in self.library if e not in self.base.effects]
@@ -296,7 +300,9 @@ class _LineCables:
         alone, baseline = self._fitted(moving)
         tried = [result.best, *result.ranking[1:]]
         try:
-            again = self._space(alone, baseline).fitted_to_all(self._none(baseline), tried)
+            again = self._space(alone, baseline).fitted_to_all(
+                LearningResult(self.cycles, baseline), tried
+            )
         except UNSIMULATED:
             return result
         return replace(again, tied=result.tied, ranking=result.ranking)
@@ -365,9 +371,7 @@ class _LearningSpace:
         single = self.search.last_alone(self.alone, tried[0])
         if single is None:
             return [found]
-        none = replace(
-            result, best=None, ranking=(), tied=(), spread=(), cycle_evidence=(), simpler=None
-        )
+        none = LearningResult(result.cycles, result.baseline)
         with suppress(*UNSIMULATED):  # not all cables can be with it alone
             # what is as good as it with the first is as good without
             found = replace(self.fitted_to_all(none, [single]), tied=found.tied)
@@ -407,8 +411,7 @@ def negligible(fit: SharedFit) -> bool:
     How far along it a cable's end is seen is allowed for in each cable alone, and hides there how
     far all of them are: that must be no more than chance, too.
     """
-    noise_m = float(np.mean([c.noise.std_m for c in fit.cables]))
-    if fit.rms_m**2 - noise_m**2 >= NEGLIGIBLE_M**2:
+    if fit.rms_m**2 - fit.noise_m**2 >= NEGLIGIBLE_M**2:
         return False
     return ends_seen_beyond(fit) < CHANCE
 

@@ -8,13 +8,271 @@ own that are smooth, so that a line is judged by the size of an error and by for
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
-from cell.lab.data.check import Check, CheckOutcome, worst_verdict
+import numpy as np
+
+from cell.cable.arrays import FloatArray
+from cell.cable.effects.base import Effect
+from cell.lab.data.check import Check, CheckOutcome, Reading, worst_verdict
+from cell.lab.data.noise_model import KNOWN_WITHIN
 from cell.lab.data.results import Verdict
-from cell.lab.line import learning_questions as questions
-from cell.lab.line.learn import LearningResult
-from cell.lab.line.learning_questions import LineEvidence
+from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.fit.shared import SharedFit, Spread
+from cell.lab.line import learning_checks as questions
+from cell.lab.line.effect_fit import EffectFit
+from cell.lab.line.forecasts import ForecastPair
+from cell.lab.line.learn import CHANCE, LearningResult, ends_seen_beyond
+from cell.plan.destination import Destination
+
+#: From as many forecasts a rank test can be sure; of fewer none may be worse by more than noise.
+RANKED_FROM = 5
+
+
+@dataclass(frozen=True)
+class LineRules:
+    """Limits at which a line's model is complete, and a candidate good enough for the line.
+
+    error_over_noise, most_named, noise_known_within   as in a diagnosis
+    chance               standard deviations that are still chance
+    fewest               forecasts that there must be for a candidate to be judged
+    least_gain, least_gain_m   share and size by which forecasts must become better
+    significance         one-sided, of the paired differences over all frames (Wilcoxon)
+    repeatability_m      by which the worst forecast may become worse: what arm and camera repeat to
+    lost_passages        forecasts that may leave the mouth
+    at_bound             parameters that may be at a bound
+    identifiable         standard deviations that an effect must be from none
+    stays_within         factor by which it may change if a cable is left out
+    alike                share of an effect by which cables of one line may differ in it
+    heterogeneous        significance at which Cochran's Q says that they differ by more: they are
+                         of two lines then, or have it in another way
+    """
+
+    error_over_noise: float = DEFAULT_RULES.most_over_noise
+    most_named: int = DEFAULT_RULES.most_named
+    noise_known_within: float = KNOWN_WITHIN
+    chance: float = CHANCE
+    fewest: int = 3
+    least_gain: float = 0.1
+    least_gain_m: float = 1e-5
+    significance: float = 0.05
+    repeatability_m: float = 1e-4
+    lost_passages: int = 0
+    at_bound: int = 0
+    identifiable: float = 3.0
+    stays_within: float = 2.0
+    alike: float = 0.1
+    heterogeneous: float = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class LineEvidence:
+    """What was learned, and forecasts of the recorded motions by the present model and with it."""
+
+    result: LearningResult
+    paired: Sequence[ForecastPair] = ()
+    destination: Destination | None = None
+    rules: LineRules = LineRules()
+
+    @property
+    def fit(self) -> SharedFit:
+        """The model that is judged, fitted to all cables."""
+        return self.result.baseline if self.result.best is None else self.result.best.fit
+
+    @property
+    def best(self) -> EffectFit:
+        """The effects of the candidate."""
+        assert self.result.best is not None
+        return self.result.best
+
+    @property
+    def differing(self) -> list[ForecastPair]:
+        """The forecasts by which the models differ: none where neither has one."""
+        return [f for f in self.paired if np.isfinite([f.present_m, f.candidate_m]).any()]
+
+    @property
+    def errors_m(self) -> tuple[FloatArray, FloatArray]:
+        """(differing,) of the tip in the destination, of the present model and the candidate."""
+        return (
+            np.array([f.present_m for f in self.differing]),
+            np.array([f.candidate_m for f in self.differing]),
+        )
+
+
+def error_ratio(evidence: LineEvidence) -> Reading | None:
+    """Error on all cables over the noise."""
+    return Reading(evidence.fit.rms_m / evidence.fit.noise_m)
+
+
+def ends_beyond(evidence: LineEvidence) -> Reading | None:
+    """How far along them ends are seen from where the model has them, in standard deviations."""
+    return Reading(ends_seen_beyond(evidence.fit))
+
+
+def most_tied(evidence: LineEvidence) -> Reading | None:
+    """Number of effects that explain as much as the one found, itself included."""
+    return None if evidence.result.best is None else Reading(1.0 + len(evidence.result.tied))
+
+
+def noise_range(evidence: LineEvidence) -> Reading | None:
+    """One camera saw them all: the cable that shows its noise best decides."""
+    cables = evidence.fit.cables
+    allowed = [c.noise_model.allowed_over_level for c in cables if c.noise_model.range_m]
+    known = [a for a in allowed if a is not None]
+    if evidence.result.best is not None or not known:
+        return None
+    return Reading(min(known))
+
+
+def forecast_count(evidence: LineEvidence) -> Reading | None:
+    """Number of forecasts."""
+    paired = evidence.differing
+    executions = sum(f.of == "execution" for f in paired)
+    found = f"{executions} executions, {len(paired)} in all, needs {evidence.rules.fewest}"
+    return Reading(float(len(paired)), found=found)
+
+
+def _enough(evidence: LineEvidence) -> bool:
+    return len(evidence.differing) >= evidence.rules.fewest
+
+
+def chance_of_gain(evidence: LineEvidence) -> Reading | None:
+    """p-value of better forecasts by chance; None of too few."""
+    return forecast_better(evidence) if _enough(evidence) else None
+
+
+def forecast_better(evidence: LineEvidence) -> Reading:
+    """p-value of better forecasts by chance; 1 where the tip in the destination gains too little.
+
+    A single frame's noise is as large as what a small effect does there; all of them tell it.
+    """
+    rules = evidence.rules
+    before, after = evidence.errors_m
+    path_before, path_after = np.array(
+        [(f.present_rms_m, f.candidate_rms_m) for f in evidence.differing]
+    ).T
+    rms = [float(np.sqrt(np.mean(v**2))) for v in (before, after)]
+    if len(before) >= RANKED_FROM:
+        from scipy.stats import wilcoxon  # half a second, of which only few have need
+
+        same = np.array_equal(path_before, path_after)  # no rank differs: it divides by zero
+        p = 1.0 if same else float(wilcoxon(path_before, path_after, alternative="greater").pvalue)
+        how = f"p = {p:.2g}"
+    else:
+        worse = int(np.sum(after > before + evidence.result.noise_m))
+        p, how = float(worse > 0), f"{worse} of {len(before)} worse"
+    gain = rms[0] - rms[1]
+    enough = rms[1] < (1.0 - rules.least_gain) * rms[0] and gain > rules.least_gain_m
+    found = f"{rms[0] * 1e3:.3f} → {rms[1] * 1e3:.3f} mm rms, {how}"
+    return Reading(p if enough else 1.0, found=found)
+
+
+def worst_change(evidence: LineEvidence) -> Reading | None:
+    """By how much the worst forecast becomes worse, m."""
+    if not _enough(evidence):
+        return None
+    before, after = (float(v.max()) for v in evidence.errors_m)
+    return Reading(after - before, found=f"{before * 1e3:.3f} → {after * 1e3:.3f} mm")
+
+
+def lost_passages(evidence: LineEvidence) -> Reading | None:
+    """Number of forecasts that leave the mouth with the candidate."""
+    mouth = evidence.destination
+    if mouth is None or not _enough(evidence):
+        return None
+    half_m = 0.5 * (mouth.y_max_m - mouth.y_min_m)
+    before, after = (int(np.sum(v < half_m)) for v in evidence.errors_m)
+    count = len(evidence.differing)
+    found = f"{before} → {after} of {count} forecast within ± {half_m * 1e3:.1f} mm"
+    return Reading(float(before - after), found=found)
+
+
+def at_bound(evidence: LineEvidence) -> Reading | None:
+    """Number of parameters at a bound."""
+    best, fit = evidence.best, evidence.best.fit
+    low, high = fit.space.low[fit.common], fit.space.high[fit.common]
+    at = [n for n, v, a, b in zip(best.names, fit.theta, low, high, strict=True) if not a < v < b]
+    return Reading(float(len(at)), found=", ".join(at) + " at a bound" if at else "all")
+
+
+@dataclass(frozen=True)
+class _Amplitude:
+    """One of the fitted amplitudes of an effect.
+
+    index  among the shared parameters
+    none   its coordinate without the effect
+    stds   standard deviations that it is from there
+    """
+
+    index: int
+    none: float
+    stds: float
+
+
+def _clearest(tried: EffectFit, effect: type[Effect]) -> _Amplitude | None:
+    """Of an effect's amplitudes the one that stands out most; None = none is fitted."""
+    fit, std = tried.fit, np.sqrt(np.diag(tried.fit.covariance))
+    found = []
+    for p in effect.parameters:
+        name = f"{effect.name}.{p.name}"
+        if p.amplitude and name in tried.names:
+            i = tried.names.index(name)
+            logarithmic = fit.space.logarithmic[fit.common[i]]
+            none = float(np.log(p.default)) if logarithmic else p.default
+            found.append(_Amplitude(i, none, abs(float(fit.theta[i]) - none) / float(std[i])))
+    return max(found, key=lambda a: a.stds, default=None)
+
+
+def _amplitudes(tried: EffectFit) -> Iterator[_Amplitude]:
+    """The clearest amplitude of every effect that has one."""
+    return (a for e in tried.effects if (a := _clearest(tried, e)) is not None)
+
+
+def least_stds(evidence: LineEvidence) -> Reading | None:
+    """Standard deviations of the least clear effect from none."""
+    clearest = [_clearest(evidence.best, effect) for effect in evidence.best.effects]
+    least = min(0.0 if found is None else found.stds for found in clearest)
+    return Reading(least, found=f"{least:.1f} standard deviations from none")
+
+
+def most_changed(evidence: LineEvidence) -> Reading | None:
+    """Largest factor between the size of an effect from all cables and from all but one."""
+    tried, fit = evidence.best, evidence.best.fit
+    if len(fit.cables) < 2:
+        return Reading(np.inf, found="1 cable")
+    left = np.array([fit.without(i) for i in range(len(fit.cables))])
+    remain = []
+    for amplitude in _amplitudes(tried):
+        size = float(fit.theta[amplitude.index]) - amplitude.none
+        away = left[:, amplitude.index] - amplitude.none
+        remain += [float(v) / size if size != 0.0 else 0.0 for v in away]
+    factors = [max(v, 1.0 / v) if v > 0.0 else np.inf for v in remain]
+    found = f"{min(remain, default=1.0):.2f} … {max(remain, default=1.0):.2f} of it remain"
+    return Reading(max(factors, default=1.0), found=found)
+
+
+def chance_of_spread(evidence: LineEvidence) -> Reading | None:
+    """Smallest p-value of Cochran's Q beyond what cables may differ by."""
+    tried, fit = evidence.best, evidence.best.fit
+    values, std = fit.by_cable
+    if len(values) < 2:
+        return Reading(0.0, found="1 cable")
+    readings = []
+    for amplitude in _amplitudes(tried):
+        i = amplitude.index
+        size = abs(float(fit.theta[i]) - amplitude.none)
+        logarithmic = fit.space.logarithmic[fit.common[i]]
+        may = evidence.rules.alike * (1.0 if logarithmic else size)
+        spread = Spread.of(values[:, i], np.hypot(std[:, i], may))
+        found = (
+            f"{tried.names[i]} differs by {spread.tau:.2g} beyond a tenth of it: "
+            f"Q {spread.q:.1f} of {spread.dof}, p = {spread.p_value:.1g}"
+        )
+        readings.append(Reading(spread.p_value, found=found))
+    none = Reading(1.0, found="no strength is fitted")
+    return min(readings, key=lambda r: r.value, default=none)
+
 
 LEARNING: tuple[Check[LineEvidence], ...] = (
     Check(

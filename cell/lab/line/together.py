@@ -8,31 +8,132 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
 from scipy.special import stdtrit as t_quantile
 
 from cell.cable.arrays import FloatArray
-from cell.cable.effects.base import Effect
+from cell.files.plain import plain
 from cell.lab.data.results import Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.fit.shared import Spread
-from cell.lab.line.together_results import (
-    Consistency,
-    Hypothesis,
-    Says,
-    StudyPart,
-    StudyValue,
-    Together,
-)
+from cell.lab.line.cables_space import ranked_by_screens
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence
+
+#: Sets of effects that are fitted to all studies, and how many of them by the sum of the screens.
+MOST_SETS, BY_SCREENS = 8, 2
+#: Of a normal distribution, for 95 %.
+REACH = 1.959964
+
+Names = tuple[str, ...]
+#: What a study says of the effects that were found: it shows them, excludes them at the size that
+#: the others show, or cannot tell.
+Says = Literal["shows", "excludes", "cannot tell"]
+
+
+@dataclass(frozen=True)
+class StudyPart:
+    """One study's part in the answer.
+
+    alone         verdict of the study alone
+    missing       effects that it alone finds missing, each with those tied with it
+    delta_chi2    by which the effects of the answer lower χ² over all its trials
+    explained     whether the model with these effects leaves noise there; or without them, where
+                  the study does not show them
+    says          of these effects; "" if there are none
+    """
+
+    study: str
+    alone: Verdict
+    missing: tuple[tuple[str, ...], ...]
+    delta_chi2: float
+    explained: bool
+    says: Says | Literal[""]
+
+    def finds(self, effects: Sequence[str]) -> bool:
+        """Whether the study alone says that each of these effects is missing, or one tied with it.
+
+        Then its held-out trials have confirmed them.
+        """
+        return self.alone == "missing" and all(
+            any(effect in names for names in self.missing) for effect in effects
+        )
+
+
+@dataclass(frozen=True)
+class StudyValue:
+    """A parameter by one study alone, with its 95 % interval."""
+
+    study: str
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """A parameter of the effects found, over the studies that do not exclude them.
+
+    value, low, high     mean and its 95 % interval
+    tau                  standard deviation between cables: of ln(value) if `logarithmic`
+    q_p_value            of values so far apart by chance (Cochran's Q)
+    without_low, without_high   smallest and largest mean with one study left out
+    """
+
+    parameter: str
+    unit: str
+    logarithmic: bool
+    value: float
+    low: float
+    high: float
+    tau: float
+    q_p_value: float
+    without_low: float
+    without_high: float
+    by_study: tuple[StudyValue, ...]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects that was tried on all studies.
+
+    evidence    ln likelihood less BIC's penalty, beyond the model without them, all studies
+    delta_chi2  by which χ² falls, all studies
+    """
+
+    effects: tuple[str, ...]
+    evidence: float
+    delta_chi2: float
+
+
+@dataclass(frozen=True)
+class Together:
+    """One answer of several studies, or why there is none.
+
+    why         in a sentence
+    effects     missing in the model; empty if none is
+    tied        sets of effects that explain as much
+    hypotheses  all that were tried, the likeliest first
+    """
+
+    verdict: Verdict
+    why: str
+    effects: tuple[str, ...]
+    tied: tuple[tuple[str, ...], ...]
+    studies: tuple[StudyPart, ...]
+    consistency: tuple[Consistency, ...]
+    hypotheses: tuple[Hypothesis, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"format": "cable-together/1", **plain(asdict(self))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +163,7 @@ def pool(values: FloatArray, std: FloatArray) -> Pooled:
     mean = float(np.average(values, weights=weights))
     by_std = 1.0 / float(weights.sum())
     n = len(values)
-    reach = 1.959964 * np.sqrt(by_std)
+    reach = REACH * np.sqrt(by_std)
     if n > 1:
         seen = float(np.sum(weights * (values - mean) ** 2)) / (n - 1)
         knapp = float(t_quantile(n - 1, 0.975)) * np.sqrt(by_std * seen)
@@ -72,14 +173,6 @@ def pool(values: FloatArray, std: FloatArray) -> Pooled:
         for i in range(n)
     ]
     return Pooled(mean, float(reach), spread, np.array(others))
-
-
-#: Sets of effects that are fitted to all studies, and how many of them by the sum of the screens.
-MOST_SETS, BY_SCREENS = 8, 2
-#: Of a normal distribution, for 95 %.
-REACH = 1.959964
-
-Names = tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +195,13 @@ class Examined:
     def with_effects(self, names: Names) -> FittedModel | None:
         """Its model with these effects; None if that cannot be simulated."""
         model = self.base
-        for effect in (self._effect(n) for n in names if n not in self.base.names):
-            found = self.fits.fit_extended(model, [effect])
-            if not found:
-                return None
-            model = found[0]
+        for name in names:
+            if name not in self.base.names:
+                found = self.fits.fit_extended(model, [self.fits.library[name]])
+                if not found:
+                    return None
+                model = found[0]
         return model
-
-    def _effect(self, name: str) -> type[Effect]:
-        return self.fits.library[name]
 
 
 def check_names(names: Sequence[str]) -> None:
@@ -127,15 +218,21 @@ def together(studies: Sequence[Examined], rules: Rules = DEFAULT_RULES) -> Toget
     raises  ValueError: of fewer than two studies, or of two of one name
     """
     check_names([s.name for s in studies])
-    fitted = {h: [s.with_effects(h) for s in studies] for h in _hypotheses(studies)}
-    scored = [
-        (names, [m for m in models if m is not None])
-        for names, models in fitted.items()
-        if all(models)
+    models_of: dict[Names, list[FittedModel]] = {}
+    for names in _hypotheses(studies):
+        models = [s.with_effects(names) for s in studies]
+        if all(models):
+            models_of[names] = [m for m in models if m is not None]
+    bases = [s.base for s in studies]
+    each = [
+        Hypothesis(
+            names,
+            sum(m.evidence - base.evidence for base, m in zip(bases, models, strict=True)),
+            sum(base.chi2 - m.chi2 for base, m in zip(bases, models, strict=True)),
+        )
+        for names, models in models_of.items()
     ]
-    ranked = sorted((_hypothesis(studies, n, models) for n, models in scored),
-                    key=lambda h: -h.evidence)  # fmt: skip
-    models_of = dict(scored)
+    ranked = sorted(each, key=lambda h: -h.evidence)
     best = _simplest(ranked, studies, models_of, rules)
     # one limit for the residuals of all studies together: each has its share of it
     rules = replace(rules, residual_significance=rules.residual_significance / len(studies))
@@ -158,13 +255,8 @@ def _hypotheses(studies: Sequence[Examined]) -> list[Names]:
     for study in studies:
         votes.update(_found(study.examination))
     found = [names for names, _ in votes.most_common(MOST_SETS - BY_SCREENS)]
-    scores = dict[str, float]()
-    for study in studies:
-        for screened in study.fits.screened(study.base):
-            name = screened.effect.name
-            scores[name] = scores.get(name, 0.0) + screened.score.statistic
-    likely = sorted(scores, key=lambda name: -scores[name])
-    suggested = [(name,) for name in likely[:BY_SCREENS]]
+    likely = ranked_by_screens([s.fits.screened(s.base) for s in studies])
+    suggested = [(effect.name,) for effect in likely[:BY_SCREENS]]
     return list(dict.fromkeys([(), *found, *suggested]))
 
 
@@ -182,17 +274,6 @@ def _found(examination: Examination) -> Iterator[Names]:
         for other in one.tied_with:
             if other not in names:
                 yield tuple(sorted({*names, other} - {one.effect}))
-
-
-def _hypothesis(
-    studies: Sequence[Examined], names: Names, models: Sequence[FittedModel]
-) -> Hypothesis:
-    pairs = list(zip(studies, models, strict=True))
-    return Hypothesis(
-        names,
-        sum(m.evidence - s.base.evidence for s, m in pairs),
-        sum(s.base.chi2 - m.chi2 for s, m in pairs),
-    )
 
 
 def _simplest(
@@ -337,7 +418,7 @@ def _verdict(
         with_it = f" with {names}" if best.effects else ""
         rest = len(parts) - len(left)
         return "unexplained", (
-            f"the model{with_it} leaves more than noise in {_listed(left)}"
+            f"the model{with_it} leaves more than noise in {', '.join(left)}"
             f"{f', and noise in the {rest} others' if rest else ''}"
         )
     if not best.effects:
@@ -352,16 +433,12 @@ def _verdict(
     excludes = [p.study for p in parts if p.says == "excludes"]
     confirmed = len(shows) > 1 or any(p.finds(best.effects) for p in parts)
     if not confirmed:
-        return "cannot_tell", f"only {_listed(shows) or 'all together'} shows {names}"
+        return "cannot_tell", f"only {', '.join(shows) or 'all together'} shows {names}"
     if excludes:
         return "missing", (
-            f"{names} is missing in {len(shows)} of {len(parts)} studies, {_listed(shows)}; "
-            f"{_listed(excludes)} exclude it at that size: the cables are not alike"
+            f"{names} is missing in {len(shows)} of {len(parts)} studies, {', '.join(shows)}; "
+            f"{', '.join(excludes)} exclude it at that size: the cables are not alike"
         )
     silent = len(parts) - len(shows)
     also = f"; {silent} cannot tell and agree" if silent else ""
     return "missing", f"{len(shows)} of {len(parts)} studies show {names}{also}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)

@@ -12,7 +12,7 @@ from scipy.special import ndtri as normal_quantile
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gaussian import covariance_root
-from cell.lab.data.thresholds import Rules
+from cell.lab.data.thresholds import DEFAULT_RULES as RULES
 from cell.lab.fit.sensitivity import one_sided
 from cell.lab.next.linear_study import LinearStudy, Sensitivities
 from cell.lab.search.fitted_model import bic_penalty, p_value_of_fall
@@ -83,7 +83,7 @@ class EffectTest:
     fitted: slice
     heldout: slice
 
-    def judged(self, scores: FloatArray, given: Circumstances, rules: Rules) -> Judged:
+    def judged(self, scores: FloatArray, given: Circumstances) -> Judged:
         """By scores (draws, all)."""
         t, u = scores[:, self.fitted], scores[:, self.heldout]
         size: FloatArray = np.asarray(np.linalg.solve(self.inside, t.T).T, dtype=np.float64)
@@ -91,22 +91,22 @@ class EffectTest:
             size = np.asarray(np.maximum(size, 0.0))
         fall = 2.0 * np.sum(size * t, axis=1) - _square(size, self.inside)
         gain = self._gain(size, u) if given.heldout else np.zeros(len(t))
-        significant = fall > given.by_gripper_log * self.least_fall(given, rules)
+        significant = fall > given.by_gripper_log * self.least_fall(given)
         penalty = bic_penalty([self.effect], given.fitted, given.independent)
         return Judged(
             significant,
-            self._confirmed(size, u, gain, given, rules),
+            self._confirmed(size, u, gain, given),
             0.5 * (fall - penalty),
             -fall - 2.0 * gain,
         )
 
-    def least_fall(self, given: Circumstances, rules: Rules) -> float:
+    def least_fall(self, given: Circumstances) -> float:
         """Fall of χ² from which the effect is significant among the library, and pays by BIC."""
         low, high = 0.0, 1e4
         while high - low > 1e-3:
             middle = 0.5 * (low + high)
             p_value = p_value_of_fall(self.effect, middle)
-            low, high = (middle, high) if p_value * given.library > rules.significance else (
+            low, high = (middle, high) if p_value * given.library > RULES.significance else (
                 low, middle)  # fmt: skip
         return max(high, bic_penalty([self.effect], given.fitted, given.independent))
 
@@ -126,7 +126,6 @@ class EffectTest:
         u: FloatArray,
         gain: FloatArray,
         given: Circumstances,
-        rules: Rules,
     ) -> BoolArray:
         """Whether held-out trials bear it out, as `Confirmation.is_given` has it."""
         if not given.heldout:
@@ -134,9 +133,9 @@ class EffectTest:
         seen = np.linalg.solve(self.outside, u.T).T
         fall_m2 = 2.0 * np.sum((size @ self.raw_m2) * seen, axis=1) - _square(size, self.raw_m2)
         return np.asarray(
-            (gain / given.by_gripper_log_heldout > rules.heldout_gain)
-            & (fall_m2 / given.heldout > rules.negligible_share * given.noise_m**2)
-            & (0.5 * _square(size, self.shown) > rules.heldout_gain)
+            (gain / given.by_gripper_log_heldout > RULES.heldout_gain)
+            & (fall_m2 / given.heldout > RULES.negligible_share * given.noise_m**2)
+            & (0.5 * _square(size, self.shown) > RULES.heldout_gain)
         )
 
 
@@ -200,30 +199,29 @@ class Tests:
         own: Sensitivities,
         rivals: Sequence[Sensitivities],
         given: Circumstances,
-        rules: Rules,
     ) -> Tests:
         """Of a hidden change (rows,), its own slopes and those of other effects."""
         functions: list[FloatArray] = []
         effects = tuple(_test_of(linear, s, functions) for s in (own, *rivals))
         looks = (None, own.of_parameters) if linear.sees_noise else ()
-        half_seen = tuple(_half_seen(linear, look, functions, rules) for look in looks)
+        half_seen = tuple(_half_seen(linear, look, functions) for look in looks)
         every = np.concatenate(functions)
         root = covariance_root(linear.covariance(every))
         noise = np.random.default_rng(0).standard_normal((DRAWS, len(every))) @ root.T
         return Tests(effects, half_seen, given, every @ hidden, noise)
 
-    def chances(self, times: float, rules: Rules) -> Chances:
+    def chances(self, times: float) -> Chances:
         """With the hidden change so many times as large."""
         scores = self.noise + times * self.by_change
-        judged = [test.judged(scores, self.given, rules) for test in self.effects]
+        judged = [test.judged(scores, self.given) for test in self.effects]
         accepted = np.array([j.significant & j.confirmed for j in judged])
         evidence = np.where(accepted, [j.evidence for j in judged], -np.inf)
         best, any_is = np.argmax(evidence, axis=0), accepted.any(axis=0)
         chi2 = np.array([j.chi2 for j in judged])
         of_best = np.take_along_axis(chi2, best[None], axis=0)
-        tied = chi2 < of_best + rules.tie_delta_chi2
+        tied = chi2 < of_best + RULES.tie_delta_chi2
         tied[best, np.arange(len(best))] = True
-        few = tied.sum(axis=0) <= rules.most_named
+        few = tied.sum(axis=0) <= RULES.most_named
         identified = np.ones(len(scores), dtype=bool)
         if self.detectable_at_half_size:
             identified = np.any(
@@ -231,9 +229,9 @@ class Tests:
             )
         claimed = any_is & few & identified
         # a rival that explains less is exchanged for the effect, which is then judged by itself
-        exchanged = chi2[0] < of_best[0] - rules.tie_delta_chi2
+        exchanged = chi2[0] < of_best[0] - RULES.tie_delta_chi2
         right = tied[0] & (accepted[0] | ~exchanged)
-        passes = self._right_passes(times, rules)
+        passes = self._right_passes(times)
         others = [
             (test.effect.name, passes * float(np.mean(claimed & ~tied[0] & (best == i))))
             for i, test in enumerate(self.effects)
@@ -247,7 +245,7 @@ class Tests:
             told_apart=float(np.mean(few & tied[0])),
         )
 
-    def _right_passes(self, times: float, rules: Rules) -> float:
+    def _right_passes(self, times: float) -> float:
         """Probability that checks of slow errors let the right model pass.
 
         They judge by `residual_significance`, and by `significance` where more than a small share
@@ -258,9 +256,9 @@ class Tests:
         hidden = self.effects[0]
         score = times * self.by_change[hidden.heldout]
         before = float(score @ np.linalg.solve(hidden.outside, score))
-        by_chance = -float(normal_quantile(rules.significance)) * np.sqrt(2.0 * self.given.slow)
-        weak = rules.small_share * before < by_chance
-        limit = rules.significance if weak else rules.residual_significance
+        by_chance = -float(normal_quantile(RULES.significance)) * np.sqrt(2.0 * self.given.slow)
+        weak = RULES.small_share * before < by_chance
+        limit = RULES.significance if weak else RULES.residual_significance
         return float((1.0 - limit) ** SLOW_CHECKS)
 
 
@@ -287,10 +285,10 @@ def _test_of(linear: LinearStudy, slopes: Sensitivities, functions: list[FloatAr
 
 
 def _half_seen(
-    linear: LinearStudy, beside: FloatArray | None, functions: list[FloatArray], rules: Rules
+    linear: LinearStudy, beside: FloatArray | None, functions: list[FloatArray]
 ) -> HalfSizeTest:
     """The check by what single trials' own parameters explain; its functions are added."""
-    scores, least = linear.scores_of_trials(beside, rules.significance)
+    scores, least = linear.scores_of_trials(beside, RULES.significance)
     begin = sum(map(len, functions))
     functions.append(scores)
     return HalfSizeTest(slice(begin, begin + len(scores)), least)

@@ -13,7 +13,6 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.identify.gauss_newton import UNSIMULATED
-from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.sensitivity import changes, is_shape
 from cell.lab.next.asked import AskedEffect
@@ -65,14 +64,12 @@ class PowerForecast:
     noncentrality: float | None
 
 
-def forecast(
-    fits: FitCache, asked: AskedEffect, linear: LinearStudy, rules: Rules = DEFAULT_RULES
-) -> PowerForecast:
+def forecast(fits: FitCache, asked: AskedEffect, linear: LinearStudy) -> PowerForecast:
     """What a diagnosis of a study with this effect would say, and from which size on it names it.
 
     linear  the study near the baseline of `fits`
     """
-    at = _At(fits, asked, linear, rules)
+    at = _At(fits, asked, linear)
     begin = asked.typical if asked.size is None else asked.size
     smallest = at.smallest(begin)
     size = smallest if asked.size is None else asked.size
@@ -83,7 +80,7 @@ def forecast(
     unlike = linear.project_out_all(hidden[None])[0]
     return PowerForecast(
         size,
-        None if size is None else tests.chances(1.0, rules),
+        None if size is None else tests.chances(1.0),
         smallest,
         tuple(Alternative(s.effect.name, s.collinear) for s in rivals),
         None if size is None else float(unlike @ unlike),
@@ -97,7 +94,6 @@ class _At:
     fits: FitCache
     asked: AskedEffect
     linear: LinearStudy
-    rules: Rules
 
     def tests(
         self, size: float, *, refitted: bool = True
@@ -124,7 +120,7 @@ class _At:
         others = [e for name, e in self.fits.library.items() if name not in known]
         rivals = rivals_of(linear, hidden, others)[:_RIVALS]
         given = self._circumstances(hidden)
-        return Tests.of(linear, hidden, own, rivals, given, self.rules), hidden, rivals
+        return Tests.of(linear, hidden, own, rivals, given), hidden, rivals
 
     def _changes(self, size: float) -> tuple[FloatArray, FloatArray] | None:
         """(rows,) by the effect, and (shape parameters, rows) by a little of each of its shapes."""
@@ -182,7 +178,7 @@ class _At:
         at_limit = False
         for _ in range(ROUNDS):
             found = self.tests(parameter.default + from_off, refitted=refitted)
-            times = None if found is None else _least_times(found[0], self.rules)
+            times = None if found is None else _least_times(found[0])
             if times is None or (at_limit and times > 1.0):
                 return None
             from_off *= float(np.clip(times, 1.0 / MOST_AT_ONCE, MOST_AT_ONCE))
@@ -193,11 +189,11 @@ class _At:
         return float(parameter.default + from_off)
 
 
-def _least_times(tests: Tests, rules: Rules) -> float | None:
+def _least_times(tests: Tests) -> float | None:
     """By how much the hidden change is to be larger, or smaller, to be found with `POWER`."""
 
     def enough(times: float) -> bool:
-        return tests.chances(times, rules).found >= POWER
+        return tests.chances(times).found >= POWER
 
     low, high = 1.0, 1.0
     while not enough(high):
@@ -212,8 +208,3 @@ def _least_times(tests: Tests, rules: Rules) -> float | None:
         if high / low < 1.0 + 0.1 * NEARLY:
             break
     return high
-
-
-def resized(asked: AskedEffect, size: float) -> AskedEffect:
-    """The same effect at another size."""
-    return replace(asked, size=size)

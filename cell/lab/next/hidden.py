@@ -22,8 +22,8 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.whitening import whiteners_of
 from cell.lab.fit.corrections import finer
 from cell.lab.fit.fitting import Fit, best_initial_state, errors_m, fit_model
-from cell.lab.fit.gripper_log_error import MOTIONS
 from cell.lab.fit.heldout import heldout_rows
+from cell.lab.fit.systematic_error import MOTIONS
 from cell.lab.search.fitted_model import POLISH
 from cell.study.data import Markers, Study, Trial
 

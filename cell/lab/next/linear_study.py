@@ -19,8 +19,8 @@ from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.gripper_log_error import MOTIONS
 from cell.lab.fit.sensitivity import one_sided, prior_root
+from cell.lab.fit.systematic_error import MOTIONS
 from cell.lab.verdict.check_statistics import directions_of_trials
 from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual, noise_was_seen
 

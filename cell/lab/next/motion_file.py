@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from cell.cable.geometry import Motion
 from cell.files.input_error import InputError, Problem
 from cell.files.yaml_document import Document, read_yaml, validate
-from cell.lab.next.strokes import RATE_HZ
+from cell.lab.next.suggestion import RATE_HZ
 from cell.plan.measuring import Measuring, Move, least_duration_s, measuring_path
 from cell.settings import Settings
 from cell.settings.translate import arm_limits_of, pose_from_home

@@ -6,7 +6,7 @@ import logging
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from cell.cable.effects.base import ActiveEffect, Effect
@@ -17,7 +17,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt
-from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.plausibility import is_no_model
@@ -93,7 +93,6 @@ class _CopyDiagnosed:
     unknown_effects: tuple[type[Effect], ...]
     solver: Solver
     name: str
-    rules: Rules
 
     def __call__(self, number: int) -> CopyOutcome:
         """Each copy has the budget of a diagnosis."""
@@ -105,7 +104,7 @@ class _CopyDiagnosed:
             )
             with work.stage("prepare"):
                 copy = FitCache.of(setup)
-            said = judged(diagnose(copy, self.rules).diagnosis, self.name)
+            said = judged(diagnose(copy).diagnosis, self.name)
         except (*UNSIMULATED, SpentError, NoiseUnknownError) as error:
             _LOG.info("copy %d: %s", number, error)
             said = CopyOutcome("failed")
@@ -116,7 +115,6 @@ def recover(
     fits: FitCache,
     hidden: ActiveEffect,
     copies: int,
-    rules: Rules = DEFAULT_RULES,
     progress: Progress = no_progress,
     first: int = 0,
     executor: Executor | None = None,
@@ -138,7 +136,6 @@ def recover(
         fits.setup.unknown_effects,
         fits.prepared.solver,
         name,
-        rules,
     )
     outcomes: list[CopyOutcome] = []
     progress(f"diagnosing copies with {name}", 0, copies)
@@ -202,14 +199,12 @@ class StudyPower:
     """What a diagnosis of a study would find.
 
     noise_m   of the measurement
-    rules     by which the diagnosis decides
     """
 
     study: str
     noise_m: float
     effects: tuple[EffectPower, ...]
     warnings: tuple[Doubt, ...]
-    rules: Rules
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, format cable-power/1."""
@@ -218,7 +213,7 @@ class StudyPower:
             "study": self.study,
             "noise_m": self.noise_m,
             "power": POWER,
-            "rules": plain(vars(self.rules)),
+            "rules": plain(vars(DEFAULT_RULES)),
             "effects": [plain(e.to_json()) for e in self.effects],
             "warnings": [vars(w) for w in self.warnings],
         }
@@ -228,7 +223,6 @@ def power_of(
     fits: FitCache,
     asked: Sequence[AskedEffect],
     copies: int = 0,
-    rules: Rules = DEFAULT_RULES,
     progress: Progress = no_progress,
     executor: Executor | None = None,
 ) -> StudyPower:
@@ -244,29 +238,18 @@ def power_of(
     progress("what the trials show of the parameters")
     linear = LinearStudy.of(fits.prepared, base.fit)
     found = []
-    for number, one in enumerate(asked):
-        progress(f"what the trials show of {one.effect.name}", number, len(asked))
-        found.append(EffectPower(one, forecast(fits, one, linear, rules)))
+    for number, effect in enumerate(asked):
+        progress(f"what the trials show of {effect.effect.name}", number, len(asked))
+        found.append(EffectPower(effect, forecast(fits, effect, linear)))
         fits.work.renew()
     if copies:
-        found = [_tried(fits, e, copies, rules, progress, executor) for e in found]
+        for i, one in enumerate(found):
+            if (size := one.forecast.size) is not None:
+                hidden = one.asked.at(size)
+                tried = recover(fits, hidden, copies, progress, executor=executor)
+                found[i] = replace(one, recovery=tried)
     noise_m = fits.prepared.noise_model.noise.std_m
-    return StudyPower(fits.prepared.study.name, noise_m, tuple(found), _doubts(fits), rules)
-
-
-def _tried(
-    fits: FitCache,
-    effect: EffectPower,
-    copies: int,
-    rules: Rules,
-    progress: Progress,
-    executor: Executor | None,
-) -> EffectPower:
-    size = effect.forecast.size
-    if size is None:
-        return effect
-    recovery = recover(fits, effect.asked.at(size), copies, rules, progress, executor=executor)
-    return EffectPower(effect.asked, effect.forecast, recovery)
+    return StudyPower(fits.prepared.study.name, noise_m, tuple(found), _doubts(fits))
 
 
 def _doubts(fits: FitCache) -> tuple[Doubt, ...]:

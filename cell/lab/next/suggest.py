@@ -14,22 +14,26 @@ import numpy as np
 from scipy.special import ndtr as normal_cdf
 
 from cell.cable.arrays import FloatArray
+from cell.cable.effects.base import after_number
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.files.words import counted
 from cell.identify.gaussian import covariance_root, marginal_chi2
-from cell.identify.parameters import difference_points
+from cell.identify.parameters import ParameterSpace, difference_points
 from cell.identify.whitener import Whitener
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rival import Rival
 from cell.lab.data.whitening import whiteners_of
 from cell.lab.data.work import Progress, no_progress
-from cell.lab.fit.whole_cable import predict_whole_cable
+from cell.lab.fit.heldout import predict_whole_cable
+from cell.lab.fit.plausibility import is_no_model
+from cell.lab.next.asked import AskedEffect
 from cell.lab.next.planned import planned_trials
-from cell.lab.next.strokes import TURN_RAD, Stroke, strokes
-from cell.lab.next.suggestion import Option, Suggestion
+from cell.lab.next.suggestion import TURN_RAD, Option, Stroke, Suggestion, strokes
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.conclusion import Examination
+from cell.lab.verdict.doubts import no_model_doubt
 from cell.settings.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial
 
@@ -39,6 +43,9 @@ DECIDED = 9.0
 NO_POWER = 0.05
 #: Repetitions of a motion that are worth naming, at most.
 MOST_REPEATED = 100
+#: Motions that a line is asked for, one after another, at most; and how likely one must decide, to
+#: be worth a cable.
+MOST_ASKED, WORTH_ASKING_POWER = 2, 0.5
 #: More candidates than these are not told apart by one motion.
 MOST_CANDIDATES = 4
 #: The cable is taken to be within so many standard deviations of its prediction.
@@ -70,6 +77,12 @@ def worth_a_cable(found: Suggestion, prepared: PreparedStudy) -> Suggestion:
     if max(option.power for option in found.options) < NO_POWER:
         raise ValueError(_what_would_help(found, prepared))
     return found
+
+
+def worth_measuring(suggestion: Suggestion) -> Option | None:
+    """The motion that a line is asked for; None = none is likely to decide."""
+    best = suggestion.options[0]
+    return best if best.power >= WORTH_ASKING_POWER else None
 
 
 def _what_would_help(found: Suggestion, prepared: PreparedStudy) -> str:
@@ -326,3 +339,52 @@ def _separation(
 
 def _label(candidate: FittedModel) -> str:
     return " + ".join(e.name for e in candidate.effects) or "baseline"
+
+
+def asked_and_tried(effects: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Effects to design a motion for, and files of effects to try with the library.
+
+    effects  NAME, NAME=SIZE, file.py=SIZE: of the first kind; file.py: of the second
+    raises   ValueError: both kinds are given
+    """
+    tried = [given for given in effects if given.endswith(".py")]
+    asked = [given for given in effects if not given.endswith(".py")]
+    if asked and tried:
+        raise ValueError(
+            f"--try {tried[0]}: is tried beside the library, but {asked[0]} asks for a motion "
+            f"that shows it; give {tried[0]}=SIZE for a motion that shows both, or leave one out"
+        )
+    return asked, tried
+
+
+def showing_motion(
+    fits: FitCache, asked: Sequence[AskedEffect], surroundings: Surroundings
+) -> Suggestion:
+    """The safe motion at which these effects differ most from what the model can do without them.
+
+    An effect of which no size is given has its typical one.
+    raises  ValueError: the study cannot be fitted, no motion keeps the limits, or none shows them
+    """
+    base = fits.base
+    if is_no_model(fits.prepared, base.fit):
+        raise ValueError(f"study {fits.prepared.study.name}: {no_model_doubt().message}")
+    fit, name = base.fit, " + ".join(e.name for e in base.effects) or "baseline"
+    without = Rival(name, fit.space, fit.q, fit.covariance)
+    rivals = [without, *(_with(without, one) for one in asked)]
+    found = distinguishing_motions(fits.prepared, rivals, surroundings, fits.progress)
+    return worth_a_cable(found, fits.prepared)
+
+
+def _with(rival: Rival, asked: AskedEffect) -> Rival:
+    """The same with an effect whose size is known, so that only the cable's parameters are open."""
+    parameter = asked.parameter
+    size = asked.typical if asked.size is None else asked.size
+    name = f"{asked.effect.name} ({parameter.name} {size:.3g}{after_number(parameter.unit)})"
+    return replace(rival, name=name, space=_holding(rival.space, asked, size))
+
+
+def _holding(space: ParameterSpace, asked: AskedEffect, size: float) -> ParameterSpace:
+    effect = asked.effect
+    names = (f"{effect.name}.{p.name}" for p in effect.parameters)
+    held = tuple(zip(names, asked.at(size).values, strict=True))
+    return replace(space, effects=(*space.effects, effect), exact=(*space.exact, *held))

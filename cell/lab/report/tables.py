@@ -8,31 +8,21 @@ import numpy as np
 
 from cell.files.table import TableData
 from cell.identify.parameters import Prior
-from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors
+from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors, TrialValue
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.next.advice import STATUSES, NextStep, meaning
 from cell.lab.report.wording import (
-    AGREEMENT_NOTE,
-    CHECK_HEADS,
-    CHECK_NOTE,
-    LIMIT_HEADS,
-    LIMIT_NOTE,
-    NEAREST_HEADS,
-    agreement_heads,
-    agreement_rows,
     agreement_sentence,
+    apart,
     at_noise,
     by_evidence,
     chance,
-    check_rows,
     digits,
     interrupted,
-    limit_rows,
     mm,
-    nearest_note,
-    nearest_rows,
     noise_label,
     noise_like,
+    peak_in_words,
     place_in_words,
     places,
     plain,
@@ -49,6 +39,7 @@ NOT_WHY = "These motions cannot show why."
 FITTED_TO_ALL = "fitted to all"
 #: Up to so many times the noise a remaining error is called noise.
 NOISE_ALONE = DEFAULT_RULES.most_over_noise
+_SIGNS = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
 _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim"}
 
 
@@ -114,8 +105,23 @@ def _worst_place(comparison: Comparison) -> str:
 
 def nearest_table(diagnosis: Diagnosis) -> TableData:
     """Of an unexplained study: the effects that leave least, how much and where."""
-    title, note = "Nearest effects, each alone", nearest_note(diagnosis)
-    return TableData(title, NEAREST_HEADS, nearest_rows(diagnosis), (1, 2, 3), note)
+    base, left = diagnosis.baseline, diagnosis.left
+    before_m = float("nan") if left is None else left.before_rms_m
+    each = [("none", before_m, base, "")]
+    each += [(n.effect, n.left_rms_m, n.errors, peak_in_words(n.peak)) for n in diagnosis.nearest]
+    rows = [
+        [name, mm(all_m), mm(errors.fit_rms_m), mm(errors.heldout_rms_m), where]
+        for name, all_m, errors, where in each
+    ]
+    to = "all" if diagnosis.verdict == "unexplained" else "the fit trials"
+    bounds = [name for n in diagnosis.nearest for name in n.at_bound]
+    at = f". At a bound: {', '.join(bounds)}: the effect may be stronger than it allows"
+    note = (
+        f"Error, mm rms per coordinate, with each effect alone beside the model. “all trials”: "
+        f"error on all trials, fitted to {to}; –: not fitted so{at if bounds else ''}"
+    )
+    heads = ("effect", "all trials", "fitted", "held out", "most of it")
+    return TableData("Nearest effects, each alone", heads, rows, (1, 2, 3), note)
 
 
 def waterfall_table(diagnosis: Diagnosis) -> TableData:
@@ -163,21 +169,70 @@ def ranking_table(diagnosis: Diagnosis) -> TableData:
 
 def limits_table(diagnosis: Diagnosis) -> TableData:
     """How strong the effects could be that are neither named nor tied."""
-    title = "What the study excludes, 95 %"
-    return TableData(title, LIMIT_HEADS, limit_rows(diagnosis), (3,), LIMIT_NOTE)
+    rows = []
+    for limit in sorted(diagnosis.limits, key=lambda one: one.high is None):
+        possible = "this study could not have shown it"
+        if limit.low is not None and limit.high is not None:
+            unit = "" if limit.unit == "1" else limit.unit
+            possible = f"{' … '.join(apart(limit.low, limit.high))} {unit}".strip()
+        moves = "" if limit.tip_m is None else short(limit.tip_m * 1e3)
+        rows.append([limit.effect, limit.parameter, possible, moves])
+    heads = ("effect", "parameter", "possible (95 %)", "moves the tip by, mm")
+    note = (
+        "Each effect alone beside the model found, with the shape that this study detects least; "
+        "the residual of the model counts as noise. An effect outside the range is excluded; "
+        "inside it is possible"
+    )
+    return TableData("What the study excludes, 95 %", heads, rows, (3,), note)
+
+
+def check_rows(checks: Sequence[CheckResult]) -> list[tuple[str, str, str, str]]:
+    """Question, answer, limit and result of every check."""
+    words = {True: "passed", False: "failed", None: "–"}
+    return [
+        (
+            c.question,
+            "–" if c.statistic is None else f"{c.statistic:.3g}",
+            f"{c.unit} {_SIGNS[c.passes]} {c.limit:g}",
+            words[c.passed],
+        )
+        for c in checks
+    ]
 
 
 def checks_table(checks: Sequence[CheckResult]) -> TableData:
     """What a verdict rests on."""
+    heads = ("question", "answer", "limit", "result")
     colours = {"passed": "green", "failed": "red", "–": "dim"}
-    title, rows = "What the verdict rests on", check_rows(checks)
-    return TableData(title, CHECK_HEADS, rows, (1, 2), CHECK_NOTE, colours)
+    note = (
+        "The verdict is the worst result of the checks that failed; “–”: the question does not "
+        "apply. docs/lab.md has each check's statistic and the reason for its limit"
+    )
+    return TableData("What the verdict rests on", heads, check_rows(checks), (1, 2), note, colours)
 
 
 def agreement_table(found: Sequence[Agreement]) -> TableData:
-    """Estimates of the parameters per trial."""
-    heads, rows = agreement_heads(found), agreement_rows(found)
-    return TableData("Estimates per trial", heads, rows, note=AGREEMENT_NOTE)
+    """Estimates of the parameters per trial, of all trials, their spread, whether they agree."""
+
+    def own(said: TrialValue) -> str:
+        if said.value is None or said.low is None or said.high is None:
+            return "–"
+        return f"{digits(said.value, 4)} ({' … '.join(apart(said.low, said.high))})"
+
+    heads = ["trial", *(f"{a.parameter}{'' if a.unit == '1' else f', {a.unit}'}" for a in found)]
+    trials = zip(*(a.by_trial for a in found), strict=True)
+    rows = [
+        *([values[0].trial, *map(own, values)] for values in trials),
+        ["all together", *(digits(a.value, 4) for a in found)],
+        ["spread", *(digits(a.spread, 2) for a in found)],
+        ["they agree", *("yes" if a.agrees else f"no, p {chance(a.p_value, '= ')}" for a in found)],
+    ]
+    note = (
+        "Estimate per trial, 95 %, with the shape of EI along the cable and the exponent held at "
+        "the values of all trials; “mean_rigidity”: geometric mean of EI along the cable; "
+        "“spread”: standard deviation between trials beyond these intervals"
+    )
+    return TableData("Estimates per trial", heads, rows, note=note)
 
 
 def diagnosis_parts(

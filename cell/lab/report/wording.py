@@ -13,56 +13,13 @@ from cell.files.words import counted
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import (
     Agreement,
-    CheckResult,
     Diagnosis,
-    Limit,
     MissingEffect,
     Peak,
     RankedEffect,
-    TrialValue,
 )
 from cell.lab.strength.compare import NOTICEABLE, Comparison
 from cell.lab.strength.trial_residual import TrialResidual
-
-#: Table of the nearest effects; their errors are in mm rms.
-NEAREST_HEADS = ("effect", "all trials", "fitted", "held out", "most of it")
-
-#: Table of detection limits.
-LIMIT_HEADS = ("effect", "parameter", "possible (95 %)", "moves the tip by, mm")
-LIMIT_NOTE = (
-    "Each effect alone beside the model found, with the shape that this study detects least; the "
-    "residual of the model counts as noise. An effect outside the range is excluded; inside it is "
-    "possible"
-)
-
-#: Table of the checks.
-_SIGNS = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
-CHECK_HEADS = ("question", "answer", "limit", "result")
-CHECK_NOTE = (
-    "The verdict is the worst result of the checks that failed; “–”: the question does not apply. "
-    "docs/lab.md has each check's statistic and the reason for its limit"
-)
-
-#: Table of the estimates per trial.
-AGREEMENT_NOTE = (
-    "Estimate per trial, 95 %, with the shape of EI along the cable and the exponent held at the "
-    "values of all trials; “mean_rigidity”: geometric mean of EI along the cable; “spread”: "
-    "standard deviation between trials beyond these intervals"
-)
-
-
-def check_rows(checks: Sequence[CheckResult]) -> list[tuple[str, str, str, str]]:
-    """Question, answer, limit and result of every check."""
-    words = {True: "passed", False: "failed", None: "–"}
-    return [
-        (
-            c.question,
-            "–" if c.statistic is None else f"{c.statistic:.3g}",
-            f"{c.unit} {_SIGNS[c.passes]} {c.limit:g}",
-            words[c.passed],
-        )
-        for c in checks
-    ]
 
 
 def why_not_told(diagnosis: Diagnosis) -> str:
@@ -186,45 +143,9 @@ def peak_in_words(peak: Peak) -> str:
     return at if not np.isfinite(peak.frequency_hz) else f"{at}, at {peak.frequency_hz:.1f} Hz"
 
 
-def nearest_rows(diagnosis: Diagnosis) -> list[list[str]]:
-    """What the model and each of the nearest effects added to it leave, by `NEAREST_HEADS`."""
-    base, left = diagnosis.baseline, diagnosis.left
-    before_m = float("nan") if left is None else left.before_rms_m
-    rows = [("none", before_m, base, "")]
-    rows += [(n.effect, n.left_rms_m, n.errors, peak_in_words(n.peak)) for n in diagnosis.nearest]
-    return [
-        [name, mm(all_m), mm(errors.fit_rms_m), mm(errors.heldout_rms_m), where]
-        for name, all_m, errors, where in rows
-    ]
-
-
-def nearest_note(diagnosis: Diagnosis) -> str:
-    """What its columns say."""
-    to = "all" if diagnosis.verdict == "unexplained" else "the fit trials"
-    bounds = [name for n in diagnosis.nearest for name in n.at_bound]
-    at = f". At a bound: {', '.join(bounds)}: the effect may be stronger than it allows"
-    return (
-        f"Error, mm rms per coordinate, with each effect alone beside the model. “all trials”: "
-        f"error on all trials, fitted to {to}; –: not fitted so{at if bounds else ''}"
-    )
-
-
 def mm(value_m: float) -> str:
     """An error in a table; infinite where the model cannot be simulated."""
     return "–" if np.isnan(value_m) else f"{value_m * 1e3:.3f}"
-
-
-def limit_rows(diagnosis: Diagnosis) -> list[list[str]]:
-    """Of every effect neither named nor tied: what the study leaves possible, by `LIMIT_HEADS`."""
-    return [
-        [
-            limit.effect,
-            limit.parameter,
-            _range(limit),
-            "" if limit.tip_m is None else short(limit.tip_m * 1e3),
-        ]
-        for limit in sorted(diagnosis.limits, key=lambda one: one.high is None)
-    ]
 
 
 def agreement_sentence(found: Sequence[Agreement]) -> str:
@@ -257,36 +178,6 @@ def _said_by_trials(agreement: Agreement) -> str:
 def _listed(names: Sequence[str]) -> str:
     """Names as a person lists them."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def agreement_heads(found: Sequence[Agreement]) -> list[str]:
-    """Heads of the table of what each trial says."""
-    return ["trial", *(f"{a.parameter}{'' if a.unit == '1' else f', {a.unit}'}" for a in found)]
-
-
-def agreement_rows(found: Sequence[Agreement]) -> list[list[str]]:
-    """Rows below `agreement_heads`: each trial, all together, their spread, whether they agree."""
-    trials = zip(*(a.by_trial for a in found), strict=True)
-    return [
-        *([values[0].trial, *map(_own_value, values)] for values in trials),
-        ["all together", *(digits(a.value, 4) for a in found)],
-        ["spread", *(digits(a.spread, 2) for a in found)],
-        ["they agree", *("yes" if a.agrees else f"no, p {chance(a.p_value, '= ')}" for a in found)],
-    ]
-
-
-def _own_value(said: TrialValue) -> str:
-    if said.value is None or said.low is None or said.high is None:
-        return "–"
-    low, high = apart(said.low, said.high)
-    return f"{digits(said.value, 4)} ({low} … {high})"
-
-
-def _range(limit: Limit) -> str:
-    if limit.low is None or limit.high is None:
-        return "this study could not have shown it"
-    low, high = apart(limit.low, limit.high)
-    return f"{low} … {high} {'' if limit.unit == '1' else limit.unit}".strip()
 
 
 def apart(low: float, high: float) -> tuple[str, str]:

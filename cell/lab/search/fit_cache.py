@@ -18,10 +18,10 @@ from cell.lab.data.whitening import arcs_are_uncertain
 from cell.lab.data.work import Progress, Work, no_progress
 from cell.lab.fit.corrections import corrected, gain_is_uncertain, moved_m, moves_parameters
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
-from cell.lab.fit.gripper_log_error import GripperLogError, gripper_log_error
 from cell.lab.fit.heldout import heldout_log_lr
 from cell.lab.fit.remainder import with_noise_given
 from cell.lab.fit.starts import cold_start, taken_from
+from cell.lab.fit.systematic_error import GripperLogError, gripper_log_error
 from cell.lab.search.baseline import Baseline
 from cell.lab.search.extension import Extension, by_effect, continued
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, Gain, gained, model_of_fit

@@ -13,10 +13,10 @@ from cell.identify.gauss_newton import Options
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
 from cell.lab.fit.fitting import Fit, errors_m, fit_trials
-from cell.lab.fit.gripper_log_error import GripperLogError
 from cell.lab.fit.heldout import Heldout, heldout
-from cell.lab.fit.score_test import boundary_p_value, delta_bic
+from cell.lab.fit.score_test import boundary_p_value
 from cell.lab.fit.sensitivity import chances_of, one_sided
+from cell.lab.fit.systematic_error import GripperLogError
 
 
 def p_value_of_fall(effect: type[Effect], delta_chi2: float) -> float:
@@ -28,7 +28,7 @@ def p_value_of_fall(effect: type[Effect], delta_chi2: float) -> float:
 def bic_penalty(effects: Iterable[type[Effect]], values: int, effective_fraction: float) -> float:
     """Fall of χ² from which effects pay by BIC; autocorrelated values count as fewer."""
     fitted = sum(p.fitted for e in effects for p in e.parameters)
-    return -delta_bic(0.0, fitted, values, effective_fraction)
+    return float(fitted * np.log(max(values * effective_fraction, 2.0)))
 
 
 #: Passes of a first refit; the best few are then taken to convergence.

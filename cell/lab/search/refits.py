@@ -11,8 +11,7 @@ import numpy as np
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED, Options
-from cell.lab.data.side_by_side import side_by_side
-from cell.lab.data.work import Progress
+from cell.lab.data.work import Progress, side_by_side
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.search.extension import ENOUGH_PASSES, Extension, continued
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel

@@ -16,10 +16,15 @@ from cell.lab.data.noise_model import NoiseUnknownError, noise_model_of
 from cell.lab.data.prepared import PreparedStudy, of_frames
 from cell.lab.data.work import SpentError, Work
 from cell.lab.fit.fitting import best_initial_state
+from cell.lab.fit.heldout import predict_whole_cable
 from cell.lab.fit.series import overall
-from cell.lab.fit.whole_cable import predict_whole_cable
-from cell.lab.strength.trial_residual import TrialResidual, trial_residual, unsimulated_trial
-from cell.lab.strength.wrench_residual import WrenchResidual, wrench_residual
+from cell.lab.strength.trial_residual import (
+    TrialResidual,
+    WrenchResidual,
+    trial_residual,
+    unsimulated_trial,
+    wrench_residual,
+)
 from cell.study.data import Study
 
 #: A residual has a pattern below this p-value of its whiteness, and goes with a signal below it.

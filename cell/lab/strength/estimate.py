@@ -16,7 +16,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Interval
 from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit
-from cell.lab.strength.omitted_effect_bias import omitted_effect_bias
+from cell.lab.strength.kept_model import omitted_effect_bias
 
 #: Converged simulators of the same cable differ by this much in the parameters that they need.
 MODEL_ERROR = 0.01

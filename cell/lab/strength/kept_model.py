@@ -1,18 +1,155 @@
-"""A fit in the form in which a cable's model is kept, with intervals widened by its residual."""
+"""A fit in the form in which a cable's model is kept, with intervals widened by what it lacks.
+
+Most of an effect that is missing does not remain to be seen: the other parameters have moved to
+imitate it, by far more than what remains of noise would let them.  What remains tells which effects
+it may be and how strong, and these how far the parameters have moved.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc as chi2_sf
 
-from cell.cable.effects import Effect
+from cell.cable.arrays import FloatArray
+from cell.cable.effects.base import Effect
 from cell.identify.fit import frames_detected, variance_inflation
 from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.all_trials_fit import AllTrialsFit
+from cell.lab.data.thresholds import SIGNIFICANCE
+from cell.lab.fit.all_trials_fit import AllTrialsFit, Linear
 from cell.lab.fit.fitting import Fit, fit_trials
-from cell.lab.strength.omitted_effect_bias import omitted_effect_bias
+from cell.lab.fit.sensitivity import one_sided
+from cell.lab.fit.systematic_error import SystematicError
+
+#: Effects taken in at most, one after another, until what is left is noise.
+MOST = 4
+#: Parts of a trial that are taken for independent where a model errs.
+PARTS = 4
+#: Less of an effect than this share is not told from what the parameters do.
+LEAST_LEFT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class OmittedEffectBias:
+    """What is seen of effects given a fitted model.
+
+    effects     that explain what it leaves, linearly, the one that explains most first
+    covariance  (p, p) of the fit's coordinates by their absence: how far they move with these in,
+                and how uncertain that is; 0 where what is left is noise
+    """
+
+    effects: tuple[str, ...]
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Option:
+    """An effect of one shape: rows (amplitudes, rows) by which its amplitudes change the residual.
+
+    seen  the same without what the fitted parameters imitate
+    """
+
+    effect: type[Effect]
+    rows: FloatArray
+    seen: FloatArray
+
+
+def omitted_effect_bias(whole: AllTrialsFit, effects: Iterable[type[Effect]]) -> OmittedEffectBias:
+    """Of a fitted model that lacks some of the effects, or others."""
+    prepared, fit, errs = whole.prepared, whole.fit, whole.systematic_error
+    p, none = len(fit.q), np.zeros((len(fit.q), len(fit.q)))
+    tried = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
+    linear = whole.linear
+    options = _options(whole, tried, linear)
+    chosen, factor = _explaining(prepared, fit, options, linear, errs)
+    if not chosen:
+        return OmittedEffectBias((), none)
+    rows, seen = (np.vstack([getattr(o, v) for o in chosen]) for v in ("rows", "seen"))
+    amplitudes = np.linalg.lstsq(seen.T, linear.left, rcond=1e-8)[0]
+    by_each = linear.moved(rows)
+    moved = by_each @ amplitudes
+    spread = by_each @ np.linalg.pinv(seen @ seen.T) @ by_each.T * factor
+    all_of = np.zeros((len(fit.solution.q), len(fit.solution.q)))
+    free = fit.solution.free
+    all_of[np.ix_(free, free)] = np.outer(moved, moved) + spread + _by_parts(prepared, fit, linear)
+    return OmittedEffectBias(tuple(o.effect.name for o in chosen), all_of[:p, :p])
+
+
+def _options(whole: AllTrialsFit, effects: Sequence[type[Effect]], linear: Linear) -> list[_Option]:
+    """Effects at every guess of their shape, but those of which nothing is seen."""
+    options = []
+    for slopes in whole.sensitivities(effects):
+        for rows in slopes.rows:
+            seen = linear.seen(rows)
+            if np.linalg.norm(seen) > LEAST_LEFT * np.linalg.norm(rows):
+                options.append(_Option(slopes.effect, rows, seen))
+    return options
+
+
+def _explaining(
+    prepared: PreparedStudy,
+    fit: Fit,
+    options: Sequence[_Option],
+    linear: Linear,
+    systematic_error: SystematicError,
+) -> tuple[list[_Option], float]:
+    """Those that explain most, one after another while significant; and the variance left."""
+    whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
+    chosen: list[_Option] = []
+    taken = np.zeros((0, len(linear.left)))
+    left, factor = linear.left, 1.0
+    while len(chosen) < MOST:
+        names = {o.effect.name for o in chosen}
+        found = [(o, _explained(o, taken, left)) for o in options if o.effect.name not in names]
+        best, explained = max(found, key=lambda f: float(f[1] @ f[1]), default=(None, left))
+        if best is None or not (square := float(explained @ explained)) > 0.0:
+            break
+        after = left - explained
+        inflation = variance_inflation(after[: len(systematic_error.mesh)], whiteners, len(fit.q))
+        expected = inflation + systematic_error.variance(explained) / square
+        chance = len(options) * float(chi2_sf(len(best.rows), square / expected))
+        if chance > SIGNIFICANCE:
+            break
+        chosen.append(best)
+        taken, left, factor = _orthonormal_rows(taken, best.seen), after, inflation
+    return chosen, factor
+
+
+def _explained(option: _Option, taken: FloatArray, left: FloatArray) -> FloatArray:
+    """(rows,) that an option explains of the residual given others; none by a wrong sign."""
+    orthogonal = option.seen - (option.seen @ taken.T) @ taken
+    amplitudes = np.linalg.lstsq(orthogonal.T, left, rcond=1e-8)[0]
+    if one_sided(option.effect) and amplitudes[0] < 0.0:
+        return np.zeros_like(left)
+    return np.asarray(amplitudes @ orthogonal)
+
+
+def _orthonormal_rows(taken: FloatArray, more: FloatArray) -> FloatArray:
+    """(k, rows) orthonormal basis of both."""
+    rows = np.vstack([taken, more])
+    _, size, units = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(units[size > 1e-8 * size[0]])
+
+
+def _by_parts(prepared: PreparedStudy, fit: Fit, linear: Linear) -> FloatArray:
+    """(free, free) by how much parts of trials ask for coordinates of their own.
+
+    source  Liang & Zeger 1986, Biometrika 73, 13: the sandwich of clusters within which anything
+            may depend on anything
+    """
+    inside = np.linalg.inv(linear.triangle.T @ linear.triangle)
+    asked = []
+    rows = prepared.by_trial(fit_trials(prepared), np.arange(len(linear.left)))
+    for name, of_trial in rows.items():
+        in_frames = of_trial.reshape(-1, prepared.whiteners[name].frames)
+        for part in np.array_split(in_frames, PARTS, axis=1):
+            slopes = fit.solution.jacobian[part.ravel()][:, fit.solution.free]
+            asked.append(slopes.T @ linear.left[part.ravel()])
+    by_part = np.array(asked) @ inside
+    return np.asarray(by_part.T @ by_part * len(asked) / (len(asked) - 1))
 
 
 def identified(

@@ -17,8 +17,7 @@ from cell.identify.fit import variance_inflation
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Limit
-from cell.lab.data.side_by_side import side_by_side
-from cell.lab.data.work import Progress, no_progress
+from cell.lab.data.work import Progress, no_progress, side_by_side
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.score_test import Nuisance

@@ -35,9 +35,8 @@ from cell.lab.search.residual_summary import peak, removed_share, residual_summa
 from cell.lab.search.rivals import added_effect, chance_of
 from cell.lab.search.screen import ScreenedEffect
 from cell.lab.strength.estimate import ParameterEstimate, estimate
-from cell.lab.verdict.doubts import doubts, ended_doubt
+from cell.lab.verdict.doubts import doubts, ended_doubt, is_meaningless
 from cell.lab.verdict.evidence import Evidence
-from cell.lab.verdict.fit_doubts import is_meaningless
 from cell.lab.verdict.ties import tied_so_far
 from cell.study.independence import Independence
 

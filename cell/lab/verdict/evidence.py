@@ -10,8 +10,8 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
+from cell.lab.data.check import OwnCheck, Residual
 from cell.lab.data.noise_model import NoiseModel
-from cell.lab.data.own_check import OwnCheck, Residual
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import Fit, fit_trials

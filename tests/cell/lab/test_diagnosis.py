@@ -16,7 +16,7 @@ from cell.lab.data.results import to_json
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.data.work import STAGES, UNLIMITED, Budget, SpentError, Work, no_progress
 from cell.lab.diagnosis import diagnose, with_agreement, with_limits
-from cell.lab.report.wording import nearest_note
+from cell.lab.report.tables import nearest_table
 from cell.lab.search import effect_search
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.screen import screen
@@ -328,4 +328,4 @@ def test_an_effect_that_is_stronger_than_its_bound_says_so(make_study):
     assert found.verdict == "unexplained"
     (latency,) = (n for n in found.nearest if n.effect == "camera_latency")
     assert latency.at_bound == ("camera_latency.delay_s 0.1 s",)
-    assert "At a bound: camera_latency.delay_s 0.1 s: the effect" in nearest_note(found)
+    assert "At a bound: camera_latency.delay_s 0.1 s: the effect" in nearest_table(found).note

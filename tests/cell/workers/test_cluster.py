@@ -10,8 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cell.lab.line.identified_table import identified_table
-from cell.lab.line.identify_all import identify_all
+from cell.lab.line.identify_all import identified_table, identify_all
 from cell.lab.line.recordings import packer, recordings_in
 from cell.study.folder import write_study
 from cell.workers.cluster import Cluster, cluster

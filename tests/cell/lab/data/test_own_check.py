@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cell.files.input_error import InputError
-from cell.lab.data.own_check import read_own_checks
+from cell.lab.data.check import read_own_checks
 from cell.workers.shipping import pack, unpack
 
 CHECK = '''"""Is the tip as noisy as the rest?"""

@@ -7,8 +7,8 @@ import pytest
 
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.planned import planned_trials
-from cell.lab.next.strokes import Stroke
 from cell.lab.next.suggest import _whitener
+from cell.lab.next.suggestion import Stroke
 from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
 from cell.study.hand_drift import HandDrift
 from tools.worlds.made_studies import CABLE

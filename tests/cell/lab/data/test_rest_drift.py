@@ -13,8 +13,7 @@ from cell.cable.model import CableModel
 from cell.cli import app
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.noise_model import noise_model_of
-from cell.lab.data.opened_study import open_study
-from cell.lab.data.rest_drift import VALUES, rest_drifts
+from cell.lab.data.opened_study import VALUES, open_study, rest_drifts
 from cell.lab.diagnosis import diagnose
 from cell.lab.search.setup import fit_cache_of
 from cell.study.data import Markers, Study, Trial

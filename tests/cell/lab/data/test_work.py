@@ -7,8 +7,16 @@ import time
 
 import pytest
 
-from cell.lab.data.side_by_side import PARTS_OF_ONE, side_by_side
-from cell.lab.data.work import SOLVER, STAGES, Budget, SpentError, Work, WorkStoppedError
+from cell.lab.data.work import (
+    PARTS_OF_ONE,
+    SOLVER,
+    STAGES,
+    Budget,
+    SpentError,
+    Work,
+    WorkStoppedError,
+    side_by_side,
+)
 
 
 def simulate(work: Work, seconds: float) -> None:
@@ -102,7 +110,7 @@ def test_each_job_has_the_same_share_whoever_does_it() -> None:
 
 
 def test_a_job_that_ends_nowhere_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cell.lab.data.side_by_side.threads", lambda: 1)
+    monkeypatch.setattr("cell.lab.data.work.threads", lambda: 1)
     work = Work(Budget(simulated_s=100.0))
 
     def job(seconds: float) -> str:
@@ -115,7 +123,7 @@ def test_a_job_that_ends_nowhere_is_replaced(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_the_time_of_forks_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cell.lab.data.side_by_side.threads", lambda: 2)
+    monkeypatch.setattr("cell.lab.data.work.threads", lambda: 2)
     work = Work()
 
     def job(_: int) -> int:

@@ -11,7 +11,7 @@ from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
-from cell.lab.fit.gripper_log_error import MOTIONS, GripperLogError, gripper_log_error
+from cell.lab.fit.systematic_error import MOTIONS, GripperLogError, gripper_log_error
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.setup import fit_cache_of
 from cell.study.folder import write_study

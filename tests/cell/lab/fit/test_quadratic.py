@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from cell.lab.fit.quadratic import ExpectedSquare
+from cell.lab.verdict.smooth_part import ExpectedSquare
 
 
 def test_of_noise_alone_all_values_count():

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cell.lab.fit.score_test import Nuisance, boundary_p_value, delta_bic, holm, score_test
+from cell.cable.effects import library
+from cell.lab.fit.score_test import Nuisance, boundary_p_value, holm, score_test
+from cell.lab.search.fitted_model import bic_penalty
 
 
 def test_statistic_and_amplitude_equal_those_of_least_squares():
@@ -63,4 +65,5 @@ def test_amplitude_at_its_bound_halves_the_tail():
 
 
 def test_coloured_values_count_as_fewer():
-    assert delta_bic(10.0, 1, 1000, 1.0) < delta_bic(10.0, 1, 1000, 0.1)
+    drag = [library()["air_drag"]]
+    assert bic_penalty(drag, 1000, 1.0) > bic_penalty(drag, 1000, 0.1)

@@ -14,16 +14,14 @@ from typer.testing import CliRunner
 
 from cell.cli import app
 from cell.files.input_error import InputError
-from cell.lab.line.identified_again import IdentifiedAgain, identified_again
-from cell.lab.line.identified_table import IdentifiedTable, identified_table, rows_of
 from cell.lab.line.identify_again import (
     RecordedCable,
     identify_again,
     options_with,
     study_to_identify,
 )
-from cell.lab.line.identify_all import identify_all
-from cell.lab.line.recordings import packer, recordings_in
+from cell.lab.line.identify_all import IdentifiedTable, identified_table, identify_all, rows_of
+from cell.lab.line.recordings import IdentifiedAgain, identified_again, packer, recordings_in
 from cell.study.folder import write_study
 from cell.workers.here import LocalCores, OneAfterAnother
 

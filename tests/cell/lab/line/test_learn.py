@@ -42,20 +42,30 @@ from cell.lab.fit.shared import (
     prepared_cycle,
 )
 from cell.lab.line.cables_space import ALL_PASSES, CablesSpace, library_first, on_all
-from cell.lab.line.candidate import lines_of, section, write_candidate
+from cell.lab.line.candidate import (
+    Judgement,
+    best_judged,
+    judge,
+    lines_of,
+    section,
+    write_candidate,
+)
 from cell.lab.line.effect_fit import TIE, EffectFit, LearningBudget, natural
 from cell.lab.line.forecasts import ForecastPair, forecasts
-from cell.lab.line.gates import Judgement, best_judged, gates, judge
 from cell.lab.line.learn import LearningResult, _LearningSpace, learn, negligible
-from cell.lab.line.learning_checks import learning_outcomes, learning_verdict
-from cell.lab.line.learning_questions import LineEvidence
-from cell.lab.line.next_cable import asked, open_to
+from cell.lab.line.learning_checks import (
+    LineEvidence,
+    gate_outcomes,
+    learning_outcomes,
+    learning_verdict,
+)
 from cell.lab.next.discover import Laws, laws_in
 from cell.lab.next.motion_file import load_motion
-from cell.lab.next.next_motion import distinguishing_motion, worth_measuring
+from cell.lab.next.suggest import distinguishing_motions, worth_measuring
 from cell.lab.next.terms import admissible
-from cell.lab.report.learning_tables import learning_lines
+from cell.lab.report.line_tables import learning_lines
 from cell.lab.search.setup import fit_cache_of, read_kind
+from cell.plan.destination import Destination
 from cell.records.folder import Record
 from cell.settings import load_settings
 from cell.settings.model import ModelSettings, StartSettings
@@ -81,6 +91,12 @@ SETTINGS = _SHIPPED.model_copy(
 TRIED = {n: library()[n] for n in ("air_drag", "tip_mass")}
 #: Coarser than the line's, for half of its time: 0.035 mm are left where a magnet pulls.
 COARSE = Solver(segments=16, step_s=3e-3)
+
+
+def gates(
+    result: LearningResult, paired: list[ForecastPair], destination: Destination
+) -> list[CheckOutcome[LineEvidence]]:
+    return gate_outcomes(LineEvidence(result, paired, destination))
 
 
 def cycles_in(
@@ -701,22 +717,21 @@ def tied(result: LearningResult) -> LearningResult:
 
 def test_the_motion_tells_the_tied_effects_of_a_cable_not_seen_yet(tied: LearningResult) -> None:
     cable, around = tied.baseline.cables[0], Surroundings.read(CONFIG)
-    suggestion = distinguishing_motion(cable, open_to(tied), around)
-    assert suggestion is not None
+    suggestion = distinguishing_motions(cable, tied.rivals(), around)
     assert suggestion.candidates == ("air_drag", "tip_mass")
     best = worth_measuring(suggestion)
     assert best is suggestion.options[0]
     assert best.power > 0.9
     weak = replace(suggestion, options=(replace(best, power=0.3),))
     assert worth_measuring(weak) is None
-    assert distinguishing_motion(cable, open_to(replace(tied, tied=())), around) is None
+    assert replace(tied, tied=()).rivals() == []
 
 
 def test_the_next_cable_may_be_as_far_away_as_these_are_from_each_other(
     tied: LearningResult,
 ) -> None:
     fit = tied.ranking[0].fit
-    rival, _ = open_to(tied)
+    rival, _ = tied.rivals()
     uncertain = np.diag(rival.covariance)[: fit.own]
     assert np.all(uncertain >= np.var(fit.q, axis=0, ddof=1))
     assert np.diag(rival.covariance)[fit.common] == pytest.approx(np.diag(fit.covariance))
@@ -789,7 +804,6 @@ def test_after_two_motions_nothing_more_is_asked_for(
     stroke = replace(tied.cycles[0].study.trials[0], name="stroke")
     study = Study("m", tied.cycles[0].study.cable, tied.cycles[0].study.arc_length_m, (stroke,))
     measured = [replace(c, study=study, held=None, executed=None) for c in tied.cycles]
-    assert asked([*tied.cycles, *measured]) == 3
     for cycle in tied.cycles:
         write_study(cycle.study, tmp_path / cycle.name)
     monkeypatch.setattr(

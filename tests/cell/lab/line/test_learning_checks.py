@@ -11,9 +11,15 @@ from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason
 from cell.lab.data.check import Check
 from cell.lab.line.effect_fit import LearningBudget
 from cell.lab.line.learn import FITTED_TO, LearningResult, identified_cables, learned_from
-from cell.lab.line.learning_checks import GATES, LEARNING, learning_outcomes, learning_verdict
-from cell.lab.line.learning_questions import LineEvidence, LineRules
-from cell.lab.report.learning_tables import learning_lines, learning_parts
+from cell.lab.line.learning_checks import (
+    GATES,
+    LEARNING,
+    LineEvidence,
+    LineRules,
+    learning_outcomes,
+    learning_verdict,
+)
+from cell.lab.report.line_tables import learning_lines, learning_parts
 from cell.lab.verdict.checks import CHECKS
 from cell.workers.here import OneAfterAnother
 
@@ -40,9 +46,13 @@ def result(rms_m: float = 1e-4, *, beyond_m: float = 0.0, allowed: float = 1.2) 
     noise_model = SimpleNamespace(range_m=(9e-5, 1.1e-4), allowed_over_level=allowed)
     cable = SimpleNamespace(noise=SimpleNamespace(std_m=1e-4), noise_model=noise_model)
     fit: Any = SimpleNamespace(
-        rms_m=rms_m, cables=(cable, cable), end_seen_beyond_m=np.full(2, beyond_m), end_std_m=5e-5
+        rms_m=rms_m,
+        noise_m=1e-4,
+        cables=(cable, cable),
+        end_seen_beyond_m=np.full(2, beyond_m),
+        end_std_m=5e-5,
     )
-    return LearningResult((), fit, (), None, (), (), ())
+    return LearningResult((), fit)
 
 
 @pytest.mark.parametrize(

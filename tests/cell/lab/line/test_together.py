@@ -20,8 +20,7 @@ from cell.lab.data import named_effects
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.data.work import no_progress
-from cell.lab.line.together import _verdict
-from cell.lab.line.together_results import Hypothesis, StudyPart
+from cell.lab.line.together import Hypothesis, StudyPart, _verdict
 from cell.study.data import Markers, Study
 from cell.study.folder import write_study
 

@@ -40,10 +40,10 @@ def test_the_least_fall_is_that_of_the_rules(name: str) -> None:
     bounded = int(len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default)
     test = effect_test(name, np.eye(len(amplitudes)), np.eye(len(amplitudes)))
     few = Circumstances(25, 2, 2, 0.5, 1e-4, 0.0, 1.0, 1.0)  # BIC asks for nothing then
-    least = test.least_fall(few, DEFAULT_RULES)
+    least = test.least_fall(few)
     p_value = boundary_p_value(least, len(amplitudes), bounded, chances_of(effect))
     assert 25 * p_value == pytest.approx(DEFAULT_RULES.significance, rel=1e-3)
-    assert test.least_fall(GIVEN, DEFAULT_RULES) >= least
+    assert test.least_fall(GIVEN) >= least
 
 
 @given(st.integers(0, 10_000))
@@ -62,7 +62,7 @@ def test_the_gain_is_the_ratio_of_the_densities_of_what_is_held_out(seed: int) -
 
 def test_an_amplitude_of_one_sign_is_nothing_on_the_other_side() -> None:
     test = effect_test("air_drag", np.array([[4.0]]), np.array([[3.0]]))
-    judged = test.judged(np.array([[-30.0, -20.0], [30.0, 20.0]]), GIVEN, DEFAULT_RULES)
+    judged = test.judged(np.array([[-30.0, -20.0], [30.0, 20.0]]), GIVEN)
     assert list(judged.significant) == [False, True]
     assert list(judged.confirmed) == [False, True]
     assert judged.chi2[0] == 0.0
@@ -72,14 +72,14 @@ def test_the_hand_s_errors_make_the_same_worth_less() -> None:
     test = effect_test("air_drag", np.array([[4.0]]), np.array([[3.0]]))
     scores = np.array([[12.0, 30.0]])
     doubtful = Circumstances(25, 9000, 9000, 0.5, 1e-4, 0.0, 4.0, 4.0)
-    assert test.judged(scores, GIVEN, DEFAULT_RULES).significant[0]
-    assert not test.judged(scores, doubtful, DEFAULT_RULES).significant[0]
+    assert test.judged(scores, GIVEN).significant[0]
+    assert not test.judged(scores, doubtful).significant[0]
 
 
 def test_without_held_out_trials_nothing_is_confirmed() -> None:
     test = effect_test("air_drag", np.array([[4.0]]), np.array([[0.0]]))
     none = Circumstances(25, 9000, 0, 0.5, 1e-4, 0.0, 1.0, 1.0)
-    judged = test.judged(np.array([[100.0, 0.0]]), none, DEFAULT_RULES)
+    judged = test.judged(np.array([[100.0, 0.0]]), none)
     assert judged.significant[0]
     assert not judged.confirmed[0]
 
@@ -95,7 +95,7 @@ def hidden_beside(rival: EffectTest, of_rival: tuple[float, float]) -> DecisionT
 def test_a_rival_that_explains_less_is_exchanged_for_what_cannot_be_confirmed() -> None:
     """The effect was counted as found, because it explains at least as much as what is claimed."""
     weaker = effect_test("tip_mass", np.array([[1.0]]), np.array([[1.0]]))
-    said = hidden_beside(weaker, (15.0, 15.0)).chances(1.0, DEFAULT_RULES)
+    said = hidden_beside(weaker, (15.0, 15.0)).chances(1.0)
     assert (said.significant, said.confirmed) == (1.0, 0.0)
     assert (said.found, said.confused, said.missed) == (0.0, (), 1.0)
 
@@ -103,5 +103,5 @@ def test_a_rival_that_explains_less_is_exchanged_for_what_cannot_be_confirmed() 
 def test_an_effect_tied_with_a_rival_that_is_confirmed_is_found_with_it() -> None:
     alike = effect_test("tip_mass", np.array([[1.0]]), np.array([[0.012]]))
     alike = replace(alike, shown=np.array([[1.0]]), raw_m2=np.array([[1e-8]]))
-    said = hidden_beside(alike, (29.9, 0.36)).chances(1.0, DEFAULT_RULES)
+    said = hidden_beside(alike, (29.9, 0.36)).chances(1.0)
     assert (said.confirmed, said.found, said.confused) == (0.0, 1.0, ())

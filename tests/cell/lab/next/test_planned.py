@@ -13,8 +13,8 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.asked import select_asked
 from cell.lab.next.planned import with_motions
-from cell.lab.next.strokes import Stroke
 from cell.lab.next.study_power import power_of
+from cell.lab.next.suggestion import Stroke
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study

@@ -17,7 +17,7 @@ from cell.lab.next.forecast import forecast
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.motion_file import hand_motion
 from cell.lab.next.planned import with_motions
-from cell.lab.next.showing import asked_and_tried, showing_motion
+from cell.lab.next.suggest import asked_and_tried, showing_motion
 from cell.lab.next.suggestion import Suggestion, write_motion
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.settings.surroundings import Surroundings

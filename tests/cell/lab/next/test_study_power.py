@@ -14,7 +14,7 @@ from cell.lab.next import study_power
 from cell.lab.next.asked import select_asked
 from cell.lab.next.forecast import POWER, forecast
 from cell.lab.next.study_power import CopyOutcome, Recovery, judged, power_of, recover
-from cell.lab.report.power_tables import power_sentences, power_table, recovery_table
+from cell.lab.report.model_tables import power_sentences, power_table, recovery_table
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 
 

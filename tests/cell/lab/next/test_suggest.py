@@ -17,9 +17,8 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.rival import Rival
 from cell.lab.diagnosis import diagnose
-from cell.lab.fit.whole_cable import predict_whole_cable
+from cell.lab.fit.heldout import predict_whole_cable
 from cell.lab.next.motion_file import load_motion
-from cell.lab.next.strokes import Stroke, strokes
 from cell.lab.next.suggest import (
     DECIDED,
     _open,
@@ -30,7 +29,7 @@ from cell.lab.next.suggest import (
     _whitener,
     suggest_motion,
 )
-from cell.lab.next.suggestion import Option, Suggestion, write_motion
+from cell.lab.next.suggestion import Option, Stroke, Suggestion, strokes, write_motion
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings

@@ -10,7 +10,7 @@ import pytest
 from cell.cable.effects import library, load_effect
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data import side_by_side
+from cell.lab.data import work
 from cell.lab.data.named_effects import select_effects
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import DEFAULT_RULES
@@ -25,7 +25,7 @@ from cell.lab.search.fitted_model import FittedModel, model_of_fit
 from cell.lab.search.refits import Refits
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.conclusion import ranked, sound
-from cell.lab.verdict.fit_doubts import fit_doubts
+from cell.lab.verdict.doubts import fit_doubts
 
 DOCS = Path(__file__).parents[4] / "docs"
 
@@ -123,7 +123,7 @@ def test_refits_are_taken_on_in_the_order_of_what_they_promise(make_study, monke
 
     monkeypatch.setattr(Extension, "by", by)
     monkeypatch.setattr("cell.lab.search.refits.continued", continued)
-    monkeypatch.setattr(side_by_side, "threads", lambda: 1)
+    monkeypatch.setattr(work, "threads", lambda: 1)
     fits.fit_extended(base, list(effects.values()))
     assert taken == [frozenset({"grip_angle"})]
 
@@ -263,7 +263,7 @@ def one_and_two(make_study):
             )
         )
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(side_by_side, "threads", lambda cores=cores: cores)
+            patch.setattr(work, "threads", lambda cores=cores: cores)
             base = fits.base
             added = fits.fit_extended(base, fits.shortlist(base, 5))
         found.append((added, fits.prepared.work.simulated_s))
@@ -436,7 +436,7 @@ def test_one_effect_more_leaves_no_more_than_the_model_without_it(beside_a_magne
         return replace(fit, objective=base.fit.objective + 1e6)
 
     monkeypatch.setattr(Extension, "_lowest", stuck)
-    monkeypatch.setattr(side_by_side, "threads", lambda: 1)
+    monkeypatch.setattr(work, "threads", lambda: 1)
     (model,) = beside_a_magnet.fit_extended(base, [load])
     assert model.fit.objective <= base.fit.objective
 

@@ -15,7 +15,7 @@ from cell.lab.data.results import to_json
 from cell.lab.diagnosis import diagnose, with_limits
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import extended, fit_model, space_with
-from cell.lab.report.wording import limit_rows
+from cell.lab.report.tables import limits_table
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.limits import LimitSearch, limits
 from cell.study.data import Markers
@@ -154,8 +154,8 @@ def test_a_diagnosis_tells_them_for_what_is_neither_named_nor_tied(make_study):
     assert scale.low < 1.0 < scale.high
     written = json.loads(json.dumps(to_json(found), allow_nan=False))
     assert written["limits"][0]["high"] == drag.high
-    rows = limit_rows(replace(found, limits=(replace(drag, low=None, high=None, tip_m=None),)))
-    assert rows == [
+    unseen = replace(found, limits=(replace(drag, low=None, high=None, tip_m=None),))
+    assert limits_table(unseen).rows == [
         ["air_drag", "drag_coefficient", "this study could not have shown it", ""],
     ]
 

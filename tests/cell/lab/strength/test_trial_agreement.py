@@ -11,7 +11,8 @@ from cell.cable.effects import library
 from cell.cli import app
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.report.wording import agreement_heads, agreement_rows, agreement_sentence
+from cell.lab.report.tables import agreement_table
+from cell.lab.report.wording import agreement_sentence
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.trial_agreement import agreement
 from cell.study.data import Markers
@@ -59,7 +60,8 @@ def test_a_trial_whose_pictures_are_later_than_those_of_others_is_told(study):
         "The 4 trials disagree on camera latency delay (s): estimates per trial 0.00"
     )
     assert said.endswith("They agree on mean rigidity and viscosity.")
-    heads, rows = agreement_heads(found), agreement_rows(found)
+    table = agreement_table(found)
+    heads, rows = table.heads, table.rows
     assert heads[3] == "camera_latency.delay_s, s"
     assert rows[2][0] == "left"
     assert rows[2][3].startswith("0.00")

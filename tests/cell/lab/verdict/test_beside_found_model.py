@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cell.cable.effects import library
-from cell.lab.data import side_by_side
+from cell.lab.data import work
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.diagnosis import diagnose
 from cell.lab.search.extension import Extension
@@ -36,7 +36,7 @@ def test_a_strong_effect_is_found_alone(number, name, beside, monkeypatch):
         return by(extension, effect, screens, options)
 
     monkeypatch.setattr(Extension, "by", counted)
-    monkeypatch.setattr(side_by_side, "threads", lambda: 1)
+    monkeypatch.setattr(work, "threads", lambda: 1)
     found = diagnose(fit_cache_of(study, EffectSelection((), offered)))
     assert [m.effect for m in found.diagnosis.missing] == [name]
     true_m = world.conditions.noise_m * (1.0 + world.conditions.pixel**2 / 12.0) ** 0.5

@@ -17,7 +17,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.plausibility import at_bound
 from cell.lab.search.fit_cache import FitCache, SearchSetup
-from cell.lab.verdict.fit_doubts import fit_doubts
+from cell.lab.verdict.doubts import fit_doubts
 from cell.study.data import Markers
 from cell.study.folder import write_study
 

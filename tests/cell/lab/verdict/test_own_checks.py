@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from cell.cable.effects import library
 from cell.cli import app
+from cell.lab.data.check import read_own_checks
 from cell.lab.data.named_effects import candidates_in, select_effects
-from cell.lab.data.own_check import read_own_checks
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.evidence import p_values
 from cell.study.data import Markers

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
+from cell.files.page import page
 from cell.files.table import TableData
 from cell.files.words import counted
 from cell.lab.data.check import CheckOutcome
 from cell.lab.data.results import Verdict
 from cell.lab.line.forecasts import ForecastPair
+from cell.lab.line.identify_all import IdentifiedAll
 from cell.lab.line.learn import LearningResult
-from cell.lab.line.learning_checks import learning_outcomes, learning_verdict
-from cell.lab.line.learning_questions import LineEvidence
-from cell.lab.report.tables import checks_table
-from cell.lab.report.wording import check_rows
+from cell.lab.line.learning_checks import LineEvidence, learning_outcomes, learning_verdict
+from cell.lab.line.together import Consistency, Together
+from cell.lab.report.tables import check_rows, checks_table
+from cell.lab.report.wording import chance, digits
 from cell.records.mean_error import FEWEST, interval
 
 #: What helps where the library has no name for what is missing.
@@ -150,4 +153,152 @@ def common_error_line(paired: Sequence[ForecastPair]) -> str:
     return (
         f"in the mean of {len(pairs)} executions the tip passes the mouth {said[0]} above the "
         f"present model's forecast, {said[1]} above the candidate's; 95 % intervals"
+    )
+
+
+#: What is said of each way in which a result stands beside that of then.
+_COMPARED = {
+    "same": "the same values, bit for bit",
+    "within": "every value within its 95 % interval of then",
+    "outside": "a value outside its 95 % interval of then",
+    "other model": "other parameters than then",
+    "lost": "identified then, and not now",
+    "nothing": "nothing was identified then",
+}
+_TEXT = 60
+
+
+def identified_parts(found: IdentifiedAll, table: Path) -> list[str | TableData]:
+    """All that is printed, in its order."""
+    counts = ", ".join(f"{count} {name}" for name, count in sorted(found.outcomes.items()))
+    known = f" ({found.known} known from before)" if found.known else ""
+    return [
+        f"{found.done} of {counted(found.recordings, 'recording')}{known}: "
+        f"{counts or 'none'}; in {table}",
+        *([_compared(found)] if found.done else []),
+        *([_moved(found)] if found.moved else []),
+        *([_unidentified(found)] if found.unidentified else []),
+    ]
+
+
+def _compared(found: IdentifiedAll) -> TableData:
+    rows = [
+        [said, str(found.compared[name])]
+        for name, said in _COMPARED.items()
+        if found.compared[name]
+    ]
+    return TableData("Beside what was identified then", ["now", "recordings"], rows, (1,))
+
+
+def _moved(found: IdentifiedAll) -> TableData:
+    rows = [[row.recording, row.moved, f"{row.moved_std:.2f}"] for row in found.moved]
+    heads = ["recording", "parameter", "moved by"]
+    note = "in standard deviations of then; the table has all"
+    return TableData("What has moved most", heads, rows, (2,), note)
+
+
+def _unidentified(found: IdentifiedAll) -> TableData:
+    rows = [
+        [row.recording, row.outcome, row.why if len(row.why) <= _TEXT else f"{row.why[:_TEXT]} …"]
+        for row in found.unidentified
+    ]
+    count = found.done - found.outcomes["identified"]
+    note = f"{len(rows)} of {count}; the table has all" if count > len(rows) else ""
+    return TableData("Not identified", ["recording", "outcome", "why"], rows, (), note)
+
+
+_TEMPLATES = Path(__file__).parent / "templates"
+
+
+def together_parts(found: Together) -> list[str | TableData]:
+    """All that is printed, in its order."""
+    return [
+        f"Verdict {found.verdict}: {found.why}.",
+        *([_tied(found)] if found.tied else []),
+        *_apart(found.consistency),
+        studies_table(found),
+        *([consistency_table(found.consistency)] if found.consistency else []),
+        *([values_table(found.consistency)] if found.consistency else []),
+        hypotheses_table(found),
+    ]
+
+
+def _tied(found: Together) -> str:
+    others = ", ".join(" and ".join(names) for names in found.tied)
+    return f"As much is explained by {others}: these studies cannot tell them apart."
+
+
+def _apart(consistency: Sequence[Consistency]) -> list[str]:
+    """What differs between the cables."""
+    return [
+        f"The cables differ in {c.parameter} by more than chance (p = {chance(c.q_p_value)})."
+        for c in consistency
+        if c.q_p_value < 0.01
+    ]
+
+
+def studies_table(found: Together) -> TableData:
+    """Which studies speak for and against."""
+    rows = [
+        [
+            part.study,
+            part.alone,
+            ", ".join(" or ".join(names) for names in part.missing) or "–",
+            f"{part.delta_chi2:.1f}",
+            "noise" if part.explained else "more than noise",
+            part.says or "–",
+        ]
+        for part in found.studies
+    ]
+    heads = ["study", "verdict alone", "finds alone", "Δχ²", "what is left", "says"]
+    effects = " and ".join(found.effects) or "no effect"
+    note = f"Δχ², what is left and what it says: of {effects}"
+    return TableData("The studies", heads, rows, (3,), note)
+
+
+def consistency_table(consistency: Sequence[Consistency]) -> TableData:
+    """Each parameter over all studies."""
+    rows = [
+        [
+            c.parameter,
+            f"{digits(c.value, 4)} ({digits(c.low, 4)} … {digits(c.high, 4)}) {c.unit}",
+            f"{100.0 * c.tau:.1f} %" if c.logarithmic else f"{digits(c.tau, 2)} {c.unit}",
+            chance(c.q_p_value),
+            f"{digits(c.without_low, 4)} … {digits(c.without_high, 4)}",
+        ]
+        for c in consistency
+    ]
+    heads = ["parameter", "mean (95 %)", "between cables", "p", "without one study"]
+    note = "between cables: standard deviation; p: of such differences by chance (Cochran's Q)"
+    return TableData("Parameters of all cables", heads, rows, (), note)
+
+
+def values_table(consistency: Sequence[Consistency]) -> TableData:
+    """Each parameter by each study alone."""
+    rows = [
+        [value.study, *(
+            f"{digits(v.value, 4)} ({digits(v.low, 4)} … {digits(v.high, 4)})"
+            for v in (c.by_study[i] for c in consistency)
+        )]
+        for i, value in enumerate(consistency[0].by_study)
+    ]  # fmt: skip
+    heads = ["study", *(f"{c.parameter}, {c.unit}" for c in consistency)]
+    return TableData("Parameters by study (95 %)", heads, rows)
+
+
+def hypotheses_table(found: Together) -> TableData:
+    """What was tried on all studies."""
+    rows = [
+        [" + ".join(h.effects) or "none", f"{h.evidence:.1f}", f"{h.delta_chi2:.1f}"]
+        for h in found.hypotheses
+    ]
+    heads = ["effects", "ln evidence", "Δχ²"]
+    note = "ln evidence: ln likelihood less BIC's penalty, sum over studies, beyond no effect"
+    return TableData("Sets of effects, fitted to all studies", heads, rows, (1, 2), note)
+
+
+def together_page(found: Together) -> str:
+    """The same as a page."""
+    return page(
+        _TEMPLATES, "together.html", f"{len(found.studies)} studies", parts=together_parts(found)
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cell.lab.line.forecasts import ForecastPair
-from cell.lab.report.learning_tables import common_error_line
+from cell.lab.report.line_tables import common_error_line
 from cell.records.mean_error import FEWEST
 
 
