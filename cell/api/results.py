@@ -13,13 +13,13 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.files.atomic import write_atomic
+from cell.files.plain import plain
 from cell.files.table import TableData
 from cell.identify.identified import Identified
 from cell.lab.data.results import (
     Agreement,
     Diagnosis,
     Doubt,
-    agreement_json,
     to_json,
     write_json,
 )
@@ -136,7 +136,7 @@ class FitResult(Shown):
         """As `cell fit -o` writes it (identified-cable/1)."""
         return self.model.to_dict() | {
             "warnings": [vars(w) for w in self.warnings],
-            "agreement": agreement_json(self.agreement),
+            "agreement": [plain(asdict(a)) for a in self.agreement],
         }
 
     def rows(self) -> list[Row]:

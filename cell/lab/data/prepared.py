@@ -126,6 +126,12 @@ class PreparedStudy:
             study, noise_model, noise, whiteners, solver or SOLVER, work or Work(), gauges=gauges
         )
 
+    def rewhitened(self, **changes: Any) -> PreparedStudy:
+        """The same with these fields changed, and the whiteners that follow from them."""
+        new = replace(self, **changes)
+        whiteners = whiteners_of(new.study, new.noise, new.gauges, new.lines, new.levels)
+        return replace(new, whiteners=whiteners)
+
     @property
     def noise_is_measured(self) -> bool:
         """Whether the noise is the measurement's own, not an earlier model's error."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -271,11 +270,6 @@ def _flat(found: dict[str, Any]) -> dict[str, Any]:
     for name, value in found.items():
         flat |= value if name == "errors" else {name: value}
     return flat
-
-
-def agreement_json(agreement: Sequence[Agreement]) -> list[dict[str, Any]]:
-    """Estimates per trial, as plain data."""
-    return [plain(asdict(a)) for a in agreement]
 
 
 def write_json(content: dict[str, Any], path: Path) -> None:

@@ -13,7 +13,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.whitening import arcs_are_uncertain, whiteners_of
+from cell.lab.data.whitening import arcs_are_uncertain
 from cell.lab.fit.fitting import Fit, best_initial_states
 
 
@@ -34,11 +34,7 @@ def with_gain_of(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
     trials = [t for t in prepared.study.trials if gauges.are_in(t)]
     points = prepared.predict_all(trials, [fit.model], best_initial_states(prepared, fit))
     there = {t.name: p[0] for t, p in zip(trials, points, strict=True) if np.isfinite(p).all()}
-    gauges = gauges.as_expected(there)
-    whiteners = whiteners_of(
-        prepared.study, prepared.noise, gauges, prepared.lines, prepared.levels
-    )
-    return replace(prepared, gauges=gauges, whiteners=whiteners)
+    return prepared.rewhitened(gauges=gauges.as_expected(there))
 
 
 #: The mesh and the step are this many times finer in the simulation that tells their errors, which
@@ -114,10 +110,9 @@ def without_mesh_error(
     study = replace(prepared.study, trials=tuple(shown))
     states = best_initial_states(prepared, fit)
     lines = lines_of(prepared, fit.model, states) if arcs_are_uncertain(study) else {}
-    whiteners = whiteners_of(study, prepared.noise, prepared.gauges, lines, prepared.levels)
     taken = {n: e + prepared.mesh_m.get(n, 0.0) for n, e in error_m.items()}
     mesh_m = {**prepared.mesh_m, **taken}
-    return replace(prepared, study=study, whiteners=whiteners, mesh_m=mesh_m, lines=lines)
+    return prepared.rewhitened(study=study, mesh_m=mesh_m, lines=lines)
 
 
 def lines_of(
@@ -226,11 +221,8 @@ def without_rounding_error(
         for t in prepared.study.trials
     ]
     study = replace(prepared.study, trials=tuple(trials))
-    whiteners = whiteners_of(
-        study, prepared.noise, prepared.gauges, prepared.lines, prepared.levels
-    )
     rounding_m = {n: e + prepared.rounding_m.get(n, 0.0) for n, e in error_m.items()}
-    return replace(prepared, study=study, whiteners=whiteners, rounding_m=rounding_m)
+    return prepared.rewhitened(study=study, rounding_m=rounding_m)
 
 
 def corrected(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:

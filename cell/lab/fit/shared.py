@@ -116,6 +116,20 @@ class SharedFit:
         q[: self.own], q[self.common] = self.q[i], self.theta
         return self.space.model(q)
 
+    def natural(self, theta: FloatArray | None = None) -> FloatArray:
+        """Natural values of a cable's parameters, its own at their mean, the shared ones at theta.
+
+        theta  None = as fitted
+        """
+        q = self.space.mean.copy()
+        q[self.common] = self.theta if theta is None else theta
+        return np.asarray(self.space.natural(q))
+
+    @property
+    def shared_values(self) -> FloatArray:
+        """Natural values of all parameters of the shared effects, those not fitted included."""
+        return self.natural()[self.own :]
+
     @property
     def end_std_m(self) -> float:
         """By how much an end may be seen along its cable beside where it is: rms of all, m.

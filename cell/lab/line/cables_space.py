@@ -27,7 +27,6 @@ from cell.lab.line.effect_fit import (
     EffectFit,
     LearningBudget,
     is_tied,
-    natural,
 )
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.fitted_model import FittedModel
@@ -55,7 +54,7 @@ def common_start(
 ) -> tuple[FloatArray, FloatArray]:
     """Cables' coordinates and the effects' values that lead furthest on a few of the cables."""
     effects = (effect,) if simpler is None else (*simpler.effects, effect)
-    known = np.zeros(0) if simpler is None else natural(simpler.fit)
+    known = np.zeros(0) if simpler is None else simpler.fit.shared_values
     # The slope says how much of it there is, but the cables were fitted without it: from a
     # little of it all parameters move together.
     off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
@@ -82,7 +81,7 @@ def common_start(
     begin, values = q.copy(), starts[0]
     if found:
         best = min(found, key=lambda f: f.chi2)
-        begin[few], values = best.q, natural(best)
+        begin[few], values = best.q, best.shared_values
     return begin, values
 
 
@@ -256,7 +255,7 @@ class CablesSpace:
         to where no way led from none of it.
         """
         self.progress(f"trying {pair.effect.name} without {pair.effects[0].name}")
-        values = natural(pair.fit)[len(pair.effects[0].parameters) :]
+        values = pair.fit.shared_values[len(pair.effects[0].parameters) :]
         effects = (pair.effect,)
         try:
             fit = fit_shared(
@@ -280,7 +279,7 @@ class CablesSpace:
             if not self.budget.allows(ENDS, f"the end of the fit of {effects[-1].name}"):
                 break
             with suppress(*UNSIMULATED):  # the other's cables with what was found of this effect
-                values = natural(found[-1])
+                values = found[-1].shared_values
                 more = fit_shared(self.prepared, self.base, q, effects, values, options=ALL_PASSES)
                 found.append(more)
         return min(found, key=lambda f: f.chi2)
@@ -353,7 +352,7 @@ def on_all(
     def fitted(begin: FloatArray) -> SharedFit:
         q = begin.copy()
         q[: len(best.fit.q)] = best.fit.q
-        return fit_shared(prepared, base, q, best.effects, natural(best.fit), options=options)
+        return fit_shared(prepared, base, q, best.effects, best.fit.shared_values, options=options)
 
     try:
         fit = fitted(plausible)
@@ -362,7 +361,7 @@ def on_all(
     while fit.solution.promised > UNFINISHED * fit.chi2:  # as in a long curved valley
         if not budget.allows(ENDS, f"the end of the fit of {best.name} to all cables"):
             break
-        more = fit_shared(prepared, base, fit.q, best.effects, natural(fit), options=options)
+        more = fit_shared(prepared, base, fit.q, best.effects, fit.shared_values, options=options)
         if more.chi2 > (1.0 - UNFINISHED) * fit.chi2:
             break
         fit = more

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from cell.files.atomic import write_atomic
 from cell.files.yaml_document import yaml_text
@@ -151,9 +152,7 @@ def section(result: LearningResult, present: ModelSettings) -> ModelSettings:
     assert result.best is not None
     tried, fit = result.best, result.best.fit
     covariance = fit.covariance + np.diag(result.between)
-    q = fit.space.mean.copy()
-    q[fit.common] = fit.theta
-    natural = fit.space.natural(q)[fit.common]
+    natural = fit.natural()[fit.common]
     plain = present.model_dump(mode="json")
     for effect in tried.effects:
         known = [n.partition(".")[2] for n in tried.names if n.startswith(f"{effect.name}.")]
@@ -170,10 +169,8 @@ def section(result: LearningResult, present: ModelSettings) -> ModelSettings:
         plain["effects"][-1]["parameters"] = {name: known_as}
     else:
         old = plain["prior"] or {"names": [], "mean": [], "covariance": []}
-        k, m = len(old["names"]), len(tried.names)
-        joint = np.zeros((k + m, k + m))
-        joint[:k, :k] = np.array(old["covariance"]).reshape(k, k)
-        joint[k:, k:] = covariance
+        k = len(old["names"])
+        joint = block_diag(np.array(old["covariance"]).reshape(k, k), covariance)
         plain["prior"] = {
             "names": [*old["names"], *tried.names],
             "mean": [*old["mean"], *(_digits(v) for v in natural)],

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
 from cell.lab.data.rival import Rival
@@ -127,10 +126,3 @@ def is_tied(other: EffectFit, best: EffectFit) -> bool:
     left = other.fit.solution.promised if other.fit.chi2 < NEAR * best.fit.chi2 else 0.0
     as_much = max(TIE, SIMULATED**2 * best.fall)
     return best.fall - other.fall - left / best.fit.inflation < as_much
-
-
-def natural(fit: SharedFit) -> FloatArray:
-    """Natural values of all parameters of the shared effects, those not fitted included."""
-    q = fit.space.mean.copy()
-    q[fit.common] = fit.theta
-    return np.asarray(fit.space.natural(q)[fit.own :])

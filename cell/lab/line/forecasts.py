@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
@@ -108,13 +109,8 @@ def with_effect(
     """The model class with an effect at theta: as uncertain as it is, and as cables differ."""
     covariance = tried.fit.covariance.copy()
     covariance[np.diag_indices_from(covariance)] += result.between
-    q = tried.fit.space.mean.copy()
-    q[tried.fit.common] = theta
-    natural = tried.fit.space.natural(q)
-    k, m = len(kind.names), len(theta)
-    joint = np.zeros((k + m, k + m))
-    joint[:k, :k] = np.array(kind.covariance).reshape(k, k)
-    joint[k:, k:] = covariance
+    natural, k = tried.fit.natural(theta), len(kind.names)
+    joint = block_diag(np.array(kind.covariance).reshape(k, k), covariance)
     return replace(
         kind,
         effects=(*kind.effects, *tried.effects),

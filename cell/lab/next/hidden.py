@@ -19,7 +19,6 @@ from cell.identify.gaussian import covariance_root
 from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.lab.data.gauges import with_gauges, without_gauges
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.whitening import whiteners_of
 from cell.lab.fit.corrections import finer
 from cell.lab.fit.fitting import Fit, best_initial_state, errors_m, fit_model
 from cell.lab.fit.heldout import heldout_rows
@@ -148,10 +147,7 @@ def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArr
             raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
         seen.append(replace(trial, markers=replace(trial.markers, xy_m=places)))
     study = replace(prepared.study, trials=tuple(seen))
-    whiteners = whiteners_of(
-        study, prepared.noise, prepared.gauges, prepared.lines, prepared.levels
-    )
-    quiet = replace(prepared, study=study, whiteners=whiteners, mesh_m={}, rounding_m={})
+    quiet = prepared.rewhitened(study=study, mesh_m={}, rounding_m={})
     space = replace(fit.space, mean=fit.q)  # the prior pulls whatever is hidden
     found = fit_model(quiet, space, fit.q, fit.initial_states, options=POLISH)
     of_fitted = iter(np.split(found.solution.residual, _ends(quiet, "fit")[:-1]))

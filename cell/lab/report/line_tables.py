@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.cable.arrays import FloatArray
 from cell.files.page import page
 from cell.files.table import TableData
 from cell.files.words import counted
@@ -41,7 +40,7 @@ def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]
     """
     before_m, noise_m = result.baseline.rms_m, result.noise_m
     first = (
-        f"{_cables(len(result.cycles))}: the model misses {before_m * 1e3:.3f} mm rms, "
+        f"{counted(len(result.cycles), 'cable')}: the model misses {before_m * 1e3:.3f} mm rms, "
         f"the noise is {noise_m * 1e3:.3f} mm"
     )
     if result.best is None and so_far:
@@ -49,7 +48,7 @@ def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]
     if result.best is None:
         return [first, _nothing(result)]
     best, lines = result.best, [first]
-    natural = best.fit.space.natural(_point(result))[best.fit.common]
+    natural = best.fit.natural()[best.fit.common]
     values = ", ".join(
         f"{name.partition('.')[2]} {value:.4g} {best.fit.space.units[i]}".removesuffix(" 1")
         for name, value, i in zip(best.names, natural, best.fit.common, strict=True)
@@ -99,10 +98,6 @@ def learning_parts(
     return parts if result.best is None else [*parts, cycle_table(result), gates_table(judged)]
 
 
-def _cables(count: int) -> str:
-    return counted(count, "cable")
-
-
 def cycle_table(result: LearningResult) -> TableData:
     """Which cycles speak for the effect, and which against."""
     assert result.best is not None
@@ -128,13 +123,6 @@ def gates_table(judged: Sequence[CheckOutcome[LineEvidence]]) -> TableData:
 
 def _chance(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
-
-
-def _point(result: LearningResult) -> FloatArray:
-    assert result.best is not None
-    q = result.best.fit.space.mean.copy()
-    q[result.best.fit.common] = result.best.fit.theta
-    return q
 
 
 def common_error_line(paired: Sequence[ForecastPair]) -> str:

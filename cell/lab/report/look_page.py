@@ -21,7 +21,7 @@ from cell.files.yaml_document import Document
 from cell.lab.report.wrench_report import wrench_facts_table, wrench_figure
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts, facts_of, oddities
-from cell.study.imports.capture import Finding, Sure
+from cell.study.imports.capture import Sure
 from cell.study.imports.convert import study_of, trials_of
 from cell.study.imports.mapping import ReadMapping
 from cell.study.imports.quality import slips
@@ -48,7 +48,8 @@ def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
     All are drawn to one scale, in mm, and where they are; paths of gripper and tip are grey.
     """
     rows = _moments(trial, facts)
-    hand = _hand_at(trial)
+    grip, t_s = trial.grip, trial.markers.t_s
+    hand = np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
     both = np.concatenate([trial.markers.xy_m.reshape(-1, 2), hand]) * 1e3
     low, high = np.nanmin(both, axis=0), np.nanmax(both, axis=0)
     size = np.maximum(high - low, 1e-6) * (1.0 + _BETWEEN)
@@ -56,7 +57,8 @@ def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
     figure = go.Figure()
     for number, row in enumerate(rows):
         at = np.array([number % IN_LINE, -(number // IN_LINE)]) * size - low
-        shape = _in_order(trial.markers.xy_m[row], hand[row]) * 1e3 + at
+        from_grip = np.concatenate([hand[row][None], trial.markers.xy_m[row][::-1]])
+        shape = from_grip[np.isfinite(from_grip).all(axis=1)] * 1e3 + at
         paths = np.concatenate([hand * 1e3 + at, [[np.nan] * 2], _tip(trial, facts) * 1e3 + at])
         _line(figure, _thinned(paths), QUIET, 1.0, "paths of hand and tip", number == 0)
         _line(figure, shape, SEEN, 2.0, "cable", number == 0, markers=True)
@@ -64,7 +66,7 @@ def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
         figure.add_scatter(**place, mode="markers", name="gripping point", showlegend=number == 0,
             marker={"color": MODEL, "size": 9, "symbol": "square"})  # fmt: skip
         middle = at + low + [0.5 * size[0] / (1.0 + _BETWEEN), size[1]]
-        label = f"{trial.markers.t_s[row]:.2f} s"
+        label = f"{t_s[row]:.2f} s"
         figure.add_annotation(
             x=middle[0], y=middle[1] - 0.08 * size[1], text=label, showarrow=False
         )
@@ -129,18 +131,6 @@ def _moments(trial: Trial, facts: TrialFacts) -> list[int]:
     shown = np.flatnonzero(np.isfinite(trial.markers.xy_m).any(axis=(1, 2)))
     rows = [int(shown[np.argmin(np.abs(t_s[shown] - t))]) for t in wanted]
     return list(dict.fromkeys(rows))
-
-
-def _hand_at(trial: Trial) -> FloatArray:
-    """(T, 2) places of the gripping point at the times of the markers."""
-    grip, t_s = trial.grip, trial.markers.t_s
-    return np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
-
-
-def _in_order(markers_m: FloatArray, hand_m: FloatArray) -> FloatArray:
-    """From the gripping point to the tip, those not seen left out."""
-    shape = np.concatenate([hand_m[None], markers_m[::-1]])
-    return np.asarray(shape[np.isfinite(shape).all(axis=1)])
 
 
 def _tip(trial: Trial, facts: TrialFacts) -> FloatArray:
@@ -254,15 +244,9 @@ def look_page(look: StudyOverview) -> str:
         facts=facts_table(look),
         note=FACT_NOTE,
         wrenches=wrench_facts_table(look.wrenches) if look.wrenches else None,
-        trials=_plots(look),
+        # no facts are known of trials that cannot be understood
+        trials=[_TrialPlots.of(t, f) for t, f in zip(look.trials, look.facts, strict=False)],
     )
-
-
-def _plots(look: StudyOverview) -> list[_TrialPlots]:
-    """Of every trial; of none if their facts are not known."""
-    if not look.facts:
-        return []
-    return [_TrialPlots.of(t, f) for t, f in zip(look.trials, look.facts, strict=True)]
 
 
 def facts_table(look: StudyOverview) -> TableData:
@@ -333,14 +317,9 @@ def preview_of(
     odd = [*notes, *oddities(facts, read.mapping.noise_std_m)]
     wrong = [str(p) for p in problems]
     title = f"Preview of {read.mapping.name}: nothing is written yet"
-    return StudyOverview(
-        read.mapping.name, title, trials, facts, _in_groups(understood.findings), wrong, odd
-    )
-
-
-def _in_groups(findings: Sequence[Finding]) -> dict[str, list[str]]:
-    """What was understood, by how sure it is."""
-    groups = {
-        head: [f.sentence for f in findings if f.sure is sure] for sure, head in _HEADS.items()
+    says = {
+        head: [f.sentence for f in understood.findings if f.sure is sure]
+        for sure, head in _HEADS.items()
     }
-    return {head: found for head, found in groups.items() if found}
+    says = {head: found for head, found in says.items() if found}
+    return StudyOverview(read.mapping.name, title, trials, facts, says, wrong, odd)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion, moves_from_s
 from cell.identify.noise import Noise, rms, still_frames
-from cell.lab.data.gauges import Gauges
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.series import (
     LAGS,
@@ -264,13 +263,7 @@ def wrench_residual(
         trial.markers.t_s[seen],
         (predicted + error)[seen],
         predicted[seen],
-        noise_of(gauges),
+        np.array([gauges.force.noise.std_m] * 2 + [gauges.moment.noise.std_m]),
         np.array([rms(column) for column in error.T]),
         np.array([ljung_box(column[:, None]) for column in series.T]),
     )
-
-
-def noise_of(gauges: Gauges) -> FloatArray:
-    """(3,) standard deviation of force x, y, N, and moment, N·m, in one row."""
-    force, moment = gauges.force.noise.std_m, gauges.moment.noise.std_m
-    return np.array([force, force, moment])

@@ -50,7 +50,7 @@ from cell.lab.line.candidate import (
     section,
     write_candidate,
 )
-from cell.lab.line.effect_fit import TIE, EffectFit, LearningBudget, natural
+from cell.lab.line.effect_fit import TIE, EffectFit, LearningBudget
 from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.learn import LearningResult, _LearningSpace, learn, negligible
 from cell.lab.line.learning_checks import (
@@ -569,7 +569,9 @@ def test_a_fit_to_all_cables_that_runs_out_of_passes_goes_on(
     few = replace(ALL_PASSES, max_iterations=6)
     monkeypatch.setattr("cell.lab.line.cables_space.ALL_PASSES", few)
     q = result.baseline.q[:, : best.own]
-    begun = fit_shared(prepared, base, q, result.best.effects, 8.0 * natural(best), options=few)
+    begun = fit_shared(
+        prepared, base, q, result.best.effects, 8.0 * best.shared_values, options=few
+    )
     assert begun.solution.promised > 0.2 * begun.chi2
     far = replace(result.best, fit=begun)
     again = on_all(prepared, base, q, result.baseline, far, LearningBudget())
