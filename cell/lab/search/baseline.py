@@ -21,7 +21,7 @@ from cell.lab.fit.remainder import with_noise_given
 from cell.lab.fit.sensitivity import is_shape
 from cell.lab.fit.starts import MOST_GUESSES, cold_start
 from cell.lab.search.extension import TEMPER
-from cell.lab.search.fitted_model import POLISH, REFIT
+from cell.lab.search.fitted_model import POLISH, REFIT, error_text
 from cell.lab.search.screen import screen
 
 #: Above this χ² per value the baseline cannot fit, and a tempered fit is a better place to start.
@@ -82,7 +82,8 @@ class Baseline:
         if judged is not prepared:
             fit = fit_model(judged, space, start, options=POLISH)
         found = self._with_noise_and_mesh_error(BaselineFit(judged, fit))
-        self.progress(f"weighing the model with {names}", 2, 3)
+        error = error_text(found.prepared, found.fit.rms_m)
+        self.progress(f"weighing the model with {names}, {error}", 2, 3)
         count = found.prepared.count(fit_trials(found.prepared))
         errs = found.fit.rms_m > ERRS * found.prepared.expected_m("fit")
         far = found.fit.chi2 > MISFIT * count or (self.added is not None and errs)

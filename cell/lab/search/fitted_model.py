@@ -135,6 +135,14 @@ def gained(
     )
 
 
+def error_text(prepared: PreparedStudy, *errors_m: float) -> str:
+    """Errors of the trials fitted to, rms, one after the other, and what a right model leaves."""
+    noise_m = prepared.expected_m("fit")
+    scale, unit = (1e3, "mm") if max(errors_m) >= 1e-4 else (1e6, "µm")
+    shown = [f"{error_m * scale:#.3g}" for error_m in (*errors_m, noise_m)]
+    return f"error {' → '.join(shown[:-1])} {unit} (noise {shown[-1]})"
+
+
 def worth_of(
     prepared: PreparedStudy, small: FittedModel, large: FittedModel, log_error: GripperLogError
 ) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.lab.data.work import Progress, side_by_side
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.search.extension import ENOUGH_PASSES, Extension, continued
-from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel
+from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, error_text
 from cell.lab.search.screen import ScreenedEffect
 
 #: So many of the first refits, those that promise most, are taken to convergence.
@@ -83,14 +83,16 @@ class Refits:
         def was_fitted(job: _Refit, model: FittedModel | None) -> None:
             if model is not None:
                 models[model.names] = model
-            self.progress(f"refitted with {job.effect.name}", next(done), len(effects))
+            text = f"refitted with {self._name(job.effect)}, {self._error_fall(effects)}"
+            self.progress(text, next(done), len(effects))
 
         def was_taken_on(_: FittedModel, model: FittedModel) -> None:
             models[model.names] = model
             if model.fit.solution.iterations < POLISH.max_iterations:  # it gained no more
                 self.polished.add(model.names)
 
-        self.progress("refitting with one effect more", 0, len(effects))
+        text = f"refitting with one effect more, {self._error_fall(effects)}"
+        self.progress(text, len(effects) - len(unknown), len(effects))
         functions = (refitted, taken_on)
         with side_by_side(prepared.work, functions, self.offered, len(unknown)) as pool:
             first = [_Refit(e) for e in unknown if e in effects[:FIRST] or e.file is not None]
@@ -107,6 +109,12 @@ class Refits:
             if rough and not work.spent:
                 pool.map(taken_on, rough, lambda model: model, was_taken_on)
         return [models[c.names] for c in found]
+
+    def _error_fall(self, effects: Sequence[type[Effect]]) -> str:
+        """How far the error has fallen by now, for who watches."""
+        base_m = self.extension.base.fit.rms_m
+        least_m = min((c.fit.rms_m for c in self._fitted(effects)), default=base_m)
+        return error_text(self.extension.prepared, base_m, min(base_m, least_m))
 
     def _name(self, effect: type[Effect]) -> str:
         return " and ".join((*sorted(self.extension.base.names), effect.name))

@@ -1,6 +1,7 @@
 """The whole chain on studies of a finer world: right verdict, nothing false beside it."""
 
 import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -173,9 +174,14 @@ def test_a_complete_model_is_called_complete(make_study):
 
 def test_a_hidden_effect_is_named_measured_and_removed(make_study):
     drag = library()["air_drag"].active(drag_coefficient=2.0)
-    fits = explore(make_study([drag], seed=6, **LONG))
+    said: list[str] = []
+    fits = explore(make_study([drag], seed=6, **LONG), progress=lambda text, *_: said.append(text))
     found = with_agreement(diagnose(fits)).diagnosis
     assert found.verdict == "missing"
+    falls = [re.search(r"error (\S+) → (\S+) mm \(noise 0.1", text) for text in said]
+    before, after = zip(*(map(float, fall.groups()) for fall in falls if fall), strict=True)
+    assert before[0] > 0.11 and min(after) < 0.103, "who watches sees the error fall"
+    assert any("refitted with air_drag, error" in text for text in said)
     assert [f.effect for f in found.missing] == ["air_drag"]
     assert {a.parameter: a.agrees for a in found.agreement}["air_drag.drag_coefficient"]
     value = found.missing[0].parameters["drag_coefficient"]

@@ -52,7 +52,9 @@ def test_of_places_of_a_force_the_one_is_kept_that_holds_beyond_the_motions_fitt
 
     def fit_model(*args, **options):
         objective, solution = next(objectives), SimpleNamespace(converged_or_idle=True)
-        return SimpleNamespace(objective=objective, promised_objective=objective, solution=solution)
+        return SimpleNamespace(
+            objective=objective, promised_objective=objective, rms_m=1e-4, solution=solution
+        )
 
     def weigh(prepared, effects, fit):
         judged.append(fit.objective)
@@ -166,6 +168,7 @@ def test_what_was_taken_as_far_as_it_goes_is_not_taken_there_again(
         return SimpleNamespace(
             objective=1.0,
             promised_objective=0.5,
+            rms_m=1e-4,
             initial_states={},
             space=None,
             q=None,
