@@ -83,6 +83,10 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
     "effects": {"--effect": "--try"},
     "learn": {"--effect": "--try", "--ledger": "--runs"},
 }
+#: What is said of a command that has no exit codes of its own.
+_USUAL_CODES = """
+
+Exit codes: 0; 2 if the input is wrong, and nothing is written; 130 if Ctrl-C has ended it."""
 #: What `cell` alone says.
 _FIRST = """\
 Three things to do first:
@@ -106,11 +110,14 @@ class _Commands(typer.core.TyperGroup):
         return [name for names in PANELS.values() for name in names]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """A command, which knows its panel."""
-        command = super().get_command(ctx, cmd_name)
+        """A command, which knows its panel and says its exit codes."""
+        command: Any = super().get_command(ctx, cmd_name)
         if command is not None:
             of = (panel for panel, names in PANELS.items() if cmd_name in names)
-            command.rich_help_panel = next(of)  # type: ignore[attr-defined]
+            command.rich_help_panel = next(of)
+            for one in (command, *getattr(command, "commands", {}).values()):
+                if "Exit codes:" not in one.help:
+                    one.help += _USUAL_CODES
         return command
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

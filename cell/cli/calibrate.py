@@ -88,7 +88,11 @@ def camera(
     as_json: AsJson = False,
     dialogue: Dialogue = False,
 ) -> None:
-    """Find the lens from pictures of the board, live or from a folder."""
+    """Find the lens from pictures of the board, live or from a folder.
+
+    Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
+    or the measurements contradict each other.
+    """
     _part("camera", config, source, seed, as_json, dialogue)
 
 
@@ -100,7 +104,11 @@ def cell(
     as_json: AsJson = False,
     dialogue: Dialogue = False,
 ) -> None:
-    """Find the map from pixels to the cell's plane, by the plate on the hand; needs the lens."""
+    """Find the map from pixels to the cell's plane, by the plate on the hand; needs the lens.
+
+    Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
+    or the measurements contradict each other.
+    """
     _part("cell", config, source, seed, as_json, dialogue)
 
 
@@ -112,7 +120,11 @@ def time_(
     as_json: AsJson = False,
     dialogue: Dialogue = False,
 ) -> None:
-    """Find the camera's latency and the arm's lag from one motion; needs the cell."""
+    """Find the camera's latency and the arm's lag from one motion; needs the cell.
+
+    Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
+    or the measurements contradict each other.
+    """
     _part("time", config, source, seed, as_json, dialogue)
 
 
@@ -128,6 +140,9 @@ def grip(
     """Find gripping point, clamp angle and free length of a cable in the jaws; needs the cell.
 
     Each product of the settings has its own.
+
+    Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
+    or the measurements contradict each other.
     """
     _part("grip", config, source, seed, as_json, dialogue, product)
 

@@ -105,7 +105,10 @@ class ExportOptions:
 @app.command(cls=JsonCommand)
 @taking(ExportOptions)
 def export(options: ExportOptions) -> None:
-    """Write a cable's model for another program, and say how far MuJoCo is from the model."""
+    """Write a cable's model for another program, and say how far MuJoCo is from the model.
+
+    Exit codes: 0; 1 if MuJoCo's tip is too far from the model's; 2 if the input is wrong.
+    """
     from cell.lab.data.named_effects import select_effects
     from cell.lab.fit.individual_model import read_model
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -86,3 +87,16 @@ def test_what_is_tried_anyway_is_no_effect_to_try(tmp_path) -> None:
     ]
     assert "--try air_drag: is tried anyway; --with air_drag makes it part of the model" in said[0]
     assert "note: --effect is called --with now" in said[1] and "--try" not in said[1]
+
+
+def test_every_command_says_what_its_exit_codes_mean() -> None:
+    commands = get_command(app)
+    said = {}
+    for name in commands.list_commands(None):  # type: ignore[attr-defined]
+        command = commands.get_command(None, name)  # type: ignore[attr-defined]
+        for one in (command, *getattr(command, "commands", {}).values()):
+            _, found, codes = one.help.partition("Exit codes:")
+            said[f"{name} {one.name}"] = set(re.findall(r"(?:^|[;,.] (?:or )?)\s*(\d+)\b", codes))
+            assert found, one.name
+    assert all({"0", "2"} <= codes or name.endswith("check") for name, codes in said.items()), said
+    assert set().union(*said.values()) == {"0", "1", "2", "3", "130"}
