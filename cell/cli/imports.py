@@ -335,8 +335,8 @@ def _proposal_lines(look: StudyOverview) -> list[str]:
 def _write(options: ImportOptions) -> NoReturn:
     from cell.study.imports.convert import read_captures, study_of
     from cell.study.imports.mapping import read_mapping
-    from cell.study.imports.quality import slips
     from cell.study.imports.write import write_imported
+    from cell.study.left_out import notes_of_samples
 
     with refusing(), working("import") as progress:
         if len(options.files) > 1 or options.hand:
@@ -347,7 +347,7 @@ def _write(options: ImportOptions) -> NoReturn:
         read = read_mapping(mapping)
         progress("reading the files")
         imported = study_of(read, read_captures(read))
-        notes = [*imported.notes, *slips(imported.study)]
+        notes = [*imported.notes, *notes_of_samples(imported.study)]
         progress("writing the study, and reading it back")
         study = write_imported(imported.study, folder)
     trials = [

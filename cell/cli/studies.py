@@ -137,10 +137,11 @@ def _look(folder: Path) -> StudyOverview:
     from cell.files.input_error import InputError
     from cell.lab.data.opened_study import open_study, rest_drifts
     from cell.lab.report.look_page import StudyOverview
-    from cell.study.facts import facts_of, oddities
+    from cell.study.checks import oddities
+    from cell.study.facts import facts_of
     from cell.study.folder import study_as_it_is, study_folder
-    from cell.study.imports.quality import slips
     from cell.study.independence import Independence
+    from cell.study.left_out import notes_of_samples
     from cell.study.wrench import wrench_facts
 
     study, problems = study_as_it_is(study_folder(folder))
@@ -148,7 +149,7 @@ def _look(folder: Path) -> StudyOverview:
     wrong, independence = [str(p) for p in problems], None
     if not wrong:
         try:
-            notes += slips(study)
+            notes += notes_of_samples(study)
             independence = Independence.of(open_study(folder))
         except InputError as error:
             wrong = [str(p) for p in error.problems]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from cell.cable.geometry import ROUGHLY_STILL, Cable
 from cell.study.data import Study, Trial
 from cell.study.facts import trial_facts
 from cell.study.rest_shape import WEAK_M_PER_S2
+from cell.study.series import forward_filled
 
 #: ω² = 12.362 EI/(ρ L⁴) of a uniform clamped strip (β₁L = 1.8751), and the rigidity 0.4 ρ a L³ that
 #: a fit supposes first of a cable pulled by a.
@@ -79,6 +80,12 @@ class Gap:
     moved_m: float
     turned_rad: float
 
+    @property
+    def values(self) -> dict[str, object]:
+        """As a sentence of `cell.study.checks` names them."""
+        limit_s = max(GAP_S, GAP_STEPS * self.usual_s)
+        return {**asdict(self), "moved_mm": self.moved_m * 1e3, "limit_s": limit_s}
+
 
 @dataclass(frozen=True)
 class CutOff:
@@ -94,20 +101,10 @@ class CutOff:
     speed: float
     turns: bool
 
-    def __str__(self) -> str:
-        """The complaint, and what to do."""
-        speed = f"{self.speed:.2g} {'rad' if self.turns else 'm'}/s"
-        if self.at_end:
-            return (
-                f"the log ends at {self.log_s:.6g} s, while the hand moves at {speed}, yet the "
-                f"markers are seen until {self.film_s:.6g} s; log the hand until it rests, or cut "
-                "the frames after the log's end"
-            )
-        return (
-            f"the log begins at {self.log_s:.6g} s, while the hand moves at {speed}, yet the "
-            f"markers are seen from {self.film_s:.6g} s on; log the hand from its rest on, or cut "
-            "the frames before the log's beginning and give `start: moving`"
-        )
+    @property
+    def values(self) -> dict[str, object]:
+        """As a sentence of `cell.study.checks` names them."""
+        return {**asdict(self), "unit": "rad" if self.turns else "m"}
 
 
 @dataclass(frozen=True)
@@ -248,7 +245,8 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
         return None
     within_s = max(WITHIN_S, WITHIN * pace_s) + 2.0 * float(np.median(np.diff(t_s)))
     seen = np.asarray(np.isfinite(series_m).any(axis=1))
-    reach_m = np.nan_to_num(np.abs(_forward_filled(beside_m))).max(axis=1)
+    # cameras that take turns see no marker in every row
+    reach_m = np.nan_to_num(np.abs(forward_filled(beside_m, np.isfinite(beside_m)))).max(axis=1)
     least_m = OF_NOISE * _noise_m(beside_m[:_REST])
     # an oscillation that grows passes one distance, of the hand or the cable, half a period late
     found = [
@@ -300,16 +298,6 @@ def _pace_s(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> float | None
     if spectrum is None or not spectrum.peaks_hz:
         return None
     return 1.0 / (2.0 * np.pi * min(spectrum.peaks_hz))
-
-
-def _forward_filled(series_m: FloatArray) -> FloatArray:
-    """Values (T, coordinates), each that is lost as it was seen last; nan before it was seen.
-
-    Cameras that take turns see no marker in every row.
-    """
-    rows = np.where(np.isfinite(series_m), np.arange(len(series_m))[:, None], 0)
-    last = np.maximum.accumulate(rows, axis=0)
-    return np.asarray(np.take_along_axis(series_m, last, axis=0), dtype=np.float64)
 
 
 def _noise_m(series_m: FloatArray) -> float:

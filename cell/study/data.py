@@ -106,6 +106,18 @@ class Trial:
     drifts: bool = False
 
     @property
+    def source(self) -> Source:
+        """Where its markers stand, or would as written."""
+        frames, markers = self.markers.xy_m.shape[:2]
+        file = Path(self.name) / "markers.csv"
+        return self.markers.source or Source(file, np.arange(frames) + 2, np.arange(markers))
+
+    def gripper_m(self, t_s: FloatArray) -> FloatArray:
+        """(T, 2) gripping point at times (T,)."""
+        grip = self.grip
+        return np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
+
+    @property
     def bent(self) -> bool:
         """Whether the cable begins beside its equilibrium in a shape that nobody has noted."""
         return self.start in ("held", "moving")

@@ -1,4 +1,4 @@
-"""What a trial shows before any model, and what of it makes a fit weak or wrong."""
+"""What a trial shows before any model; and the statistics of it that make a fit weak or wrong."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, moves_from_s
 from cell.files.plain import plain
 from cell.files.words import counted
+from cell.study.check import Failure
 from cell.study.data import Trial
 from cell.study.rest_shape import ClampedEnd, SwingScale, clamped_end, swing_scale
+from cell.study.series import span_m
 
 #: A frequency is told of at least so many swings and frames after the hand has stopped.
 FEWEST_SWINGS, FEWEST_FRAMES = 1.5, 16
@@ -25,10 +27,10 @@ _SHARE, MOST_FREQUENCIES, _APART = 0.1, 3, 2.0
 EARTH = (0.0, -9.81)
 #: Of 384 trials of real and simulated cables the slowest swing had 0.44 to 1.67 times the frequency
 #: that the droop tells, and all were faster than a hanging chain.
-_OF_DROOP, _OF_CHAIN = 2.5, 0.8
+OF_DROOP, OF_CHAIN = 2.5, 0.8
 #: Of 331 trials of whatever effects none begins at rest by this share of its length from its
 #: gripping point, has a marker so far from a smooth curve, or leaves by this angle from the stated.
-_AWAY, _OFF, _TURNED_RAD = 0.03, 0.015, np.radians(20.0)
+ROOT_AWAY, OFF_CURVE, ROOT_TURNED_RAD = 0.03, 0.015, np.radians(20.0)
 #: A record of white noise shows a peak with this probability.
 _BY_CHANCE = 1e-3
 
@@ -105,10 +107,13 @@ def trial_facts(
     steps = np.diff(t_s)
     step_s = float(np.median(steps))
     moves = _moves_s(trial)
-    rest = int(np.searchsorted(t_s, min(moves[0] if moves else np.inf, _let_go(trial))))
+    let_go_s = trial.release_s
+    until_s = min(moves[0] if moves else np.inf, np.inf if let_go_s is None else let_go_s)
+    rest = int(np.searchsorted(t_s, until_s))
     rest = 0 if trial.start == "moving" else rest
     tip, still_noise_m = _tip(xy_m, arc_length_m), noise_m(xy_m[:rest])
-    swings_s = max(moves[1] if moves else -np.inf, _swings_from(trial))
+    # the cable swings without the fingers that held it
+    swings_s = max(moves[1] if moves else -np.inf, -np.inf if let_go_s is None else let_go_s)
     return TrialFacts(
         trial.name,
         trial.role,
@@ -118,13 +123,13 @@ def trial_facts(
         float(t_s[-1]),
         1.0 / step_s,
         float(np.mean(np.abs(steps / step_s - 1.0) > 0.2)),
-        _reach(np.column_stack([grip.x_m, grip.y_m])),
+        span_m(np.column_stack([grip.x_m, grip.y_m])),
         float(np.ptp(grip.angle_rad)),
         moves,
         rest,
         still_noise_m,
         tip,
-        _reach(xy_m[:, tip]),
+        span_m(xy_m[:, tip]),
         _detected_share(xy_m),
         swing_spectrum(t_s, xy_m[:, tip], swings_s, still_noise_m),
         sensors_of(trial),
@@ -237,15 +242,6 @@ def _moves_s(trial: Trial) -> tuple[float, float] | None:
     return begins, float(grip.t_s[min(last + 1, len(grip.t_s) - 1)])
 
 
-def _let_go(trial: Trial) -> float:
-    return np.inf if trial.release_s is None else trial.release_s
-
-
-def _swings_from(trial: Trial) -> float:
-    """From when on the cable swings without the fingers that held it."""
-    return -np.inf if trial.release_s is None else trial.release_s
-
-
 def _detected_share(xy_m: FloatArray) -> float:
     measured = np.isfinite(xy_m).any(axis=0)
     return float(np.isfinite(xy_m[:, measured]).mean()) if measured.any() else 0.0
@@ -258,175 +254,189 @@ def _tip(xy_m: FloatArray, arc_length_m: FloatArray) -> int:
     return int(np.argmax(np.where(seen, arc_length_m, -1.0)))
 
 
-def _reach(xy_m: FloatArray) -> float:
-    """How far apart places (T, 2) are, whatever of them was seen."""
-    seen = np.isfinite(xy_m).any(axis=0)
-    if not seen.any():
-        return float("nan")
-    return float(np.linalg.norm(np.nanmax(xy_m[:, seen], 0) - np.nanmin(xy_m[:, seen], 0)))
-
-
 #: Frames at rest with which the level of a noise is known to a fifth, at two coordinates.
-_STILL = 12
+REST_FRAMES = 12
 #: Frames of a swing below which its shape is lost between them.
-_PER_SWING = 8.0
+FRAMES_PER_SWING = 8.0
 #: Swings after the hand has stopped with which damping is told.
-_SWINGS = 3.0
-#: Less than this share of the values seen, and more than this share of steps uneven, is told.
-_SEEN, _UNEVEN = 0.9, 0.05
+DAMPING_SWINGS = 3.0
+#: Less than this share of the values seen, and more than this share of steps uneven, is noted.
+LEAST_SEEN, MOST_UNEVEN = 0.9, 0.05
 #: The first frequency of one cable differs less between trials: a nonlinear swing of twice the size
 #: changes it by some percent.
-_FREQUENCY = 0.15
-#: Trials that are named in a sentence.
-NAMED = 3
+FREQUENCY = 0.15
 #: Stated noise over that from frame to frame at rest: less cannot be, for that is a part of it;
 #: more may be, as of a camera that filters or a lens that is not straightened, but not by so much.
-_STATED = (1.0 / 3.0, 20.0)
+STATED_NOISE = (1.0 / 3.0, 20.0)
 #: A tip that moves by less than so many times the noise shows nothing.
-_OF_NOISE = 20.0
+SPAN_OF_NOISE = 20.0
 
 
-def oddities(facts: Sequence[TrialFacts], noise_std_m: float | None) -> list[str]:
-    """What should be better, of every trial and of all together.
+@dataclass(frozen=True)
+class TrialRecord:
+    """Facts of a trial, and the noise that its study states; None = it states none."""
 
-    noise_std_m  that the study states; None = it states none
-    """
-    of_trials: dict[str, list[str]] = {}
-    for f in facts:
-        for sentence in _of_trial(f, noise_std_m is not None):
-            of_trials.setdefault(sentence, []).append(f.name)
-    found = [f"{_listed(names)}: {sentence}" for sentence, names in of_trials.items()]
-    stated = stated_oddly(facts, noise_std_m)
-    return [*found, *([] if stated is None else [stated]), *_between(facts)]
+    facts: TrialFacts
+    noise_std_m: float | None
+
+    @property
+    def after_s(self) -> float:
+        """How long the record goes on after the hand has stopped."""
+        f = self.facts
+        return f.to_s - (f.from_s if f.moves_s is None else f.moves_s[1])
+
+    @property
+    def peaks_hz(self) -> tuple[float, ...]:
+        """Frequencies of the swing after that, the strongest first; none = it shows none."""
+        spectrum = self.facts.spectrum
+        return () if spectrum is None or self.after_s <= 0.0 else spectrum.peaks_hz
+
+    @property
+    def shows_nothing(self) -> bool:
+        """Whether nothing moves the cable, and it does not swing."""
+        spectrum = self.facts.spectrum
+        swings = spectrum is not None and spectrum.peaks_hz
+        return never_moves(self) is not None and not swings
 
 
-def stated_oddly(facts: Sequence[TrialFacts], noise_std_m: float | None) -> str | None:
-    """That the noise of a study is stated much larger, or smaller, than it is at rest."""
-    seen_m = [f.noise_m for f in facts if np.isfinite(f.noise_m) and f.noise_m > 0.0]
+def never_moves(record: TrialRecord) -> Failure | None:
+    """A hand that rests all the time, of a cable that is not let go."""
+    facts = record.facts
+    return Failure({}) if facts.moves_s is None and facts.start == "equilibrium" else None
+
+
+def few_at_rest(record: TrialRecord) -> Failure | None:
+    """Too few frames at rest, where the noise must be known from these."""
+    facts = record.facts
+    stated = record.noise_std_m is not None or facts.start == "moving"
+    if stated or facts.rest_frames >= REST_FRAMES:
+        return None
+    return Failure({"shown": counted(facts.rest_frames, "frame shows", "frames show")})
+
+
+def lost_values(record: TrialRecord) -> Failure | None:
+    """Values that are not seen."""
+    seen = record.facts.seen
+    return Failure({"seen": seen}) if seen < LEAST_SEEN else None
+
+
+def uneven_steps(record: TrialRecord) -> Failure | None:
+    """Steps of time that differ from the usual one."""
+    irregular = record.facts.irregular
+    return Failure({"irregular": irregular}) if irregular > MOST_UNEVEN else None
+
+
+def small_motion(record: TrialRecord) -> Failure | None:
+    """A tip that hardly moves more than its noise."""
+    tip_m, noise_m = record.facts.tip_m, record.facts.noise_m
+    if not np.isfinite(noise_m) or tip_m >= SPAN_OF_NOISE * noise_m:
+        return None
+    return Failure({"tip_mm": tip_m * 1e3, "times": tip_m / noise_m})
+
+
+def root_away(record: TrialRecord) -> Failure | None:
+    """A cable that does not begin at the gripping point."""
+    end = record.facts.clamped_end
+    if end is None or end.away_m <= ROOT_AWAY * end.length_m:
+        return None
+    return Failure({"away_mm": end.away_m * 1e3, "limit_mm": ROOT_AWAY * end.length_m * 1e3})
+
+
+def off_curve(record: TrialRecord) -> Failure | None:
+    """A marker that is beside the smooth curve through all."""
+    end = record.facts.clamped_end
+    if end is None or end.worst_m <= OFF_CURVE * end.length_m:
+        return None
+    limit_mm = OFF_CURVE * end.length_m * 1e3
+    return Failure({"arc_m": end.worst_arc_m, "off_mm": end.worst_m * 1e3, "limit_mm": limit_mm})
+
+
+def root_turned(record: TrialRecord) -> Failure | None:
+    """A cable that leaves its clamp in another direction than that of its angle."""
+    end = record.facts.clamped_end
+    if end is None or abs(end.turned_rad) <= ROOT_TURNED_RAD:
+        return None
+    return Failure({"turned_deg": np.degrees(end.turned_rad)})
+
+
+def moves_at_end(record: TrialRecord) -> Failure | None:
+    """A record that ends before the hand has stopped."""
+    return Failure({}) if record.after_s <= 0.0 else None
+
+
+def no_swing(record: TrialRecord) -> Failure | None:
+    """A record that ends too soon after the hand has stopped to show a swing."""
+    shown = record.after_s <= 0.0 or record.peaks_hz
+    return None if shown else Failure({"after_s": record.after_s})
+
+
+def slow_swing(record: TrialRecord) -> Failure | None:
+    """A swing that is slower than any cable of this length."""
+    scale = record.facts.swings
+    if scale is None or not record.peaks_hz:
+        return None
+    slow = min(record.peaks_hz) < OF_CHAIN * scale.slowest_hz
+    values = {"hz": min(record.peaks_hz), "slowest_hz": scale.slowest_hz}
+    return Failure(values) if slow else None
+
+
+def unlike_droop(record: TrialRecord) -> Failure | None:
+    """A swing that is much faster or slower than the droop at rest says."""
+    scale = record.facts.swings
+    if scale is None or not record.peaks_hz or slow_swing(record) is not None:
+        return None
+    ratio = min(record.peaks_hz) / scale.droops_hz
+    if not np.isfinite(ratio) or 1.0 / OF_DROOP < ratio < OF_DROOP:
+        return None
+    values = {"droop_mm": scale.droop_m * 1e3, "droops_hz": scale.droops_hz}
+    return Failure({"hz": min(record.peaks_hz), **values})
+
+
+def few_per_swing(record: TrialRecord) -> Failure | None:
+    """Frames that are too few for the strongest swing."""
+    rate_hz = record.facts.rate_hz
+    if not record.peaks_hz or rate_hz >= FRAMES_PER_SWING * record.peaks_hz[0]:
+        return None
+    times = rate_hz / record.peaks_hz[0]
+    return Failure({"rate_hz": rate_hz, "times": times, "hz": record.peaks_hz[0]})
+
+
+def few_swings(record: TrialRecord) -> Failure | None:
+    """A record of the swing that is too short to show how it dies away."""
+    if not record.peaks_hz or record.after_s * record.peaks_hz[0] >= DAMPING_SWINGS:
+        return None
+    swings = record.after_s * record.peaks_hz[0]
+    return Failure({"after_s": record.after_s, "swings": swings, "hz": record.peaks_hz[0]})
+
+
+#: Facts of all trials, and the noise that their study states.
+StudyRecord = tuple[Sequence[TrialFacts], float | None]
+
+
+def stated_noise(record: StudyRecord) -> Failure | None:
+    """A stated noise that is much larger, or smaller, than that of the frames at rest."""
+    trials, noise_std_m = record
+    seen_m = [f.noise_m for f in trials if np.isfinite(f.noise_m) and f.noise_m > 0.0]
     if noise_std_m is None or not seen_m:
         return None
     at_rest_m = float(np.median(seen_m))
-    if _STATED[0] * at_rest_m <= noise_std_m <= _STATED[1] * at_rest_m:
+    if STATED_NOISE[0] * at_rest_m <= noise_std_m <= STATED_NOISE[1] * at_rest_m:
         return None
     what = "hides what the model lacks" if noise_std_m > at_rest_m else "no model can be as right"
-    return (
-        f"noise_std_m states {noise_std_m * 1e3:.2g} mm, the frames at rest show "
-        f"{at_rest_m * 1e3:.2g} mm: {what}; correct it, or leave it out"
-    )
+    values = {"stated_mm": noise_std_m * 1e3, "shown_mm": at_rest_m * 1e3}
+    return Failure({**values, "what": what})
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Names of trials, not all of many."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more
-
-
-def _of_trial(facts: TrialFacts, stated_noise: bool) -> list[str]:
-    found = []
-    if facts.moves_s is None and facts.start == "equilibrium":
-        found.append("the hand never moves, and the cable is not let go; record a motion")
-        if facts.spectrum is None or not facts.spectrum.peaks_hz:
-            return found  # and what a swing should be is of no interest
-    if facts.rest_frames < _STILL and facts.start != "moving" and not stated_noise:
-        found.append(
-            f"{counted(facts.rest_frames, 'frame shows', 'frames show')} the cable at rest; "
-            f"record {_STILL} or more before "
-            "the motion, for the noise is known from these"
-        )
-    if facts.seen < _SEEN:
-        found.append(f"{facts.seen:.0%} of the values were seen; see which markers are lost when")
-    if facts.irregular > _UNEVEN:
-        found.append(f"{facts.irregular:.0%} of the steps of time are uneven; are frames missing?")
-    if np.isfinite(facts.noise_m) and facts.tip_m < _OF_NOISE * facts.noise_m:
-        found.append(
-            f"the tip moves by {facts.tip_m * 1e3:.2g} mm, only {facts.tip_m / facts.noise_m:.2g} "
-            "times the noise; move the hand farther or faster"
-        )
-    return [*found, *_of_clamped_end(facts), *_of_swing(facts)]
-
-
-def _of_swing(facts: TrialFacts) -> list[str]:
-    """What the frequency seen says of rate and length of the record."""
-    after_s = facts.to_s - (facts.from_s if facts.moves_s is None else facts.moves_s[1])
-    spectrum = facts.spectrum
-    if after_s <= 0.0:
-        return ["the hand still moves when the record of the markers ends; record the swing too"]
-    if spectrum is None or not spectrum.peaks_hz:
-        return [f"the record ends {after_s:.2g} s after the hand stops, too soon to show a swing"]
-    first_hz, found = spectrum.peaks_hz[0], _of_scale(facts, min(spectrum.peaks_hz))
-    if facts.rate_hz < _PER_SWING * first_hz:
-        found.append(
-            f"{facts.rate_hz:.3g} frames a second are {facts.rate_hz / first_hz:.2g} in a swing of "
-            f"{first_hz:.3g} Hz; {_PER_SWING:.0f} or more are needed"
-        )
-    if after_s * first_hz < _SWINGS:
-        found.append(
-            f"the record ends {after_s:.2g} s after the hand stops, {after_s * first_hz:.2g} "
-            f"swings of {first_hz:.3g} Hz; {_SWINGS:.0f} or more show the damping"
-        )
-    return found
-
-
-def _of_clamped_end(facts: TrialFacts) -> list[str]:
-    """That the cable at rest does not begin where, or as, the clamp is said to be."""
-    begins = facts.clamped_end
-    if begins is None:
-        return []
-    found = []
-    if begins.away_m > _AWAY * begins.length_m:
-        found.append(
-            f"at rest the curve through the markers begins {begins.away_m * 1e3:.2g} mm from the "
-            f"gripping point, limit {_AWAY * begins.length_m * 1e3:.2g} mm; check the hand's "
-            "place, arc lengths and both frames"
-        )
-    if begins.worst_m > _OFF * begins.length_m:
-        found.append(
-            f"at rest the marker at arc length {begins.worst_arc_m:g} m is "
-            f"{begins.worst_m * 1e3:.2g} mm from a smooth curve, limit "
-            f"{_OFF * begins.length_m * 1e3:.2g} mm; check its arc length and the order of markers"
-        )
-    if abs(begins.turned_rad) > _TURNED_RAD:
-        found.append(
-            f"at rest the cable leaves the clamp {np.degrees(begins.turned_rad):+z.0f}° from its "
-            f"angle, limit {np.degrees(_TURNED_RAD):.0f}°; check angle_rad (positive = pointing "
-            "down) and the axes"
-        )
-    return found
-
-
-def _of_scale(facts: TrialFacts, slowest_hz: float) -> list[str]:
-    """That a swing is not as fast as gravity and the droop at rest say."""
-    scale = facts.swings
-    if scale is None:
-        return []
-    seen = f"the cable swings at {slowest_hz:.3g} Hz"
-    remedy = "check the units of time and length"
-    if slowest_hz < _OF_CHAIN * scale.slowest_hz:
-        return [
-            f"{seen}, and none of its length is slower than {scale.slowest_hz:.3g} Hz; {remedy}"
-        ]
-    ratio = slowest_hz / scale.droops_hz
-    if not np.isfinite(ratio) or 1.0 / _OF_DROOP < ratio < _OF_DROOP:
-        return []
-    return [
-        f"{seen}, yet one that its weight bends by {scale.droop_m * 1e3:.3g} mm swings at about "
-        f"{scale.droops_hz:.3g} Hz; {remedy}, unless it is naturally curved"
-    ]
-
-
-def _between(facts: Sequence[TrialFacts]) -> list[str]:
-    """Trials whose first frequencies are not of one cable."""
+def frequencies_differ(record: StudyRecord) -> Failure | None:
+    """Trials whose strongest frequencies are not of one cable."""
     seen = [
         (f.spectrum.peaks_hz[0], f.spectrum.resolution_hz, f.name)
-        for f in facts
+        for f in record[0]
         if f.spectrum is not None and f.spectrum.peaks_hz
     ]
     if len(seen) < 2:
-        return []
+        return None
     (low_hz, rough_hz, low), (high_hz, also_hz, high) = min(seen), max(seen)
-    if high_hz - low_hz < max(_FREQUENCY * low_hz, rough_hz, also_hz):
-        return []
-    return [
-        f"the strongest swing has {low_hz:.3g} Hz in {low} and {high_hz:.3g} Hz in {high}: are "
-        "they of one cable, held at the same place?"
-    ]
+    if high_hz - low_hz < max(FREQUENCY * low_hz, rough_hz, also_hz):
+        return None
+    return Failure({"low_hz": low_hz, "low": low, "high_hz": high_hz, "high": high})

@@ -17,23 +17,20 @@ from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_text
 from cell.files.words import counted
 from cell.files.yaml_document import Document, Key, document_of, read_yaml, validate, yaml_text
-from cell.study.checks import (
-    check_continuous,
-    check_covers,
-    check_finite,
-    check_times,
-    trial_problems,
-)
+from cell.study.checks import LOG_BEGINS, LOG_ENDS, LOG_GAP, force_problems, trial_problems
+from cell.study.clocks import cut_off, gap
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import TrialName, datasheet_of, implausible_entries
 from cell.study.hand_drift import HandDriftSection
-from cell.study.table import MAX_BYTES, Table, read_table, table_text
+from cell.study.table import MAX_BYTES, Table, check_times, read_table, table_text
 from cell.study.wrench import FILE as WRENCH_FILE
-from cell.study.wrench import SensorEntry, force_factor, read_wrench, sensor_entry, wrench_text
+from cell.study.wrench import SensorEntry, read_wrench, sensor_entry, wrench_text
 
 FORMAT = "cable-study/1"
 GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
 
+#: Angles one after another that differ by a turn, within so much, are one in two counts, rad.
+AS_A_TURN_RAD = 0.5
 #: Beyond this a number is taken for a mistaken unit.
 MAX_DISTANCE_M = 100.0
 #: Of a marker; nearer ones are told with their distance from the hand.
@@ -151,12 +148,10 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
         found, odd = trial_problems(read, cable, arc_length_m[order], header.gravity_m_per_s2)
         problems += found
         notes += odd
-        if factor := force_factor(read, cable, float(arc_length_m.max()), sensor):
-            where = folder / trial.name / WRENCH_FILE
-            if factor.refused:
-                problems.append(Problem(where, 2, None, factor.column, factor.cause))
-            else:
-                notes.append(f"{where}: {factor.column} {factor.cause}")
+        where = folder / trial.name / WRENCH_FILE
+        found, odd = force_problems(read, cable, float(arc_length_m.max()), sensor, where)
+        problems += found
+        notes += odd
         taken, step = thinned(read)
         if step > 1:
             markers = folder / trial.name / "markers.csv"
@@ -373,7 +368,7 @@ def _log(path: Path) -> Table:
     """The same with its lines."""
     grip = read_table(path, GRIP_COLUMNS)
     check_times(grip)
-    check_finite(grip)
+    grip.check(np.isfinite(grip.values), lambda _: "is not a number; the grip is always known")
     grip.check(
         np.abs(grip.values) <= [np.inf, MAX_DISTANCE_M, MAX_DISTANCE_M, 2 * np.pi],
         lambda name: (
@@ -382,8 +377,34 @@ def _log(path: Path) -> Table:
             else f"is beyond ±{MAX_DISTANCE_M:g} m; give metres"
         ),
     )
-    check_continuous(grip)
+    _check_continuous(grip)
     return grip
+
+
+def _check_continuous(log: Table) -> None:
+    """Raise InputError if a hand moves while nothing is logged, or its angle jumps by a turn."""
+    angle_rad = log.values[:, 3]
+    jumps = np.abs(np.abs(np.diff(angle_rad)) - 2.0 * np.pi) < AS_A_TURN_RAD
+    if jumps.any():
+        row = int(np.argmax(jumps)) + 1
+        raise log.error(
+            log.lines[row],
+            "angle_rad",
+            f"{angle_rad[row]:.4g} comes after {angle_rad[row - 1]:.4g} of the row before, a whole "
+            "turn away; write angles that go on over ±π, within ±2π",
+        )
+    found = gap(log.values)
+    if found is not None:
+        raise log.error(log.lines[found.row], "t_s", LOG_GAP.sentence(found.values))
+
+
+def _check_covers(log: Table, markers: Markers) -> None:
+    """Raise InputError if a hand's log ends or begins in motion, and its cable is seen beyond."""
+    seen_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
+    found = cut_off(log.values, float(seen_s[0]), float(seen_s[-1]))
+    if found is not None:
+        row, check = (-1, LOG_ENDS) if found.at_end else (0, LOG_BEGINS)
+        raise log.error(log.lines[row], "t_s", check.sentence(found.values))
 
 
 def _read_trial(
@@ -424,7 +445,7 @@ def _read_trial(
     )
     source = Source(table.path, np.array(table.lines), order)
     markers = Markers(t_s, xy_m[:, order], source)
-    check_covers(log, markers)
+    _check_covers(log, markers)
     wrench = read_wrench(there, motion) if there.exists() else None
     drift = None if trial.hand_drift is None else trial.hand_drift.drift()
     return Trial(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from cell.study.data import Source, Study, Trial
+from cell.study.independence import without_copies
 from cell.study.wrench import COLUMNS, FILE, UNITS
 from cell.study.wrong_samples import outlier_distances
 
@@ -49,7 +50,7 @@ def without_samples(study: Study, wrong: Sequence[FloatArray]) -> Study:
         if not there.any():
             trials.append(trial)
             continue
-        source = _source(trial)
+        source = trial.source
         counted_m = _across_only(trial, apart_m) if study.filmed else apart_m
         if problem := _too_many(trial, counted_m, source):
             problems.append(problem)
@@ -80,13 +81,6 @@ def _across_only(trial: Trial, apart_m: FloatArray) -> FloatArray:
     lengthwise = np.abs(np.sum(offset * along, axis=2))
     crosswise = np.abs(offset[..., 1] * along[..., 0] - offset[..., 0] * along[..., 1])
     return np.where((lengthwise > crosswise)[..., None], np.nan, apart_m)
-
-
-def _source(trial: Trial) -> Source:
-    """Where a trial's markers stand, or would as written."""
-    frames, markers = trial.markers.xy_m.shape[:2]
-    file = Path(trial.name) / "markers.csv"
-    return trial.markers.source or Source(file, np.arange(frames) + 2, np.arange(markers))
 
 
 def _too_many(trial: Trial, apart_m: FloatArray, source: Source) -> Problem | None:
@@ -134,6 +128,14 @@ def _place(row: int, apart_m: FloatArray, source: Source) -> str:
     others = int(np.isfinite(apart_m).sum()) - 1
     more = f" and {others} more of its columns" if others else ""
     return f"line {source.lines[row]}, {column} by {apart_m[marker, axis] * 1e3:+.2g} mm{more}"
+
+
+def notes_of_samples(study: Study) -> list[str]:
+    """What is noted of single wrong samples, and of trials that are one recording.
+
+    raises  InputError: too many samples are wrong
+    """
+    return list(without_copies(without_outliers(study)).notes[len(study.notes) :])
 
 
 #: Columns that one amplifier shows: forces, and the moment.

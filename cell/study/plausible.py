@@ -1,23 +1,27 @@
-"""Whether a trial can be of the cable that its study describes: frame, order of markers, clock.
+"""Statistics of a trial that show whether it is of the cable described: frame, reach, clock, units.
 
-A model can be fitted to mirrored or reversed markers too, with intervals and all.  What no cable
-does is refused here; what only a rare cable does is a doubt that is told and left to the reader.
+A model can be fitted to mirrored or reversed markers too, with intervals and all.  Each function
+returns the numbers of a check that fails, None if all is well; `cell.study.checks` has the table.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, Cable, moves_from_s
-from cell.study.clocks import Offset, offset
-from cell.study.data import Trial
+from cell.study.check import Failure
+from cell.study.clocks import CutOff, Gap, Offset, cut_off, gap, offset
+from cell.study.data import Source, Trial
 from cell.study.rest_shape import WEAK_M_PER_S2
-
-Gravity = tuple[float, float]
+from cell.study.series import span_m
+from cell.study.table import MAX_TRIAL_S
+from cell.study.tracks import exchanges, frozen, identical, repeated_rows
 
 #: Room for noise, a slipping grip and a camera whose scale is off, as a share of the free length.
 SLACK = 0.1
@@ -38,131 +42,200 @@ GRAVITY_M_PER_S2 = 9.81
 #: A cable that hangs swings about like a rod of its length, in 5.1 √(L/g), or as a bead at the end
 #: of a thread in 6.3 √(L/g); bending makes it faster.
 SLOWEST = 2.0 * np.pi
+#: A marker cannot be farther from the hand than the cable is long; half as far again leaves
+#: room for noise, a slipping grip and a clock that is off, and none for millimetres.
+FARTHEST = 1.5
+#: A hand that moves so many times as far as its markers is given in another unit.
+OTHER_UNIT = 30.0
+#: A lost marker is in the outer part of the cable, and the hand or another one moves by this share
+#: of the free length: a cable that is held at its clamp moves there by 1 % of it.
+OUTER_SHARE, MOVES_SHARE = 0.3, 0.1
+#: A marker is on no moving cable if it stays within this share of what the others move.
+STAYS = 1e-3
+#: In so many rows a distance along the cable may be too long before it is no single slip.
+MOST_SLIPS = 0.02
+#: Out of the plane a cable may be by so much of its length: noted, and refused.
+NOTED_ACROSS, REFUSED_ACROSS = 0.02, 0.2
+#: The marker next to the hand follows it, by how well their paths agree, and moves by no more than
+#: so many times as far, in so many rows.
+MOVES_ALIKE, TIMES_FARTHER, FEWEST_ROWS = 0.8, 8.0, 20
 
 
-@dataclass(frozen=True)
-class Impossible:
-    """What no cable does: from which row of the markers on, and what is likely meant."""
-
-    row: int
-    cause: str
-
-
-def impossible(
-    trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: Gravity
-) -> Impossible | None:
-    """Why no cable looks like this; None if one may.
+@dataclass(frozen=True, eq=False)
+class TrialEvidence:
+    """A trial, and what its study says of cable and gravity.
 
     arc_length_m  (markers,) from the gripping point, as in `trial.markers`
+    across_m      (T, markers) coordinate across the plane; None = the file has two coordinates
     """
-    size = float(np.hypot(*gravity_m_per_s2))
-    shifted = offset(trial, cable, size)
-    if shifted is not None and shifted.late_s > 0.0:
-        return Impossible(_row(trial, shifted), _waits(shifted))
-    grip, t_s = trial.grip, trial.markers.t_s
-    seen = np.isfinite(trial.markers.xy_m).all(axis=2).any(axis=0)
-    if not seen.any():
+
+    trial: Trial
+    cable: Cable
+    arc_length_m: FloatArray
+    gravity_m_per_s2: tuple[float, float]
+    across_m: FloatArray | None = None
+
+    @property
+    def weight(self) -> float:
+        """Size of gravity in the plane, m/s²."""
+        return float(np.hypot(*self.gravity_m_per_s2))
+
+    @property
+    def slack_m(self) -> float:
+        """Room for what may be off in every place."""
+        return SLACK * self.cable.length_m
+
+    @cached_property
+    def source(self) -> Source:
+        """Where the markers stand, or would as written."""
+        return self.trial.source
+
+    @cached_property
+    def poses(self) -> FloatArray:
+        """(T, 4) t, x, y, angle of the hand's log."""
+        grip = self.trial.grip
+        return np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad])
+
+    @cached_property
+    def hand_m(self) -> FloatArray:
+        """(T, 2) gripping point at the times of the markers."""
+        return self.trial.gripper_m(self.trial.markers.t_s)
+
+    @cached_property
+    def from_grip_m(self) -> FloatArray:
+        """(T, markers, 2) from the gripping point."""
+        return np.asarray(self.trial.markers.xy_m - self.hand_m[:, None], dtype=np.float64)
+
+    @cached_property
+    def at_rest(self) -> NDArray[np.bool_]:
+        """(T,) frames before the hand moves, of a cable that nothing else holds or swings."""
+        return _at_rest(self.trial)
+
+    @cached_property
+    def offset(self) -> Offset | None:
+        """That hand and cable begin to move far apart in time."""
+        return offset(self.trial, self.cable, self.weight)
+
+    @cached_property
+    def is_far(self) -> NDArray[np.bool_]:
+        """(T, markers) farther from the hand than any of this cable can be."""
+        # A coordinate that was not seen adds nothing: what is left is the least that it can be.
+        away_m = np.nan_to_num(self.from_grip_m)
+        return np.hypot(away_m[..., 0], away_m[..., 1]) > FARTHEST * self.cable.length_m
+
+    @cached_property
+    def log_gap(self) -> Gap | None:
+        """The longest gap in the hand's log within which it moves."""
+        return gap(self.poses)
+
+    @cached_property
+    def log_cut_off(self) -> CutOff | None:
+        """An end of the log in motion, while markers are seen beyond; none if it has gaps."""
+        markers = self.trial.markers
+        if self.log_gap is not None:
+            return None
+        seen_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
+        return cut_off(self.poses, float(seen_s[0]), float(seen_s[-1]))
+
+    def tip(self, seen: NDArray[np.bool_]) -> int:
+        """The marker farthest along the cable among those seen (markers,)."""
+        return int(np.argmax(np.where(seen, self.arc_length_m, -1.0)))
+
+
+def hand_unit(e: TrialEvidence) -> Failure | None:
+    """A hand whose places span far more than the markers and the cable do."""
+    reach_m = _widest_m(e.trial.markers.xy_m[:, e.is_far.any(axis=0)])
+    hand_m = _widest_m(e.hand_m)
+    if not e.is_far.any() or hand_m <= OTHER_UNIT * max(reach_m, e.cable.length_m):
         return None
-    arcs, from_grip = arc_length_m[seen], _from_grip(trial)[:, seen]
-    length_m = cable.length_m
-    if held := _both_ends_held(trial, arc_length_m, length_m):
-        return Impossible(0, held)
-    if stays := _frozen(trial, arc_length_m, length_m):
-        return stays
-    if found := _too_far(arcs, length_m, from_grip):
-        return found if shifted is None else Impossible(_row(trial, shifted), _ahead(shifted))
-    at_rest = from_grip[_at_rest(trial)]
-    cause = _on_the_wrong_side(arcs, length_m, grip.angle_rad[0], at_rest)
-    cause = cause or _clock(length_m, size, t_s)
-    return Impossible(0, cause) if cause else None
+    values = {"hand_m": hand_m, "reach_m": reach_m}
+    return Failure(values, 0, "x_m, y_m", "grip.csv")
 
 
-def clocks_differ(trial: Trial, cable: Cable, gravity_m_per_s2: Gravity) -> Impossible | None:
-    """That a cable moves long before or after its hand, for one that is too far from it."""
-    found = offset(trial, cable, float(np.hypot(*gravity_m_per_s2)))
-    if found is None:
+def _widest_m(xy_m: FloatArray) -> float:
+    """How far apart places (…, 2) are along either axis, what was seen of them."""
+    axes = [v[np.isfinite(v)] for v in xy_m.reshape(-1, 2).T]
+    return max(float(np.ptp(v)) if v.size else 0.0 for v in axes)
+
+
+def cable_waits(e: TrialEvidence) -> Failure | None:
+    """A cable that stays at rest long after its hand has moved."""
+    return None if e.offset is None or e.offset.late_s <= 0.0 else _of_clocks(e, e.offset)
+
+
+def cable_ahead(e: TrialEvidence) -> Failure | None:
+    """A cable at rest that moves long before its hand does."""
+    return None if e.offset is None or e.offset.late_s > 0.0 else _of_clocks(e, e.offset)
+
+
+def cable_ahead_and_far(e: TrialEvidence) -> Failure | None:
+    """The same of one that is out of the hand's reach."""
+    return cable_ahead(e) if e.is_far.any() else None
+
+
+def cable_ahead_and_too_far(e: TrialEvidence) -> Failure | None:
+    """The same of one that is farther from the hand than its length."""
+    return None if reversed_arcs(e) is None and too_far(e) is None else cable_ahead(e)
+
+
+def _of_clocks(e: TrialEvidence, found: Offset) -> Failure:
+    row = int(np.searchsorted(e.trial.markers.t_s, found.cable_s))
+    late_s = abs(found.late_s)
+    values = {"cable_s": found.cable_s, "hand_s": found.hand_s, "late_s": late_s}
+    return Failure(values, row, "t_s")
+
+
+def out_of_reach(e: TrialEvidence) -> Failure | None:
+    """The first marker that is farther from the hand than any of this cable can be."""
+    if not e.is_far.any():
         return None
-    return Impossible(_row(trial, found), _waits(found) if found.late_s > 0.0 else _ahead(found))
+    row = int(np.argmax(e.is_far.any(axis=1)))
+    marker = int(min(np.flatnonzero(e.is_far[row]), key=lambda m: int(e.source.numbers[m])))
+    values = {"x_m": e.trial.markers.xy_m[row, marker, 0], "limit_m": FARTHEST * e.cable.length_m}
+    return Failure(values, row, e.source.column(marker, 0))
 
 
-def doubt(
-    trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: Gravity
-) -> str | None:
-    """What a cable hardly does, and what may be meant; None if all is as usual."""
-    if rises := _rises(trial, cable, arc_length_m, gravity_m_per_s2):
-        return rises
-    if shifted := clocks_differ(trial, cable, gravity_m_per_s2):
-        return f"line {trial.markers.line(shifted.row)}: {shifted.cause}"
-    return _moves_first(trial, cable)
-
-
-def _rises(
-    trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: Gravity
-) -> str | None:
-    grip, size = trial.grip, float(np.hypot(*gravity_m_per_s2))
-    still = _at_rest(trial)
-    angle = grip.angle_rad[0]
-    if not still.any() or size < WEAK_M_PER_S2 or abs(np.cos(angle)) < np.cos(SIDEWAYS_RAD):
+def exchanged(e: TrialEvidence) -> Failure | None:
+    """The first two markers that change places, and until where."""
+    found = exchanges(e.trial.markers.xy_m)
+    if not found:
         return None
-    along = -arc_length_m[:, None] * np.array([np.cos(angle), np.sin(angle)])
-    sag_m = (_from_grip(trial)[still] - along) @ (np.array(gravity_m_per_s2) / size)
-    seen = np.isfinite(sag_m).any(axis=0)
-    if not seen.any():
-        return None
-    tip = int(np.argmax(np.where(seen, arc_length_m, -1.0)))
-    lift_m = -float(np.nanmedian(sag_m[:, tip]))
-    if lift_m <= SLACK * cable.length_m:
-        return None
-    return (
-        f"at rest the cable rises {lift_m * 1e3:.3g} mm above the clamp's direction, against "
-        "gravity; unless it is naturally curved, check the signs of y_m (up), angle_rad "
-        "(positive = pointing down) and gravity_m_per_s2"
-    )
+    first = found[0]
+    more = f", as do {len(found) - 1} more pairs in the file" if len(found) > 1 else ""
+    values = {
+        "first": e.source.marker(first.first),
+        "second": e.source.marker(first.second),
+        "more": more,
+        "last": e.trial.markers.line(first.until - 1),
+    }
+    return Failure(values, first.row, e.source.column(first.first, 0))
 
 
-def _both_ends_held(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> str | None:
-    """That the marker farthest from the hand stays in place while hand or cable move."""
-    xy_m, grip = trial.markers.xy_m, trial.grip
+def both_ends_held(e: TrialEvidence) -> Failure | None:
+    """The marker farthest from the hand stays in place while hand or cable move."""
+    trial, length_m = e.trial, e.cable.length_m
+    t_s, xy_m = trial.markers.t_s, trial.markers.xy_m
     seen = np.array([np.isfinite(_spread_m(xy_m[:, m])) for m in range(xy_m.shape[1])])
     if not seen.any():
         return None
-    tip = int(np.argmax(np.where(seen, arc_length_m, -1.0)))
+    tip = e.tip(seen)
     axes = np.isfinite(xy_m[:, tip]).any(axis=0)  # those in which the tip is not seen say nothing
     # a free tip follows within a quarter of a swing: a frame tells of what moves before that
-    follows_s = 0.25 * SLOWEST * np.sqrt(free_length_m / GRAVITY_M_PER_S2)
-    t_s = trial.markers.t_s
+    follows_s = 0.25 * SLOWEST * np.sqrt(length_m / GRAVITY_M_PER_S2)
     told_s = t_s[np.isfinite(xy_m[:, tip][:, axes]).all(axis=1)] - follows_s
     told_s = told_s[told_s >= t_s[0]]
-    hand_m = _spread_m(_at(told_s, grip.t_s, np.column_stack([grip.x_m, grip.y_m])[:, axes]))
+    hand_m = _spread_m(trial.gripper_m(told_s)[:, axes])
     others = [_at(told_s, t_s, xy_m[:, m, axes]) for m in range(xy_m.shape[1]) if m != tip]
     inner_m = float(np.max(np.nan_to_num([_spread_m(other) for other in others]), initial=0.0))
     tip_m = _spread_m(xy_m[:, tip, axes])
     most_m = max(np.nan_to_num(hand_m), inner_m)
-    if arc_length_m[tip] < OUTER * free_length_m or most_m < HELD_MOVES * free_length_m:
+    if e.arc_length_m[tip] < OUTER * length_m or most_m < HELD_MOVES * length_m:
         return None
     if tip_m > HELD_STAYS * most_m:
         return None
     what = "the hand moves" if hand_m >= inner_m else "the cable between moves"
-    return (
-        f"the marker at arc length {arc_length_m[tip]:g} m stays within {tip_m * 1e3:.2g} mm "
-        f"while {what} by {most_m * 1e3:.3g} mm: both ends of this cable are held, and only a "
-        "cable with a free tip can be modelled; let the tip go"
-    )
-
-
-def _frozen(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> Impossible | None:
-    """That a marker was lost, and its place went on to be written."""
-    found = frozen(trial, arc_length_m, free_length_m)
-    if found is None:
-        return None
-    markers = trial.markers
-    x_m, y_m = markers.xy_m[found.first, found.marker]
-    return Impossible(
-        found.first,
-        f"the marker at arc length {arc_length_m[found.marker]:g} m stays at ({x_m:g}, {y_m:g}) m "
-        f"up to line {markers.line(found.last)}, while the cable moves by "
-        f"{found.moved_m * 1e3:.3g} mm: it was lost; leave its values empty there",
-    )
+    values = {"what": what, "tip_mm": tip_m * 1e3, "most_mm": most_m * 1e3}
+    return Failure({"arc_m": e.arc_length_m[tip], **values}, 0)
 
 
 def _at(at_s: FloatArray, t_s: FloatArray, places_m: FloatArray) -> FloatArray:
@@ -176,39 +249,105 @@ def _at(at_s: FloatArray, t_s: FloatArray, places_m: FloatArray) -> FloatArray:
 
 
 def _spread_m(xy_m: FloatArray) -> float:
-    """How far apart the middle 90 % of a point's places are: single wrong ones do not count.
-
-    nan where it is seen in fewer than `HELD_ROWS` rows.
-    """
+    """How far apart the middle 90 % of a point's places are; nan where too few rows show it."""
     good = xy_m[:, np.isfinite(xy_m).any(axis=0)]
     if not good.size or np.isfinite(good).all(axis=1).sum() < HELD_ROWS:
         return float("nan")
-    low, high = np.nanquantile(good, [0.05, 0.95], axis=0)
-    return float(np.linalg.norm(high - low))
+    return span_m(xy_m, 0.05)
 
 
-def _row(trial: Trial, found: Offset) -> int:
-    """In which row the cable begins to move."""
-    return int(np.searchsorted(trial.markers.t_s, found.cable_s))
+def frozen_marker(e: TrialEvidence) -> Failure | None:
+    """A marker that was lost, and whose place went on to be written."""
+    markers, length_m = e.trial.markers, e.cable.length_m
+    outer = np.flatnonzero(e.arc_length_m >= OUTER_SHARE * length_m)
+    found = frozen(markers.xy_m, e.hand_m, outer, MOVES_SHARE * length_m)
+    if found is None:
+        return None
+    x_m, y_m = markers.xy_m[found.first, found.marker]
+    values = {"arc_m": e.arc_length_m[found.marker], "x_m": x_m, "y_m": y_m}
+    values |= {"last": markers.line(found.last), "moved_mm": found.moved_m * 1e3}
+    return Failure(values, found.first)
 
 
-def _waits(found: Offset) -> str:
-    """Of a cable that stays at rest long after its hand has moved."""
-    return (
-        f"the cable rests until {found.cable_s:.3g} s, yet its hand moves at {found.hand_s:.3g} s, "
-        f"and no cable waits so long: the clocks differ by {found.late_s:.2g} s; subtract this "
-        "from t_s of markers.csv"
-    )
+def reversed_arcs(e: TrialEvidence) -> Failure | None:
+    """Markers that are too far from the hand, but not if they are counted from the other end."""
+    found = _farther_than_arc(e)
+    if found is None:
+        return None
+    failure, distance_m, arcs = found
+    turned = np.all(distance_m <= e.cable.length_m - arcs + e.slack_m) and len(arcs) > 1
+    return failure if turned else None
 
 
-def _ahead(found: Offset) -> str:
-    """Of a cable at rest that moves long before its hand does."""
-    return (
-        f"the cable moves at {found.cable_s:.3g} s, its hand only at {found.hand_s:.3g} s; if both "
-        f"are one motion the clocks differ: add {-found.late_s:.2g} s to t_s of markers.csv; if "
-        f"the cable was let go, give `start: held` with release_s: {found.cable_s:.3g} in "
-        "study.yaml"
-    )
+def too_far(e: TrialEvidence) -> Failure | None:
+    """The marker that is farthest beyond its arc length from the hand."""
+    found = _farther_than_arc(e)
+    return None if found is None else found[0]
+
+
+def _farther_than_arc(e: TrialEvidence) -> tuple[Failure, FloatArray, FloatArray] | None:
+    """That marker, and distances and arc lengths (markers,) of all that are seen."""
+    seen = np.isfinite(e.trial.markers.xy_m).all(axis=2).any(axis=0)
+    if not seen.any():
+        return None
+    arcs, each_m = e.arc_length_m[seen], np.linalg.norm(e.from_grip_m[:, seen], axis=2)
+    distance_m = np.nanmedian(each_m, axis=0)
+    excess_m = distance_m - arcs
+    worst = int(np.nanargmax(excess_m))
+    if excess_m[worst] <= e.slack_m:
+        return None
+    far = each_m[:, worst] > arcs[worst] + e.slack_m
+    # From the first row on that half of the rows after it agree with: noise may be far once.
+    among_rest = np.cumsum(far[::-1])[::-1] / np.cumsum(np.isfinite(each_m[::-1, worst]))[::-1]
+    row = int(np.argmax(far & (among_rest > 0.5)))
+    values = {"arc_m": arcs[worst], "away_m": distance_m[worst]}
+    return Failure(values, row), distance_m, arcs
+
+
+def wrong_side(e: TrialEvidence) -> Failure | None:
+    """A marker at rest behind its clamp: gravity bends a cable down, never back over it."""
+    angle_rad = e.trial.grip.angle_rad[0]
+    cosine = float(np.cos(angle_rad))
+    at_rest = e.from_grip_m[e.at_rest]
+    seen = np.isfinite(at_rest[:, :, 0]).any(axis=0)
+    seen &= np.isfinite(e.trial.markers.xy_m).all(axis=2).any(axis=0)
+    if not seen.any() or abs(cosine) < np.cos(SIDEWAYS_RAD):
+        return None
+    arcs, beyond_m = e.arc_length_m[seen], np.nanmedian(at_rest[:, seen, 0], axis=0)
+    beyond_m = beyond_m * np.sign(cosine)
+    worst = int(np.argmax(beyond_m))
+    if beyond_m[worst] <= e.slack_m:
+        return None
+    side = "right" if cosine > 0.0 else "left"
+    values = {"arc_m": arcs[worst], "beyond_m": beyond_m[worst], "side": side}
+    return Failure({**values, "angle_rad": angle_rad}, 0)
+
+
+def frame_rate(e: TrialEvidence) -> Failure | None:
+    """Frames that are farther apart than half a swing; without gravity nothing tells that."""
+    seen = np.isfinite(e.trial.markers.xy_m).all(axis=2).any()
+    if e.weight < WEAK_M_PER_S2 or not seen:
+        return None
+    slowest_s = SLOWEST * np.sqrt(e.cable.length_m / e.weight)
+    step_s = float(np.median(np.diff(e.trial.markers.t_s)))
+    values = {"step_s": step_s, "length_m": e.cable.length_m, "slowest_s": slowest_s}
+    return None if step_s <= 0.5 * slowest_s else Failure(values, 0)
+
+
+def rises(e: TrialEvidence) -> Failure | None:
+    """A tip that is above the clamp's direction at rest."""
+    angle = e.trial.grip.angle_rad[0]
+    steep = abs(np.cos(angle)) < np.cos(SIDEWAYS_RAD)
+    if not e.at_rest.any() or e.weight < WEAK_M_PER_S2 or steep:
+        return None
+    along = -e.arc_length_m[:, None] * np.array([np.cos(angle), np.sin(angle)])
+    down = np.array(e.gravity_m_per_s2) / e.weight
+    sag_m = (e.from_grip_m[e.at_rest] - along) @ down
+    seen = np.isfinite(sag_m).any(axis=0)
+    if not seen.any():
+        return None
+    lift_m = -float(np.nanmedian(sag_m[:, e.tip(seen)]))
+    return None if lift_m <= e.slack_m else Failure({"lift_mm": lift_m * 1e3})
 
 
 @dataclass(frozen=True)
@@ -229,7 +368,8 @@ def first_motion(trial: Trial, cable: Cable) -> FirstMotion | None:
     still = _at_rest(trial)
     if trial.start != "equilibrium" or np.count_nonzero(still) < FEWEST_STILL:
         return None
-    away_m = _from_grip(trial)[still]
+    markers = trial.markers
+    away_m = (markers.xy_m - trial.gripper_m(markers.t_s)[:, None])[still]
     # Medians of five: a glitch of two frames is none of the cable's.  What is lost sorts last.
     windows = np.sort(np.lib.stride_tricks.sliding_window_view(away_m, MEDIAN_OF, axis=0), axis=-1)
     smooth_m = windows[..., MEDIAN_OF // 2]
@@ -240,168 +380,141 @@ def first_motion(trial: Trial, cable: Cable) -> FirstMotion | None:
     return FirstMotion(reach_m, int(np.argmax(np.any(from_first_m > 0.1 * reach_m, axis=1))))
 
 
-def _moves_first(trial: Trial, cable: Cable) -> str | None:
-    found = first_motion(trial, cable)
+def moves_first(e: TrialEvidence) -> Failure | None:
+    """The cable moves before the hand does, though it is said to begin in equilibrium."""
+    found = first_motion(e.trial, e.cable)
     if found is None:
         return None
     meant = "`start: moving`"
     if not found.from_first:
-        let_go_s = trial.markers.t_s[_at_rest(trial)][found.row + MEDIAN_OF // 2]
+        let_go_s = e.trial.markers.t_s[e.at_rest][found.row + MEDIAN_OF // 2]
         meant = f"`start: held` with release_s: {let_go_s:.3g}"
-    return (
-        f"before the hand moves the cable does, by {found.reach_m * 1e3:.3g} mm, yet it is said to "
-        f"begin in equilibrium; give {meant} in study.yaml"
-    )
-
-
-def _from_grip(trial: Trial) -> FloatArray:
-    """(T, markers, 2) from the gripping point, m."""
-    grip, markers = trial.grip, trial.markers
-    at_m = np.column_stack([np.interp(markers.t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
-    return np.asarray(markers.xy_m - at_m[:, None], dtype=np.float64)
+    return Failure({"reach_mm": found.reach_m * 1e3, "meant": meant})
 
 
 def _at_rest(trial: Trial) -> NDArray[np.bool_]:
-    """(T,) frames before the hand moves, of a cable that nothing else holds or swings."""
     if trial.bent:
         return np.zeros(len(trial.markers.t_s), dtype=bool)
     return trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
 
 
-def _too_far(arcs: FloatArray, free_length_m: float, from_grip: FloatArray) -> Impossible | None:
-    each_m = np.linalg.norm(from_grip, axis=2)
-    distance_m = np.nanmedian(each_m, axis=0)
-    slack_m = SLACK * free_length_m
-    excess_m = distance_m - arcs
-    worst = int(np.nanargmax(excess_m))
-    if excess_m[worst] <= slack_m:
+def too_long(e: TrialEvidence) -> Failure | None:
+    """A record that lasts longer than any trial."""
+    t_s = e.trial.markers.t_s
+    lasts_s = float(t_s[-1] - t_s[0])
+    return None if lasts_s <= MAX_TRIAL_S else Failure({"lasts_s": lasts_s}, len(t_s) - 1)
+
+
+def log_gap(e: TrialEvidence) -> Failure | None:
+    """A hand that moves while nothing is known of it."""
+    if e.log_gap is None:
         return None
-    turned = np.all(distance_m <= free_length_m - arcs + slack_m)
-    remedy = (
-        "the markers fit when counted from the other end: turn markers.arc_length_m round"
-        if turned and len(arcs) > 1
-        else "check arc_length_m, the metres of both files, and that both have the same frame"
-    )
-    far = each_m[:, worst] > arcs[worst] + slack_m
-    # From the first row on that half of the rows after it agree with: noise may be far once.
-    among_rest = np.cumsum(far[::-1])[::-1] / np.cumsum(np.isfinite(each_m[::-1, worst]))[::-1]
-    row = int(np.argmax(far & (among_rest > 0.5)))
-    return Impossible(
-        row,
-        f"the marker at arc length {arcs[worst]:g} m is {distance_m[worst]:.3g} m from the "
-        f"gripping point, farther than any cable lets it; {remedy}",
-    )
+    row = int(np.searchsorted(e.trial.markers.t_s, e.log_gap.to_s))
+    return Failure(e.log_gap.values, min(row, len(e.trial.markers.t_s) - 1), "hand")
 
 
-def _on_the_wrong_side(
-    arcs: FloatArray, free_length_m: float, angle_rad: float, at_rest: FloatArray
-) -> str | None:
-    cosine = float(np.cos(angle_rad))
-    seen = np.isfinite(at_rest[:, :, 0]).any(axis=0)
-    if not seen.any() or abs(cosine) < np.cos(SIDEWAYS_RAD):
-        return None
-    # Gravity is upright: it bends a cable down, never back over its clamp.
-    arcs, beyond_m = arcs[seen], np.nanmedian(at_rest[:, seen, 0], axis=0) * np.sign(cosine)
-    worst = int(np.argmax(beyond_m))
-    if beyond_m[worst] <= SLACK * free_length_m:
-        return None
-    side = "right" if cosine > 0.0 else "left"
-    return (
-        f"at rest the marker at arc length {arcs[worst]:g} m is {beyond_m[worst]:.3g} m {side} of "
-        f"the gripping point; with angle_rad = {angle_rad:g} the cable leaves it to the "
-        "other side: change the sign of x_m in both files, or give the clamp angle as π − angle"
-    )
+def log_ends(e: TrialEvidence) -> Failure | None:
+    """A hand that moves where its log ends, and markers that are seen after it."""
+    found = e.log_cut_off
+    return None if found is None or not found.at_end else _of_log(e, found)
 
 
-def _clock(free_length_m: float, gravity_m_per_s2: float, t_s: FloatArray) -> str | None:
-    if gravity_m_per_s2 < WEAK_M_PER_S2:
-        return None  # nothing tells beforehand how slowly the cable swings
-    slowest_s = SLOWEST * np.sqrt(free_length_m / gravity_m_per_s2)
-    step_s = float(np.median(np.diff(t_s)))
-    if step_s <= 0.5 * slowest_s:
-        return None
-    return (
-        f"frames are {step_s:.3g} s apart, yet a cable of {free_length_m:g} m swings to and fro "
-        f"within {slowest_s:.2g} s; give t_s in seconds, with several frames per swing"
-    )
+def log_begins(e: TrialEvidence) -> Failure | None:
+    """A hand that moves where its log begins, and markers that are seen before it."""
+    found = e.log_cut_off
+    return None if found is None or found.at_end else _of_log(e, found)
 
 
-#: Places are the same within this; cameras measure less well, m.
-SAME_M = 1e-7
-#: It stays in so many rows, of the outer part of the cable, while the hand or another marker moves
-#: by this share of the free length: a cable that is held at its clamp moves there by 1 % of it.
-ROWS, OUTER_SHARE, MOVES_SHARE = 6, 0.3, 0.1
-#: Steps of rounded values, of which one that only turns goes no more from row to row.
-STEPS = 3.0
+def _of_log(e: TrialEvidence, found: CutOff) -> Failure:
+    t_s = e.trial.markers.t_s
+    row = int(np.searchsorted(t_s, found.log_s, side="right" if found.at_end else "left"))
+    return Failure(found.values, min(row, len(t_s) - 1), "hand")
 
 
-@dataclass(frozen=True)
-class Frozen:
-    """The rows, first and last, in which a marker stays, and by how much others move meanwhile."""
-
-    marker: int
-    first: int
-    last: int
-    moved_m: float
-
-
-def frozen(trial: Trial, arc_length_m: FloatArray, free_length_m: float) -> Frozen | None:
-    """A marker that stays exactly in place while the cable moves; None if there is none.
-
-    Rounded values of a marker that changes direction may stay, too; then they go on by one step.
-    arc_length_m  (markers,) from the gripping point, as in `trial.markers`
-    """
-    t_s, xy_m = trial.markers.t_s, trial.markers.xy_m
-    grip = trial.grip
-    hand_m = np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
-    points_m = np.concatenate([xy_m, hand_m[:, None]], axis=1)
-    for marker in np.flatnonzero(arc_length_m >= OUTER_SHARE * free_length_m):
-        for first, last in _stays(xy_m[:, marker]):
-            rows = points_m[first : last + 1]
-            moved_m = max(_reach_m(rows[:, other]) for other in range(rows.shape[1]))
-            several_m = STEPS * _step_m(xy_m[:, marker])
-            jumps = _jump_m(xy_m[:, marker], first, last) > several_m
-            if jumps and moved_m > max(MOVES_SHARE * free_length_m, several_m):
-                return Frozen(int(marker), first, last, moved_m)
+def same_marker(e: TrialEvidence) -> Failure | None:
+    """Two markers that are one: the same numbers in all rows."""
+    for first, second, both in identical(e.trial.markers.xy_m):
+        names = {"first": e.source.names[first], "second": e.source.names[second]}
+        return Failure({**names, "rows": np.count_nonzero(both)}, int(np.argmax(both)))
     return None
 
 
-def _stays(xy_m: FloatArray) -> list[tuple[int, int]]:
-    """First and last row of runs of a point (T, 2) in which it stays; rows without it are none.
-
-    One coordinate alone may stay, rounded, while the cable moves along the other.
-    """
-    seen = np.flatnonzero(np.isfinite(xy_m).all(axis=1))
-    steps_m = np.abs(np.diff(xy_m[seen], axis=0))
-    same = np.concatenate([[False], steps_m.max(axis=1) <= SAME_M, [False]])
-    edges = np.flatnonzero(np.diff(same.astype(int)))
-    runs = zip(edges[::2], edges[1::2], strict=True)
-    return [(int(seen[a]), int(seen[b])) for a, b in runs if b - a + 1 >= ROWS]
-
-
-def _step_m(xy_m: FloatArray) -> float:
-    """Smallest difference of two values of a point's coordinates (T, 2): their step, if rounded."""
-    steps = [np.diff(np.unique(v[np.isfinite(v)])) for v in xy_m.T]
-    return float(min((s.min() for s in steps if s.size), default=0.0))
+def not_on_cable(e: TrialEvidence) -> Failure | None:
+    """A marker that does not move while the others and the hand do."""
+    xy_m = e.trial.markers.xy_m
+    moved_m = np.array([span_m(xy_m[:, m]) for m in range(xy_m.shape[1])])
+    hand_m = span_m(e.poses[:, 1:3])
+    usual_m = max(hand_m, float(np.nanmax(moved_m)))
+    stays = np.flatnonzero((moved_m <= STAYS * usual_m) & (hand_m > 0.1 * usual_m))
+    if not len(stays):
+        return None
+    values = {"moved_mm": moved_m[stays[0]] * 1e3, "hand_mm": hand_m * 1e3}
+    return Failure({"name": e.source.names[int(stays[0])], **values}, 0)
 
 
-def _jump_m(xy_m: FloatArray, first: int, last: int) -> float:
-    """How far a point (T, 2) comes from before some rows, or goes after them; inf if it never does.
+def hand_scale(e: TrialEvidence) -> Failure | None:
+    """A hand that moves as the marker next to it does, but many times less or more."""
+    nearest = int(np.argmin(e.arc_length_m))
+    marker = e.trial.markers.xy_m[:, nearest]
+    seen = np.isfinite(marker).all(axis=1)
+    if np.count_nonzero(seen) < FEWEST_ROWS:
+        return None
+    hand, marker = e.hand_m[seen], marker[seen]
+    hand, marker = hand - hand.mean(axis=0), marker - marker.mean(axis=0)
+    sizes = float(np.linalg.norm(hand)), float(np.linalg.norm(marker))
+    if min(sizes) == 0.0 or float(np.sum(hand * marker)) < MOVES_ALIKE * sizes[0] * sizes[1]:
+        return None
+    if 1.0 / TIMES_FARTHER < sizes[1] / sizes[0] < TIMES_FARTHER:
+        return None
+    values = {"hand_m": span_m(hand), "marker_m": span_m(marker)}
+    return Failure({"name": e.source.names[nearest], **values}, 0, "hand")
 
-    Along one coordinate.
-    """
-    seen = np.flatnonzero(np.isfinite(xy_m).all(axis=1))
-    if last == seen[-1]:
-        return np.inf
-    before = int(seen[max(int(np.searchsorted(seen, first)) - 1, 0)])
-    after = int(seen[int(np.searchsorted(seen, last)) + 1])
-    return float(np.abs(xy_m[[before, after]] - xy_m[[first, last]]).max())
+
+def longer_than_cable(e: TrialEvidence) -> Failure | None:
+    """Two markers that are farther apart than the cable between them is long."""
+    names, worst_share, worst = e.source.names, MOST_SLIPS, None
+    for first, second in combinations(range(len(names)), 2):
+        apart_m = np.linalg.norm(np.diff(e.trial.markers.xy_m[:, [second, first]], axis=1), axis=2)
+        between_m = abs(e.arc_length_m[first] - e.arc_length_m[second])
+        far = np.nan_to_num(apart_m[:, 0]) > between_m + e.slack_m
+        share = float(far.sum()) / max(int(np.isfinite(apart_m).sum()), 1)
+        if share > worst_share:
+            row = int(np.argmax(far))
+            values = {"apart_m": apart_m[row, 0], "between_m": between_m, "share": share}
+            values |= {"limit_m": between_m + e.slack_m}
+            worst_share = share
+            worst = Failure({"first": names[first], "second": names[second], **values}, row)
+    return worst
 
 
-def _reach_m(xy_m: FloatArray) -> float:
-    """How far apart the middle 90 % of places (T, 2) are: single wrong ones do not count."""
-    good = xy_m[:, np.isfinite(xy_m).any(axis=0)]
-    if not good.size:
-        return 0.0
-    low, high = np.nanquantile(good, [0.05, 0.95], axis=0)
-    return float(np.linalg.norm(high - low))
+def out_of_plane(e: TrialEvidence) -> Failure | None:
+    """A cable that leaves the plane in more rows than may slip."""
+    away_m, limit_m = _out_of_plane_m(e), REFUSED_ACROSS * e.cable.length_m
+    if away_m is None:
+        return None
+    far = np.nan_to_num(away_m).max(axis=1) > limit_m
+    if np.count_nonzero(far) <= MOST_SLIPS * len(far):
+        return None
+    row = int(np.argmax(far))
+    return Failure({"away_mm": np.nanmax(away_m[row]) * 1e3, "limit_mm": limit_m * 1e3}, row)
+
+
+def wide(e: TrialEvidence) -> Failure | None:
+    """A cable that is a little out of the plane."""
+    away_m = _out_of_plane_m(e)
+    rms_m = 0.0 if away_m is None else float(np.sqrt(np.nanmean(away_m**2)))
+    return None if rms_m < NOTED_ACROSS * e.cable.length_m else Failure({"rms_mm": rms_m * 1e3})
+
+
+def _out_of_plane_m(e: TrialEvidence) -> FloatArray | None:
+    """(T, markers) distance from the plane of all markers."""
+    across_m = e.across_m
+    if across_m is None or not np.isfinite(across_m).any():
+        return None
+    return np.asarray(np.abs(across_m - np.nanmedian(across_m)))
+
+
+def held(e: TrialEvidence) -> Failure | None:
+    """Rows in which every marker has exactly its last values, and a jump after them."""
+    found = repeated_rows(e.trial.markers.xy_m)
+    return None if found is None else Failure({"rows": found[1]}, found[0])

@@ -17,6 +17,8 @@ from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_text
 from cell.files.words import counted
 
+#: Beyond this a number is taken for a mistaken unit, s.
+MAX_TRIAL_S = 30.0
 #: A minute at 1000 rows a second, and what 100 markers need for it.
 MAX_ROWS = 60_000
 MAX_BYTES = 100_000_000
@@ -144,6 +146,34 @@ def _named(path: Path, line: int, cells: Sequence[str], given: Sequence[str]) ->
             message = f"has no name, yet {reprlib.repr(cell)} stands in it; empty it or name it"
             raise _error(path, line, f"column {i + 1}", message)
     return [cell for name, cell in zip(given, cells, strict=False) if name]
+
+
+def check_times(table: Table) -> None:
+    """Raise InputError unless every row has its time, the last soon after the first."""
+    t_s = table.values[:, 0]
+    if len(t_s) < 2:
+        raise table.error(1, None, f"has {counted(len(t_s), 'row')}, needs at least 2")
+    if not np.isfinite(t_s).all():
+        row = int(np.argmin(np.isfinite(t_s)))
+        raise table.error(table.lines[row], "t_s", f"is {t_s[row]}; every row needs its time")
+    step = np.diff(t_s)
+    if (step <= 0.0).any():
+        row = int(np.argmax(step <= 0.0)) + 1
+        word = "repeats" if t_s[row] == t_s[row - 1] else "comes after"
+        raise table.error(
+            table.lines[row],
+            "t_s",
+            f"{t_s[row]:g} s {word} {t_s[row - 1]:g} s of the row before; "
+            "sort the rows by time and keep one row per time",
+        )
+    if t_s[-1] - t_s[0] > MAX_TRIAL_S:
+        raise table.error(
+            table.lines[-1],
+            "t_s",
+            f"{t_s[-1]:g} s is {t_s[-1] - t_s[0]:g} s after the first row, limit "
+            f"{MAX_TRIAL_S:g} s; give seconds, not milliseconds, and cut the record to the motion "
+            "and the swing after it",
+        )
 
 
 def table_text(columns: Sequence[str], values: FloatArray) -> str:

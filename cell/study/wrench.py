@@ -14,10 +14,10 @@ from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, Cable, Motion, moves_from_s
 from cell.cable.wrench import Gauge, Tool
 from cell.files.plain import plain
-from cell.study.checks import check_times
+from cell.study.check import Failure
 from cell.study.data import Trial, Wrench, WrenchSensor
 from cell.study.facts import noise_m
-from cell.study.table import read_table, table_text
+from cell.study.table import check_times, read_table, table_text
 
 COLUMNS = ("force_x_n", "force_y_n", "moment_nm")
 FILE = "wrench.csv"
@@ -121,10 +121,10 @@ def wrench_text(wrench: Wrench) -> str:
 
 #: Where this share of what twice the integral of a force shows is the motion's, it is judged …
 _SHOWN = 0.8
-#: … by the factor that it has over what hand, markers and masses ask for: told beyond these, …
-_TOLD = (0.5, 2.0)
+#: … by the factor that it has over what hand, markers and masses ask for: noted beyond these, …
+FORCE_NOTED = (0.5, 2.0)
 #: … and refused beyond these.
-_REFUSED = (-1.0 / 3.0, 30.0)
+FORCE_REFUSED = (-1.0 / 3.0, 30.0)
 #: The cable's end is at most so many times as far from the hand as its outermost marker.
 _FARTHER = 4.0
 
@@ -133,39 +133,17 @@ _FARTHER = 4.0
 class ForceFactor:
     """The measured force over that which moves the masses: about 1.
 
-    column   of the file, of the axis that moves most
-    refused  whether it cannot be
+    column  of the file, of the axis that moves most
     """
 
     column: str
     factor: float
-    refused: bool
-
-    @property
-    def cause(self) -> str:
-        """What may be wrong, and its remedy."""
-        said = f"is {self.factor:.2g} times what moves cable and tool as hand and markers show"
-        if self.factor < 0.0:
-            return (
-                f"{said}, limit {_REFUSED[0]:.2g}: it points the other way; give the force that "
-                "hand and clamp exert on the cable, which at rest points up"
-            )
-        if self.factor > 1.0:
-            limit = _REFUSED[1] if self.refused else _TOLD[1]
-            return (
-                f"{said}, limit {limit:g}; give N, not mN, and the mass that the sensor carries "
-                "as wrench.tool in study.yaml"
-            )
-        return (
-            f"{said}, limit {_TOLD[0]:g}; see whether it is in N, on the clock of grip.csv, and "
-            "whether wrench.tool and the cable's line density are right"
-        )
 
 
 def force_factor(
     trial: Trial, cable: Cable, outermost_m: float, sensor: WrenchSensor
 ) -> ForceFactor | None:
-    """Of a trial's force; None where it is as it should be, or shows too little to tell.
+    """Of a trial's force; None where it shows too little to tell.
 
     Twice integrated it is mass times the way of the centre of mass, beside a parabola by weight and
     tare.  That centre is roughly in the middle between the hand and where a straight cable through
@@ -184,12 +162,25 @@ def force_factor(
             factor, shown = _factor(t_s[seen], force[seen], way[seen, axis])
             if shown > _SHOWN:
                 judged.append((float(np.ptp(way[seen, axis])), column, factor))
-    if not judged:
-        return None
-    _, column, factor = max(judged)
-    if _TOLD[0] <= factor <= _TOLD[1]:
-        return None
-    return ForceFactor(column, factor, not _REFUSED[0] <= factor <= _REFUSED[1])
+    return ForceFactor(*max(judged)[1:]) if judged else None
+
+
+def force_below(force: ForceFactor, limit: float) -> Failure | None:
+    """A force that is smaller than what moves the masses."""
+    small = 0.0 <= force.factor < limit
+    return Failure({"factor": force.factor, "limit": limit}) if small else None
+
+
+def force_above(force: ForceFactor, limit: float) -> Failure | None:
+    """A force that is larger than what moves the masses."""
+    large = force.factor > limit
+    return Failure({"factor": force.factor, "limit": limit}) if large else None
+
+
+def force_reversed(force: ForceFactor, limit: float) -> Failure | None:
+    """A force that points the other way."""
+    back = force.factor < limit
+    return Failure({"factor": force.factor, "limit": FORCE_REFUSED[0]}) if back else None
 
 
 def _factor(t_s: FloatArray, force: FloatArray, way: FloatArray) -> tuple[float, float]:
@@ -210,8 +201,8 @@ def _mass_moment(
 ) -> FloatArray:
     """(T, 2) mass times place of all that is moved, at the times of the wrench, kg·m."""
     assert trial.wrench is not None
-    t_s, grip, markers = trial.wrench.t_s, trial.grip, trial.markers
-    hand = np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
+    t_s, markers = trial.wrench.t_s, trial.markers
+    hand = trial.gripper_m(t_s)
     outermost = np.full(hand.shape, np.nan)
     for axis, series in enumerate(markers.xy_m[:, 0].T):
         seen = np.isfinite(series)

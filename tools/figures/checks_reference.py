@@ -1,12 +1,14 @@
-"""References of checks and warnings in docs, written from the tables that the lab reads.
+"""References of checks and warnings in docs, written from the tables that the programs read.
 
-docs/lab.md has those of a diagnosis, docs/learning.md those of many cables.
+docs/lab.md has those of a diagnosis, docs/learning.md those of many cables, docs/studies.md those
+of a study's data.
 
 python -m tools.figures.checks_reference
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.line.learning_checks import GATES, LEARNING, LineRules
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.doubts import MEANINGS
+from cell.study.checks import CHECKS as DATA_CHECKS
 
 DOCS = Path(__file__).parents[2] / "docs"
 BEGIN, END = "<!-- checks: begin -->", "<!-- checks: end -->"
@@ -58,7 +61,22 @@ def of_line() -> str:
     return "\n".join(table((*LEARNING, *GATES), LineRules()))
 
 
-PAGES = {DOCS / "lab.md": of_diagnosis, DOCS / "learning.md": of_line}
+def of_data() -> str:
+    """The checks of a study's data: what is asked, how it is measured, what a failure says."""
+    lines = ["| check | question | if not |", "|---|---|---|"]
+    lines += [f"| `{c.name}` | {c.question} | {c.outcome} |" for c in DATA_CHECKS]
+    lines += ["", "The statistic and its limit, and what a check that fails says:", ""]
+    for c in DATA_CHECKS:
+        sentence = re.sub(r"\{[^}]*\}", "…", f"{c.says} {c.remedy}".strip())
+        lines.append(f"- `{c.name}`: {c.statistic}; limit {c.limit}. It says: {sentence}.")
+    return "\n".join(lines)
+
+
+PAGES = {
+    DOCS / "lab.md": of_diagnosis,
+    DOCS / "learning.md": of_line,
+    DOCS / "studies.md": of_data,
+}
 
 
 def page(text: str, reference: str) -> str:

@@ -14,9 +14,10 @@ from cell.identify.noise import still_frames
 from cell.lab.data.noise_likelihood import DRIFT_DEGREE, RestFrames, resolution_m
 from cell.lab.data.noise_model import still_blocks
 from cell.lab.data.unknown_start import MODES
+from cell.study.checks import stated_oddly
 from cell.study.clocks import with_pull
 from cell.study.data import Study, Trial
-from cell.study.facts import facts_of, stated_oddly, trial_facts
+from cell.study.facts import facts_of, trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.independence import without_copies
 from cell.study.left_out import without_outliers, without_wrench_outliers

@@ -19,15 +19,16 @@ from cell.files.table import TableData
 from cell.files.words import counted
 from cell.files.yaml_document import Document
 from cell.lab.report.wrench_report import wrench_facts_table, wrench_figure
+from cell.study.checks import oddities
 from cell.study.data import Trial
-from cell.study.facts import TrialFacts, facts_of, oddities
+from cell.study.facts import TrialFacts, facts_of
 from cell.study.imports.capture import Sure
 from cell.study.imports.convert import study_of, trials_of
 from cell.study.imports.mapping import ReadMapping
-from cell.study.imports.quality import slips
 from cell.study.imports.trials import Files
 from cell.study.imports.understand import Understanding
 from cell.study.independence import Independence
+from cell.study.left_out import notes_of_samples
 from cell.study.wrench import WrenchFacts
 
 #: Shapes of a film strip, and of a line of it.
@@ -307,7 +308,7 @@ def preview_of(
     if not problems and not any(f.sure is Sure.WANTED for f in understood.findings):
         try:
             imported = study_of(read, captures)
-            notes = [*imported.notes, *slips(imported.study)]
+            notes = [*imported.notes, *notes_of_samples(imported.study)]
             trials = list(imported.study.trials)
         except InputError as error:
             problems = list(error.problems)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping as Dictionary
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +14,18 @@ from cell.cable.geometry import ROUGHLY_STILL, Cable, Motion, moves_from_s
 from cell.files.input_error import InputError, Problem
 from cell.files.words import counted
 from cell.files.yaml_document import Key
-from cell.study.checks import trial_problems
+from cell.study.check import Failure, failures
+from cell.study.checks import IMPORT_NOTES, IMPORT_REFUSALS, IMPORT_SHAPE, trial_problems
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
-from cell.study.imports.capture import Capture, TextForm
+from cell.study.imports.capture import Capture
 from cell.study.imports.hand_path import GripperPath, gripper_path
-from cell.study.imports.hand_section import (
-    TextSection,
-    TimeSection,
-)
+from cell.study.imports.hand_section import TimeSection
 from cell.study.imports.mapping import Mapping, ReadMapping, TrialEntry
 from cell.study.imports.places import out_of_plane_m, places_m
-from cell.study.imports.quality import Measured, examined
 from cell.study.imports.read import read_capture
 from cell.study.imports.scales import WRONG_UNIT, is_coarse, other_rate
+from cell.study.plausible import TrialEvidence
 
 #: A unit of angles below this is no radian.
 _DEGREES = 0.1
@@ -45,7 +44,10 @@ def read_captures(read: ReadMapping) -> dict[str, Capture]:
     each = [(t, read.mapping.of_trial(t)) for t in read.mapping.trials]
     forms = {t.file: mapping.text for t, mapping in each}
     forms |= {t.hand_file: mapping.hand.text for t, mapping in each if t.hand_file is not None}
-    return {name: read_capture(read.file(name), _form(form)) for name, form in forms.items()}
+    return {
+        name: read_capture(read.file(name), None if text is None else text.form)
+        for name, text in forms.items()
+    }
 
 
 def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
@@ -65,16 +67,11 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     for i, entry in enumerate(mapping.trials):
         try:
             measured = _measured(read.of_trial(entry), entry, captures, order)
-            _check_unit(read, measured, arcs[order])
+            _check_unit(read, measured.trial, arcs[order])
         except InputError as error:
             problems += error.problems
             continue
-        found, told = examined(measured, cable, arcs[order])
-        if not found:
-            found, more = trial_problems(
-                measured.trial, cable, arcs[order], mapping.gravity_m_per_s2
-            )
-            told = [*told, *more]
+        found, told = _tested(measured, cable, arcs[order], mapping.gravity_m_per_s2)
         problems += found
         notes += [*measured.notes, *told]
         trials.append(measured.trial)
@@ -96,6 +93,46 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         sensor=WrenchSensor() if mapping.wrench is None else mapping.wrench.sensor(),
     )
     return Imported(study, tuple(notes))
+
+
+@dataclass(frozen=True)
+class _ImportedTrial:
+    """A trial, and the file that its markers come from.
+
+    detected  (rows of the file,) rows of frames
+    across_m  (T, markers) coordinate across the plane; None = the file has two coordinates
+    notes     on how the hand is known, one sentence each
+    """
+
+    trial: Trial
+    capture: Capture
+    detected: NDArray[np.bool_]
+    across_m: FloatArray | None
+    notes: tuple[str, ...]
+
+    def problem(self, failure: Failure, sentence: str) -> Problem:
+        """A complaint about a row of the trial."""
+        row = int(np.flatnonzero(self.detected)[failure.row or 0])
+        return self.capture.problem(row, sentence, failure.column)
+
+
+def _tested(
+    measured: _ImportedTrial, cable: Cable, arcs: FloatArray, gravity: tuple[float, float]
+) -> tuple[list[Problem], list[str]]:
+    """What is refused of a trial, and what is noted."""
+    trial = measured.trial
+    evidence = TrialEvidence(trial, cable, arcs, gravity, measured.across_m)
+    problems = [measured.problem(*each) for each in failures(IMPORT_REFUSALS, evidence)]
+    if not problems:
+        problems = [measured.problem(*each) for each in islice(failures(IMPORT_SHAPE, evidence), 1)]
+    if problems:
+        return problems, []
+    told = []
+    for failure, sentence in failures(IMPORT_NOTES, evidence):
+        line = "" if failure.row is None else f":{measured.problem(failure, '').line}"
+        told.append(f"{measured.capture.path}{line}: {sentence}")
+    problems, more = trial_problems(trial, cable, arcs, gravity)
+    return problems, [*told, *more]
 
 
 #: Trials of one cable whose clamp never turns rest alike, rad.
@@ -149,10 +186,6 @@ def trials_of(
     return trials, problems
 
 
-def _form(section: TextSection | None) -> TextForm | None:
-    return None if section is None else TextForm(section.separator, section.decimal)
-
-
 def _arc_length_std_m(mapping: Mapping) -> FloatArray | None:
     """(markers,) as the mapping has them, 0 where a place is exact; None = all are."""
     given = [m.arc_length_std_m for m in mapping.markers]
@@ -199,7 +232,7 @@ def _measured(
     entry: TrialEntry,
     captures: Dictionary[str, Capture],
     order: NDArray[np.intp],
-) -> Measured:
+) -> _ImportedTrial:
     """One trial, with the lines and names of its file."""
     mapping = read.mapping
     capture = captures[entry.file]
@@ -230,7 +263,7 @@ def _measured(
     known = [a[seen] for a in across if a is not None]
     deep = np.stack(known, axis=1) if len(known) == len(across) else None
     told = path.note, other_rate(capture, mapping.time)
-    return Measured(trial, capture, seen, deep, tuple(note for note in told if note))
+    return _ImportedTrial(trial, capture, seen, deep, tuple(note for note in told if note))
 
 
 def times_s(capture: Capture, section: TimeSection) -> FloatArray:
@@ -305,13 +338,9 @@ def _fit(long_m: FloatArray, cable_m: FloatArray) -> bool:
     return min(together) <= 0.0 or 1.0 / WRONG_UNIT < together[0] / together[1] < WRONG_UNIT
 
 
-def _check_unit(read: ReadMapping, measured: Measured, arcs: FloatArray) -> None:
+def _check_unit(read: ReadMapping, trial: Trial, arcs: FloatArray) -> None:
     """Raise InputError where the chain of markers is by far longer or shorter than the cable."""
-    trial, mapping = measured.trial, read.mapping
-    grip = trial.grip
-    at_m = np.column_stack(
-        [np.interp(trial.markers.t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)]
-    )
+    mapping, at_m = read.mapping, trial.gripper_m(trial.markers.t_s)
     chain = np.concatenate([trial.markers.xy_m, at_m[:, None]], axis=1)
     hand = mapping.hand
     elsewhere = hand.origin_m != (0.0, 0.0) or hand.axes is not None

@@ -11,7 +11,7 @@ from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture, Finding, Sure
 from cell.study.imports.contents import HAND, Contents, Point
 from cell.study.imports.hand_section import BODY_AXES, AngleSection, AxesSection
-from cell.study.imports.places import body_axis, continuous
+from cell.study.imports.places import angle_of, body_axis, continuous
 from cell.study.imports.units import RADIANS
 
 #: An angle that turns by more tells its sign by how the cable's root turns with it, rad.
@@ -225,8 +225,7 @@ def _of_body(
     along = {n: float(body_axis(rows, n)[0] @ leaving) if len(rows) else 0.0 for n in BODY_AXES}
     best = max(BODY_AXES, key=lambda n: along[n])
     seen = body_axis(rows, best)[0] if len(rows) else leaving
-    shown = float(np.arctan2(-(seen @ up), -(seen @ right)))
-    offset = _wrapped(root.rest_rad - shown)
+    offset = _wrapped(root.rest_rad - angle_of(np.array([seen @ right, seen @ up])))
     offset = float(round(offset, 4)) if abs(offset) > root.agrees_rad else 0.0
     sentence = f"the hand turns as {four[0]!r} … say; the cable leaves along its axis {best}"
     section = AngleSection(quaternion=list(four), body_axis=best, offset_rad=offset)

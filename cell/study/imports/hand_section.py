@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cell.files.input_error import Problem
 from cell.files.yaml_document import Document, Key
-from cell.study.imports.capture import Decimal
+from cell.study.imports.capture import Capture, Decimal, TextForm
 
 BodyAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 BODY_AXES: tuple[BodyAxis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -34,6 +34,17 @@ class TextSection(SectionPart):
 
     separator: Annotated[str, Field(min_length=1, max_length=1)]
     decimal: Decimal
+
+    @classmethod
+    def of(cls, capture: Capture) -> TextSection | None:
+        """As a file is written; None = it is no text."""
+        form = capture.form
+        return None if form is None else cls(separator=form.separator, decimal=form.decimal)
+
+    @property
+    def form(self) -> TextForm:
+        """As used."""
+        return TextForm(self.separator, self.decimal)
 
 
 class TimeSection(SectionPart):

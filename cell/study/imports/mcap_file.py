@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -129,18 +131,9 @@ def _in_sequence(path: Path, file: BinaryIO, notes: list[str]) -> Iterator[tuple
 def _factories() -> list[Any]:
     """Decoders that are installed."""
     found: list[Any] = []
-    try:
-        from mcap_ros2.decoder import DecoderFactory as Ros2
-
-        found.append(Ros2())
-    except ImportError:
-        pass
-    try:
-        from mcap_protobuf.decoder import DecoderFactory as Protobuf
-
-        found.append(Protobuf())
-    except ImportError:
-        pass
+    for library in ("mcap_ros2", "mcap_protobuf"):
+        with suppress(ImportError):
+            found.append(import_module(f"{library}.decoder").DecoderFactory())
     return found
 
 

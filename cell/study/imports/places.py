@@ -116,6 +116,11 @@ def body_axis(quaternion: FloatArray, name: str) -> FloatArray:
     return found
 
 
+def angle_of(direction: FloatArray) -> float:
+    """Clamp angle of one direction (2,) in which a cable leaves, rad."""
+    return float(np.arctan2(-direction[1], -direction[0]))
+
+
 def _angle(x: FloatArray, y: FloatArray) -> FloatArray:
     """Clamp angle of a direction in which a cable leaves, between −π and π."""
     return np.asarray(np.arctan2(-y, -x), dtype=np.float64)

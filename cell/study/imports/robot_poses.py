@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,18 +26,6 @@ from cell.study.imports.units import RADIANS, split_unit
 #: By so much a matrix that is written with few digits may miss a rotation.
 _SQUARE = 1e-3
 _LAST_WORD = re.compile(r"^(.*?)[\s_.:\-\[]*(q[1-4]|[a-z]|\d{1,2})\]?$", re.IGNORECASE)
-
-
-def _vector(values: FloatArray) -> Rotation:
-    return Rotation.from_rotvec(values)
-
-
-def _zyx(values: FloatArray) -> Rotation:
-    return Rotation.from_euler("ZYX", values)
-
-
-def _fixed_xyz(values: FloatArray) -> Rotation:
-    return Rotation.from_euler("xyz", values)
 
 
 def _w_first(values: FloatArray) -> Rotation:
@@ -51,9 +40,9 @@ _ROTATION = re.compile(r"\s*rot(?:ations?)?$", re.IGNORECASE)
 #: Last words of names that must all be there, those of the orientation, their usual unit, and what
 #: they are.
 _FORMS: tuple[tuple[str, str, str, Callable[[FloatArray], Rotation]], ...] = (
-    ("0 1 2 3 4 5", "3 4 5", "rad", _vector),
-    ("x y z a b c", "a b c", "deg", _zyx),
-    ("x y z w p r", "w p r", "deg", _fixed_xyz),
+    ("0 1 2 3 4 5", "3 4 5", "rad", Rotation.from_rotvec),
+    ("x y z a b c", "a b c", "deg", partial(Rotation.from_euler, "ZYX")),
+    ("x y z w p r", "w p r", "deg", partial(Rotation.from_euler, "xyz")),
     ("q1 q2 q3 q4", "q1 q2 q3 q4", "", _w_first),
 )
 

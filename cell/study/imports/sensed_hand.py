@@ -243,9 +243,7 @@ def section_of_file(
     """
     capture, inside, point = hand.capture, hand.inside, hand.point
     time, told = time_section(capture, inside, None)
-    form = capture.form
-    text = None if form is None else TextSection(separator=form.separator, decimal=form.decimal)
-    of_file: dict[str, Any] = {"text": text, "time": time}
+    of_file: dict[str, Any] = {"text": TextSection.of(capture), "time": time}
     if point is None and inside.has_gripper_sensor:
         section, findings = sensor_section(capture, inside, axes, root, of_file)
         return section, [*told, *findings]

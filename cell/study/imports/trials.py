@@ -77,13 +77,6 @@ def trial_entries(
     return entries, findings
 
 
-def text_section(capture: Capture) -> TextSection | None:
-    """How a file is written as text; None = it is no text."""
-    if capture.form is None:
-        return None
-    return TextSection(separator=capture.form.separator, decimal=capture.form.decimal)
-
-
 def _own(
     files: Files, mapping: Mapping, rate_hz: float | None
 ) -> tuple[dict[str, Any], list[Finding]]:
@@ -95,7 +88,7 @@ def _own(
     if files.gripper is not None:
         both.append(("hand_", files.gripper, hand.text, hand.time or mapping.time, None))
     for prefix, capture, text, time, stated_hz in both:
-        form = text_section(capture)
+        form = TextSection.of(capture)
         if form != text and form is not None:
             own[f"{prefix}text"] = form
             sentence = f"{capture.path.name}: cells are separated by {form.separator!r}, "

@@ -17,9 +17,9 @@ from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.directions import find_axes
 from cell.study.imports.hand_pose import Root, clamp_angle
-from cell.study.imports.hand_section import AngleSection, AxesSection, GripperSection
+from cell.study.imports.hand_section import AngleSection, AxesSection, GripperSection, TextSection
 from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
-from cell.study.imports.places import places_m
+from cell.study.imports.places import angle_of, places_m
 from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
 from cell.study.imports.sensed_hand import (
     TIP,
@@ -32,7 +32,7 @@ from cell.study.imports.sensed_hand import (
     sensor_section,
 )
 from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
-from cell.study.imports.trials import Files, text_section, trial_entries
+from cell.study.imports.trials import Files, trial_entries
 
 #: Rows of a long trial in which the direction of the cable's root is estimated.
 _ROOTS = 1000
@@ -119,7 +119,7 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         format=FORMAT,
         name=stated.name,
         cable=_cable(stated, arcs),
-        text=text_section(first.capture),
+        text=TextSection.of(first.capture),
         time=time,
         metres_per_unit=scale,
         lost=chosen.lost,
@@ -288,7 +288,7 @@ def _gripper(
     if chosen.second is not None:
         rest = _shape(_detected(first.capture, (hand, chosen.second), chosen))
         line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
-        second = chosen.second, _angle_of(line)
+        second = chosen.second, angle_of(line)
     angle, findings = clamp_angle(first.capture, inside, axes, root, second, hand.name)
     return GripperSection(columns=list(hand.columns), angle=angle), findings
 
@@ -349,7 +349,7 @@ def _with_origin(
 def _root_at_rest(scene: _Scene) -> Root:
     """The clamp angle as the markers show it at rest, where they have no rows in common with it."""
     shape = scene.shape
-    angle = _angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
+    angle = angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
     return Root(np.full(1, np.nan), angle, len(shape) <= _A_LINE)
 
 
@@ -359,13 +359,8 @@ def _root(scene: _Scene) -> Root:
     whole = np.flatnonzero(np.isfinite(scene.xy_m).all(axis=(1, 2)))
     whole = whole[:: max(1, len(whole) // _ROOTS)]
     directions = [root_direction(shape) for shape in scene.xy_m[whole]]
-    angle[whole] = np.unwrap([_angle_of(d) for d in directions])
-    return Root(angle, _angle_of(root_direction(scene.shape)), len(scene.shape) <= _A_LINE)
-
-
-def _angle_of(direction: FloatArray) -> float:
-    """Clamp angle of a direction in which a cable leaves."""
-    return float(np.arctan2(-direction[1], -direction[0]))
+    angle[whole] = np.unwrap([angle_of(d) for d in directions])
+    return Root(angle, angle_of(root_direction(scene.shape)), len(scene.shape) <= _A_LINE)
 
 
 def _missing_entries(mapping: Mapping) -> list[Finding]:

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Motion
+from cell.study.checks import oddities, stated_oddly
 from cell.study.data import Markers, Trial, Wrench
 from cell.study.facts import (
     noise_m,
-    oddities,
     sensors_in_words,
-    stated_oddly,
     swing_spectrum,
     trial_facts,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 from typer.testing import CliRunner
@@ -198,6 +199,16 @@ def test_a_long_table_with_a_marker_twice_at_one_time_is_refused(tmp_path: Path)
     assert "first in line 40" in said
 
 
+@pytest.fixture(scope="module")
+def proposed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a file, and in `s` the mapping that is proposed for it."""
+    folder = tmp_path_factory.mktemp("proposed")
+    (name,) = FORMS[0](made(), folder)
+    command = ["import", name, "-o", str(folder / "s"), *CABLE]
+    assert not CliRunner().invoke(app, command).exit_code
+    return folder
+
+
 @pytest.mark.parametrize(
     ("old", "new", "key", "remedy"),
     [
@@ -217,16 +228,14 @@ def test_a_long_table_with_a_marker_twice_at_one_time_is_refused(tmp_path: Path)
     ],
 )  # fmt: skip
 def test_a_mapping_that_is_wrong_or_contradicts_the_file_is_refused(
-    old: str, new: str, key: str, remedy: str, tmp_path: Path
+    old: str, new: str, key: str, remedy: str, proposed: Path, tmp_path: Path
 ) -> None:
-    (name,) = FORMS[0](made(), tmp_path)
-    runner = CliRunner()
-    assert not runner.invoke(app, ["import", name, "-o", str(tmp_path / "s"), *CABLE]).exit_code
+    copytree(proposed, tmp_path, dirs_exist_ok=True)
     mapping = tmp_path / "s" / "import.yaml"
     text = mapping.read_text()
     assert old in text, text
     mapping.write_text(text.replace(old, new))
-    said = runner.invoke(app, ["import", str(mapping)])
+    said = CliRunner().invoke(app, ["import", str(mapping)])
     assert said.exit_code == 2, said.output
     assert key in said.output, said.output
     assert remedy in said.output, said.output
