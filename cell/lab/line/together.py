@@ -245,7 +245,7 @@ def together(studies: Sequence[Examined], rules: Rules = DEFAULT_RULES) -> Toget
         and h.delta_chi2 > best.delta_chi2 - rules.tie_delta_chi2
     )
     parts, consistency = _parts(studies, best, models_of[best.effects], rules)
-    verdict, why = _verdict(best, tied, parts, rules)
+    verdict, why = joint_verdict(best, tied, parts, rules)
     return Together(verdict, why, best.effects, tied, parts, consistency, tuple(ranked))
 
 
@@ -408,7 +408,7 @@ def _consistency(studies: Sequence[tuple[str, Evidence]], name: str) -> Consiste
     )
 
 
-def _verdict(
+def joint_verdict(
     best: Hypothesis, tied: Sequence[Names], parts: Sequence[StudyPart], rules: Rules
 ) -> tuple[Verdict, str]:
     """The verdict of all studies, and why."""

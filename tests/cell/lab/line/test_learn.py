@@ -404,9 +404,10 @@ def test_of_a_wind_from_above_the_wind_from_the_side_need_not_stay_whichever_cab
 
 
 def test_an_effect_of_one_line_in_two_does_not_pass(
-    result: LearningResult, dragged: list[RecordedCycle]
+    result: LearningResult, dragged: list[RecordedCycle], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Draught "against" in 6 of 12 cycles, Q with p = 5e-28, passed all seven gates."""
+    monkeypatch.setattr("cell.lab.fit.shared.SOLVER", COARSE)
     task = cell_task(SETTINGS)
     others = cycles_in({}, 2, 9)
     base = result.baseline.space

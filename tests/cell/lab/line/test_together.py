@@ -12,15 +12,15 @@ import pytest
 from typer.testing import CliRunner
 
 import cell
-from cell.api.several import TogetherResult, found_together
+from cell.api.lab import examined, set_up_opened
+from cell.api.several import TogetherResult
 from cell.cable.effects import ActiveEffect, library
 from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.data import named_effects
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.data.work import no_progress
-from cell.lab.line.together import Hypothesis, StudyPart, _verdict
+from cell.lab.line.together import Examined, Hypothesis, StudyPart, joint_verdict, together
 from cell.study.data import Markers, Study
 from cell.study.folder import write_study
 
@@ -29,25 +29,36 @@ GRAMS = library()["tip_mass"].active(mass_kg=2.5e-5)
 TRIED = {n: library()[n] for n in ("tip_mass", "air_drag")}
 
 
-def together(studies: Sequence[Study | Path]) -> TogetherResult:
-    """As `cell.diagnose_together`, with few effects tried."""
-    return found_together(studies, EffectSelection((), TRIED), None, no_progress)
+FEW = EffectSelection((), TRIED)
 
 
-@pytest.fixture
+def alone(study: Study) -> Examined:
+    """As `cell.diagnose_together` examines it first, with few effects tried."""
+    found = Examined(study.name, examined(set_up_opened(study, FEW)))
+    found.examination.fits.work.renew()
+    return found
+
+
+@pytest.fixture(scope="module")
 def batch(make_study):
-    def make(each: Sequence[Sequence[ActiveEffect]], seed: int = 40) -> list[Study]:
-        studies = [make_study(e, seed=seed + i) for i, e in enumerate(each)]
+    def make(each: Sequence[Sequence[ActiveEffect]]) -> list[Study]:
+        studies = [make_study(e, seed=40 + i) for i, e in enumerate(each)]
         return [replace(s, name=f"cable_{i}") for i, s in enumerate(studies)]
 
     return make
+
+
+@pytest.fixture(scope="module")
+def four(batch) -> list[Examined]:
+    """Four cables, each diagnosed alone: two with a load, two without."""
+    return [alone(study) for study in batch([[GRAMS], [], [GRAMS], []])]
 
 
 def test_cables_that_are_alike_give_one_effect_and_its_mean(
     batch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(named_effects, "library", lambda: TRIED)
-    studies = batch([[GRAMS]] * 3)
+    studies = batch([[GRAMS]] * 2)
     folders = [tmp_path / s.name for s in studies]
     for folder, study in zip(folders, studies, strict=True):
         write_study(study, folder)
@@ -61,25 +72,25 @@ def test_cables_that_are_alike_give_one_effect_and_its_mean(
         "missing",
         ["tip_mass"],
     )
-    assert [p["says"] for p in found["studies"]] == ["shows"] * 3
+    assert [p["says"] for p in found["studies"]] == ["shows"] * 2
     (mass,) = found["consistency"]
     assert mass["low"] < 2.5e-5 < mass["high"]
     assert mass["q_p_value"] > 0.01
     assert mass["without_low"] <= mass["value"] <= mass["without_high"]
-    assert "3 of 3 studies show tip_mass" in done.output
+    assert "2 of 2 studies show tip_mass" in done.output
     assert "tip_mass.mass_kg" in page.read_text()
 
 
-def test_complete_cables_are_complete_together(batch) -> None:
-    found = together(batch([[]] * 2))
+def test_complete_cables_are_complete_together(four) -> None:
+    found = TogetherResult(together(four[1::2]))
     assert found.together.verdict == "complete"
     assert found.together.effects == ()
     assert list(found.to_frame().says) == [""] * 2
     assert "the model leaves noise in all 2 studies" in repr(found)
 
 
-def test_two_cables_of_four_that_have_an_effect_are_named(batch) -> None:
-    found = together(batch([[GRAMS], [], [GRAMS], []])).together
+def test_two_cables_of_four_that_have_an_effect_are_named(four) -> None:
+    found = together(four)
     assert (found.verdict, found.effects) == ("missing", ("tip_mass",))
     assert [p.says for p in found.studies] == ["shows", "excludes", "shows", "excludes"]
     assert "missing in 2 of 4 studies, cable_0, cable_2" in found.why
@@ -88,9 +99,9 @@ def test_two_cables_of_four_that_have_an_effect_are_named(batch) -> None:
     assert [v.study for v in mass.by_study] == ["cable_0", "cable_2"]
 
 
-def test_what_one_study_leaves_unexplained_is_told(batch) -> None:
+def test_what_one_study_leaves_unexplained_is_told(four, batch) -> None:
     """One cable is moved by what no effect does: a wave of 0.4 mm that runs along its middle."""
-    plain, odd = batch([[GRAMS], [GRAMS]])
+    _, odd = batch([[GRAMS], [GRAMS]])
     trials = []
     for trial in odd.trials:
         t_s, share = trial.markers.t_s, odd.arc_length_m / odd.arc_length_m.max()
@@ -98,7 +109,7 @@ def test_what_one_study_leaves_unexplained_is_told(batch) -> None:
         wave_m *= 4e-4 * (t_s[:, None] > 0.25)  # not at rest: there it would be noise
         xy_m = trial.markers.xy_m + wave_m[:, :, None]
         trials.append(replace(trial, markers=Markers(t_s, xy_m)))
-    found = together([plain, replace(odd, trials=tuple(trials))]).together
+    found = together([four[0], alone(replace(odd, trials=tuple(trials)))])
     assert found.verdict == "unexplained"
     assert [p.explained for p in found.studies] == [True, False]
     assert found.why.startswith("the model with tip_mass leaves more than noise in cable_1")
@@ -117,7 +128,7 @@ def test_an_effect_of_one_study_is_not_confirmed_by_what_another_lacks(
         StudyPart("two", "cannot_tell", (), 50.0, True, "shows"),
     ]
     best = Hypothesis(("air_drag",), 20.0, 51.0)
-    found, why = _verdict(best, (), parts, DEFAULT_RULES)
+    found, why = joint_verdict(best, (), parts, DEFAULT_RULES)
     assert found == verdict
     assert ("only two shows air_drag" in why) == (verdict == "cannot_tell")
 
@@ -144,4 +155,4 @@ def test_what_is_wrong_with_the_last_study_is_told_before_the_first_is_diagnosed
     (tmp_path / "cable_1" / "study.yaml").write_text("format: cable-study/1\n")
     monkeypatch.setattr("cell.api.several.examined", lambda *_: pytest.fail("a study is diagnosed"))
     with pytest.raises(InputError, match=r"cable_1.study\.yaml:1"):
-        together([tmp_path / "cable_0", tmp_path / "cable_1"])
+        cell.diagnose_together([tmp_path / "cable_0", tmp_path / "cable_1"])
