@@ -285,11 +285,11 @@ class _LineCables:
                 self.known(result)
         return result
 
-    def _space(self, alone: Sequence[SharedFit], baseline: SharedFit) -> _LearningSpace:
+    def _space(self, alone: Sequence[SharedFit], baseline: SharedFit) -> LearningSpace:
         others = [e for e in self.library if e not in self.base.effects]
         few, plausible = baseline.cables[:TRIED_ON], self.plausible[:TRIED_ON]
         search = CablesSpace(few, self.base, plausible, len(others), self.budget, self.progress)
-        return _LearningSpace(search, alone[:TRIED_ON], baseline.cables, self.plausible, others)
+        return LearningSpace(search, alone[:TRIED_ON], baseline.cables, self.plausible, others)
 
     def _along_its_lines(self, result: LearningResult) -> LearningResult:
         """The result of one effect, fitted again where markers move along the line of its model."""
@@ -317,7 +317,7 @@ class _LineCables:
 
 
 @dataclass(frozen=True, eq=False)
-class _LearningSpace:
+class LearningSpace:
     """Results with one effect, and with one more, as a search takes them.
 
     search     on a few of the cables

@@ -69,7 +69,7 @@ def forecast(fits: FitCache, asked: AskedEffect, linear: LinearStudy) -> PowerFo
 
     linear  the study near the baseline of `fits`
     """
-    at = _At(fits, asked, linear)
+    at = SizeSearch(fits, asked, linear)
     begin = asked.typical if asked.size is None else asked.size
     smallest = at.smallest(begin)
     size = smallest if asked.size is None else asked.size
@@ -88,8 +88,8 @@ def forecast(fits: FitCache, asked: AskedEffect, linear: LinearStudy) -> PowerFo
 
 
 @dataclass(frozen=True, eq=False)
-class _At:
-    """The tests of an effect at a size."""
+class SizeSearch:
+    """The tests of an effect at a size, and the smallest size that is found."""
 
     fits: FitCache
     asked: AskedEffect

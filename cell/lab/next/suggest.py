@@ -205,7 +205,7 @@ def _weighed(
     start = _start(stroke, cable, np.zeros_like(cable), surroundings, rest_low_m)
     if isinstance(start, str):
         return start
-    whitener = _whitener(known, trial, shown)
+    whitener = whitener_of_planned(known, trial, shown)
     trial = replace(trial, grip=start.motion())
     views, cables, spreads = [], [], []
     for candidate in candidates:
@@ -299,7 +299,7 @@ def _looked_at(
     return shown, predict_whole_cable(prepared, often, models)[1]
 
 
-def _whitener(prepared: PreparedStudy, trial: Trial, shown_m: FloatArray) -> Whitener:
+def whitener_of_planned(prepared: PreparedStudy, trial: Trial, shown_m: FloatArray) -> Whitener:
     """Of a trial that is not recorded yet.
 
     shown_m  (times, points, 2) what it will show by and large: where arc lengths move the markers,

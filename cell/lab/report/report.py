@@ -138,7 +138,7 @@ def diagnosis_page(
 def comparison_page(comparisons: Sequence[Comparison]) -> str:
     """Report of models side by side, in the order in which they were made."""
     first, last = comparisons[0], comparisons[-1]
-    series = _series(comparisons)
+    series = series_of(comparisons)
     ends = series if len(series) < 3 else [series[0], series[-1]]
     several = last is not first
     return page(
@@ -186,7 +186,7 @@ def _range(low: float, high: float) -> str:
     return " … ".join(shown)
 
 
-def _series(comparisons: Sequence[Comparison]) -> list[Series]:
+def series_of(comparisons: Sequence[Comparison]) -> list[Series]:
     """Models under the names and in the colours of all figures; the last is the one to believe."""
     if len(comparisons) == 1:
         return [Series("model", "of the model", MODEL, comparisons[0])]

@@ -217,7 +217,7 @@ class AllTrialsResidual:
         noise_model = self.whole.prepared.noise_model
         if not noise_was_seen(self.whole.prepared):
             return 1.0, np.inf
-        fast = [_Fast.of(w, p[0]) for w, p in self.by_trial]
+        fast = [FastPart.of(w, p[0]) for w, p in self.by_trial]
         return _slow_level(noise_model, fast, noise_model.slow_dof)
 
     def part(self, coordinates: Callable[[Whitener, FloatArray], FloatArray]) -> SmoothPart:
@@ -262,7 +262,7 @@ def all_trials_residual(prepared: PreparedStudy, fit: Fit) -> AllTrialsResidual 
 
 
 @dataclass(frozen=True)
-class _Fast:
+class FastPart:
     """White residuals of a trial without their smooth part: sums over frames and channels.
 
     square, products    of values, and of each with the one of the frame before
@@ -276,7 +276,7 @@ class _Fast:
     pairs: int
 
     @staticmethod
-    def of(whitener: Whitener, white: FloatArray) -> _Fast:
+    def of(whitener: Whitener, white: FloatArray) -> FastPart:
         """Of (rows,)."""
         grid = white.reshape(-1, whitener.channels, whitener.frames)
         square = products = values = neighbours = 0.0
@@ -301,7 +301,7 @@ class _Fast:
                 modes_of_own = np.moveaxis(shape, 1, -1)
                 neighbours -= float(np.sum((modes_of_own[:, 1:] * modes_of_own[:, :-1])[both]))
                 pairs += int(both.sum())
-        return _Fast(square, products, values, neighbours, pairs)
+        return FastPart(square, products, values, neighbours, pairs)
 
 
 def _heldout_level(prepared: PreparedStudy, rows: HeldoutRows) -> tuple[float, float]:
@@ -314,12 +314,12 @@ def _heldout_level(prepared: PreparedStudy, rows: HeldoutRows) -> tuple[float, f
     if not prepared.levels:
         return 1.0, of_rest
     parts = zip(trials, np.split(rows.residual, rows.ends[:-1]), strict=True)
-    fast = [_Fast.of(prepared.whiteners[t.name], part) for t, part in parts]
+    fast = [FastPart.of(prepared.whiteners[t.name], part) for t, part in parts]
     return _slow_level(noise_model, fast, of_rest)
 
 
 def _slow_level(
-    noise_model: NoiseModel, parts: Sequence[_Fast], of_rest: float
+    noise_model: NoiseModel, parts: Sequence[FastPart], of_rest: float
 ) -> tuple[float, float]:
     """Mean square of the noise's smooth part once whitened, 1 if the noise is right; its dof.
 
@@ -329,7 +329,7 @@ def _slow_level(
     and is by so much stronger where it is slow.
     """
     square, products, values, neighbours, pairs = (
-        sum(getattr(p, f.name) for p in parts) for f in fields(_Fast)
+        sum(getattr(p, f.name) for p in parts) for f in fields(FastPart)
     )
     level = square / values
     off = (products - neighbours * level) / (level * max(pairs, 1))

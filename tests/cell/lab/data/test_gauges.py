@@ -10,7 +10,7 @@ from cell.identify.fit import variance_inflation
 from cell.lab.data.gauges import joined, row_means
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.prepared import PreparedStudy, as_measured, with_noise_model
-from cell.lab.verdict.smooth_part import _Fast
+from cell.lab.verdict.smooth_part import FastPart
 from cell.study.data import Markers, Trial, Wrench, WrenchSensor
 from tools.worlds.made_studies import WORLD, random_model, stroke
 from tools.worlds.rig_kinds import KINDS
@@ -166,7 +166,7 @@ def test_rows_between_the_pictures_do_not_hide_a_misfit(study, truth):
     right, wrong = (prepared.white(trial, prepared.predict(trial, [m]))[0] for m in (truth, softer))
     assert variance_inflation(right, [whitener], 5) < 3.0
     assert variance_inflation(wrong, [whitener], 5) > 100.0
-    fast = _Fast.of(whitener, right)
+    fast = FastPart.of(whitener, right)
     assert fast.pairs > 0.9 * whitener.count
     assert fast.square / fast.values == pytest.approx(1.0, abs=0.3)
 

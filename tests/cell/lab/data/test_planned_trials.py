@@ -7,7 +7,7 @@ import pytest
 
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.planned import planned_trials
-from cell.lab.next.suggest import _whitener
+from cell.lab.next.suggest import whitener_of_planned
 from cell.lab.next.suggestion import Stroke
 from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
 from cell.study.hand_drift import HandDrift
@@ -35,7 +35,7 @@ def test_the_coordinate_alone_that_a_laser_sees_counts():
     np.testing.assert_array_equal(
         np.isfinite(trial.markers.xy_m).sum(axis=0), [[0, len(trial.markers.t_s)], [0, 0]]
     )
-    white = _whitener(known, trial, np.zeros_like(trial.markers.xy_m))
+    white = whitener_of_planned(known, trial, np.zeros_like(trial.markers.xy_m))
     assert white.count == len(trial.markers.t_s)
 
 

@@ -52,7 +52,7 @@ from cell.lab.line.candidate import (
 )
 from cell.lab.line.effect_fit import TIE, EffectFit, LearningBudget
 from cell.lab.line.forecasts import ForecastPair, forecasts
-from cell.lab.line.learn import LearningResult, _LearningSpace, learn, negligible
+from cell.lab.line.learn import LearningResult, LearningSpace, learn, negligible
 from cell.lab.line.learning_checks import (
     LineEvidence,
     gate_outcomes,
@@ -192,15 +192,15 @@ def one_coordinate(study: Study) -> Study:
 def test_an_effect_with_which_not_all_cables_can_be_simulated_is_not_the_cause(monkeypatch) -> None:
     """It was found on four of them, and ended the command with a traceback."""
 
-    def fitted(space: _LearningSpace, before: object, tried: list[SimpleNamespace]) -> str:
+    def fitted(space: LearningSpace, before: object, tried: list[SimpleNamespace]) -> str:
         if tried[0].name == "first":
             raise UnsimulatedError("cable 5")
         return str(tried[0].name)
 
-    monkeypatch.setattr(_LearningSpace, "fitted_to_all", fitted)
+    monkeypatch.setattr(LearningSpace, "fitted_to_all", fitted)
     said: list[str] = []
     search = cast(CablesSpace, SimpleNamespace(progress=said.append))
-    space = _LearningSpace(search, (), (), np.empty(0), ())
+    space = LearningSpace(search, (), (), np.empty(0), ())
     none = cast(LearningResult, SimpleNamespace(best=None))
     tried = [cast(EffectFit, SimpleNamespace(name=n, p_value=0.0)) for n in ("first", "second")]
     assert space.kept(none, tried) == ["second"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cell.cable.effects import library
 from cell.lab.next.asked import AskedEffect
-from cell.lab.next.forecast import _At, forecast
+from cell.lab.next.forecast import SizeSearch, forecast
 
 SIZE_RAD_PER_N_M = 40.0
 AMPLITUDE_M = 4e-4
@@ -14,7 +14,7 @@ def test_half_of_an_effect_is_looked_for_with_its_shape_free(fitted, linear):
     """Its fit has the shape free, too: noise hides half of the effect in more directions."""
     effect = library()["grip_compliance"]
     asked = AskedEffect(effect, effect.parameters[0], SIZE_RAD_PER_N_M)
-    found = _At(fitted, asked, linear).tests(SIZE_RAD_PER_N_M)
+    found = SizeSearch(fitted, asked, linear).tests(SIZE_RAD_PER_N_M)
     assert found is not None
     plain, beside = (
         look.scores.stop - look.scores.start for look in found[0].detectable_at_half_size

@@ -26,8 +26,8 @@ from cell.lab.next.suggest import (
     _separation,
     _trial,
     _weighed,
-    _whitener,
     suggest_motion,
+    whitener_of_planned,
 )
 from cell.lab.next.suggestion import Option, Stroke, Suggestion, strokes, write_motion
 from cell.lab.search.fit_cache import FitCache, SearchSetup
@@ -260,7 +260,7 @@ def test_a_motion_counts_with_the_wrench_that_the_study_has():
         prepared = PreparedStudy.of(measured, solver=coarse)
         known, trial = _trial(prepared, stroke, box)
         (shown,), _ = predict_whole_cable(known, trial, [rivals[0].model])
-        white = _whitener(known, trial, shown)
+        white = whitener_of_planned(known, trial, shown)
         return _separation(*(_open(known, rival, trial, white)[0] for rival in rivals))
 
     swing, rest = Stroke(0.0, 0.0, -0.1, 0.4), Stroke(0.0, 0.0, -1e-9, 0.4)

@@ -18,7 +18,7 @@ from cell.lab.data.results import (
 )
 from cell.lab.report.cable_overlay import BELOW, HEIGHT, overlay
 from cell.lab.report.figures import by_trial, history, profile_curves, profiles, ranking, waterfall
-from cell.lab.report.report import _series, comparison_page
+from cell.lab.report.report import comparison_page, series_of
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.profiles import ParameterProfile
 
@@ -78,10 +78,10 @@ def test_the_line_of_the_noise_has_its_name_in_the_legend_and_says_what_it_is(tw
     measured, stated = waterfall(diagnosis()), waterfall(diagnosis(noise_is_stated=True))
     assert [(s.name, s.showlegend) for s in measured.layout.shapes] == [("noise 0.1 mm", True)]
     assert [s.name for s in stated.layout.shapes] == ["stated error 0.1 mm"]
-    for figure in (history(twins), by_trial(_series(twins))):
+    for figure in (history(twins), by_trial(series_of(twins))):
         assert [s.name for s in figure.layout.shapes] == ["stated error 0.2 mm"]
         assert not figure.layout.annotations
-    assert "stated error" in [t.name for t in profiles(_series(twins)).data]
+    assert "stated error" in [t.name for t in profiles(series_of(twins)).data]
     page = comparison_page(twins)
     assert "over stated error" in page
     assert ">over noise<" not in page
@@ -97,7 +97,7 @@ def test_what_was_fitted_to_all_motions_is_a_line_of_its_own():
 
 
 def test_of_two_equal_models_both_are_seen(twins):
-    series = _series(twins)
+    series = series_of(twins)
     for draw, part in ((by_trial, "marker"), (profiles, "line")):
         first, second = (
             next(t for t in draw(series).data if t.name == name)[part]
@@ -124,7 +124,7 @@ def test_evidence_is_listed_by_what_is_drawn():
 
 
 def test_legend_and_slider_labels_of_the_overlay_keep_apart(twins):
-    figure = overlay(_series(twins), 0)
+    figure = overlay(series_of(twins), 0)
     drawn = HEIGHT - BELOW - figure.layout.margin.t
     legend_px = -figure.layout.legend.y * drawn
     slider = figure.layout.sliders[0]
@@ -137,7 +137,7 @@ def test_pages_as_narrow_as_a_telephone_scroll_tables_and_panels(twins):
     page = comparison_page(twins)
     assert page.count("<table>") == page.count("<div class='wide'><table>") > 0
     assert ".wide,.plot{width:100%;overflow-x:auto}" in page
-    series = _series(twins)
+    series = series_of(twins)
     assert least_px(profiles(series)) == 930
     assert least_px(overlay(series, 0)) == 620
     assert least_px(by_trial(series)) == 270

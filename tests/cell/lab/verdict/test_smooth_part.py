@@ -18,8 +18,8 @@ from cell.lab.fit.starts import cold_start
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.verdict.check_statistics import parameter_constancy_of
 from cell.lab.verdict.smooth_part import (
+    FastPart,
     SmoothPart,
-    _Fast,
     _of_trial,
     _slow_level,
     of_a_finer_model,
@@ -107,7 +107,7 @@ def test_the_level_of_slow_noise_is_seen_in_the_fast(told, lost):
         noise_m[rng.uniform(size=noise_m.shape[:2]) < lost] = np.nan
         whiteners.append(Whitener(noise_m, Noise(1e-4, told)))
         white = whiteners[-1](np.zeros((1, *noise_m.shape)))[0]
-        fast.append(_Fast.of(whiteners[-1], white))
+        fast.append(FastPart.of(whiteners[-1], white))
         slow.append(_of_trial(whiteners[-1], white[:, None])[:, 0])
     rest = NoiseModel(Noise(1e-4, told), 1e-3)
     level, dof = _slow_level(rest, fast, rest.slow_dof)
@@ -123,7 +123,7 @@ def test_noise_of_markers_seen_in_every_second_frame_has_the_level_of_its_rest()
     noise_m[::2, ::2] = noise_m[1::2, 1::2] = np.nan
     noise = Noise(1e-4, 0.0)
     whitener, rest = Whitener(noise_m, noise), NoiseModel(noise, 1e-3)
-    fast = _Fast.of(whitener, whitener(np.zeros((1, *noise_m.shape)))[0])
+    fast = FastPart.of(whitener, whitener(np.zeros((1, *noise_m.shape)))[0])
     assert fast.pairs == 0
     assert _slow_level(rest, [fast], rest.slow_dof) == (1.0, rest.slow_dof)
 
