@@ -1,6 +1,7 @@
 """The number of knots of EI(s): as usual, or more where EI has a step."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from cell.api import lab
 from cell.cable.effects import library
 from cell.exchange.description import description
 from cell.identify.parameters import ParameterSpace
+from cell.lab import diagnosis
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
 from cell.lab.diagnosis import diagnose
@@ -48,6 +50,19 @@ def test_an_effect_is_not_described_by_more_knots(make_study):
     found = _diagnosed(study).diagnosis
     assert [f.effect for f in found.missing] == ["natural_curvature"]
     assert found.knots == 6
+
+
+def test_more_knots_that_do_not_explain_a_study_either_are_given_up(make_study, monkeypatch):
+    def finer(fits, first):
+        if fits.space.knots > 6:
+            return None
+        return FitCache.of(replace(first.setup, space=first.space.with_knots(11)))
+
+    study = make_study([library()["stress_relaxation"].active(fraction=0.3)], seed=3)
+    monkeypatch.setattr(diagnosis, "with_more_knots", finer)
+    found = _diagnosed(study)
+    assert found.diagnosis.verdict == "unexplained"
+    assert found.diagnosis.knots == found.fits.space.knots == found.final.fit.space.knots == 6
 
 
 def test_a_fit_has_as_many_knots_and_is_a_prior_and_a_description(stepped, tmp_path):
