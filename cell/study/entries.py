@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 import reprlib
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cell.cable.geometry import Cable, Connector
 from cell.files.words import counted
@@ -23,6 +23,19 @@ MAX_NOISE_FRACTION = 0.2
 #: Farther along the cable is curved: a marker does not move along a straight line (0.02 mm on one
 #: of 0.1 m with a radius as long).
 MAX_ARC_STD_FRACTION = 0.02
+
+_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class ConnectorEntry(BaseModel):
+    """A rigid body at the cable's end; without an inertia it is a rod's."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    mass_kg: _Positive
+    length_m: _Positive
+    inertia_kg_m2: _Positive | None = None
+
 
 #: Where in the description a complaint belongs, and what it says.
 Complaint = tuple[Key, str]
@@ -78,120 +91,99 @@ def implausible_entries(
     arc_length_m: Sequence[float],
     noise_std_m: float | None,
     arc_length_std_m: Sequence[float] = (),
-) -> list[Complaint]:
+) -> Iterator[Complaint]:
     """What a schema cannot say.
 
     cable         entries that are given
     datasheet     of these; None = they are not one cable's
     arc_length_m  in the order in which they are given; arc_length_std_m likewise, or one for all
     """
-    found = _of_cable(cable, datasheet) + _of_gravity(gravity_m_per_s2)
+    yield from _of_cable(cable, datasheet)
+    yield from _of_gravity(gravity_m_per_s2)
     length_m = datasheet.length_m if datasheet else cable["free_length_m"]
     for i, arc in enumerate(arc_length_m):
         if not 0.0 <= arc <= length_m * (1 + 1e-9):
-            found.append((
-                ("markers", "arc_length_m", i),
-                f"{arc:g} m is not on the cable, 0 … {length_m:g} m; "
-                "count from the gripping point, in metres",
-            ))  # fmt: skip
+            message = f"{arc:g} m is not on the cable, 0 … {length_m:g} m; count from the gripping "
+            yield ("markers", "arc_length_m", i), f"{message}point, in metres"
     sign = np.sign(np.diff(arc_length_m))
     for i in map(int, np.flatnonzero((sign != sign[:1]) | (sign == 0.0))):
-        found.append((
-            ("markers", "arc_length_m", i + 1),
+        message = (
             f"{arc_length_m[i + 1]:g} m after {arc_length_m[i]:g} m: markers cross or coincide; "
-            "order them along the cable",
-        ))  # fmt: skip
-    found += _of_arc_length_std(arc_length_std_m, len(arc_length_m), length_m)
+        )
+        yield ("markers", "arc_length_m", i + 1), f"{message}order them along the cable"
+    yield from _of_arc_length_std(arc_length_std_m, len(arc_length_m), length_m)
     if noise_std_m and noise_std_m > MAX_NOISE_FRACTION * length_m:
-        found.append((
-            ("noise_std_m",),
-            f"{noise_std_m:g} m is beyond {MAX_NOISE_FRACTION:g} of the free length; "
-            "give metres, not millimetres",
-        ))  # fmt: skip
-    return found
+        message = f"{noise_std_m:g} m is beyond {MAX_NOISE_FRACTION:g} of the free length; "
+        yield ("noise_std_m",), f"{message}give metres, not millimetres"
 
 
-def _of_arc_length_std(given: Sequence[float], markers: int, length_m: float) -> list[Complaint]:
+def _of_arc_length_std(
+    given: Sequence[float], markers: int, length_m: float
+) -> Iterator[Complaint]:
     """As many as markers, or one for all; none that is negative or far beyond its marker."""
     key = ("markers", "arc_length_std_m")
     if len(given) not in (0, 1, markers):
-        message = (
-            f"has {counted(len(given), 'value')} for {counted(markers, 'marker')}; "
-            "give one for each, or one number"
-        )
-        return [(key, message)]
-    found: list[Complaint] = []
+        message = f"has {counted(len(given), 'value')} for {counted(markers, 'marker')}; "
+        yield key, f"{message}give one for each, or one number"
+        return
     limit_m = MAX_ARC_STD_FRACTION * length_m
     for i, std_m in enumerate(given):
         where: Key = (*key, i) if len(given) > 1 else key
         if std_m < 0.0:
-            found.append((where, f"{std_m:g} m is negative; give 0 where the place is exact"))
+            yield where, f"{std_m:g} m is negative; give 0 where the place is exact"
         elif std_m > limit_m:
-            found.append((
-                where,
+            message = (
                 f"{std_m:g} m is beyond {limit_m:g} m, {MAX_ARC_STD_FRACTION:g} of the cable; "
-                "measure where the marker is, in metres",
-            ))  # fmt: skip
-    return found
+            )
+            yield where, f"{message}measure where the marker is, in metres"
 
 
-def _of_cable(cable: Mapping[str, Any], datasheet: Cable | None) -> list[Complaint]:
-    found: list[Complaint] = []
-    for name in ("free_length_m", "width_m", "thickness_m", "diameter_m"):
-        value = cable.get(name)
-        if value is not None and value > MAX_LENGTH_M:
-            found.append((
-                ("cable", name),
-                f"{value:g} m is beyond {MAX_LENGTH_M:g} m; give metres, not millimetres",
-            ))  # fmt: skip
+def _of_cable(cable: Mapping[str, Any], datasheet: Cable | None) -> Iterator[Complaint]:
+    names = ("free_length_m", "width_m", "thickness_m", "diameter_m")
+    found: list[Complaint] = [
+        (
+            ("cable", name),
+            f"{cable[name]:g} m is beyond {MAX_LENGTH_M:g} m; give metres, not millimetres",
+        )
+        for name in names
+        if (cable.get(name) or 0.0) > MAX_LENGTH_M
+    ]
+    yield from found
     if datasheet is None:
-        given = [n for n in ("width_m", "thickness_m", "diameter_m") if cable.get(n)]
-        found.append((
-            ("cable",),
-            f"{' and '.join(given) or 'no section'} given; a flat cable has width_m and "
-            "thickness_m, a round one diameter_m alone",
-        ))  # fmt: skip
-    found += _of_connector(cable.get("connector"))
+        given = [n for n in names[1:] if cable.get(n)]
+        message = f"{' and '.join(given) or 'no section'} given; a flat cable has width_m and "
+        yield ("cable",), f"{message}thickness_m, a round one diameter_m alone"
+    of_connector = [*_of_connector(cable.get("connector"))]
+    yield from of_connector
     implausible = datasheet.implausible() if datasheet else None
-    if implausible and not found:
-        found.append((("cable", "line_density_kg_per_m"), implausible))
-    return found
+    if implausible and not found and not of_connector:
+        yield ("cable", "line_density_kg_per_m"), implausible
 
 
-def _of_connector(given: Mapping[str, float] | None) -> list[Complaint]:
+def _of_connector(given: Mapping[str, float] | None) -> Iterator[Complaint]:
     """A connector as long as no connector is, or whose mass lies farther out than its ends."""
     if given is None:
-        return []
-    found: list[Complaint] = []
+        return
     mass_kg, length_m = given["mass_kg"], given["length_m"]
     inertia, most = given.get("inertia_kg_m2", 0.0), mass_kg * length_m**2 / 4.0
     key = ("cable", "connector")
     if length_m > MAX_CONNECTOR_M:
         message = f"{length_m:g} m is beyond {MAX_CONNECTOR_M:g} m; give metres, not millimetres"
-        found.append(((*key, "length_m"), message))
+        yield (*key, "length_m"), message
     elif mass_kg > MAX_CONNECTOR_KG:
-        message = f"{mass_kg:g} kg is beyond {MAX_CONNECTOR_KG:g} kg; give kg, not g"
-        found.append(((*key, "mass_kg"), message))
+        yield (
+            (*key, "mass_kg"),
+            f"{mass_kg:g} kg is beyond {MAX_CONNECTOR_KG:g} kg; give kg, not g",
+        )
     elif inertia > most * (1.0 + 1e-9):
-        found.append((
-            (*key, "inertia_kg_m2"),
-            f"{inertia:g} kg·m² is beyond {most:.3g} kg·m², all of its mass at its ends; give it "
-            "about its middle, in kg·m², or leave it out",
-        ))  # fmt: skip
-    return found
+        message = f"{inertia:g} kg·m² is beyond {most:.3g} kg·m², all of its mass at its ends; "
+        message += "give it about its middle, in kg·m², or leave it out"
+        yield (*key, "inertia_kg_m2"), message
 
 
-def _of_gravity(gravity_m_per_s2: tuple[float, float]) -> list[Complaint]:
-    size = np.hypot(*gravity_m_per_s2)
+def _of_gravity(gravity_m_per_s2: tuple[float, float]) -> Iterator[Complaint]:
     key, given = ("gravity_m_per_s2",), list(gravity_m_per_s2)
-    if size > MAX_GRAVITY_M_PER_S2:
-        return [(
-            key,
-            f"{given} is beyond {MAX_GRAVITY_M_PER_S2:g} m/s²; give m/s², not mm/s²",
-        )]  # fmt: skip
-    if gravity_m_per_s2[1] > 0.0:
-        return [(
-            key,
-            f"{given} points up, for y is up; give [0.0, -9.81], and all y upwards",
-        )]  # fmt: skip
-    return []
+    if np.hypot(*gravity_m_per_s2) > MAX_GRAVITY_M_PER_S2:
+        yield key, f"{given} is beyond {MAX_GRAVITY_M_PER_S2:g} m/s²; give m/s², not mm/s²"
+    elif gravity_m_per_s2[1] > 0.0:
+        yield key, f"{given} points up, for y is up; give [0.0, -9.81], and all y upwards"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,8 +21,14 @@ from cell.files.yaml_document import Document, Key, document_of, read_yaml, vali
 from cell.study.checks import LOG_BEGINS, LOG_ENDS, LOG_GAP, force_problems, trial_problems
 from cell.study.clocks import cut_off, gap
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
-from cell.study.entries import TrialName, datasheet_of, implausible_entries
-from cell.study.hand_drift import HandDriftSection
+from cell.study.entries import (
+    Complaint,
+    ConnectorEntry,
+    TrialName,
+    datasheet_of,
+    implausible_entries,
+)
+from cell.study.hand_drift import HandDriftSection, drift_complaint
 from cell.study.table import MAX_BYTES, Table, check_times, read_table, table_text
 from cell.study.wrench import FILE as WRENCH_FILE
 from cell.study.wrench import SensorEntry, read_wrench, sensor_entry, wrench_text
@@ -54,19 +61,13 @@ class _StrictStudy(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class _Connector(_StrictStudy):
-    mass_kg: _Positive
-    length_m: _Positive
-    inertia_kg_m2: _Positive | None = None
-
-
 class _Cable(_StrictStudy):
     free_length_m: _Positive
     line_density_kg_per_m: _Positive
     width_m: _Positive | None = None
     thickness_m: _Positive | None = None
     diameter_m: _Positive | None = None
-    connector: _Connector | None = None
+    connector: ConnectorEntry | None = None
 
 
 class _Markers(_StrictStudy):
@@ -303,19 +304,19 @@ def _check_as_written(path: Path, said: _WrittenTable | None) -> None:
 
 
 def _trial_entry(trial: Trial) -> dict[str, object]:
-    entry: dict[str, object] = {"name": trial.name, "role": trial.role, "start": trial.start}
-    if trial.release_s is not None:
-        entry["release_s"] = float(trial.release_s)
-    if trial.hand_drift is not None:
-        entry["hand_drift"] = trial.hand_drift.to_plain()
-    return entry
+    entry = {
+        "name": trial.name,
+        "role": trial.role,
+        "start": trial.start,
+        "release_s": None if trial.release_s is None else float(trial.release_s),
+        "hand_drift": None if trial.hand_drift is None else trial.hand_drift.to_plain(),
+    }
+    return {key: value for key, value in entry.items() if value is not None}
 
 
 def _markers_entry(study: Study) -> dict[str, list[float]]:
-    entry = {"arc_length_m": [float(s) for s in study.arc_length_m]}
-    if study.arc_length_std_m is not None:
-        entry["arc_length_std_m"] = [float(s) for s in study.arc_length_std_m]
-    return entry
+    entry = {"arc_length_m": study.arc_length_m, "arc_length_std_m": study.arc_length_std_m}
+    return {k: [float(s) for s in v] for k, v in entry.items() if v is not None}
 
 
 def _marker_columns(count: int) -> tuple[str, ...]:
@@ -324,39 +325,37 @@ def _marker_columns(count: int) -> tuple[str, ...]:
 
 def _implausible(document: Document, header: _Study, datasheet: Cable | None) -> list[Problem]:
     """What a schema cannot say: mistaken units and entries that contradict each other."""
-    problems: list[Problem] = []
+    complaints = [
+        *implausible_entries(
+            header.cable.model_dump(exclude_none=True),
+            datasheet,
+            header.gravity_m_per_s2,
+            header.markers.arc_length_m,
+            header.noise_std_m,
+            header.markers.arc_length_std_m or (),
+        ),
+        *_contradictions(header.trials),
+    ]
+    return [document.problem(key, message) for key, message in complaints]
 
-    def add(key: Key, message: str) -> None:
-        problems.append(document.problem(key, message))
 
-    for where, message in implausible_entries(
-        header.cable.model_dump(exclude_none=True),
-        datasheet,
-        header.gravity_m_per_s2,
-        header.markers.arc_length_m,
-        header.noise_std_m,
-        header.markers.arc_length_std_m or (),
-    ):
-        add(where, message)
+def _contradictions(trials: Sequence[_TrialSection]) -> Iterator[Complaint]:
+    """Trials of one name; a release or a drift of the hand that is not as its trial says."""
     seen: dict[str, int] = {}
-    for i, trial in enumerate(header.trials):
+    for i, trial in enumerate(trials):
         key: Key = ("trials", i)
         if trial.name in seen:
-            add((*key, "name"), f"{trial.name!r} is also trial {seen[trial.name] + 1}; rename one")
+            message = f"{trial.name!r} is also trial {seen[trial.name] + 1}; rename one"
+            yield (*key, "name"), message
         seen.setdefault(trial.name, i)
         if trial.start in ("straight", "held") and trial.release_s is None:
             needs = f"is missing; `start: {trial.start}` needs the time of letting go"
-            add((*key, "release_s"), needs)
+            yield (*key, "release_s"), needs
         if trial.start in ("equilibrium", "moving") and trial.release_s is not None:
             only = "is only for `start: straight` and `held`; remove it or change `start`"
-            add((*key, "release_s"), only)
-        drift = trial.hand_drift
-        if drift is not None and drift.to_s <= drift.from_s:
-            message = (
-                f"{drift.to_s:g} s is not after from_s, {drift.from_s:g} s; give when the hand"
-            )
-            add((*key, "hand_drift", "to_s"), f"{message} rests again")
-    return problems
+            yield (*key, "release_s"), only
+        if (drifts := drift_complaint(trial.hand_drift)) is not None:
+            yield (*key, "hand_drift", "to_s"), drifts
 
 
 def read_grip(path: Path) -> Motion:

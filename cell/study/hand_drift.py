@@ -45,6 +45,14 @@ class HandDriftSection(BaseModel):
         return HandDrift(**self.model_dump())
 
 
+def drift_complaint(drift: HandDriftSection | None) -> str | None:
+    """That its motion ends before it begins."""
+    if drift is None or drift.to_s > drift.from_s:
+        return None
+    message = f"{drift.to_s:g} s is not after from_s, {drift.from_s:g} s; give when the hand "
+    return f"{message}rests again"
+
+
 @dataclass(frozen=True)
 class HandDrift:
     """Error of a hand's place that its log does not show.

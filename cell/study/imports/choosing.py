@@ -50,7 +50,10 @@ def choose(
     lost = _lost([capture, *others], points)
     raw = {p.name: detected_places(capture, p.columns, lost, p.on_gripper) for p in points}
     _check_distinct(capture, points, raw)
-    findings = [_lost_finding(v) for v in lost]
+    findings = [
+        Finding("lost", f"{v:g} in all coordinates means that a marker was not seen", Sure.SEEN)
+        for v in lost
+    ]
     named = [p for p in points if p.on_gripper]
     cable = [p for p in points if not p.on_gripper]
     if not cable and len(named) > 1:  # a cable all of whose points are called after the hand
@@ -155,11 +158,6 @@ def _lost(captures: Sequence[Capture], points: Sequence[Point]) -> tuple[float, 
         if set(point.columns) <= set(capture.names)
     ]
     return tuple(value for value in LOST if any(means_lost(value, raw) for raw in places))
-
-
-def _lost_finding(value: float) -> Finding:
-    sentence = f"{value:g} in all coordinates means that a marker was not seen"
-    return Finding("lost", sentence, Sure.SEEN)
 
 
 def _moving(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cell.files.input_error import Problem
-from cell.files.yaml_document import Document, Key
+from cell.files.yaml_document import Key
 from cell.study.imports.capture import Capture, Decimal, TextForm
 
 BodyAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
@@ -179,41 +179,33 @@ def entries_to_fill_in(hand: GripperSection) -> list[tuple[Key, str]]:
     return [(("hand", *key), remedy) for key, value, remedy in entries if value is None]
 
 
-def gripper_problems(document: Document, hand: GripperSection) -> list[Problem]:
+def gripper_complaints(hand: GripperSection) -> Iterator[tuple[Key, str]]:
     """Ways to say one thing, of which exactly one must be given."""
-    angle, problems = hand.angle, []
+    angle = hand.angle
     given = [name for name in WAYS if getattr(hand, name) is not None]
     if len(given) != 1:
-        message = (
-            f"{' and '.join(given) or 'nothing'} given; give one of: columns of the gripping "
-            "point, fixed_m if it never moves, turns by an encoder of its axle, acceleration by "
-            "a sensor on it"
-        )
-        problems.append(document.problem(("hand",), message))
+        message = f"{' and '.join(given) or 'nothing'} given; give one of: columns of the gripping "
+        message += "point, fixed_m if it never moves, turns by an encoder of its axle, "
+        yield ("hand",), f"{message}acceleration by a sensor on it"
     elif (columns := hand.along_columns) is not None and not any(columns):
         key: Key = ("hand", *(["acceleration"] if hand.acceleration else []), "columns")
-        problems.append(document.problem(key, "are all null; name one, or give fixed_m instead"))
-    ways = {"constant_rad": angle.constant_rad, "column": angle.column,
-            "quaternion": angle.quaternion, "towards": angle.towards,
-            "follows": angle.follows}  # fmt: skip
-    told = [name for name, value in ways.items() if value is not None]
+        yield key, "are all null; name one, or give fixed_m instead"
+    ways = ("constant_rad", "column", "quaternion", "towards", "follows")
+    told = [name for name in ways if getattr(angle, name) is not None]
     if len(told) != 1:
         message = f"{' and '.join(told) or 'nothing'} given; give one of {', '.join(ways)}"
-        problems.append(document.problem(("hand", "angle"), message))
+        yield ("hand", "angle"), message
     elif angle.column is not None and angle.radians_per_unit is None:
-        message = (
-            "is missing; give 0.0174533 for degrees, 1 for radians, negative if up is positive"
-        )
-        problems.append(document.problem(("hand", "angle", "radians_per_unit"), message))
+        message = "is missing; give 0.0174533 for degrees, 1 for radians, "
+        yield ("hand", "angle", "radians_per_unit"), f"{message}negative if up is positive"
     elif angle.quaternion is not None and angle.body_axis is None:
         message = (
             "is missing; give the axis of the hand along which the cable leaves it, such as +x"
         )
-        problems.append(document.problem(("hand", "angle", "body_axis"), message))
+        yield ("hand", "angle", "body_axis"), message
     elif angle.follows and hand.turns is None:
         message = "is only for a hand that `turns`; give constant_rad or column"
-        problems.append(document.problem(("hand", "angle", "follows"), message))
+        yield ("hand", "angle", "follows"), message
     elif angle.towards and hand.columns is None and hand.fixed_m is None:
         message = "is only for a hand with columns or fixed_m; give constant_rad or column"
-        problems.append(document.problem(("hand", "angle", "towards"), message))
-    return problems
+        yield ("hand", "angle", "towards"), message

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -13,12 +13,12 @@ from pydantic import Field
 
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Start
-from cell.files.input_error import InputError, Problem
+from cell.files.input_error import InputError
 from cell.files.words import counted
 from cell.files.yaml_document import Document, Key, read_yaml, validate
 from cell.study.data import Study, Wrench
-from cell.study.entries import TrialName
-from cell.study.hand_drift import HandDriftSection
+from cell.study.entries import Complaint, ConnectorEntry, TrialName
+from cell.study.hand_drift import HandDriftSection, drift_complaint
 from cell.study.imports.capture import Capture
 from cell.study.imports.hand_section import (
     AxesSection,
@@ -31,7 +31,7 @@ from cell.study.imports.hand_section import (
     TextSection,
     TimeSection,
     entries_to_fill_in,
-    gripper_problems,
+    gripper_complaints,
 )
 from cell.study.wrench import SensorEntry, sensor_entry
 
@@ -68,27 +68,11 @@ def wrench_section(study: Study, names: Sequence[str]) -> WrenchSection | None:
     return WrenchSection(columns=columns, **sensor_entry(study.sensor))
 
 
-def wrench_problems(document: Document, section: WrenchSection | None) -> list[Problem]:
-    """That nothing of it is given."""
-    if section is None or any(section.columns):
-        return []
-    message = "are all null; name one, or leave wrench out"
-    return [document.problem(("wrench", "columns"), message)]
-
-
 FORMAT: Final = "cable-import/1"
 FILE = "import.yaml"
 
 #: By so much the two directions may miss length 1 and a right angle: numbers of three digits.
 NOT_SQUARE = 2e-3
-
-
-class ConnectorSection(SectionPart):
-    """A rigid body at the cable's end; without an inertia it is a rod's."""
-
-    mass_kg: Positive
-    length_m: Positive
-    inertia_kg_m2: Positive | None = None
 
 
 class CableSection(SectionPart):
@@ -99,7 +83,7 @@ class CableSection(SectionPart):
     width_m: Positive | None = None
     thickness_m: Positive | None = None
     diameter_m: Positive | None = None
-    connector: ConnectorSection | None = None
+    connector: ConnectorEntry | None = None
 
 
 class MarkerEntry(SectionPart):
@@ -205,20 +189,15 @@ def read_mapping(path: Path) -> ReadMapping:
     """Read a mapping.  Raises InputError: it is none, lacks entries, or contradicts itself."""
     document = read_yaml(path)
     mapping = validate(document, Mapping)
-    problems = [
-        *_missing(document, mapping),
-        *_axes(document, mapping),
-        *gripper_problems(document, mapping.hand),
-        *_twice(document, mapping),
-        *_of_sensors(document, mapping),
-        *wrench_problems(document, mapping.wrench),
-    ]
+    complaints = [*_missing(mapping), *_axes(mapping), *gripper_complaints(mapping.hand)]
+    complaints += [*_twice(mapping), *_of_sensors(mapping)]
+    problems = [document.problem(key, message) for key, message in complaints]
     if problems:
         raise InputError(problems)
     return ReadMapping(mapping, document)
 
 
-def _missing(document: Document, mapping: Mapping) -> list[Problem]:
+def _missing(mapping: Mapping) -> Iterator[Complaint]:
     """Entries that the file leaves to be filled in."""
     cable = mapping.cable
     wanted: list[tuple[Key, Any, str]] = [
@@ -237,19 +216,12 @@ def _missing(document: Document, mapping: Mapping) -> list[Problem]:
     for i, marker in enumerate(mapping.markers):
         where: Key = ("markers", i, "arc_length_m")
         wanted.append((where, marker.arc_length_m, "measure it along the cable from the clamp"))
-    problems = [
-        document.problem(key, f"is not known from the file: {remedy}")
-        for key, value, remedy in wanted
-        if value is None
-    ]
-    problems += [
-        document.problem(key, f"is not known from the file: {remedy}")
-        for key, remedy in entries_to_fill_in(mapping.hand)
-    ]
+    given = [(key, remedy) for key, value, remedy in wanted if value is None]
+    for entry, remedy in [*given, *entries_to_fill_in(mapping.hand)]:
+        yield entry, f"is not known from the file: {remedy}"
     if cable.diameter_m is None and (cable.width_m is None or cable.thickness_m is None):
         message = "its section is not known from the file: give width_m and thickness_m of a flat "
-        problems.append(document.problem(("cable",), f"{message}cable, diameter_m of a round one"))
-    return problems
+        yield ("cable",), f"{message}cable, diameter_m of a round one"
 
 
 def _seconds_per_unit(
@@ -261,16 +233,11 @@ def _seconds_per_unit(
     return None if None in units else units[0]
 
 
-def _axes(document: Document, mapping: Mapping) -> list[Problem]:
+def _axes(mapping: Mapping) -> list[Complaint]:
     """Directions that are no right-angled pair along the columns of the points."""
-    problems = []
-    sections: list[tuple[Key, AxesSection, list[Any]]] = [
-        (
-            ("axes",),
-            mapping.axes,
-            [(("markers", i), m.columns) for i, m in enumerate(mapping.markers)],
-        )
-    ]
+    found: list[Complaint] = []
+    markers = [(("markers", i), m.columns) for i, m in enumerate(mapping.markers)]
+    sections: list[tuple[Key, AxesSection, list[Any]]] = [(("axes",), mapping.axes, markers)]
     hand = mapping.hand
     if hand.along_columns is not None:
         key: Key = ("axes",) if hand.axes is None else ("hand", "axes")
@@ -280,27 +247,22 @@ def _axes(document: Document, mapping: Mapping) -> list[Problem]:
         right, up = np.array(axes.right), np.array(axes.up)
         if len(right) != len(up):
             message = f"has {len(right)} numbers, up {len(up)}; give one for each column of a point"
-            problems.append(document.problem((*key, "right"), message))
+            found.append(((*key, "right"), message))
             continue
         for point, columns in points:
             if len(columns) != len(right):
-                message = (
-                    f"names {counted(len(columns), 'column')}, the axes {len(right)}; give as many"
-                )
-                problems.append(document.problem((*point, "columns"), message))
+                message = f"names {counted(len(columns), 'column')}, the axes {len(right)}; "
+                found.append(((*point, "columns"), f"{message}give as many"))
         for name, vector in (("right", right), ("up", up)):
-            if abs(np.linalg.norm(vector) - 1.0) > NOT_SQUARE:
-                message = f"has length {np.linalg.norm(vector):.4g}, limit 1 ± {NOT_SQUARE}; "
-                problems.append(
-                    document.problem(
-                        (*key, name), f"{message}give a direction such as {_unit(vector)}"
-                    )
-                )
-        if not problems and abs(right @ up) > NOT_SQUARE:
+            length = np.linalg.norm(vector)
+            if abs(length - 1.0) > NOT_SQUARE:
+                message = f"has length {length:.4g}, limit 1 ± {NOT_SQUARE}; give a direction such "
+                found.append(((*key, name), f"{message}as {_unit(vector)}"))
+        if not found and abs(right @ up) > NOT_SQUARE:
             angle = np.degrees(np.arccos(np.clip(right @ up, -1.0, 1.0)))
             message = f"is {angle:.3g}° from right; give directions at a right angle"
-            problems.append(document.problem((*key, "up"), message))
-    return problems
+            found.append(((*key, "up"), message))
+    return found
 
 
 def _unit(vector: np.ndarray) -> list[float]:
@@ -311,25 +273,21 @@ def _unit(vector: np.ndarray) -> list[float]:
     return [float(v) for v in nearest]
 
 
-def _of_sensors(document: Document, mapping: Mapping) -> list[Problem]:
-    """Entries of trials that are of no use, or contradict themselves."""
-    problems = []
+def _of_sensors(mapping: Mapping) -> Iterator[Complaint]:
+    """Entries of trials that are of no use, or contradict themselves; a wrench without columns."""
     for i, trial in enumerate(mapping.trials):
         for name in ("hand_starts_at_m", "hand_ends_at_m"):
             if getattr(trial, name) is not None and mapping.hand.acceleration is None:
                 message = "is only for a hand that is told by its acceleration; remove it"
-                problems.append(document.problem(("trials", i, name), message))
-        drift = trial.hand_drift
-        if drift is not None and drift.to_s <= drift.from_s:
-            message = f"{drift.to_s:g} s is not after from_s, {drift.from_s:g} s; give when the "
-            key: Key = ("trials", i, "hand_drift", "to_s")
-            problems.append(document.problem(key, f"{message}hand rests again"))
-    return problems
+                yield ("trials", i, name), message
+        if (drifts := drift_complaint(trial.hand_drift)) is not None:
+            yield ("trials", i, "hand_drift", "to_s"), drifts
+    if mapping.wrench is not None and not any(mapping.wrench.columns):
+        yield ("wrench", "columns"), "are all null; name one, or leave wrench out"
 
 
-def _twice(document: Document, mapping: Mapping) -> list[Problem]:
+def _twice(mapping: Mapping) -> Iterator[Complaint]:
     """Names and columns that are given to two markers or trials."""
-    problems = []
     for what, names in (
         ("markers", [m.name for m in mapping.markers]),
         ("trials", [t.name for t in mapping.trials]),
@@ -337,12 +295,11 @@ def _twice(document: Document, mapping: Mapping) -> list[Problem]:
         for i, name in enumerate(names):
             if name in names[:i]:
                 message = f"{name!r} is given twice, first as entry {names.index(name) + 1}; rename"
-                problems.append(document.problem((what, i, "name"), f"{message} one"))
+                yield (what, i, "name"), f"{message} one"
     seen: dict[str, int] = {}
     for i, marker in enumerate(mapping.markers):
         for column in marker.columns:
             if column is not None and seen.setdefault(column, i) != i:
                 first = mapping.markers[seen[column]].name
                 message = f"{column!r} is also of marker {first!r}; give each its own columns"
-                problems.append(document.problem(("markers", i, "columns"), message))
-    return problems
+                yield ("markers", i, "columns"), message

@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
 from cell.files.atomic import write_all
@@ -59,7 +58,8 @@ def mapping_text(mapping: Mapping, findings: Sequence[Finding], command: str) ->
         if about or isinstance(value, dict | list):
             lines.append("")
         for finding in about:
-            lines += _comment(f"{_MARK[finding.sure]}: {finding.sentence}")
+            remark = f"{_MARK[finding.sure]}: {finding.sentence}"
+            lines += textwrap.wrap(remark, _WIDTH, initial_indent="# ", subsequent_indent="#   ")
         lines.append(yaml_text({key: value}, inline=isinstance(value, dict | list)).rstrip())
     return "\n".join(lines) + "\n"
 
@@ -82,10 +82,6 @@ def _plain(mapping: Mapping) -> dict[str, Any]:
     ]
     order = [name for name in type(mapping).model_fields if name in data]
     return {name: data[name] for name in order}
-
-
-def _comment(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="#   ")
 
 
 _POSE = ("t_s", "x_m", "y_m", "angle_rad")
@@ -160,9 +156,10 @@ def write_wide(study: Study, folder: Path) -> list[Path]:
 
     raises  OSError: it cannot be written; nothing has changed
     """
-    names = _marker_names(len(study.arc_length_m))
+    names = ["tip", *(f"m{i}" for i in range(1, len(study.arc_length_m)))]
     mapping = _mapping_of(study, names)
-    if any(_without_markers(t).any() for t in study.trials):
+    seen = [np.isfinite(t.markers.xy_m).any(axis=(1, 2)) for t in study.trials]
+    if not all(rows.all() for rows in seen):
         mapping = mapping.model_copy(update={"frames": _FRAME})
     columns = _columns(names, mapping)
     files: dict[Path, str | bytes] = {
@@ -174,11 +171,6 @@ def write_wide(study: Study, folder: Path) -> list[Path]:
     return list(files)
 
 
-def _marker_names(count: int) -> list[str]:
-    """Tip first, as a study has them."""
-    return ["tip", *(f"m{i}" for i in range(1, count))]
-
-
 def _columns(names: Sequence[str], mapping: Mapping) -> dict[str, int]:
     """Names of a table's columns, and which of `_rows`' each is."""
     places = [f"{name}_{axis}_m" for name in names for axis in "xy"]
@@ -186,11 +178,6 @@ def _columns(names: Sequence[str], mapping: Mapping) -> dict[str, int]:
     of_wrench = [] if mapping.wrench is None else mapping.wrench.columns
     kept = {*every[: -1 - len(COLUMNS)], *of_wrench, mapping.frames}
     return {name: number for number, name in enumerate(every) if name in kept}
-
-
-def _without_markers(trial: Trial) -> NDArray[np.bool_]:
-    """(T,) frames in which no marker was seen."""
-    return np.asarray(~np.isfinite(trial.markers.xy_m).any(axis=(1, 2)))
 
 
 def _rows(trial: Trial, columns: dict[str, int]) -> FloatArray:
