@@ -344,13 +344,14 @@ def write_study(
     colour: float = 0.3,
     strokes: tuple[Stroke, ...] = STROKES,
     step_s: float = STEP_S,
+    links: int = LINKS,
 ) -> None:
     """A study of a specimen, filmed with coloured noise, as plain text files."""
     rng = np.random.default_rng(seed)
     for stroke in strokes:
         end_s = STILL_S + stroke.seconds + HOLD_S
         t_s = np.arange(rng.uniform(0.0, FRAME_S), end_s, FRAME_S)
-        points = seen(specimen, stroke, t_s, step_s=step_s)
+        points = seen(specimen, stroke, t_s, links, step_s)
         noise = rng.normal(size=points.shape)
         for k in range(1, len(noise)):
             noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * noise[k]
