@@ -27,7 +27,7 @@ _ANSWER_S = 30.0
 
 Runs = Annotated[
     Path,
-    typer.Option(help="Folder of the records of the cell: its --out.", callback=records_folder),
+    typer.Option(help="Folder of the records of the cell: its --runs.", callback=records_folder),
 ]
 
 

@@ -85,14 +85,15 @@ def warm_up(station: Station, findings: Findings) -> Findings:
     tasks = (station.task, *station.others)
     models = list(dict.fromkeys((t.cable, t.identification.kind) for t in tasks))
     try:
-        with second_process(station.computer) as computer:
-            computed = [computer.submit(warm_up_engine, *model) for model in models]
+        with second_process(station.computer) as process:
+            computed = [process.submit(warm_up_engine, *model) for model in models if process]
             for task in tasks:  # meanwhile
                 warm_up_vision(task.vision)
             for job in computed:
                 job.result()
         for model in models:
             warm_up_engine(*model)
+            station.computer.submit(warm_up_engine, *model).result()
     except BrokenExecutor as error:
         raise DeviceLostError(
             "computer",

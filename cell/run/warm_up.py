@@ -35,14 +35,21 @@ _MARK_PX, _DARK, _BEHIND, _LIGHT = 6.0, 30, 120, 210
 
 
 @contextmanager
-def second_process(computer: Executor) -> Iterator[Executor]:
-    """A process beside this one that compiles, where much is to be compiled; else `computer`."""
+def second_process(computer: Executor) -> Iterator[SecondProcess | None]:
+    """A process that computes beside this one: `computer` if it is one, else one that compiles.
+
+    None where nothing is to be compiled; a thread would share this process's compiler, and wait for
+    its lock for ever where a signal has ended the other.
+    """
     if isinstance(computer, SecondProcess) or not is_to_be_compiled(integrate):
-        yield computer
+        yield computer if isinstance(computer, SecondProcess) else None
         return
     _LOG.info("compiling for this processor, once: about half a minute")
-    with SecondProcess() as other:
-        yield other
+    process = SecondProcess()
+    try:
+        yield process
+    finally:
+        process.shutdown(wait=False)  # it may be interrupted
 
 
 @cache

@@ -251,7 +251,9 @@ def main() -> int:
         parser.add_argument(f"--{name}", nargs="+", type=kinds(known), default=[])
     parser.add_argument("--first", type=int, default=2000, help="seed of made studies")
     parser.add_argument("--seed", type=int, default=2, help="of the breadth's conditions")
-    parser.set_defaults(rigs=[], practice=None, real=False, uneven=None, pixel=None, colour=None)
+    parser.set_defaults(
+        rigs=[], mujoco=[], practice=None, real=False, uneven=None, pixel=None, colour=None
+    )
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--limit", nargs="*", default=[], metavar="CHECK=VALUE")

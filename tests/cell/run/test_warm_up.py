@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -96,9 +96,25 @@ def test_two_processes_compile_where_much_is_to_be_compiled(
     compiles: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cell.run.warm_up.is_to_be_compiled", lambda function: compiles)
-    with ThreadPoolExecutor(1) as given:
-        with second_process(given) as computer:
-            process = computer.submit(os.getpid).result()
-        assert (process != os.getpid()) is compiles
-    with SecondProcess() as given, second_process(given) as computer:
-        assert computer is given
+    with ThreadPoolExecutor(1) as thread, second_process(thread) as process:
+        assert (process is not None) is compiles
+        if process is not None:
+            assert process.submit(os.getpid).result() != os.getpid()
+    with SecondProcess() as given, second_process(given) as process:
+        assert process is given
+
+
+def test_whoever_interrupts_the_compilation_does_not_wait_for_the_second_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("cell.run.warm_up.is_to_be_compiled", lambda function: True)
+    with (
+        ThreadPoolExecutor(1) as thread,
+        pytest.raises(KeyboardInterrupt),
+        second_process(thread) as process,
+    ):
+        assert process is not None
+        process.submit(os.getpid).result()
+        waits = process.submit(time.sleep, 600.0)
+        raise KeyboardInterrupt
+    assert isinstance(waits.exception(60.0), BrokenExecutor)
