@@ -183,14 +183,14 @@ def suggest(
     config   settings of the cell, for its limits too; other arguments and errors as of `diagnose`
     """
     from cell.lab.next.suggest import (
-        asked_and_tried,
         showing_motion,
+        split_effects,
         suggest_motion,  # settings: a fifth of a second
     )
     from cell.settings.surroundings import Surroundings
 
     around = Surroundings.read(None if config is None else Path(config))
-    names, tried = asked_and_tried(effect_names(effects))
+    names, tried = split_effects(effect_names(effects))
     known = effect_names(known, "known")
     if names:
         asked, selection = select_asked(names, known)

@@ -213,18 +213,11 @@ class _Diagnose(_CandidateOptions):
     def selection(self, progress: Progress) -> EffectSelection:
         """Effects that are part of the model, and those that are tried.
 
-        raises  ValueError: one is tried anyway; as `select_effects`
+        raises  as `select_for_diagnosis`
         """
-        from cell.cable.effects import library
-        from cell.lab.data.named_effects import select_effects
+        from cell.lab.data.named_effects import select_for_diagnosis
 
-        tried = self.effects(progress)
-        for name in tried:
-            if name in library():
-                raise ValueError(
-                    f"--try {name}: is tried anyway; --with {name} makes it part of the model"
-                )
-        return select_effects(self.known or [], tried)
+        return select_for_diagnosis(self.effects(progress), self.known or [])
 
 
 @app.command(cls=JsonCommand)
@@ -434,13 +427,13 @@ def suggest(given: _Suggest) -> None:
     from cell.lab.data.work import DIAGNOSIS, Work
     from cell.lab.diagnosis import diagnose as diagnose_study
     from cell.lab.next.asked import select_asked
-    from cell.lab.next.suggest import asked_and_tried, showing_motion, suggest_motion
+    from cell.lab.next.suggest import showing_motion, split_effects, suggest_motion
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.settings.surroundings import Surroundings
 
     with refusing(given.out, given.as_json, force=given.force), working("suggest") as progress:
         surroundings = Surroundings.read(given.config)
-        names, tried = asked_and_tried(given.effects(progress))
+        names, tried = split_effects(given.effects(progress))
         known = given.known or []
         asked, selection = (
             select_asked(names, known) if names else ((), select_for_diagnosis(tried, known))

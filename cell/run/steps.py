@@ -86,7 +86,9 @@ def warm_up(station: Station, findings: Findings) -> Findings:
     models = list(dict.fromkeys((t.cable, t.identification.kind) for t in tasks))
     try:
         with second_process(station.computer) as process:
-            computed = [process.submit(warm_up_engine, *model) for model in models if process]
+            computed = []
+            if process is not None:
+                computed = [process.submit(warm_up_engine, *model) for model in models]
             for task in tasks:  # meanwhile
                 warm_up_vision(task.vision)
             for job in computed:

@@ -53,15 +53,17 @@ def select_effects(in_model: Sequence[str], candidates: Sequence[str] = ()) -> E
     return EffectSelection(tuple(chosen[: len(in_model)]), library() | more)
 
 
-def select_for_diagnosis(effects: Sequence[str], known: Sequence[str]) -> EffectSelection:
-    """The same for a command that looks for what is missing.
+def select_for_diagnosis(tried: Sequence[str], known: Sequence[str]) -> EffectSelection:
+    """The same for whoever looks for what is missing: effects to try, and those of the model.
 
-    effects  one that is tried anyway is part of the model; any other joins those tried
-    known    part of the model
+    raises  ValueError: one is tried anyway
     """
-    tried_anyway = library()
-    in_model = [*known, *(e for e in effects if e in tried_anyway)]
-    return select_effects(in_model, [e for e in effects if e not in tried_anyway])
+    for name in tried:
+        if name in library():
+            raise ValueError(
+                f"{name}: is tried anyway; --with {name}, or `known`, makes it part of the model"
+            )
+    return select_effects(known, tried)
 
 
 def candidates_in(folder: Path, progress: Progress = no_progress) -> tuple[list[str], list[str]]:

@@ -341,7 +341,7 @@ def _label(candidate: FittedModel) -> str:
     return " + ".join(e.name for e in candidate.effects) or "baseline"
 
 
-def asked_and_tried(effects: Sequence[str]) -> tuple[list[str], list[str]]:
+def split_effects(effects: Sequence[str]) -> tuple[list[str], list[str]]:
     """Effects to design a motion for, and files of effects to try with the library.
 
     effects  NAME, NAME=SIZE, file.py=SIZE: of the first kind; file.py: of the second

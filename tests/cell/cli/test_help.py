@@ -85,7 +85,10 @@ def test_what_is_tried_anyway_is_no_effect_to_try(tmp_path) -> None:
         CliRunner().invoke(app, ["diagnose", str(tmp_path), option, "air_drag"]).stderr
         for option in ("--try", "--effect")
     ]
-    assert "--try air_drag: is tried anyway; --with air_drag makes it part of the model" in said[0]
+    assert (
+        "air_drag: is tried anyway; --with air_drag, or `known`, makes it part of the model"
+        in said[0]
+    )
     assert "note: --effect is called --with now" in said[1] and "--try" not in said[1]
 
 

@@ -17,7 +17,7 @@ from cell.lab.next.forecast import forecast
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.motion_file import hand_motion
 from cell.lab.next.planned import with_motions
-from cell.lab.next.suggest import asked_and_tried, showing_motion
+from cell.lab.next.suggest import showing_motion, split_effects
 from cell.lab.next.suggestion import Suggestion, write_motion
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.settings.surroundings import Surroundings
@@ -75,10 +75,10 @@ def test_a_size_that_no_motion_shows_says_what_would_help(fits: FitCache) -> Non
 
 
 def test_names_are_shown_and_files_tried_but_not_both() -> None:
-    assert asked_and_tried(["air_drag", "my.py=0.1"]) == (["air_drag", "my.py=0.1"], [])
-    assert asked_and_tried(["my.py"]) == ([], ["my.py"])
+    assert split_effects(["air_drag", "my.py=0.1"]) == (["air_drag", "my.py=0.1"], [])
+    assert split_effects(["my.py"]) == ([], ["my.py"])
     with pytest.raises(ValueError, match=r"my.py: is tried beside the library, but air_drag asks"):
-        asked_and_tried(["my.py", "air_drag"])
+        split_effects(["my.py", "air_drag"])
 
 
 def test_the_command_writes_the_motion_for_the_cell(fits: FitCache, tmp_path: Path) -> None:
