@@ -172,7 +172,7 @@ def damaged(path: Path, error: Exception) -> InputError:
 
 def _why(error: Exception) -> str:
     wrong_sum = isinstance(error, CRCValidationError)
-    return "is damaged: a checksum is wrong" if wrong_sum else f"cannot be read: {error!r}"
+    return f"is damaged: {'a checksum is wrong' if wrong_sum else repr(error)}"
 
 
 def lacks_end(path: Path) -> bool:

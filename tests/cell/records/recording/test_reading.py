@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import cv2
 import numpy as np
@@ -109,6 +110,26 @@ def test_a_changed_byte_is_noticed(make_recording):
     for read in (recording.check, lambda: list(recording.frames())):
         with pytest.raises(InputError, match=f"checksum is wrong; `cell recover {path}`"):
             read()
+
+
+def test_wherever_a_byte_is_changed_it_is_called_damage(make_recording):
+    """A checksum finds some, the decompressor others; a person reads one word and one remedy."""
+    path = make_recording()
+    data = path.read_bytes()
+    whole = [frame.image.tobytes() for frame in read_recording(path).frames()]
+    said = []
+    for at in range(len(data) // 8, len(data) // 2, 61):  # before the index at the end
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        try:
+            read = [frame.image.tobytes() for frame in read_recording(path).frames()]
+        except InputError as error:
+            said.append(str(error))
+        else:
+            assert read == whole  # a byte of an index that nobody read
+    assert len(said) > 100
+    wanted = f"{path}:1: is damaged: .*; `cell recover {path}` copies what is whole"
+    assert [line for line in said if not re.fullmatch(wanted, line)] == []
+    assert len(set(said)) > 1
 
 
 @pytest.mark.parametrize(
