@@ -13,6 +13,8 @@ from cell.cli.shared import group, refuse
 
 app = group()
 _INSTALLED = Path("share", "doc", "cable-cell")
+#: Folders of the documentation, in the order in which they are read.
+_PARTS = ("start", "howto", "explain", "reference")
 
 
 @app.command("help")
@@ -51,10 +53,11 @@ def help_(
 
 
 def topics() -> dict[str, Path]:
-    """Pages of the documentation by their names, sorted."""
+    """Pages of the documentation by their names, in the order of reading."""
     clone = Path(__file__).resolve().parents[2] / "docs"
     folder = clone if clone.is_dir() else Path(sysconfig.get_path("data")) / _INSTALLED
-    return {page.stem: page for page in sorted(folder.glob("*.md"))}
+    pages = (page for part in ("", *_PARTS) for page in sorted((folder / part).glob("*.md")))
+    return {page.stem: page for page in pages}
 
 
 def _title(page: Path) -> str:

@@ -103,7 +103,7 @@ class RunOptions:
         typer.Option(
             callback=_counted,
             metavar="N|forever",
-            help="Number of cables; `forever` = one for every start, as a service (docs/plant.md).",
+            help="Number of cables; `forever` = one for every start, as a service.",
         ),
     ] = "1"
     seed: RunSeed = 1

@@ -1,4 +1,4 @@
-"""The walks in `docs/architecture.md`: every stop is there, and no room is entered twice."""
+"""The walks of the page on architecture: every stop is there, and no room is entered twice."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _STOP = re.compile(r"\| `([\w/]+\.py)` \| `([\w.]+)` \|")
 
 def walks() -> dict[str, list[tuple[str, str]]]:
     """File and function of every stop, by the walk's heading."""
-    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "explain" / "architecture.md").read_text(encoding="utf-8")
     parts = page.split("\n### ")[1:]
     return {part.splitlines()[0]: _STOP.findall(part) for part in parts}
 

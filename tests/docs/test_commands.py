@@ -28,7 +28,11 @@ from typer.main import get_command
 from cell.cli import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+PAGES = [
+    ROOT / "README.md",
+    *(p for p in sorted(DOCS.rglob("*.md")) if p.parent.name != "decisions"),
+]
 ALL = os.environ.get("CELL_DOCS") == "all"
 _NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _RUN = ("run as", "run", "slow", "slow run as")
@@ -206,7 +210,7 @@ def test_the_labs_first_session_prints_what_it_says_and_finds_what_was_hidden(
     tmp_path: Path,
 ) -> None:
     """One motion cannot tell, the suggested one decides: the loop of the lab in a cell."""
-    assert not follow(ROOT / "docs" / "lab.md", tmp_path)
+    assert not follow(ROOT / "docs" / "howto" / "lab.md", tmp_path)
     found = json.loads((tmp_path / "diagnosis.json").read_text())
     assert found["verdict"] == "missing"
     assert [m["effect"] for m in found["missing"]] == ["added_mass"]

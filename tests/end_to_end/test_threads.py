@@ -1,4 +1,4 @@
-"""What happens when a thread dies: a stop or a named degradation, as docs/architecture.md says."""
+"""What happens when a thread dies: a stop or a named degradation, as docs say."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def begun_in_the_program() -> Iterator[tuple[str, str]]:
 
 
 def rows() -> list[tuple[str, ...]]:
-    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "explain" / "architecture.md").read_text(encoding="utf-8")
     return _ROW.findall(page)
 
 

@@ -4,7 +4,7 @@ A trial injects a fault when a step begins (in steps that move: when the arm mov
 the cell stops and names device, step and remedy; the record is closed and says the same; the jaws
 hold what they held; and after the person's repair and acknowledgement the next cycle inserts.
 Then processes of the cell are killed at random moments, and the emulated arm must stand 200 ms
-later.  A summary goes to `docs/fault_trials.md`, every trial to the CSV beside it.
+later.  A summary goes to `docs/validation/fault_trials.md`, every trial to the CSV beside it.
 
 With `--revising` insertions are corrected in flight, all of them, and the faults of the step
 `execute` happen while the arm is told a change of its path.  With `--plant` OPC UA with five
@@ -59,7 +59,7 @@ from tools.faults.short_cycles import short_cycles
 from tools.plant.around import Plant
 
 ROOT = Path(__file__).parents[2]
-TABLE = ROOT / "docs" / "fault_trials.md"
+TABLE = ROOT / "docs" / "validation" / "fault_trials.md"
 BAR_S = 0.1
 #: Waits and hold, s.
 SHORT = {"calm_s": 0.1, "still_s": 0.3, "hold_s": 0.5, "decide_s": 0.5, "settle_s": 0.1}

@@ -1,7 +1,7 @@
 """References of checks and warnings in docs, written from the tables that the programs read.
 
-docs/lab.md has those of a diagnosis, docs/learning.md those of many cables, docs/studies.md those
-of a study's data.
+docs/howto/lab.md has those of a diagnosis, docs/howto/learn.md those of many cables,
+docs/howto/import.md those of a study's data.
 
 python -m tools.figures.checks_reference
 """
@@ -73,9 +73,9 @@ def of_data() -> str:
 
 
 PAGES = {
-    DOCS / "lab.md": of_diagnosis,
-    DOCS / "learning.md": of_line,
-    DOCS / "studies.md": of_data,
+    DOCS / "howto" / "lab.md": of_diagnosis,
+    DOCS / "howto" / "learn.md": of_line,
+    DOCS / "howto" / "import.md": of_data,
 }
 
 

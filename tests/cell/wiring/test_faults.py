@@ -13,7 +13,7 @@ from drivers.emulators.camera import StreamFaults
 from drivers.emulators.launch import EmulatorError
 from drivers.emulators.robotiq import RobotiqFaults
 
-DOCS = Path(__file__).parents[3] / "docs" / "commissioning.md"
+DOCS = Path(__file__).parents[3] / "docs" / "howto" / "commission.md"
 
 
 class Asked:

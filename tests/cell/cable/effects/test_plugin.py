@@ -17,7 +17,7 @@ from cell.cable.effects.remote import MARK
 from cell.cable.geometry import Cable
 from cell.cable.model import CableModel
 
-DOCS = Path(__file__).parents[4] / "docs" / "effects.md"
+DOCS = Path(__file__).parents[4] / "docs" / "howto" / "own_effect.md"
 
 HEAD = """from cell.cable.effects import Effect, Parameter
 class Mine(Effect):
@@ -40,7 +40,7 @@ def test_the_documented_example_runs(tmp_path, monkeypatch):
     (tmp_path / "magnet.py").write_text(example, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     names: dict = {}
-    exec(compile(use, "docs/effects.md", "exec"), names)
+    exec(compile(use, "docs/howto/own_effect.md", "exec"), names)
     model, still = names["model"], names["still"]
     plain = CableModel.uniform(model.cable, 3e-5, viscosity_n_m2_s=1e-7)
     off = CableModel.uniform(

@@ -436,7 +436,7 @@ def test_a_place_that_cables_together_miss_is_found_from_each_alone(
         lambda box_m: [t for t in admissible(box_m) if t.name == "point"],
     )
     monkeypatch.setattr("cell.lab.fit.shared.SOLVER", COARSE)
-    text = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "howto" / "own_effect.md").read_text(encoding="utf-8")
     example = text.partition("<!-- file: magnet.py -->")[2].split("```")[1]
     path = tmp_path / "magnet.py"
     path.write_text(example.removeprefix("python\n"), encoding="utf-8")

@@ -88,7 +88,7 @@ def test_without_the_section_the_remedy_is_told() -> None:
     assert (done.exit_code, "plant.opcua; add one" in done.stderr) == (2, True)
 
 
-PAGE = Path(__file__).parents[4] / "docs" / "plant.md"
+PAGE = Path(__file__).parents[4] / "docs" / "howto" / "plant.md"
 
 
 def test_nodes_and_methods_of_the_page_are_there() -> None:
