@@ -150,7 +150,7 @@ def service(
     ] = Path("runs"),
     user: Annotated[str | None, typer.Option(help="As whom; default: who is logged in.")] = None,
 ) -> None:
-    """Print a unit for systemd, which runs the cell as a service (docs/howto/plant.md).
+    """Print a unit for systemd, which runs the cell as a service (cell help service).
 
     Exit codes: 0; 2 if the settings are wrong.
     """

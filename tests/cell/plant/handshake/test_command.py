@@ -95,7 +95,7 @@ def test_the_arms_controller_has_the_signals_unless_another_is_named(tmp_path: P
         assert controller_of(load_settings(config)) == host
 
 
-PAGE = (Path(__file__).parents[4] / "docs" / "howto" / "plant.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[4] / "docs" / "howto" / "plc.md").read_text(encoding="utf-8")
 
 
 def test_the_settings_that_are_shown_are_accepted() -> None:

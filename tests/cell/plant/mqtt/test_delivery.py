@@ -20,7 +20,7 @@ CYCLES = 100
 
 
 def once(messages: list[paho.MQTTMessage]) -> list[dict[str, Any]]:
-    """As docs/howto/plant.md tells a receiver: what is not above the last sequence is dropped."""
+    """As docs/howto/mqtt.md tells a receiver: what is not above the last sequence is dropped."""
     kept: list[dict[str, Any]] = []
     for said in (json.loads(message.payload) for message in messages):
         if not kept or kept[-1]["run"] != said["run"] or said["sequence"] > kept[-1]["sequence"]:
