@@ -73,7 +73,7 @@ def emulate(
         typer.Option(
             "--fault",
             help="A fault of a device, NAME@2s = 2 s after the next cable is gripped, NAME = at "
-            "once; docs/howto/commission.md lists them.  The option may be repeated.",
+            "once; `cell help commission` lists them.  The option may be repeated.",
         ),
     ] = None,
 ) -> None:
