@@ -7,7 +7,7 @@ INSTALL := $(if $(shell command -v uv),uv pip install --quiet --python $(BIN)/py
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports quick compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice studies checks discover fault-trials handshake calibration-study malformed endurance kills plant insertion clean help jaw-plate picture docs
+.PHONY: run serve test lint types imports quick compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice studies checks discover fault-trials handshake calibration-study malformed endurance kills plant insertion clean help jaw-plate picture docs docs-site
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -38,6 +38,7 @@ quick: $(VENV)/.dev   ## before a commit: lint, types, the tests that the change
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell docs README.md CHANGELOG.md CONTRIBUTING.md cell drivers calib tools config
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
@@ -92,6 +93,9 @@ jaw-plate: $(VENV)/.dev   ## the drawing of the jaw's plate, to scale
 
 picture: $(VENV)/.dev   ## the README's picture, of a simulated cycle
 	$(BIN)/python -m tools.figures.cycle_picture $(ARGS)
+
+docs-site: $(VENV)/.dev   ## the manual as a site, in cell/manual: for the pages, `cell help --browser`, a wheel
+	$(BIN)/python -m tools.site.build $(ARGS)
 
 docs: $(VENV)/.dev   ## run every command of README and docs, the slow ones too
 	CELL_DOCS=all $(BIN)/pytest tests/docs

@@ -17,6 +17,7 @@ from nicegui import ui
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
+from starlette.staticfiles import StaticFiles
 
 from calib.store import KINDS
 from cell.calibration import assistants
@@ -58,6 +59,8 @@ PAGES: tuple[Page, ...] = (
 )
 
 
+#: Where `make docs-site` and wheels have the manual; nothing is linked without it.
+MANUAL = Path(__file__).parents[1] / "manual"
 _LOG = logging.getLogger(__name__)
 
 _TITLE = "Cable cell"
@@ -109,6 +112,8 @@ def application(room: PagesContext, users: Users, secure: bool) -> FastAPI:
     _cycle_routes(app, room)
     _calibration_routes(app, room)
     lab_routes(app, room)
+    if (MANUAL / "index.html").exists():
+        app.mount("/manual", StaticFiles(directory=MANUAL, html=True))
     for page in PAGES:
         _page_route(room, page)
 
@@ -166,6 +171,8 @@ def _framed(visit: Visit, request: Request) -> None:
         theme = {"auto": "dark", "dark": "light"}.get(request.cookies.get("theme", "auto"), "auto")
         words = {"auto": N_("Automatic"), "dark": N_("Dark"), "light": N_("Light")}
         small = "text-white px-2 py-2 text-sm no-underline"
+        if (MANUAL / "index.html").exists():
+            ui.link(t(N_("Manual")), "/manual/", new_tab=True).classes(small)
         for name in languages():
             if name != visit.language:
                 ui.link(name.upper(), f"/choose?language={name}").classes(small)
@@ -198,14 +205,14 @@ def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) 
             return RedirectResponse("/", 303)
         async with request.form(max_files=0, max_fields=4, max_part_size=4096) as form:
             name, password = str(form.get("name", "")), str(form.get("password", ""))
-        whos = (f"name {name[:60]}", f"from {request.client.host if request.client else ''}")
-        if not room.sessions.login_allowed(*whos):
+        keys = (f"name {name[:60]}", f"from {request.client.host if request.client else ''}")
+        if not room.sessions.login_allowed(*keys):
             return shown(request, N_("Too many wrong passwords; wait a minute."), 429)
         user = await run_in_threadpool(users.authenticate, name, password)
         room.audit.write(name[:60], "log in", user is not None)
         if user is None:
             return shown(request, N_("Name or password is wrong."), 401)
-        room.sessions.right(*whos)
+        room.sessions.right(*keys)
         answer = RedirectResponse("/", 303)
         token = room.sessions.begin(user)
         answer.set_cookie(COOKIE, token, httponly=True, secure=secure, samesite="strict")

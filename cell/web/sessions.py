@@ -89,7 +89,7 @@ class Sessions:
         with self._lock:
             self._open.pop(_key(token or ""), None)
 
-    def login_allowed(self, *whos: str) -> bool:
+    def login_allowed(self, *keys: str) -> bool:
         """Whether a password may be looked at: not too many were wrong lately.
 
         It counts as wrong for this name and from this address until `right` is told, so that many
@@ -99,17 +99,17 @@ class Sessions:
         with self._lock:
             if len(self._wrong) > _MOST:
                 self._wrong = {w: t for w, t in self._wrong.items() if now - t[-1] < _LATELY_S}
-            lately = [sum(now - t < _LATELY_S for t in self._wrong.get(w, ())) for w in whos]
+            lately = [sum(now - t < _LATELY_S for t in self._wrong.get(w, ())) for w in keys]
             if any(number >= MOST_WRONG for number in lately):
                 return False
-            for who in whos:
+            for who in keys:
                 self._wrong.setdefault(who, []).append(now)
             return True
 
-    def right(self, *whos: str) -> None:
+    def right(self, *keys: str) -> None:
         """A password was right: its try counts no more."""
         with self._lock:
-            for who in whos:
+            for who in keys:
                 times = self._wrong.get(who, [])
                 del times[-1:]
                 if not times:

@@ -70,6 +70,7 @@ TABLE: dict[str, Small | ByTest | OfCI] = {
     "jaw-plate": Small("ARGS='-o {out}/plate.pdf'", writes="plate.pdf"),
     "picture": Small("ARGS='-o {out}/cycle.jpg'", writes="cycle.jpg"),
     "docs": ByTest("docs/test_commands.py::test_a_page_does_what_it_says"),
+    "docs-site": Small("ARGS='-o {out}/site'", "index.html", "site/index.html"),
     "coverage": Small("ARGS='--cables 1'", "1"),
     "practice": Small("ARGS='{out}/p.csv --practice none_a --workers 1'", "complete", "p.csv"),
     "studies": ByTest("tools/studies/test_diagnosis_study.py::"

@@ -1,0 +1,42 @@
+"""Settings of Sphinx for the manual; `build.py` runs it on a copy of docs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from docutils import nodes
+from latex2mathml.converter import convert
+
+project = "Cable cell"
+html_title = "Cable cell"
+extensions = ["myst_parser"]
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4
+html_theme = "furo"
+html_copy_source = False
+html_show_copyright = False
+html_show_sphinx = False
+pygments_style = "friendly"
+# Blocks of shells and of what they print are of no language that a lexer knows.
+highlight_language = "text"
+# GitHub's anchors are used in all links; a page that is on no list is reached by search.
+suppress_warnings = ["myst.header", "toc.excluded", "toc.not_included"]
+
+
+def _write_formula(display: str) -> Any:
+    """Browsers draw MathML themselves: no script, no network."""
+
+    def visit(translator: Any, node: nodes.Element) -> None:
+        formula = convert(node.astext(), display=display)
+        translator.body.append(
+            f'<div class="math">{formula}</div>' if display == "block" else formula
+        )
+        raise nodes.SkipNode
+
+    return visit
+
+
+def setup(app: Any) -> None:
+    """Called by Sphinx."""
+    app.add_node(nodes.math, override=True, html=(_write_formula("inline"), None))
+    app.add_node(nodes.math_block, override=True, html=(_write_formula("block"), None))

@@ -1,0 +1,247 @@
+"""References of the manual in Markdown, from what the programs themselves read."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import typer.core
+import yaml
+from typer.main import get_command
+
+import cell
+from cell.cli import PANELS, app
+from cell.files.yaml_edit import UNSET, flow
+from cell.lab.data.check import Check
+from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.line.learning_checks import GATES, LEARNING, LineRules
+from cell.lab.verdict.checks import CHECKS
+from cell.lab.verdict.doubts import MEANINGS
+from cell.settings.entries import SettingsEntry, entries
+from cell.study.checks import CHECKS as DATA_CHECKS
+from drivers import interfaces
+
+CONFIG = Path(__file__).parents[2] / "config"
+#: Codes of warnings in files of versions before.
+_OLD_CODES = {
+    "heldout_insensitive": "unconfirmed",
+    "weakly_identified": "barely_seen",
+    "possibly_omitted": "suspected",
+    "prior_driven": "prior_only",
+    "wider_law": "other_law",
+}
+
+
+# --- commands ------------------------------------------------------------------------------------
+
+
+def commands() -> str:
+    """Every command with its options, in the order of `cell --help`."""
+    root = get_command(app)
+    assert isinstance(root, typer.core.TyperGroup)
+    parts = []
+    for panel, names in PANELS.items():
+        parts.append(f"## {panel}")
+        for name in names:
+            command = root.commands[name]
+            parts += _command(f"cell {name}", command)
+            for sub, inner in getattr(command, "commands", {}).items():
+                parts += _command(f"cell {name} {sub}", inner)
+    return "\n\n".join(parts)
+
+
+def _command(name: str, command: Any) -> Iterator[str]:
+    yield f"### {name}"
+    yield from inspect.cleandoc(command.help).split("\n\n")
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    shown = [a.metavar or a.name.upper() for a in arguments]
+    wanted = [s if a.required else f"[{s}]" for s, a in zip(shown, arguments, strict=True)]
+    yield f"```text\n{' '.join([name, *wanted, '[OPTIONS]'])}\n```"
+    lines = [f"- `{s}`: {a.help or ''}" for s, a in zip(shown, arguments, strict=True)]
+    for option in command.params:
+        if option.param_type_name == "option" and not option.hidden and option.name != "help":
+            names = ", ".join(f"`{o}`" for o in (*option.opts, *option.secondary_opts))
+            default = option.default
+            usual = (
+                f" Default: `{default}`."
+                if isinstance(default, (str, int, float, Path))
+                and not isinstance(default, bool)
+                and option.show_default is True
+                else ""
+            )
+            lines.append(f"- {names}: {option.help or ''}{usual}")
+    yield "\n".join(lines)
+
+
+# --- settings ------------------------------------------------------------------------------------
+
+
+def settings() -> str:
+    """Every entry of the settings: unit, limits, default, what it means, an example."""
+    examples = [yaml.safe_load(p.read_text("utf-8")) for p in sorted(CONFIG.glob("*.yaml"))]
+    parts, section = [], ""
+    for title, entry in all_settings():
+        if title != section:
+            parts.append(f"\n## {title}\n")
+            section = title
+        parts.append(_setting(entry, examples))
+    return "\n".join(parts)
+
+
+def all_settings() -> Iterator[tuple[str, SettingsEntry]]:
+    """Heading and entry, with every optional section and every kind of device."""
+    data: dict[str, Any] = {}
+    while unused := [e.key for e in entries(data) if e.section and e.value is None]:
+        _set(data, unused[0], {})
+    kinds = {e.key[:-1]: e.choices for e in entries(data) if e.key[-1] == "kind"}
+    for entry in entries(data):
+        device = entry.key[:1]
+        if device not in kinds:
+            yield entry.key[0], entry
+        elif entry.key[1:] == ("kind",):
+            for kind in kinds[device]:
+                given = {**data, device[0]: {"kind": kind}}
+                inside = (e for e in entries(given) if e.key[:1] == device)
+                yield from ((f"{device[0]}, kind: {kind}", e) for e in inside)
+
+
+def _set(data: dict[str, Any], key: Sequence[str], value: Any) -> None:
+    for name in key[:-1]:
+        data = data.setdefault(name, {})
+    data[key[-1]] = value
+
+
+def _setting(entry: SettingsEntry, examples: Sequence[Any]) -> str:
+    """One entry as a line of a list."""
+    facts = [entry.unit, entry.limits]
+    if entry.choices and not entry.section:
+        facts.append(" or ".join(f"`{word}`" for word in entry.choices))
+    facts.append("required" if entry.default is UNSET else "")
+    if entry.default is not UNSET and not entry.section:
+        facts.append(f"default `{flow(entry.default)}`")
+    example = next((v for v in (_at(e, entry.key) for e in examples) if v is not None), None)
+    if not (example is None or isinstance(example, dict) or example == entry.default):
+        facts.append(f"e.g. `{flow(example)}`")
+    stated = "; ".join(fact for fact in facts if fact)
+    return f"- `{entry.name}`" + (f" ({stated})" if stated else "") + f": {entry.explained}"
+
+
+def _at(node: Any, keys: Sequence[str]) -> Any:
+    for key in keys:
+        node = node.get(key) if isinstance(node, dict) else None
+    return node
+
+
+# --- checks --------------------------------------------------------------------------------------
+
+
+def checks() -> str:
+    """The checks of a diagnosis, of what many cables teach, and of a study's data."""
+    parts = ("## Of a diagnosis", diagnosis_checks(), "## Of learning from many cables")
+    return "\n\n".join((*parts, line_checks(), "## Of a study's data", data_checks()))
+
+
+def _table(table: Sequence[Check[Any]], rules: object) -> list[str]:
+    """Checks: their limits, what a failure says, and why the limit is what it is."""
+    lines = ["| check | question | passes if | if not |", "|---|---|---|---|"]
+    for c in table:
+        limit = f"{c.unit} {c.passes} {getattr(rules, c.limit):g}"
+        lines.append(f"| `{c.name}` | {c.question} | {limit} | `{c.failing}` |")
+    lines += ["", "What a check that fails says, and why its limit is what it is:", ""]
+    for c in table:
+        code = _OLD_CODES.get(c.name)
+        old = f" In files of earlier versions: `{code}`." if code else ""
+        lines.append(f"- `{c.name}`: {c.failed} Judged by {c.reason}.{old}")
+    return lines
+
+
+def diagnosis_checks() -> str:
+    """The checks of a diagnosis, and its other warnings."""
+    lines = _table(CHECKS, DEFAULT_RULES)
+    lines += ["", "Warnings that come of no check:", ""]
+    lines += ["| code | what was observed | verdict |", "|---|---|---|"]
+    for code, (meaning, verdict) in MEANINGS.items():
+        lines.append(f"| `{code}` | {meaning} | {f'`{verdict}`' if verdict else '–'} |")
+    return "\n".join(lines)
+
+
+def line_checks() -> str:
+    """The checks of what many cables teach, and the gates of a candidate."""
+    return "\n".join(_table((*LEARNING, *GATES), LineRules()))
+
+
+def data_checks() -> str:
+    """The checks of a study's data: question, statistic, limit, what a failure says."""
+    lines = ["| check | question | if not |", "|---|---|---|"]
+    lines += [f"| `{c.name}` | {c.question} | {c.outcome} |" for c in DATA_CHECKS]
+    lines += ["", "The statistic and its limit, and what a check that fails says:", ""]
+    for c in DATA_CHECKS:
+        sentence = re.sub(r"\{[^}]*\}", "…", f"{c.says} {c.remedy}".strip())
+        lines.append(f"- `{c.name}`: {c.statistic}; limit {c.limit}. It says: {sentence}.")
+    return "\n".join(lines)
+
+
+# --- from Python ---------------------------------------------------------------------------------
+
+
+def api() -> str:
+    """What `import cell` offers, and the interfaces of devices."""
+    parts = ["## Functions and data", *(_described(n, getattr(cell, n)) for n in cell.__all__)]
+    parts.append("## Interfaces of devices")
+    for name in ("Clock", "Arm", "Camera", "Gripper"):
+        parts.append(_described(name, getattr(interfaces, name), "####"))
+    return "\n\n".join(parts)
+
+
+def _described(name: str, thing: Any, members: str = "") -> str:
+    """Signature and docstring; with `members`, a heading level, of the public methods too."""
+    parts = [f"### {name}", _signature(name, thing), _docstring(thing)]
+    for key, member in vars(thing).items() if members else ():
+        if callable(member) and not key.startswith("_"):
+            parts += [f"{members} {name}.{key}", _signature(key, member), _docstring(member)]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _signature(name: str, thing: Any) -> str:
+    if inspect.isclass(thing) and getattr(thing, "_is_protocol", False):
+        return ""
+    text = str(inspect.signature(thing)).replace("'", "")
+    text = re.sub(r"\b(?:[A-Za-z_]\w*\.)+(\w+)", r"\1", text)
+    if len(name) + len(text) > 80:
+        text = re.sub(r"\((.*)\)( ->.*)?$", lambda m: _broken(m[1]) + (m[2] or ""), text)
+    return f"```python\n{name}{text}\n```"
+
+
+def _broken(parameters: str) -> str:
+    """Parameters of a signature, one a line."""
+    depth, lines = 0, [""]
+    for sign in parameters:
+        depth += (sign in "[(") - (sign in "])")
+        if sign == "," and not depth:
+            lines.append("")
+        else:
+            lines[-1] += sign
+    return "(\n" + "".join(f"    {line.strip()},\n" for line in lines) + ")"
+
+
+def _docstring(thing: Any) -> str:
+    """The sentences as text; the table of parameters as it stands."""
+    paragraphs = (inspect.getdoc(thing) or "").split("\n\n")
+    parts = []
+    for paragraph in paragraphs:
+        table = any(
+            re.match(r"\S+( \S+)?(?<!\.)  +\S| {3,}\S", line) for line in paragraph.splitlines()
+        )
+        parts.append(f"```text\n{paragraph}\n```" if table else paragraph)
+    return "\n\n".join(parts)
+
+
+REFERENCES: Mapping[str, Callable[[], str]] = {
+    "commands": commands,
+    "settings": settings,
+    "checks": checks,
+    "api": api,
+}
