@@ -91,8 +91,8 @@ learn: $(VENV)/.dev   ## an effect hidden in the world is found, promoted, and i
 jaw-plate: $(VENV)/.dev   ## the drawing of the jaw's plate, to scale
 	$(BIN)/python -m tools.figures.jaw_plate $(or $(ARGS),-o docs/images/jaw_plate.pdf --png docs/images/jaw_plate.png)
 
-picture: $(VENV)/.dev   ## the README's picture, of a simulated cycle
-	$(BIN)/python -m tools.figures.cycle_picture $(ARGS)
+picture: $(VENV)/.dev   ## the README's picture, of a simulated cycle; DRAW=effect_pictures: those of the effects
+	$(BIN)/python -m tools.figures.$(or $(DRAW),cycle_picture) $(ARGS)
 
 docs-site: $(VENV)/.dev   ## the manual as a site, in cell/manual: for the pages, `cell help --browser`, a wheel
 	$(BIN)/python -m tools.site.build $(ARGS)

@@ -1,0 +1,104 @@
+"""Correlations between the signatures of effects, motion by motion, as CSV.
+
+    python -m tools.figures.effect_confusions [-o docs/measured/effect_confusions.csv]
+
+A signature is the change of all markers by a small effect, less what EI at four knots, N and the
+viscosity imitate (the projection off their sensitivities).  Of effects with several amplitudes
+the largest correlation of their subspaces counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.cable.dynamics import simulate
+from cell.cable.effects import library, unscreened
+from cell.cable.geometry import Motion, node_arc_lengths
+from cell.cable.model import CableModel
+from tools.figures.effect_pictures import PLAIN, SIZES, model
+
+FloatArray = NDArray[np.float64]
+
+TIMES_S = np.arange(0.0, 1.5, 0.01)
+NODES_M = node_arc_lengths(0.1, 11)[::-1]
+#: Of a picture's size; R of `plastic_set` acts by its square, so it is given in m.
+SMALL, SMALL_RADIUS_M = 0.05, 0.01
+#: Signatures below this rms, m, are rounding; correlations below the second are left out.
+NOTHING_M, LEAST = 5e-9, 0.3
+
+
+def motions() -> dict[str, list[Motion]]:
+    """Motions by name; two are seen together."""
+    t_s = np.arange(0.0, TIMES_S[-1] + 0.02, 0.002)
+    none = 0.0 * t_s
+
+    def way(begin_s: float, lasts_s: float) -> FloatArray:
+        u = np.clip((t_s - begin_s) / lasts_s, 0.0, 1.0)
+        return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
+
+    def moved(x: FloatArray, y: FloatArray, angle: FloatArray) -> Motion:
+        return Motion(t_s, x, y, angle)
+
+    down = moved(none, -0.05 * way(0.1, 0.3), none)
+    others = {
+        "left": moved(-0.06 * way(0.1, 0.28), none, none),
+        "tilted": moved(none, -0.05 * way(0.1, 0.3), none - 0.9),
+        "turn": moved(none, none, 0.4 * way(0.1, 0.3)),
+        "fast": moved(none, -0.03 * way(0.1, 0.12), none),
+        "down_up": moved(none, -0.05 * way(0.1, 0.3) + 0.03 * way(0.8, 0.2), none),
+    }
+    pairs = {f"down and {name}": [down, other] for name, other in others.items()}
+    alone = {name: [other] for name, other in others.items()}
+    return {"rest": [moved(none, none, none)], "down": [down]} | alone | pairs
+
+
+def signatures(seen: list[Motion]) -> dict[str, FloatArray]:
+    """Orthonormal signatures (values, amplitudes) of the effects that these motions show."""
+
+    def run(cable: CableModel) -> FloatArray:
+        return np.concatenate([simulate(cable, m, TIMES_S, NODES_M).ravel() for m in seen])
+
+    plain = run(model(PLAIN))
+    slopes = np.array([run(model(PLAIN + step)) - plain for step in 1e-4 * np.eye(PLAIN.size)])
+    imitated = np.linalg.qr((slopes[np.any(slopes != 0.0, axis=1)] / 1e-4).T)[0]
+    found = {}
+    for name, effect in (library() | unscreened()).items():
+        changes = []
+        for p in effect.parameters:
+            if p.amplitude and p.fitted:
+                full = SIZES.get(name, {}).get(p.name, p.starts[0]) - p.default
+                value = SMALL_RADIUS_M if name == "plastic_set" else p.default + SMALL * full
+                changes.append(run(model(PLAIN, (effect.active(**{p.name: value}),))) - plain)
+        left = np.array(changes).T
+        left -= imitated @ (imitated.T @ left)
+        axes, sizes, _ = np.linalg.svd(left, full_matrices=False)
+        if np.sqrt(np.mean(left**2)) > NOTHING_M:
+            found[name] = axes[:, sizes > 1e-6 * sizes[0]]
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--out", type=Path, default="docs/measured/effect_confusions.csv")
+    options = parser.parse_args(arguments)
+    with Path(options.out).open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["motion", "effect", "other", "correlation"])
+        for motion, seen in motions().items():
+            found = signatures(seen)
+            for effect, own in found.items():
+                for other, theirs in found.items():
+                    r = float(np.linalg.svd(own.T @ theirs, compute_uv=False)[0])
+                    if other != effect and r >= LEAST:
+                        table.writerow([motion, effect, other, f"{r:.2f}"])
+
+
+if __name__ == "__main__":
+    main()
