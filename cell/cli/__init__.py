@@ -94,7 +94,7 @@ Three things to do first:
   cell init --yes && cell run --config cell.yaml     insert a cable in a simulated cell
   cell serve --config cell.yaml                      watch the cell in a browser
   cell import swing.csv -o study                     find the physics of a swing of your own:
-    && cell diagnose study                             `cell help studies`
+    && cell diagnose study                             `cell help import`
 
 `cell --help` lists all commands, `cell help` the topics of the documentation."""
 
