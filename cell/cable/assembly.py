@@ -17,7 +17,7 @@ from cell.cable.effects.compiled import Hooks, cable_data, hooks_of, in_steps, p
 from cell.cable.effects.own import with_compiled_hooks
 from cell.cable.model import CableModel, knot_basis
 
-#: Discretisation error of a held cable's tip: see `docs/howto/own_effect.md`, "Accuracy".
+#: Discretisation error of a held cable's tip: see `docs/explain/model.md`, "Accuracy".
 DEFAULT_SEGMENTS = 28
 
 

@@ -233,7 +233,7 @@ def _why_nothing(examination: Examination, base: FittedModel) -> str:
     return (
         "no admissible law is significant and confirmed on held-out trials: the model is not "
         f"complete ({misses}){tried}; nothing written. Measure more motions, or write an effect of "
-        "your own (docs/howto/own_effect.md)"
+        "your own (`cell help own_effect`)"
     )
 
 

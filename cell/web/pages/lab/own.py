@@ -41,7 +41,7 @@ class MyDrag(Effect):
         return -p.c_n_s_per_m2 * at.vx, -p.c_n_s_per_m2 * at.vy
 
     # Other hooks: moment(cable, at, m, p), inertia(cable, p), tip_mass(cable, p),
-    # rest_curvature(cable, arc_length, p), grip_compliance(cable, p) ...: docs/howto/own_effect.md
+    # rest_curvature(cable, arc_length, p), grip_compliance(cable, p) ...: `cell help own_effect`
 '''
 
 
