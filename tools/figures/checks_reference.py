@@ -1,7 +1,6 @@
 """References of checks and warnings in docs, written from the tables that the programs read.
 
-docs/howto/lab.md has those of a diagnosis, docs/howto/learn.md those of many cables,
-docs/howto/import.md those of a study's data.
+docs/howto/import.md has those of a study's data.
 
 python -m tools.figures.checks_reference
 """
@@ -73,8 +72,6 @@ def of_data() -> str:
 
 
 PAGES = {
-    DOCS / "howto" / "lab.md": of_diagnosis,
-    DOCS / "howto" / "learn.md": of_line,
     DOCS / "howto" / "import.md": of_data,
 }
 
