@@ -26,9 +26,9 @@ class SimulatedArm(Section):
 
     kind: Literal["sim"]
     rate_hz: Annotated[float, Field(ge=50.0, le=1000.0)] = 500.0
-    """Poses told and measured per second."""
+    """Poses commanded and measured per second."""
     lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.03
-    """How late it follows."""
+    """Delay of the arm's motion after the command."""
     noise_m: Annotated[float, Field(ge=0.0, le=1e-3)] = 10e-6
     """Standard deviation of a measured coordinate."""
 
@@ -126,11 +126,11 @@ class UrArmSettings(Section):
     rate_hz: Annotated[float, Field(ge=50.0, le=500.0)] = 500.0
     """Poses sent and measured per second: 500 for an e-series, 125 for a CB3."""
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.03
-    """By which the controller smooths the path that it is sent (`servoj`)."""
+    """Lookahead of the controller (`servoj`): smooths the commanded path."""
     gain: Annotated[float, Field(ge=100.0, le=2000.0)] = 300.0
-    """With which the controller follows that path (`servoj`)."""
+    """Gain of the controller (`servoj`)."""
     lag_s: Annotated[float, Field(ge=0.0, le=0.3)] = 0.034
-    """Measured with this lookahead."""
+    """Delay of the arm's motion after the command, with this lookahead."""
     plane_origin_m: tuple[Reach, Reach, Reach]
     """Origin of the cell's plane, in the robot's base frame."""
     plane_x_axis: Direction
@@ -140,8 +140,8 @@ class UrArmSettings(Section):
     allow_version: Annotated[str, Field(pattern=_ALLOWED), BeforeValidator(_in_quotes)] | None = (
         None
     )
-    """Takes responsibility for a PolyScope version that is not proved, e.g. "5.26": after a dry run
-    at low speed the cell runs with it.  Null = proved versions only."""
+    """Allows a PolyScope version that is not tested, e.g. "5.26", on your responsibility, after
+    a dry run at low speed. Null = tested versions only."""
 
     @property
     def allowed_version(self) -> tuple[int, int] | None:
@@ -179,7 +179,7 @@ class SimulatedCamera(_Camera):
 
     kind: Literal["sim"]
     exposure_s: Exposure = 0.0005
-    """Time over which a picture gathers light."""
+    """Exposure time."""
     lens_blur_px: Annotated[float, Field(ge=0.0, le=100.0)] = 0.6
     """Standard deviation of the blur by the lens."""
     read_noise: NotNegative = 1.0
@@ -188,9 +188,9 @@ class SimulatedCamera(_Camera):
 
 class _RealCamera(_Camera):
     latency_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
-    """From the middle of an exposure to the arrival of its picture, at best; measured."""
+    """Shortest time from the middle of an exposure to the arrival of its picture."""
     lost_after_s: Annotated[float, Field(ge=0.01, le=5.0)] = 0.055
-    """Silence that counts as a lost camera, and stops the arm."""
+    """Time without a picture after which the camera counts as lost and the arm stops."""
 
 
 class OpenCvCameraSettings(_RealCamera):
@@ -200,11 +200,11 @@ class OpenCvCameraSettings(_RealCamera):
     device: Annotated[int, Field(ge=0)] | str = 0
     """Number or path of the device, or the URL of a stream."""
     exposure_s: Annotated[float, Field(gt=0.0, le=1.0)] | None = 0.0005
-    """Set and read back; null = as it is, as with a stream."""
+    """Exposure time, set and read back; null = unchanged, for streams."""
     fourcc: Annotated[str, Field(min_length=4, max_length=4)] | None = None
-    """Pixel format, e.g. GREY or YUYV; null = as it is."""
+    """Pixel format, e.g. GREY or YUYV; null = unchanged."""
     stamps: Literal["device", "arrival"] = "device"
-    """Whose time stamps are believed: the device's, or the moment at which a picture arrives."""
+    """Timestamps of the pictures: the device's, or the time of arrival."""
 
 
 class GenicamCameraSettings(_RealCamera):
@@ -214,9 +214,9 @@ class GenicamCameraSettings(_RealCamera):
     producer: Path
     """The vendor's .cti file."""
     serial_number: str | None = None
-    """Null = the only camera there is."""
+    """Null = the only connected camera."""
     exposure_s: Annotated[float, Field(gt=0.0, le=1.0)] | None = 0.0005
-    """Time over which a picture gathers light; null = as it is."""
+    """Exposure time; null = unchanged."""
 
 
 class FilesCameraSettings(_Camera):
@@ -234,7 +234,7 @@ class _Gripper(Section):
     force_n: Annotated[float, Field(gt=0.0, le=235.0)]
     """Closing force."""
     force_limits_n: Annotated[tuple[_Force, _Force], AfterValidator(increasing)] = (1.0, 40.0)
-    """Least that holds the cable and most that does not crush it."""
+    """Smallest force that holds the cable, largest that does not crush it."""
 
 
 class SimulatedGripper(_Gripper):
@@ -248,16 +248,17 @@ class SerialGripperSettings(_Gripper):
 
     kind: Literal["serial"]
     force_n: Annotated[float, Field(ge=20.0, le=235.0)]
-    """Closing force: it can do no less and no more."""
+    """Closing force, within what the gripper can do."""
     port: Annotated[str, Field(min_length=1), AfterValidator(_line)]
-    """Device of the serial line, or `socket://host:port` where another computer passes its bytes
-    on.  For the URCap of a gripper on a UR's tool flange there is `kind: urcap`."""
+    """Device of the serial line, or `socket://host:port` for a serial server. A gripper on a
+    UR's tool flange has `kind: urcap`."""
     address: Annotated[int, Field(ge=1, le=247)] = 9
     """Modbus address of the gripper."""
     baud: Annotated[int, Field(ge=1200)] = 115_200
-    """Bits per second of the line."""
+    """Baud rate, bits per second."""
     reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.035
-    """Time that an answer may take; two missing in a row are a lost gripper, and stop the arm."""
+    """Longest time of a reply. After two missing replies the gripper counts as lost and the arm
+    stops."""
 
 
 class UrcapGripperSettings(_Gripper):
@@ -265,10 +266,10 @@ class UrcapGripperSettings(_Gripper):
 
     kind: Literal["urcap"]
     force_n: Annotated[float, Field(ge=20.0, le=235.0)]
-    """Closing force: it can do no less and no more."""
+    """Closing force, within what the gripper can do."""
     host: Host
     """Address of the controller."""
     port: Annotated[int, Field(ge=1, le=65535)] = URCAP_PORT
-    """Where the URCap listens."""
+    """TCP port of the URCap."""
     reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.07
-    """Time that an answer may take; one that is missing is a lost gripper, and stops the arm."""
+    """Longest time of a reply. After a missing one the gripper counts as lost and the arm stops."""

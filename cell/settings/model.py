@@ -48,12 +48,12 @@ def scheduler(address: str) -> str:
 
 
 class Workers(Section):
-    """Where many independent fits are done: on a cluster, or on cores of this computer."""
+    """Where independent fits run: on a cluster, or on cores of this computer."""
 
     cluster: Annotated[str, AfterValidator(scheduler)] | None = None
     """Address of a Dask scheduler, tcp://host:8786; null = this computer."""
     cores: Annotated[int, Field(ge=1, le=1024)] | None = None
-    """Of this computer; null = all."""
+    """Cores of this computer; null = all."""
 
     @model_validator(mode="after")
     def _one_place(self) -> Workers:
@@ -71,7 +71,7 @@ class CableSettings(Section):
     """Datasheet of the cable: what all its individuals have in common."""
 
     free_length_m: Annotated[float, Field(gt=0.0, le=2.0)]
-    """From the jaw's edge to the tip."""
+    """Length from the jaw's edge to the tip."""
     line_density_kg_per_m: Annotated[float, Field(gt=0.0, le=10.0)]
     """Mass per metre."""
     width_m: Annotated[float, Field(gt=0.0, le=0.5)]
@@ -84,9 +84,9 @@ class DestinationSettings(Section):
     """Rectangle that the tip must pass, moving left: the hole's mouth."""
 
     x_m: PlaceRange
-    """From the far edge to the edge where the tip enters."""
+    """Far edge and entry edge of the opening."""
     y_m: PlaceRange
-    """From the lower to the upper edge."""
+    """Lower and upper edge of the opening."""
 
 
 class HandPose(Section):
@@ -104,11 +104,11 @@ class Offsets(Section):
     """Distances down that are simulated, one of which is executed."""
 
     first_m: Length = 0.0
-    """The smallest."""
+    """Smallest offset."""
     last_m: Length = 0.040
-    """The largest."""
+    """Largest offset."""
     step_m: Distance = 0.002
-    """From one to the next."""
+    """Distance between offsets."""
 
     @property
     def values_m(self) -> tuple[float, ...]:
@@ -121,25 +121,25 @@ class Briskness(Section):
     """How briskly the hand moves along either axis; no arm of this kind is brisker."""
 
     velocity_m_per_s: Annotated[float, Field(gt=0.0, le=5.0)]
-    """Greatest speed."""
+    """Largest speed."""
     acceleration_m_per_s2: Annotated[float, Field(gt=0.0, le=100.0)]
-    """Greatest acceleration."""
+    """Largest acceleration."""
     jerk_m_per_s3: Annotated[float, Field(gt=0.0, le=50_000.0)]
-    """Greatest jerk."""
+    """Largest jerk."""
 
 
 class StartSettings(Section):
     """How freely an insertion is chosen beside the offsets that are always looked at."""
 
     window_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
-    """It may begin so much later, and with any offset between these; 0 = at once, with one of them.
-    A useful value is one period of a cable's swing, 0.25.  The hand then waits longer for the
-    computer: up to 0.3 s on two cores, if no offset passes surely at once."""
+    """Latest begin of the insertion. With it any offset between these may be chosen; 0 = at
+    once, with one of them. A useful value is one period of the swing, 0.25. The arm then waits
+    up to 0.3 s longer for the computer."""
     paces: tuple[Annotated[float, Field(gt=1.0, le=3.0)], ...] = (1.15, 1.3, 1.5, 1.8)
-    """With a window it may also be made in so many times the usual time."""
+    """With a window: factors by which the insertion may be slower."""
     further_m: Length = 0.0
-    """With a window the hand may also go so much further left, where no offset passes surely: for
-    cables that hang too low to reach the depth."""
+    """With a window: how much further left the gripper may go if no offset is sure to pass, for
+    cables that hang too low."""
 
 
 #: One period of a cable's swing, s: what `start: auto` allows.
@@ -152,9 +152,9 @@ class Hold(Section):
     """
 
     least_s: Duration = 0.4
-    """Held still at least so long."""
+    """Shortest hold."""
     most_s: Duration = 1.0
-    """And at most so long."""
+    """Longest hold."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Hold:
@@ -173,28 +173,28 @@ class MotionSettings(Section):
     aside: HandPose = HandPose(x_m=0.015, y_m=-0.05)
     """Where a rejected cable is let go."""
     calm_s: Wait = 0.5
-    """After grasping, until the cable rests."""
+    """Pause after grasping, until the cable is at rest."""
     still_s: Duration = 0.2
-    """Filmed at rest before the cable is moved; shows the noise and the still shape."""
+    """Film of the cable at rest, before it is moved: noise and rest shape."""
     lower_m: Distance = 0.050
-    """Down, to make the cable swing."""
+    """Downward movement that makes the cable swing."""
     lower_s: Duration = 0.3
-    """In this time, or as long as the limits ask."""
+    """Duration of that movement; longer if the limits require it."""
     hold_s: Duration = 1.0
-    """Held still while the swing is filmed."""
+    """Film of the swing, with the gripper held still."""
     hold: Hold | None = None
     """Null = always `hold_s`."""
     decide_s: Wait = 0.2
-    """From the last frame of the swing until the execution begins: time for the computer."""
+    """Time between the last frame of the swing and the insertion, for the computer."""
     offsets: Offsets = Offsets()
     start: StartSettings | Literal["auto"] = "auto"
     """When the execution begins, and how fast it is; `auto` = up to 0.25 s later, with any offset
     and at any of the usual paces, where no offset passes surely at once; `{}` = at once, with one
     of the offsets."""
     advance_m: Distance = 0.050
-    """Left, towards the destination."""
+    """Movement to the left, into the opening."""
     settle_s: Wait = 0.2
-    """Filmed after the hand has come to rest."""
+    """Film after the insertion, with the gripper at rest."""
     lowering: Briskness = Briskness(
         velocity_m_per_s=0.5, acceleration_m_per_s2=5.0, jerk_m_per_s3=200.0
     )
@@ -251,7 +251,7 @@ class ChoiceSettings(Section):
     """When an offset is good enough to be executed."""
 
     min_probability: Fraction = 0.9
-    """Least probability that the tip passes the destination; below it the cable is rejected."""
+    """Smallest probability that the tip passes the opening; below it the cable is rejected."""
 
 
 class KnownParameter(Section):
@@ -283,15 +283,16 @@ class ModelEffect(Section):
 
 
 class BatchPrior(Section):
-    """Gaussian prior of an individual's parameters: what a batch of cables has shown."""
+    """Gaussian prior of a cable's parameters, learned from a batch of cables."""
 
     names: list[str]
     """`rigidity_0` … `rigidity_5` (EI from the jaw to the tip), `exponent`, `viscosity`, and
     `effect.parameter` for those of effects."""
     mean: list[Finite]
-    """Natural values, one per name."""
+    """Mean of each parameter, in its natural unit."""
     covariance: list[list[Finite]]
-    """Of their logarithms, except for the exponent and for effects' parameters that may be 0."""
+    """Covariance of the parameters' logarithms; of the values themselves for the exponent and
+    for parameters that may be 0."""
 
 
 class ModelSettings(Section):
@@ -300,7 +301,7 @@ class ModelSettings(Section):
     `cell learn` finds it out and `cell promote` writes it here."""
 
     effects: list[ModelEffect] = Field(default=[])
-    """Effects that all cables have, besides bending."""
+    """Effects in the model of all cables."""
     prior: BatchPrior | None = None
     """Null = a weak one."""
 
@@ -309,7 +310,8 @@ class Promotion(Section):
     """What becomes of a promoted model that does worse than the one before it."""
 
     withdraw: bool = False
-    """Whether it is taken back by itself, as by `cell promote --undo`; it is reported anyway."""
+    """Whether a promoted model that fits worse is removed without asking, as by `cell promote
+    --undo`. It is reported in any case."""
 
 
 def _distinguishable(discs_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -340,15 +342,16 @@ class Vision(Section):
     """What the cable and the jaw look like in the camera's pictures."""
 
     cable_is: Literal["dark", "light"] = "dark"
-    """Darker than what is behind it, as before a lit screen; or lighter, as lit before black."""
+    """Whether the cable is darker than the background (lit screen) or lighter (black
+    background)."""
     min_contrast: Annotated[float, Field(ge=1.0, le=200.0)] = 5.0
-    """Least contrast of the cable over three pixels, grey levels; less counts as no cable."""
+    """Smallest contrast of the cable over three pixels, grey levels; less counts as no cable."""
     line_width_px: Annotated[float, Field(ge=0.3, le=20.0)] = 1.0
     """Standard deviation of the cable's profile across it, blur included, pixels."""
     nodes: Annotated[int, Field(ge=3, le=101)] = 11
-    """Points at which the cable's place is measured, at equal distances along it."""
+    """Number of measured points, equally spaced along the cable."""
     length_tolerance_m: Annotated[float, Field(gt=0.0, le=0.1)] = 0.003
-    """A line that is longer or shorter than the cable by more than this, m, is not the cable."""
+    """A detected line whose length differs from the cable's by more is not the cable."""
     jaw: JawPlate = JawPlate()
 
 
@@ -362,19 +365,19 @@ class Calibration(Section):
     """
 
     folder: Path = Path("calibration")
-    """Folder of the calibration, which `cell calibrate` writes."""
+    """Folder that `cell calibrate` writes."""
     max_age_days: Positive = 90.0
-    """Of camera, cell and grip."""
+    """Largest age of camera, cell and grip."""
     time_max_age_h: Positive = 24.0
-    """Of latency and lag: a camera's stamps change with every start."""
+    """Largest age of latency and lag; a camera's timestamps change with every start."""
     max_error_m: Annotated[float, Field(gt=0.0, le=0.01)] = 1.5e-4
-    """Of the map, 95 % bound anywhere in the field."""
+    """Largest error of the map from pixels to metres: 95 % bound anywhere in the field."""
     max_time_error_s: Annotated[float, Field(gt=0.0, le=0.1)] = 1e-3
-    """Of latency and lag, 95 % bound."""
+    """Largest error of latency and lag, 95 % bound."""
     max_grip_error_m: Annotated[float, Field(gt=0.0, le=0.01)] = 3e-4
-    """Of gripping point and free length, 95 % bound."""
+    """Largest error of gripping point and free length, 95 % bound."""
     max_clamp_error_rad: Annotated[float, Field(gt=0.0, le=0.5)] = 0.01
-    """Of the clamp angle, 95 % bound."""
+    """Largest error of the clamp angle, 95 % bound."""
     square_m: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
     """Side of a square of the board, as measured on the printout."""
     columns: Annotated[int, Field(ge=3, le=40)] = 12
@@ -382,9 +385,9 @@ class Calibration(Section):
     rows: Annotated[int, Field(ge=3, le=40)] = 9
     """Squares of the board down."""
     dictionary: str = "4X4_100"
-    """Of OpenCV's markers on the board."""
+    """OpenCV's dictionary of the markers on the board."""
     legacy: bool = False
-    """Pattern of the board as before OpenCV 4.6."""
+    """Whether the board has the pattern of OpenCV before 4.6."""
 
 
 class Settings(Section):
@@ -412,14 +415,15 @@ class Settings(Section):
     model: ModelSettings = ModelSettings()
     promotion: Promotion = Promotion()
     products: Products = Field(default={})
-    """What the cell can make, by name: what each has otherwise than the rest of the file."""
+    """Products by name: the settings in which each differs from the rest of the file."""
     product: Annotated[str, Field(min_length=1)] | None = None
-    """Made unless another one is asked for; in the record of a cycle the one that was made."""
+    """Default product; in the record of a cycle, the product of that cycle."""
     choice: ChoiceSettings = ChoiceSettings()
     feedback: Literal["auto", "off", "on"] = "auto"
-    """`on`: correct insertions in flight; `auto`: if latency and lag are calibrated to 2 ms."""
+    """`on`: insertions are corrected in flight; `auto`: if latency and lag are calibrated to 2
+    ms."""
     retry: Annotated[int, Field(ge=0, le=3)] = 0
-    """More tries for a cable that feedback has stopped in front of the mouth."""
+    """Further attempts with a cable that the correction stopped in front of the opening."""
     recording: RecordingSettings | None = RecordingSettings()
     """Null = only tables, JSON and a few pictures are left of a cycle, no frames."""
     ledger: LedgerSettings | None = LedgerSettings()

@@ -15,7 +15,7 @@ class HandshakeSignal(Section):
     """Place of one bit."""
 
     number: Annotated[int, Field(ge=0, le=1023)]
-    """Address of the coil or of the discrete input, or number at the controller; from 0."""
+    """Address of the coil or discrete input, or number at the controller; from 0."""
     inverted: bool = False
     """Whether the signal is on when the bit is 0."""
 
@@ -24,15 +24,15 @@ class InputSignals(Section):
     """Bits from the PLC.  Null = not wired: always fine, and never asked for."""
 
     start: HandshakeSignal | None = HandshakeSignal(number=0)
-    """Its rising edge asks for a cycle; obeyed while `ready` is on."""
+    """Its rising edge starts a cycle while `ready` is on."""
     part_present: HandshakeSignal | None = HandshakeSignal(number=1)
-    """A cable is where the cell grips it; without one no cycle begins."""
+    """A cable is at the gripping position; without it no cycle begins."""
     upstream_ready: HandshakeSignal | None = HandshakeSignal(number=2)
     """The machine before the cell allows it to work; off suspends a cycle."""
     downstream_ready: HandshakeSignal | None = HandshakeSignal(number=3)
     """The machine after the cell allows it to work; off suspends a cycle."""
     acknowledge: HandshakeSignal | None = HandshakeSignal(number=4)
-    """Its rising edge clears Aborted and resets Stopped: a person has looked."""
+    """Its rising edge clears Aborted and resets Stopped, after a person has looked."""
     stop: HandshakeSignal | None = HandshakeSignal(number=5)
     """Its rising edge stops the cycle.  It is not safety-rated."""
     product_0: HandshakeSignal | None = None
@@ -53,7 +53,7 @@ class OutputSignals(Section):
     busy: HandshakeSignal | None = HandshakeSignal(number=1)
     """A cycle is under way."""
     done: HandshakeSignal | None = HandshakeSignal(number=2)
-    """The last cycle has ended as wanted; until `start` changes."""
+    """The last cycle ended successfully; until `start` changes."""
     rejected: HandshakeSignal | None = HandshakeSignal(number=3)
     """The last cycle has ended without an insertion; until `start` changes."""
     fault: HandshakeSignal | None = HandshakeSignal(number=4)
@@ -82,10 +82,10 @@ class Handshake(Section):
     host: Host | None = None
     """Address of the controller that has the inputs and outputs.  Null = that of the arm."""
     silence_s: Annotated[float, Field(ge=0.1, le=60.0)] = 1.0
-    """A PLC writes its coils, or the controller reports, at least so often.  One that does not is
-    lost, and starts nothing."""
+    """Longest time between two writes of the PLC, or reports of the controller. After it the PLC
+    counts as lost and can start nothing."""
     by: Annotated[str, Field(min_length=1, max_length=100)] = "plc"
-    """Who is said to have asked, and to have acknowledged, in the ledger."""
+    """Name of the PLC in the ledger, for starts and acknowledgements."""
     inputs: InputSignals = InputSignals()
     """What the PLC says."""
     outputs: OutputSignals = OutputSignals()
@@ -177,26 +177,26 @@ class Mqtt(Section):
     """File whose first line is the password; others must not be able to read it.  Null = the
     password is in CELL_MQTT_PASSWORD."""
     client_id: Annotated[str, Field(min_length=1, max_length=100)] | None = None
-    """Of the connection; no other client of the broker may have it.  Null = made of the line's
-    name."""
+    """Client id of the connection, unique at the broker. Null = made from the line's name."""
     keep_alive_s: Annotated[int, Field(ge=1, le=3600)] = 15
-    """After one and a half times as long without a word the broker takes the cell for lost."""
+    """Keep-alive interval. After 1.5 intervals without a message the broker reports the cell as
+    lost."""
     format: Literal["json", "sparkplug"] = "json"
     """`json`: topics of plain JSON.  `sparkplug`: Sparkplug B 3.0, the cell as an edge node."""
     prefix: Levels = "cable-cell"
-    """Of `json`: first levels of all topics, which go on with the line."""
+    """For `json`: first levels of all topics, before the line."""
     group: Level = "cable-cell"
-    """Of `sparkplug`: the group's id."""
+    """For `sparkplug`: group id."""
     primary_host: Level | None = None
-    """Of `sparkplug`: id of the host application without which nothing is sent, because it would
-    be lost.  Null = the broker is enough."""
+    """For `sparkplug`: id of the primary host application; messages wait while it is offline.
+    Null = the broker is enough."""
     line: Level | None = None
     """The line in topics, and the edge node's id.  Null = `ledger.line`, or the computer's name."""
     most_waiting: Annotated[int, Field(ge=1000, le=10_000_000)] = 100_000
-    """Messages that wait on the disk for a broker that is away.  Beyond it the oldest that are not
-    results are dropped, which is said; results are never dropped."""
+    """Messages kept on disk while the broker is unreachable. Beyond it the oldest are dropped
+    and counted, except results, which are never dropped."""
     retry_s: Positive = 5.0
-    """Longest pause before the broker is tried again."""
+    """Longest pause between attempts to connect."""
 
     @model_validator(mode="after")
     def _password_is_safe(self) -> Mqtt:
@@ -232,7 +232,7 @@ class OpcUa(Section):
     """Folder of the server's key and certificate, and of the clients' certificates that it
     trusts."""
     name: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^/:]+$")] = "CableCell"
-    """Of the object that stands for this cell among those of the server."""
+    """Name of the server's object for this cell."""
 
     @property
     def is_loopback(self) -> bool:
@@ -241,7 +241,7 @@ class OpcUa(Section):
 
 
 class Plant(Section):
-    """Programs beside the cell by which other machines and a plant's systems talk to it."""
+    """Programs by which other machines and a plant's systems communicate with the cell."""
 
     opcua: OpcUa | None = None
     """Null = no OPC UA server."""
@@ -250,7 +250,7 @@ class Plant(Section):
     handshake: Handshake | None = None
     """Null = no PLC starts the cell with digital signals."""
     start: tuple[Literal["opcua", "mqtt", "handshake"], ...] = ()
-    """Programs that `cell run --cycles forever` starts beside itself, and starts again."""
+    """Programs that `cell run --cycles forever` starts, and restarts if they end."""
 
     @model_validator(mode="after")
     def _each_once_with_its_section(self) -> Plant:

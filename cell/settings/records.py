@@ -73,34 +73,34 @@ class RecordingSettings(Section):
     A file named `keep` in a cycle's folder keeps its recording, whatever the limits."""
 
     keep: tuple[Ending, ...] = ENDINGS
-    """Recordings of cycles that ended so are kept; the others are removed at once."""
+    """Outcomes whose recordings are kept; the others are removed at once."""
     keep_every: Annotated[int, Field(ge=0, le=1_000_000)] = 0
-    """And those of cycles whose number is a multiple of it; 0 = no others."""
+    """Recordings of every n-th cycle are kept whatever the outcome; 0 = none."""
     whole_frames: bool = False
-    """Frames are kept whole, 450 MB a cycle.  Else of an inserted cable's frames only what vision
-    reads is kept, the jaw's marks, the cable and what has changed, 20 MB a cycle; frames of other
-    cycles stay whole while there is room."""
+    """Keep whole frames, 450 MB a cycle. If false, frames of inserted cables are reduced to what
+    vision reads, 20 MB a cycle; other cycles keep whole frames while there is room."""
     memory_mb: Annotated[int, Field(ge=16, le=16_384)] = 512
-    """Memory for frames that wait to be written; more frames are left out and the gap is marked."""
+    """Memory for frames that wait to be written. Further frames are dropped, and the gap is
+    marked."""
     max_age_days: Positive | None = None
-    """Older recordings are removed.  Null = never."""
+    """Age after which recordings are removed. Null = never."""
     max_size_gb: Positive | None = 20.0
-    """Beyond it recordings of the folder are removed: first whole frames of which a band is kept as
-    well, then the oldest.  Null = no limit."""
+    """Largest size of all recordings. Beyond it whole frames are reduced first, then the oldest
+    recordings are removed. Null = no limit."""
     min_free_gb: NotNegative = 1.0
-    """Free room on the disk before a cycle; with less the oldest recordings are removed, and if
-    that is not enough nothing is recorded.  1 GB = 10⁹ bytes."""
+    """Free disk space required before a cycle. With less, the oldest recordings are removed; if
+    that is not enough, nothing is recorded. 1 GB = 10⁹ bytes."""
     last_removed_every: Annotated[int, Field(ge=0, le=1_000_000)] = 100
-    """Recordings of cycles whose number is a multiple of it are removed after all others, as those
-    of cables that were not inserted and of the first cycle of a shift are; 0 = not."""
+    """Recordings of every n-th cycle are removed last, as are those of cables that were not
+    inserted and of the first cycle of a shift; 0 = none."""
     store: Annotated[str, AfterValidator(store_url)] | None = None
-    """Recordings are brought to this folder or object store (`/mnt/nas/line3`, `s3://bucket/line3`)
-    while no cable is in the jaws, verified there and then removed here; what is not there yet is
-    never removed.  Passwords come from the environment.  Null = they stay in their folders."""
+    """Folder or object store (`/mnt/nas/line3`, `s3://bucket/line3`) for recordings. They are
+    copied while no cable is gripped, verified, then removed here. Passwords come from the
+    environment. Null = they stay in their folders."""
 
 
 class LedgerSettings(Section):
-    """The database that lists all cycles: what became of them, the cables' parameters, faults."""
+    """Database of all cycles: outcomes, cables' parameters, faults."""
 
     url: Annotated[str, AfterValidator(database_url)] | None = None
     """`postgresql://user@host/name`: one server for the lines of a plant; its password is taken
@@ -109,7 +109,7 @@ class LedgerSettings(Section):
     line: Annotated[str, Field(min_length=1, max_length=100)] | None = None
     """The line that this cell belongs to.  Null = the computer's name."""
     shifts: Annotated[tuple[str, ...], AfterValidator(times_of_day)] = ("06:00", "14:00", "22:00")
-    """When shifts begin, local time."""
+    """Local times at which shifts begin."""
     ideal_cycle_s: Positive | None = None
-    """Time that one cable needs at best, of which the line's performance is a share.  Null = what
-    the quickest tenth of the insertions needed."""
+    """Ideal cycle time of one cable, for OEE's performance. Null = that of the fastest tenth of
+    the insertions."""

@@ -35,7 +35,7 @@ class HiddenCamera(Section):
     p2: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
     """Distortion by a lens that leans, second coefficient."""
     stamps_late_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
-    """Of a simulated camera: its frames say that they were exposed that much later."""
+    """Simulated camera: error of its timestamps, positive = late."""
 
 
 class WorldSettings(Section):
@@ -44,24 +44,24 @@ class WorldSettings(Section):
     camera: HiddenCamera | None = None
     """null = it stands as `camera.view` says."""
     arm_lag_s: Annotated[float, Field(ge=0.0, le=0.3)] | None = None
-    """How late a simulated arm really follows; null = as `arm.lag_s` says."""
+    """True lag of a simulated arm; null = `arm.lag_s`."""
 
     rigidity_n_m2: PositiveRange = (1.5e-5, 5e-5)
     """Flexural rigidity of an individual is drawn from this range, evenly in its logarithm."""
     rigidity_variation: Annotated[float, Field(ge=0.0, le=0.5)] = 0.15
-    """Relative amplitude of its variation along the cable."""
+    """Relative amplitude of the rigidity's variation along the cable."""
     exponent: PositiveRange = (0.95, 1.05)
     """Bending exponent N."""
     damping_ratio: PositiveRange = (0.02, 0.06)
-    """Of the first swing mode, from which the viscosity follows."""
+    """Damping ratio of the first swing mode; the viscosity follows from it."""
     effects: dict[str, dict[str, Finite]] = Field(default={})
-    """Physics that the model lacks: names of effects with their parameters, e.g.
-    `air_drag: {drag_coefficient: 2.0}`."""
+    """Effects of the simulated world that the model lacks, with parameters, e.g. `air_drag:
+    {drag_coefficient: 2.0}`."""
     segments: Annotated[int, Field(ge=60, le=400)] = 80
-    """Of the simulated cable; more than the model has."""
+    """Segments of the simulated cable; more than the model has."""
     real_time_factor: Annotated[float, Field(ge=0.1, le=10.0)] | None = None
-    """null = as fast as the computer can; 1 = at the speed of reality, in which the reported wait
-    for the computer is that of a real cell."""
+    """null = as fast as the computer can; 1 = in real time, where the reported wait for the
+    computer is that of a real cell."""
 
 
 class Emulated(Section):
@@ -72,9 +72,9 @@ class Emulated(Section):
     """
 
     exposure_s: Exposure = 0.0005
-    """Of the emulated camera."""
+    """Exposure time of the emulated camera."""
     readout_s: Annotated[float, Field(ge=0.008, le=0.1)] = 0.012
-    """From the middle of an exposure until the picture leaves the emulated camera."""
+    """Time from the middle of an exposure until the picture leaves the emulated camera."""
     polyscope: Annotated[str, Field(pattern=r"^[1-9]\d?(\.\d{1,9}){1,3}$")] = "5.12.2.1101534"
     """Software version of the emulated controller: major, minor, bugfix, build.  From 10 on it is
     PolyScope X, which has no dashboard server."""

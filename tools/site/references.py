@@ -87,7 +87,9 @@ def settings() -> str:
         if title != section:
             parts.append(f"\n## {title}\n")
             section = title
-        parts.append(_setting(entry, examples))
+        kind = title.partition("kind: ")[2]
+        alike = [e for e in examples if not kind or _at(e, (entry.key[0], "kind")) == kind]
+        parts.append(_setting(entry, alike))
     return "\n".join(parts)
 
 

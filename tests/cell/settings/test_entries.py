@@ -19,7 +19,7 @@ def named(name: str, **sections: object) -> SettingsEntry:
 
 def test_an_entry_has_explanation_limits_unit_and_default() -> None:
     entry = named("motion.decide_s")
-    assert entry.explained.startswith("From the last frame of the swing")
+    assert entry.explained.startswith("Time between the last frame")
     assert (entry.limits, entry.unit, entry.default) == ("≥ 0, ≤ 30", "s", 0.2)
     assert (entry.given, entry.value, entry.form) == (False, 0.2, SettingsForm.YAML)
     assert named("feedback").choices == {"auto": "auto", "off": "off", "on": "on"}

@@ -26,7 +26,7 @@ def test_the_file_loads_as_the_settings_and_explains_what_is_described(kind, tmp
     path.write_text(text)
     assert load_settings(path) == settings
     assert max(len(line) for line in text.splitlines()) <= 130
-    assert "Held still while the swing is filmed; > 0, ≤ 30; default 1.0" in text
+    assert "Film of the swing, with the gripper held still; > 0, ≤ 30; default 1.0" in text
     assert ("world:" in text) == (kind == "simulated")
 
 
