@@ -29,7 +29,9 @@ def _write_formula(display: str) -> Any:
     def visit(translator: Any, node: nodes.Element) -> None:
         formula = convert(node.astext(), display=display)
         translator.body.append(
-            f'<div class="math">{formula}</div>' if display == "block" else formula
+            f'<div style="overflow: auto hidden; padding: 0.4em 0">{formula}</div>'
+            if display == "block"
+            else formula
         )
         raise nodes.SkipNode
 
