@@ -145,7 +145,7 @@ def camera_roll(X_CP: FloatArray) -> float:
 
 
 def plane_in_base(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> FloatArray:
-    """(4, 4) X_BP: origin at the gripping point of the hand at `home` (4, 4), y against gravity.
+    """(4, 4) X_BP: origin at the gripping point of the gripper at `home` (4, 4), y against gravity.
 
     A cable bends in the plane of the jaw's plate, to which gravity is nearly parallel.
     in_plane  its normal is the base's z axis, about which the arm turns; else that of the marks
@@ -342,7 +342,8 @@ def _check_at_rest(shown: Sequence[JawObservation]) -> None:
     smeared = [one.name for one in shown if one.smear_px > MOST_SMEAR_PX]
     if len(smeared) > len(shown) // 3:
         raise BlurredError(
-            f"the hand moved during exposure: in {len(smeared)} of {len(shown)} pictures its marks "
+            f"the gripper moved during exposure: in {len(smeared)} of {len(shown)} pictures its "
+            "marks "
             f"are smeared, by {np.median([one.smear_px for one in shown]):.1f} px in the median, "
             f"allowed {MOST_SMEAR_PX:g} px: {', '.join(smeared[:3])} …",
             "let it come to rest before each picture, shorten the exposure; if it rested, see that "
@@ -358,7 +359,7 @@ def _check_fit(fit: RobustFit, common: float, shown: Sequence[JawObservation]) -
             f"the marks are {max(common, fit.noise_px):.2f} px rms beside where they must be, "
             f"{outliers:.0%} of them far off, most at {shown[int(np.argmax(worst))].name}",
             "check that camera and plate are tight, the plate flat, its marks as described, and "
-            "that the hand rested in every picture",
+            "that the gripper rested in every picture",
         )
     if abs(x[SCALE]) > MOST_SCALE_ERROR:
         raise WrongScaleError(

@@ -75,7 +75,7 @@ _EDGE_PX = 25.0
 def in_picture(
     fit: CellFit, poses: Sequence[FloatArray], marks_m: FloatArray, size_px: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """(S,) whether all marks are in the picture with the hand at poses X_BT (4, 4)."""
+    """(S,) whether all marks are in the picture with the gripper at poses X_BT (4, 4)."""
     shown = [JawObservation("", X, np.zeros((len(marks_m), 2))) for X in poses]
     pixels = MarksModel(shown, marks_m, Gravity(fit.up, 1.0), 1.0)(fit.mean)[0]
     pixels = pixels.reshape(len(shown), -1, 2)

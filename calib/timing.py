@@ -15,7 +15,7 @@ from drivers.servo import servo_response
 
 #: Fewest frames, and least speed reached in the motion.
 LEAST_FRAMES, LEAST_SPEED_M_PER_S = 30, 0.05
-#: Seen and reported hand may differ by this much, rms, once shift and delay are allowed for, m.
+#: Seen and reported gripper may differ by this much, rms, once shift and delay are allowed for, m.
 MOST_MISFIT_M = 0.0003
 #: Longest delays that are looked for, s: a USB camera's stamps are up to 0.9 s beside the clock.
 _LONGEST_S, _LONGEST_LAG_S = 1.0, 0.5
@@ -141,7 +141,7 @@ def _delay(residuals: Callable[[float], FloatArray], low_s: float, high_s: float
     delay = replace(delay, value_s=max(low_s, delay.value_s))
     if delay.rms_m > MOST_MISFIT_M:
         raise MisfitError(
-            f"{of}: hand as seen and as told still differ by {delay.rms_m * 1e3:.2f} mm rms, "
+            f"{of}: gripper as seen and as told still differ by {delay.rms_m * 1e3:.2f} mm rms, "
             f"allowed {MOST_MISFIT_M * 1e3:g} mm",
             "calibrate the cell first; check payload and mounting, and that the camera is tight",
         )
@@ -187,6 +187,6 @@ def _check_speed(gripper_log: Trajectory) -> None:
     speed = float(np.linalg.norm(np.diff(places, axis=0), axis=1).max(initial=0.0) / 0.02)
     if speed < LEAST_SPEED_M_PER_S:
         raise OneSidedError(
-            f"the hand moved at {speed:.3f} m/s at most, {LEAST_SPEED_M_PER_S} m/s are needed",
+            f"the gripper moved at {speed:.3f} m/s at most, {LEAST_SPEED_M_PER_S} m/s are needed",
             "raise limits.velocity_m_per_s, or take the slider to 100 %",
         )

@@ -45,7 +45,8 @@ _DERIVATIVE_TOLERANCE = 0.01
 class ArmLimits:
     """Limits of the gripping point's place and motion.
 
-    tolerance_m, tolerance_rad  what a pose may exceed its range by: a path that begins where a hand
+    tolerance_m, tolerance_rad  what a pose may exceed its range by: a path that begins where a
+                                gripper
                                 was measured, at rest on its limit, carries the arm's noise and
                                 rounding; several times an arm's repeatability of 0.03 mm
     """
@@ -88,7 +89,7 @@ class GuardedArm(ArmAround):
     def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Raises LimitError naming point, value and limit; else as the arm."""
         here = self._arm.state().pose
-        not_begun = f"this path was not begun; the hand is at {_described(here)}"
+        not_begun = f"this path was not begun; the gripper is at {_described(here)}"
         check_path(path, self._limits, self.name, not_begun)
         self._check_start(path, here, not_begun)
         end = Pose(float(path.x_m[-1]), float(path.y_m[-1]), float(path.angle_rad[-1]))

@@ -228,7 +228,7 @@ def power(
 
 
 def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:
-    """The study with motions of `cell suggest`, from where its hand begins, held out."""
+    """The study with motions of `cell suggest`, from where its gripper begins, held out."""
     from cell.lab.next.motion_file import hand_motion
     from cell.lab.next.planned import with_motions
 

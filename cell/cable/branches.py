@@ -19,7 +19,7 @@ from cell.cable.swing import Grid, Swing, move
 
 #: Whether motions are alike is looked at in one step of so many, and in each of so many last ones.
 _SELDOM, _OFTEN = 16, 128
-#: Poses of the hand this near to each other are the same, m or rad.
+#: Poses of the gripper this near to each other are the same, m or rad.
 _ALIKE = 1e-9
 
 
@@ -37,7 +37,7 @@ def simulate_branches(
     What the motions have in common is simulated once per model, not once per motion; where a camera
     shows other times than its pictures', the motions are taken apart as much before.
 
-    alike_until_s  until then all motions are the same, as logged; an effect on the hand may part
+    alike_until_s  until then all motions are the same, as logged; an effect on the gripper may part
                    them earlier
     times_s        (times,) increasing, none of them before that
     returns        (motions, models, times, markers, 2) x, y in m
@@ -77,7 +77,7 @@ def simulate_branches(
 
 
 def _steps_alike(models: Sequence[CableModel], motions: Sequence[Motion], t_s: FloatArray) -> int:
-    """Of the steps between these times, how many are done before the hand's motions part.
+    """Of the steps between these times, how many are done before the gripper's motions part.
 
     The log's splines join all samples: what differs by less than a nanometre is the same.
     """

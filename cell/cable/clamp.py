@@ -1,4 +1,4 @@
-"""Motion of the clamp at the engine's steps: from a log, through the effects on the hand."""
+"""Motion of the clamp at the engine's steps: from a log, through the effects on the gripper."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class _Logged:
 
 
 class Instants:
-    """When steps ask for the hand's pose, two before and two after them included.
+    """When steps ask for the gripper's pose, two before and two after them included.
 
     What the logs say there is found once.
     """
@@ -76,7 +76,7 @@ class Instants:
 def pose_of(
     motion: Motion, effects: Sequence[ActiveEffect] = (), logged: _Logged | None = None
 ) -> HandMotion:
-    """Pose of the gripping point against time, after the effects on the hand in their order.
+    """Pose of the gripping point against time, after the effects on the gripper in their order.
 
     logged  of the motion, with what is known of it
     """
@@ -98,7 +98,7 @@ def base_rows(
     """(steps, BASE_FIELDS) pose, velocity and acceleration at the steps' collocation times.
 
     The acceleration is the mean over a step's length, so that a jump in the log's velocity gives
-    the momentum that it should, whatever the step.  A hand that an effect moves may jump when it
+    the momentum that it should, whatever the step.  A gripper that an effect moves may jump when it
     likes: there the mean is weighted towards the middle of two steps' length, so that an
     effect's instant counts, not only the step that it is in.
 

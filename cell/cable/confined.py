@@ -87,7 +87,7 @@ def _done(channel: Channel, request: Any, effects: dict[str, type[Effect]]) -> d
 
 
 def _called(channel: Channel, effect: type[Effect], hook: str, *args: Any) -> Any:
-    """What a hook returns; a hand's motion is requested at the times that the hook needs."""
+    """What a hook returns; a gripper's motion is requested at the times that the hook needs."""
     *first, values = args
     p = SimpleNamespace(**values)
     if hook == "clamp":

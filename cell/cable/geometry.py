@@ -177,7 +177,8 @@ def node_arc_lengths(free_length_m: float, nodes: int = 11) -> FloatArray:
 
 @dataclass(frozen=True)
 class StillWithin:
-    """Distance within which a hand is still from where it began: m along either axis, and rad."""
+    """Distance within which a gripper is still from where it began: m along either axis, and
+    rad."""
 
     position_m: float
     angle_rad: float
@@ -187,19 +188,19 @@ class StillWithin:
         return {"x_m": self.position_m, "y_m": self.position_m, "angle_rad": self.angle_rad}
 
 
-#: A hand this close to where it began has not moved yet: above the noise and vibration of an arm
+#: A gripper this close to where it began has not moved yet: above the noise and vibration of an arm
 #: that is held, below what swings a cable visibly.
 STILL = StillWithin(1e-4, 2e-3)
 #: The same for measurements of unknown origin, whose log may be far noisier.
 ROUGHLY_STILL = StillWithin(1e-3, 0.01)
 
 
-#: Samples of a log in a row that a hand must be away: one or two are a glitch of the log.
+#: Samples of a log in a row that a gripper must be away: one or two are a glitch of the log.
 AWAY_SAMPLES = 3
 
 
 def moves_from_s(motion: Motion, still: StillWithin = STILL) -> float:
-    """Time at which the hand first leaves where it began, s; `inf` if it never does.
+    """Time at which the gripper first leaves where it began, s; `inf` if it never does.
 
     Samples of the log that are wrong by more than the limit, `AWAY_SAMPLES` − 1 of them in a row
     at most, are no motion.

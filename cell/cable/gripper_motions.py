@@ -23,12 +23,12 @@ _AXES = 3
 
 
 def at_gripper(model: CableModel) -> tuple[ActiveEffect, ...]:
-    """The effects that change how the hand moves."""
+    """The effects that change how the gripper moves."""
     return tuple(a for a in model.effects if a.effect.clamp is not None)
 
 
 class GripperMotions:
-    """Motion and effects on the hand of every lane of a batch.
+    """Motion and effects on the gripper of every lane of a batch.
 
     Whatever is the same in several lanes is worked out once.
 

@@ -18,7 +18,7 @@ from cell.cable.splines import Steps, fit
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, nodes, sample_times
 
-#: Poses that must follow before the hand's acceleration at a pose is known: each new one changes
+#: Poses that must follow before the gripper's acceleration at a pose is known: each new one changes
 #: a spline's second derivative by 0.27 times what the one after it did.
 _LATER = 6
 #: Poses kept; far more than a spline feels.
@@ -48,7 +48,8 @@ class SwingingCable:
         for active in model.effects:
             if not shown_live(active.effect):
                 raise ValueError(
-                    f"{active.effect.name} needs the hand's or the cable's motion at other times, "
+                    f"{active.effect.name} needs the gripper's or the cable's motion at other "
+                    "times, "
                     "which is not known live; leave it out"
                 )
         self._model = model
@@ -98,7 +99,7 @@ class SwingingCable:
     def _motion(self) -> Motion:
         """The poses, and one more at the speed of the last, where the spline ends.
 
-        A hand that gains speed is elsewhere by then: that one is no wrong sample of a log.
+        A gripper that gains speed is elsewhere by then: that one is no wrong sample of a log.
         """
         last, before = self._poses[-1], self._poses[-2]
         t_s, *pose = np.concatenate([self._poses, [2.0 * last - before]]).T

@@ -99,10 +99,10 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
     one with the least expected error of the curve (Mallows' C_p), so a jerk is followed as closely
     as the noise allows; cross-validation, which does not know the noise, now and then follows all
     of it.
-    The penalty is then raised where the curve bends little, so that a hand at rest is still.
+    The penalty is then raised where the curve bends little, so that a gripper at rest is still.
     Values that lie apart from their neighbours are wrong, and made up from those beside them:
-    where they are the curve would seem to bend.  An axis that never moves is smoothed as a hand at
-    rest is: it has no bend to tell rest by, and would follow a wrong value at its end.
+    where they are the curve would seem to bend.  An axis that never moves is smoothed as a gripper
+    at rest is: it has no bend to tell rest by, and would follow a wrong value at its end.
     Source: Green & Silverman, Nonparametric Regression and Generalized Linear Models, 1994, ch. 2
     (Reinsch's algorithm); Pintore et al., Biometrika 93 (2006) 113, for local penalties.
     """

@@ -35,7 +35,7 @@ class Tool:
 
 @dataclass(frozen=True)
 class Gauge:
-    """A force/torque sensor between hand and jaws.
+    """A force/torque sensor between gripper and jaws.
 
     turns  its axes turn with the clamp angle, at 0 they are the plane's; else they are the plane's
     """

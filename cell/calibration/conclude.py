@@ -254,7 +254,7 @@ def today(
     if not found:
         raise TooFewError(
             "the marks on the jaw were found in none of the poses",
-            "see that they are lit and that the camera looks at the hand; then check again",
+            "see that they are lit and that the camera looks at the gripper; then check again",
         )
     limits = settings.calibration
     assert limits is not None

@@ -23,8 +23,8 @@ from cell.settings.translate import vision_of
 from cell.vision.detect import VisionOptions, detect
 from drivers.interfaces import Pose
 
-#: Turns of the hand with a cable, within so many rad, and how much of its length it may be longer
-#: or shorter than stated.
+#: Turns of the gripper with a cable, within so many rad, and how much of its length it may be
+#: longer or shorter than stated.
 _CABLE_TURNS, _TURN_RAD, _ROUGHLY = 4, 0.6, 0.2
 #: It rests if no node of it moves further from look to look; so many looks, s between them.
 _CALM_M, _LOOKS, _BETWEEN_S = 4e-5, 40, 0.2
@@ -43,7 +43,8 @@ _REMEDIES = {
 def show_cable(
     session: CalibrationSession, assistant: Assistant, view: PlaneView, say: Say
 ) -> ShownCell | None:
-    """A cable gripped as in a cycle, at rest in poses of the hand; let go of where it was gripped.
+    """A cable gripped as in a cycle, at rest in poses of the gripper; let go of where it was
+    gripped.
 
     returns  None = there is none
     raises   TooFewError: the picture is too small; MisfitError: it does not rest;

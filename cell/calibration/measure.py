@@ -1,4 +1,4 @@
-"""Shows the board, moves the hand and films it: the measurements of each calibration."""
+"""Shows the board, moves the gripper and films it: the measurements of each calibration."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Say(Protocol):
 FIRST_POSES, CHOSEN_POSES, HELD_OUT_POSES = 9, 15, 6
 #: Share of the limits that is used, and of the cell's own briskness for the timing motion.
 _SHARE, _BRISK = 0.95, 0.8
-_TURN_RAD = 0.35  # a hand turned further teaches little, and takes time
+_TURN_RAD = 0.35  # a gripper turned further teaches little, and takes time
 #: The same of the first poses, when nothing tells yet where the picture ends.
 _FIRST_SHARE = 0.75
 _COARSE = 4  # the picture is cut in so many columns and rows to say where corners are lacking
@@ -97,13 +97,13 @@ def lacking(views: Sequence[BoardView]) -> str:
     return f" further {up} and {'left' if column < _COARSE / 2 else 'right'}, tilted"
 
 
-# --- poses of the hand ------------------------------------------------------------------------
+# --- poses of the gripper ------------------------------------------------------------------------
 
 
 def film_plate(
     session: CalibrationSession, assistant: Assistant, fit: Callable[[ShownCell], CellFit], say: Say
 ) -> ShownCell:
-    """The hand at rest in poses, the later ones where they teach most; and a plumb line."""
+    """The gripper at rest in poses, the later ones where they teach most; and a plumb line."""
     assistant.clear()
     settings = session.settings
     marks = vision_of(settings).marks

@@ -23,7 +23,7 @@ _PATH_COLUMNS, _SEEN_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad"), ("stamp_s", "
 _WITHOUT = "without_thread.png"
 _PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
 
-#: No hand is so far from its home: a number beyond it is in millimetres, m.
+#: No gripper is so far from its home: a number beyond it is in millimetres, m.
 FARTHEST_M = 10.0
 
 
@@ -37,7 +37,7 @@ class NamedImage:
 
 @dataclass(frozen=True, eq=False)
 class ShownPose:
-    """The hand at rest: `role` is fit or held_out; pose as the arm measured it."""
+    """The gripper at rest: `role` is fit or held_out; pose as the arm measured it."""
 
     role: str
     pose: Pose
@@ -114,7 +114,7 @@ def read_cell(folder: Path) -> ShownCell:
             raise _wrong(table, line, f"{role!r} must be fit or held_out", "role")
         x, y, angle = _numbers(table, line, row[2:])
         if max(abs(x), abs(y)) > FARTHEST_M:
-            message = f"the hand is at ({x:g}, {y:g}) m; give metres, not millimetres"
+            message = f"the gripper is at ({x:g}, {y:g}) m; give metres, not millimetres"
             raise _wrong(table, line, message)
         if abs(angle) > 2.0 * np.pi:
             raise _wrong(table, line, f"{angle:g} rad; give radians, not degrees", "angle_rad")

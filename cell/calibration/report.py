@@ -149,9 +149,9 @@ def cell_report(
                 + _note(
                     "Hand–eye as it is usually done: the plate's pose in each picture by itself, "
                     "then robot and camera brought together; Park's and Daniilidis' own solutions "
-                    "need turns about two axes, which this hand cannot make. It shares nothing "
+                    "need turns about two axes, which this gripper cannot make. It shares nothing "
                     "with the fit above but pictures and lens, and is itself wrong by tenths "
-                    "of a millimetre. A millimetre or more where the hand was shown means that "
+                    "of a millimetre. A millimetre or more where the gripper was shown means that "
                     "one of the two misunderstands the cell: check the marks' places in "
                     "vision.jaw.discs_m, the lens, and that nothing was moved between them."
                 ),

@@ -1,4 +1,4 @@
-"""Devices while a cell is calibrated: the hand at rest, pictures of it, a filmed motion."""
+"""Devices while a cell is calibrated: the gripper at rest, pictures of it, a filmed motion."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from drivers.interfaces import (
     Trajectory,
 )
 
-#: A hand is brought to a pose with the cell's own speed divided by this.
+#: A gripper is brought to a pose with the cell's own speed divided by this.
 _SLOWER = 2.0
 _POLL_S, _REST_TIMEOUT_S, _CALM_S = 0.01, 3.0, 0.15
 _AT_GOAL_M, _AT_GOAL_RAD = 5e-5, 1e-3
 #: An arm at rest reports poses no further apart than this, three times its repeatability.
 _AT_REST_M = 1e-4
-#: Pictures of a hand at rest, of which the mean is taken.
+#: Pictures of a gripper at rest, of which the mean is taken.
 _PICTURES = 4
 #: An arm is told a path so long before it starts, and a film begins and ends so long beside it, s.
 _AHEAD_S, _BESIDE_S = 0.25, 0.15
@@ -41,7 +41,7 @@ _BROKEN_OFF = "calibration broken off"
 
 @dataclass(frozen=True, eq=False)
 class RestingView:
-    """The hand at rest: measured pose, the mean over a while; the mean of some pictures."""
+    """The gripper at rest: measured pose, the mean over a while; the mean of some pictures."""
 
     pose: Pose
     image: Image
@@ -64,7 +64,7 @@ class CalibrationSession:
     devices: Devices
 
     def go_to(self, goal: Pose) -> None:
-        """Bring the hand to rest in a pose.  Raises DeviceError."""
+        """Bring the gripper to rest in a pose.  Raises DeviceError."""
         arm, clock = self.devices.arm, self.devices.clock
         here = arm.state().pose
         away_m = max(abs(here.x_m - goal.x_m), abs(here.y_m - goal.y_m))
@@ -75,9 +75,9 @@ class CalibrationSession:
         clock.sleep_s(_CALM_S)
 
     def rest_at(self, goal: Pose) -> RestingView:
-        """The hand at rest in a pose, and the mean of `_PICTURES` of it.
+        """The gripper at rest in a pose, and the mean of `_PICTURES` of it.
 
-        raises  DeviceError; CameraError: the hand moved meanwhile
+        raises  DeviceError; CameraError: the gripper moved meanwhile
         """
         self.go_to(goal)
         arm, clock = self.devices.arm, self.devices.clock
@@ -92,7 +92,7 @@ class CalibrationSession:
         if moved_m > _AT_REST_M:
             raise CameraError(
                 self.devices.camera.name,
-                f"the hand moved by {moved_m * 1e3:.2f} mm while pictures were taken",
+                f"the gripper moved by {moved_m * 1e3:.2f} mm while pictures were taken",
                 "let the arm come to rest; check its mounting and gain",
             )
         x, y, angle = places.mean(axis=0)
@@ -144,7 +144,7 @@ class CalibrationSession:
 
     @property
     def limits(self) -> MotionLimits:
-        """With which the hand is moved while a cell is calibrated."""
+        """With which the gripper is moved while a cell is calibrated."""
         return MotionLimits(**self.settings.motion.insertion.model_dump())
 
     @property

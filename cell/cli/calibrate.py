@@ -66,7 +66,7 @@ def everything(
 ) -> None:
     """Calibrate camera, cell, time and grip, one after the other.
 
-    A person shows the board.  Then the hand moves within `limits`, first with empty jaws, last
+    A person shows the board.  Then the gripper moves within `limits`, first with empty jaws, last
     with a cable.  Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the
     settings are wrong or the measurements contradict each other.
     """
@@ -104,7 +104,7 @@ def cell(
     as_json: AsJson = False,
     dialogue: Dialogue = False,
 ) -> None:
-    """Find the map from pixels to the cell's plane, by the plate on the hand; needs the lens.
+    """Find the map from pixels to the cell's plane, by the plate on the gripper; needs the lens.
 
     Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
     or the measurements contradict each other.

@@ -21,10 +21,10 @@ from cell.files.words import counted
 class RecordedImport:
     """Films or recordings, and where their study is to be.
 
-    hand           of a film: CSV of the hand, t_s, x_m, y_m, angle_rad
+    gripper           of a film: CSV of the gripper, t_s, x_m, y_m, angle_rad
     config         of a film: settings of the cell that filmed it
     rate_hz        of a film: frames a second; None = as it says
-    first_frame_s  of a film: when it begins on the hand's clock
+    first_frame_s  of a film: when it begins on the gripper's clock
     """
 
     files: tuple[Path, ...]
@@ -45,7 +45,8 @@ def film_study(given: RecordedImport) -> NoReturn:
     with refusing(), working("import") as progress:
         if len(given.files) > 1 or given.config is None or given.hand is None:
             raise ValueError(
-                "a video needs --config and --hand: how the camera sees, and where the hand was; "
+                "a video needs --config and --hand: how the camera sees, and where the gripper "
+                "was; "
                 "give one video at a time"
             )
         check_new_study(given.out, force=given.force)
@@ -120,7 +121,7 @@ class ImportOptions:
     hand: Annotated[
         list[Path] | None,
         typer.Option(
-            "--hand", help="File of the hand, if it is not in the markers' file; one per trial."
+            "--hand", help="File of the gripper, if it is not in the markers' file; one per trial."
         ),
     ] = None
     free_length: Annotated[
@@ -151,7 +152,7 @@ class ImportOptions:
     ] = None
     first_frame_s: Annotated[
         float,
-        typer.Option("--first-frame", help="Of a video: when it begins on the hand's clock, s."),
+        typer.Option("--first-frame", help="Of a video: when it begins on the gripper's clock, s."),
     ] = 0.0
     look: Annotated[
         bool, typer.Option("--open", help="Open the preview with the computer's browser.")

@@ -100,7 +100,7 @@ def send(
     """Give a command to a running cell, and print its answer.
 
     After a fault or a stop, `clear` (if it is aborted) and `reset` are your word that you have
-    looked at the cause; the ledger keeps it.  `reset` opens the jaws and brings the hand home.
+    looked at the cause; the ledger keeps it.  `reset` opens the jaws and brings the gripper home.
     `acknowledge` is your word alone, and nothing moves.  `product` only changes what is made.  With
     --config, only the cell of these settings is given it.
 

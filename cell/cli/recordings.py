@@ -59,7 +59,7 @@ class ReplayOptions:
     ] = False
     poses: Annotated[
         Path | None,
-        typer.Option(help="With --import: CSV of the hand, t_s, x_m, y_m, angle_rad."),
+        typer.Option(help="With --import: CSV of the gripper, t_s, x_m, y_m, angle_rad."),
     ] = None
     frame_rate_hz: Annotated[
         float | None,
@@ -96,7 +96,7 @@ def replay(options: ReplayOptions) -> None:
 
     With --import a film of your own becomes a recording: pictures or a video of a cable at rest,
     jerked and swinging, seen as the settings say (camera.view or the calibration), and the poses of
-    the hand.  Its cable is identified.  If the hand ends where insertions begin, an offset is
+    the gripper.  Its cable is identified.  If the gripper ends where insertions begin, an offset is
     chosen too.
 
     Exit codes: 0 if everything is the same, or the film was imported; 1 if something differs, or
@@ -138,7 +138,8 @@ def _import(options: ReplayOptions) -> NoReturn:
     with refusing(target, force=options.force), working("import") as progress:
         if options.poses is None or options.config is None:
             raise ValueError(
-                "--import needs --poses and --config: where the hand was, and how the camera sees"
+                "--import needs --poses and --config: where the gripper was, and how the camera "
+                "sees"
             )
         settings = load_settings(options.config)
         read = read_film(film, options.poses, options.frame_rate_hz, options.first_frame_s)

@@ -98,7 +98,7 @@ def look_at_study(
     as_json: Json = None,
     force: Force = False,
 ) -> None:
-    """Look at a study before any fit: shapes, tip, hand, spectrum, and what is odd.
+    """Look at a study before any fit: shapes, tip, gripper, spectrum, and what is odd.
 
     A study that is refused is shown too, with what must be mended.  Exit codes: 0; 1 if something
     must be mended; 2 if there is nothing to be shown.

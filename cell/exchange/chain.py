@@ -28,7 +28,7 @@ _REASONS = {
     "moment": "a bending moment with memory; a MuJoCo spring has none of this law",
     "force": "a force of the surroundings that is no part of MuJoCo's fluid model",
     "point_mass": "a mass between clamp and tip; the exported links have one mass per length",
-    "clamp": "how the hand moves; move the hand of the exported model so",
+    "clamp": "how the gripper moves; move the gripper of the exported model so",
     "camera_time": "belongs to the camera, not to the cable",
     "camera_points": "belongs to the camera, not to the cable",
 }

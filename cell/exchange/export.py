@@ -147,7 +147,7 @@ def _notes(
         f"A cable as {chain.links} hinges, exported from {origin}. SI units.",
         f"Exponent N {model.exponent:.4g}, viscosity {model.viscosity_n_m2_s:.4g} N·m²·s.",
         "World x is the cell's x, world z its y; the cable begins along −x.",
-        "The controls are the hand's acceleration: m/s², m/s², rad/s².",
+        "The controls are the gripper's acceleration: m/s², m/s², rad/s².",
         f"Effects in it: {', '.join(effects) or 'none'}.",
         *(f"Left out: {one.name}: {one.reason}." for one in left),
     ]

@@ -52,10 +52,10 @@ def without_log() -> Iterator[None]:
         mujoco.set_mju_user_warning(former)
 
 
-#: Added inertia of the hand's joints, kg and kg·m²: a cable of a gram then moves it by a billionth
-#: of what its motors do, and their control is the hand's acceleration.
+#: Added inertia of the gripper's joints, kg and kg·m²: a cable of a gram then moves it by a
+#: billionth of what its motors do, and their control is the gripper's acceleration.
 HAND_INERTIA = 1e6
-#: Names of the joints, and motors, that move the hand: m, m, rad.
+#: Names of the joints, and motors, that move the gripper: m, m, rad.
 HAND = ("hand_x", "hand_z", "hand_angle")
 #: Name of the entry that says what arc length each hinge stands for.
 CURVATURE_LENGTH = "cable_curvature_length_m"
@@ -68,7 +68,7 @@ def mjcf(chain: Chain, step_s: float, rest_rad: FloatArray, notes: Sequence[str]
     """The XML of a chain.
 
     step_s    of the integrator
-    rest_rad  (links + 1,) bends at rest under a level hand, of the grip first
+    rest_rad  (links + 1,) bends at rest under a level gripper, of the grip first
     notes     lines of the comment at its head
     """
     head = "\n".join(f"  {escape(note).replace('--', '- -')}" for note in notes)
@@ -99,7 +99,7 @@ def mjcf(chain: Chain, step_s: float, rest_rad: FloatArray, notes: Sequence[str]
 
 
 def resting_qpos(chain: Chain, hand: FloatArray, bends: FloatArray) -> FloatArray:
-    """Coordinates of MuJoCo's model: x, z, m, and angle, rad, of the hand, then bends, rad.
+    """Coordinates of MuJoCo's model: x, z, m, and angle, rad, of the gripper, then bends, rad.
 
     A relaxed Maxwell branch has flowed as far as its hinge is bent.
     """

@@ -52,7 +52,7 @@ class TipDifference:
 
 
 def stroke() -> PeerTrial:
-    """The hand moves 50 mm down, from rest to rest, and holds."""
+    """The gripper moves 50 mm down, from rest to rest, and holds."""
     end = STILL_S + STROKE_S + HOLD_S
     t = np.arange(0.0, end + 1e-9, 0.002)
     down = -STROKE_M * quintic(np.clip((t - STILL_S) / STROKE_S, 0.0, 1.0))
@@ -92,7 +92,7 @@ def mujoco_tip(
     """(T, 2) the tip by MuJoCo, nan from where it diverges on, m.
 
     MuJoCo's integrator sets velocities between the instants of the positions, as leapfrog does.
-    So the second difference of the path is the acceleration that brings the hand along it.
+    So the second difference of the path is the acceleration that brings the gripper along it.
     """
     mujoco = mujoco_library()
     model = mujoco.MjModel.from_xml_string(xml)

@@ -279,7 +279,7 @@ class _MjcfReader:
         place = np.array(self.data.xpos[parent])
         spacing = float(np.linalg.norm(anchors[1] - anchors[0]))
         beside = float(np.linalg.norm(anchors[0] - place))
-        # half a link is held; anything longer is the hand or the world
+        # half a link is held; anything longer is the gripper or the world
         return place if parent and beside <= 0.75 * spacing else anchors[0]
 
     def _stated_length(self) -> FloatArray | None:

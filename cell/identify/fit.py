@@ -161,9 +161,9 @@ def _gripper_covariance(
     options: FitOptions,
     predicted: PredictedFrames | None,
 ) -> FloatArray:
-    """(p, p) what the uncertainty of the hand's motion adds to that of the parameters.
+    """(p, p) what the uncertainty of the gripper's motion adds to that of the parameters.
 
-    The linear answer of the fit to residuals that other, as likely, motions of the hand bring.
+    The linear answer of the fit to residuals that other, as likely, motions of the gripper bring.
     """
     answers = np.zeros((options.gripper_errors.samples, len(solution.q)))
     if options.gripper_errors.samples == 0:
@@ -186,7 +186,8 @@ def _gripper_covariance(
 def _with_sampled_grips(
     trial: Trial, arc_length_m: FloatArray, model: CableModel, options: FitOptions
 ) -> FloatArray:
-    """(1 + samples, T, markers, 2) markers with the logged hand, and as it may have moved, too."""
+    """(1 + samples, T, markers, 2) markers with the logged gripper, and as it may have moved,
+    too."""
     try:
         return simulate(
             model,

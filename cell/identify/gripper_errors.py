@@ -1,4 +1,4 @@
-"""The hand's measured motion: where the camera saw it, and how far it may be wrong."""
+"""The gripper's measured motion: where the camera saw it, and how far it may be wrong."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def align_motion(
 
 @dataclass(frozen=True)
 class GripperLogErrors:
-    """Uncertainty of the hand's motion beyond the noise found in its log.
+    """Uncertainty of the gripper's motion beyond the noise found in its log.
 
     samples       motions drawn to see what it does to the parameters; 0 = taken as exact
     offset_m      standard deviation of a constant error of the gripping point along x and y
@@ -52,7 +52,7 @@ class GripperLogErrors:
     drift: HandDrift | None = None
 
     def of(self, trial: Trial) -> GripperLogErrors:
-        """The same for a trial's hand, which may have a drift of its own."""
+        """The same for a trial's gripper, which may have a drift of its own."""
         return replace(self, drift=trial.hand_drift)
 
 

@@ -28,14 +28,14 @@ class Identified:
 
     space           what the coordinates mean
     mean            (p,) fit coordinates (log EI at knots, N, log C, effects' parameters)
-    covariance      (p, p) of them: widened by `inflation`, hand's errors included
+    covariance      (p, p) of them: widened by `inflation`, gripper's errors included
     noise           of the measurement, as used
     residual_rms_m  measured − predicted, per coordinate, over all frames used, m
     inflation       variance factor for residuals larger or more coloured than the noise; ≥ 1
     frames_used, frames_total   frames with at least one marker seen, and all
     iterations      batches of simulations it took
     method          "map" or "paper"; "imported" if nothing was measured
-    hand_covariance (p, p) share of the hand's errors, and of the simulation's, in `covariance`
+    hand_covariance (p, p) share of the gripper's errors, and of the simulation's, in `covariance`
     model_error_m   what the model misses at the tip beyond the noise, root mean square, m
     converged       False: the nearest model that was found, not a minimum
     lacks           effects that would explain what it leaves: `covariance` allows for them

@@ -42,8 +42,8 @@ class CableRejectedError(Exception):
 class Acceptance:
     """Conditions on the frames of a cable that is to be identified.
 
-    min_detected      share of the frames after the hand began to move in which it is seen
-    least_swing_m     range of the tip's motion relative to the hand
+    min_detected      share of the frames after the gripper began to move in which it is seen
+    least_swing_m     range of the tip's motion relative to the gripper
 
     How well the model then fits is no condition: its error is a part of what the forecast does not
     know, and the probability of passing decides.
@@ -94,7 +94,7 @@ def hold_trial(
 ) -> Trial:
     """A filmed hold as a trial, the logged motion moved to where the jaw was seen.
 
-    grip             logged motion of the hand, on the camera's clock
+    grip             logged motion of the gripper, on the camera's clock
     t_s              (T,) times of the frames, s
     nodes_m          (T, nodes, 2), tip first, m; nan where unseen
     grip_m, clamp_angle_rad   (T, 2), (T,) of the jaw in the frames; nan where not found

@@ -1,4 +1,4 @@
-"""How markers move with their arc length and with their hand, where these are uncertain."""
+"""How markers move with their arc length and with their gripper, where these are uncertain."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cell.study.data import Trial
 
 #: Rounds in which the spline takes its own length for the markers' places; points of a quadrature.
 _ROUNDS, _POINTS = 3, 4
-#: Markers that show the cable's line without the hand.
+#: Markers that show the cable's line without the gripper.
 ENOUGH = 5
 
 
@@ -59,9 +59,9 @@ def derivative_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
 
 
 def carried_m(trial: Trial) -> FloatArray | None:
-    """(shapes, T, markers, 2) what the drift of a hand's place does to markers; None = no drift.
+    """(shapes, T, markers, 2) what the drift of a gripper's place does to markers; None = no drift.
 
-    The hand carries the whole cable with it: a drift is slower than a swing.  What it makes the
+    The gripper carries the whole cable with it: a drift is slower than a swing.  What it makes the
     cable swing beside that is found by simulation (`sampled_motions`).
     """
     drift, markers, grip = trial.hand_drift, trial.markers, trial.grip

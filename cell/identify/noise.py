@@ -59,7 +59,7 @@ def rms(residual_m: FloatArray) -> float:
 
 
 def still_frames(t_s: FloatArray, grip: Motion, release_s: float | None = None) -> slice:
-    """Frames before anything moves: the hand, or a cable held straight until `release_s`."""
+    """Frames before anything moves: the gripper, or a cable held straight until `release_s`."""
     until = moves_from_s(grip) - 0.01
     if release_s is not None:
         until = min(until, release_s)

@@ -23,11 +23,11 @@ MOST_OFF_S = 1e-3
 class PredictedFrames:
     """Markers of all frames of a hold, at one cable and beside it.
 
-    grip       motion of the hand so far, and then held
+    grip       motion of the gripper so far, and then held
     t_s        (T,) of the frames, those to come included
     lanes      (1 + p, p) fit coordinates: the cable, and its neighbours for finite differences
     markers_m  (1 + p, T, markers, 2)
-    others_m   (samples, T, markers, 2) of the cable, had the hand moved as it may have, too
+    others_m   (samples, T, markers, 2) of the cable, had the gripper moved as it may have, too
     """
 
     grip: Motion
@@ -37,7 +37,7 @@ class PredictedFrames:
     others_m: FloatArray
 
     def as_filmed(self, trial: Trial) -> PredictedFrames | None:
-        """The same at the frames' own times and with the hand where it was seen.
+        """The same at the frames' own times and with the gripper where it was seen.
 
         To first order in how much later the frames came.
         returns  None if the hold went another way
@@ -96,7 +96,7 @@ def _same_motion(motion: Motion, predicted: Motion) -> bool:
 def extended_at_rest(motion: Motion, until_s: float) -> Motion:
     """A log that goes on at rest: its end, back and forth, so that its noise goes on as well.
 
-    Only the later half of the rest: in the first one the hand still settles.
+    Only the later half of the rest: in the first one the gripper still settles.
     """
     interval_s = float(motion.t_s[-1] - motion.t_s[0]) / (len(motion.t_s) - 1)
     more = int(np.ceil((until_s - float(motion.t_s[-1])) / interval_s))
@@ -125,7 +125,7 @@ def simulate_frames(
     solver: Solver,
     hand: GripperLogErrors,
 ) -> PredictedFrames:
-    """Simulate a hold to its end, the hand staying where it is.
+    """Simulate a hold to its end, the gripper staying where it is.
 
     trial         what was filmed so far
     t_s           (T,) of all its frames, those to come included, increasing

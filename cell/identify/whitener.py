@@ -1,4 +1,4 @@
-"""Residuals of one trial made white: noise, uncertain arc lengths, a hand's drift, tares."""
+"""Residuals of one trial made white: noise, uncertain arc lengths, a gripper's drift, tares."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ class Forecast:
 
     offsets_m    (O,) m
     delays_s     (O,) how much later than the first its path begins, s
-    paces        (O,) in how many times the usual time the hand makes its strokes
+    paces        (O,) in how many times the usual time the gripper makes its strokes
     further_m    (O,) how much further left than usual it goes, m
     t_s          (T,) s, from when the path begins
     mean         (p,) fit coordinates simulated
@@ -104,7 +104,7 @@ class Forecast:
 @dataclass(frozen=True)
 class OffsetForecast:
     """Forecast of one offset: probability of passing, margin (see `Destination`), m; delay, s;
-    pace; how much further the hand goes, m (see `Forecast`).
+    pace; how much further the gripper goes, m (see `Forecast`).
     """
 
     offset_m: float
@@ -152,7 +152,7 @@ def forecast(
 ) -> Forecast:
     """Simulate every offset, and how its tip depends on every parameter; none is late or slow.
 
-    motions  of the hand, one per offset, the same until the path begins (see `executed_motion`):
+    motions  of the gripper, one per offset, the same until the path begins (see `executed_motion`):
              that the cable still swings from it is simulated once for all.  On the clock of the
              identification, because an effect may depend on the time.
     begin_s  when the path begins on that clock
@@ -252,7 +252,7 @@ def missed_height_m(identified: Identified, options: ChoiceOptions) -> float:
 def _tips(expected: Forecast, shift: FloatArray, raised_m: FloatArray) -> Iterator[FloatArray]:
     """Per offset (samples, T, 2) tip paths of cables whose coordinates are (samples, p) apart, m.
 
-    The hand waits for it, so memory counts: tips and what raises them (samples,) are two
+    The gripper waits for it, so memory counts: tips and what raises them (samples,) are two
     coordinates more of one product of matrices, and one offset after the other stays in the cache.
     """
     weights = np.column_stack([shift, np.ones(len(shift)), raised_m])

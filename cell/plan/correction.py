@@ -14,7 +14,8 @@ from cell.plan.response import INTERVAL_S, Deviation, Response, deviation
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 
-#: The hand is led up or down by so much at most, m, in one of these times, s; and by as much again
+#: The gripper is led up or down by so much at most, m, in one of these times, s; and by as much
+#: again
 #: after that.  Pairs of heights so far apart, m, are compared, then nearer ones around the best.
 MOST_M = 6e-3
 LASTS_S = (0.12, 0.2, 0.3)
@@ -32,9 +33,9 @@ WORTH, WORTH_STD, WORTH_M = 0.01, 2.0, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Tail:
-    """A change of height of the hand from `from_s` on: two rises, one after the other.
+    """A change of height of the gripper from `from_s` on: two rises, one after the other.
 
-    rise_m, then_m   by which the hand is led up, each within `lasts_s`
+    rise_m, then_m   by which the gripper is led up, each within `lasts_s`
     probability, margin_m   of passing, with it
     before           probability without it
     tip_m            (T, 2) predicted with it
@@ -75,7 +76,7 @@ def best_tail(
     """The change from a moment on that makes the tip pass most probably; None = none is worth it.
 
     estimated  how the cable moves beside the answers' expected motion, earlier changes included
-    from_s  from when the hand was told to move
+    from_s  from when the gripper was told to move
     """
     first = max(0, int(from_s / INTERVAL_S) - 1)
     likely_m = response.nodes_m[:, 0] + estimated.tip_m
@@ -143,7 +144,8 @@ def probability_of_passing(
 
 
 def decisions_s(response: Response, destination: Destination) -> tuple[float, ...]:
-    """When to decide on a change, from when the hand is told to move; none if no tip gets there."""
+    """When to decide on a change, from when the gripper is told to move; none if no tip gets
+    there."""
     through = np.flatnonzero(response.nodes_m[:, 0, 0] <= destination.x_max_m)
     if not through.size:
         return ()
@@ -154,7 +156,7 @@ def decisions_s(response: Response, destination: Destination) -> tuple[float, ..
 def tail_response(
     response: Response, from_s: float, lasts_s: float, lag_s: float, nodes: slice = slice(None)
 ) -> FloatArray:
-    """(T, nodes, 2) per metre that the hand is led up from a moment on."""
+    """(T, nodes, 2) per metre that the gripper is led up from a moment on."""
     t_s = np.arange(0.0, lasts_s + INTERVAL_S, INTERVAL_S / 2.0)
     up = Trajectory(t_s, 0.0 * t_s, _smooth(t_s / lasts_s), 0.0 * t_s)
     led = servo_response(up, lag_s)
@@ -241,8 +243,8 @@ class Flight:
     def decide(self, t_s: FloatArray, nodes_m: FloatArray, from_s: float) -> Decision:
         """From the frames so far.
 
-        t_s      (frames,) increasing, from when the hand was told to move; frames before are left
-                 out
+        t_s      (frames,) increasing, from when the gripper was told to move; frames before are
+                 left out
         nodes_m  (frames, nodes, 2) measured, nan = not seen
         from_s   when a change can begin
         """

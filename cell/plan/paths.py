@@ -14,8 +14,8 @@ from cell.cable.geometry import Motion
 from drivers.interfaces import Pose, Trajectory
 from drivers.servo import servo_response
 
-#: A hand this close to where it is sent is there already, m: an arm's repeatability, and too little
-#: to set a cable swinging when the arm is brought the rest of the way.
+#: A gripper this close to where it is sent is there already, m: an arm's repeatability, and too
+#: little to set a cable swinging when the arm is brought the rest of the way.
 AT_GOAL_M = 5e-5
 #: A clamp angle this close to where it is sent is there already.
 SAME_ANGLE_RAD = 1e-3
@@ -84,7 +84,7 @@ def insertion_path(
 ) -> Trajectory:
     """Down by `offset_m`, then left by `advance_m`; at rest at both ends and at the corner.
 
-    delay_s  the hand rests so long before, rounded to the arm's period
+    delay_s  the gripper rests so long before, rounded to the arm's period
     raises   ValueError: a negative offset or delay, an advance ≤ 0, an impossible rate
     """
     if delay_s < 0.0:
@@ -118,8 +118,8 @@ def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -
 def path_to_rest(path: Trajectory, from_s: float, limits: MotionLimits) -> Trajectory:
     """The same path until a moment, and then to rest as soon as the limits allow.
 
-    Where the path itself is brisker than the limits, it is left as briskly: a hand that is slowed
-    down already would otherwise go back.
+    Where the path itself is brisker than the limits, it is left as briskly: a gripper that is
+    slowed down already would otherwise go back.
 
     path    evenly sampled, its clamp angle constant
     from_s  from the path's beginning
@@ -154,7 +154,7 @@ def _steepest(xy_m: FloatArray, rate_hz: float, order: int) -> FloatArray:
 
 
 def path_to(goal: Pose, start: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory | None:
-    """`retreat_path` from here to a goal; None = the hand is there already."""
+    """`retreat_path` from here to a goal; None = the gripper is there already."""
     away_m = max(abs(start.x_m - goal.x_m), abs(start.y_m - goal.y_m))
     if away_m < AT_GOAL_M and abs(start.angle_rad - goal.angle_rad) < SAME_ANGLE_RAD:
         return None
@@ -168,9 +168,9 @@ def executed_motion(
     settle_s: float = 0.0,
     history: Motion | None = None,
 ) -> Motion:
-    """The hand's motion when an arm with a known lag is told to follow `path` from time 0.
+    """The gripper's motion when an arm with a known lag is told to follow `path` from time 0.
 
-    settle_s  how long the hand is held still after it has arrived
+    settle_s  how long the gripper is held still after it has arrived
     history   measured motion up to now, its times ≤ 0: the cable still swings from it
     raises    ValueError: negative durations, a history that reaches beyond time 0
     """
@@ -184,8 +184,8 @@ def executed_motion(
         end_s = float(history.t_s[-1])
         if end_s > rows[0, 0]:
             raise ValueError(f"history ends at {end_s} s: must be before the path, {rows[0, 0]} s")
-        # without the noise of its log; all of it, as a fit has it: before the hand first moves an
-        # effect may move the cable already
+        # without the noise of its log; all of it, as a fit has it: before the gripper first moves
+        # an effect may move the cable already
         past_s = history.t_s[history.t_s < rows[0, 0]]
         rows = np.vstack([np.column_stack([past_s, *pose_of(history)(past_s)]), rows])
     return Motion(*(np.ascontiguousarray(column) for column in rows.T))

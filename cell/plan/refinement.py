@@ -44,12 +44,12 @@ def refined_candidates(
     """Offsets, delays and paces of insertions that seem to pass by the widest margin.
 
     The tip of the most probable cable is simulated coarsely.  Its path is nearly the sum of what
-    the hand's motion makes and of the swing before, which goes on: what is left changes smoothly
+    the gripper's motion makes and of the swing before, which goes on: what is left changes smoothly
     with the offset and the moment, and is interpolated.  (The sum alone errs by 0.16 mm rms for the
     softest of three cables of `fake.yaml`.)
 
     at_once    of the offsets, ascending, at once and at the usual pace
-    motion     of the hand, at once, of any offset, m, and pace
+    motion     of the gripper, at once, of any offset, m, and pace
     begin_s    when it begins, on the clock of the motions
     returns    at most `MOST`, the widest margin first
     raises     what the engine raises
@@ -100,7 +100,7 @@ class _Interpolated:
 
     near_m     (j,) offsets that were simulated
     by_moment  (d, i) weights of the moments that were simulated
-    made       (paces, i, j, T, 2) what the hand's motion makes of a tip, m
+    made       (paces, i, j, T, 2) what the gripper's motion makes of a tip, m
     swings     (d, 1, T, 2) what is left of the swing before, m
     """
 
@@ -147,7 +147,7 @@ def widest_between(at_once: Forecast, destination: Destination) -> float:
 
 
 def _delayed(motion: Motion, begin_s: float, delay_s: float) -> Motion:
-    """The hand rests for so long at a moment, and then goes on."""
+    """The gripper rests for so long at a moment, and then goes on."""
     before = motion.t_s <= begin_s
     return replace(motion, t_s=np.where(before, motion.t_s, motion.t_s + delay_s))
 

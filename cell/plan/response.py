@@ -21,7 +21,7 @@ from cell.plan.choose import coarsened
 INTERVAL_S = 0.005
 #: Modes of the swing that a force from outside excites.
 MODES = 2
-#: Forces and the hand's place change at moments so far apart, s.
+#: Forces and the gripper's place change at moments so far apart, s.
 KNOTS_S = 0.025
 #: One node in so many is looked at in flight, the tip among them.
 EVERY_NODE = 2
@@ -30,25 +30,25 @@ LATE_S = 4e-3
 #: The cable's end is seen wrongly along the cable by about so much, m, the same in all pictures,
 #: and the other nodes by their share of it.
 END_M = 1e-4
-#: So far the hand, m, and the modes, in free lengths per second, are moved to see the answer …
+#: So far the gripper, m, and the modes, in free lengths per second, are moved to see the answer …
 _STEP_M, _KICK = 1e-3, 0.05
-#: … the hand within this time before 0, s: so that a motion is a sum of such, one an instant.
+#: … the gripper within this time before 0, s: so that a motion is a sum of such, one an instant.
 _STEP_S = INTERVAL_S
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """A cable in a motion of the hand, and its answers to what is not expected.
+    """A cable in a motion of the gripper, and its answers to what is not expected.
 
     Nodes are those that the camera sees, the tip first; all linear, of one cable near rest.
 
-    t_s       (T,) from when the hand is told to move, every `INTERVAL_S`
+    t_s       (T,) from when the gripper is told to move, every `INTERVAL_S`
     nodes_m   (T, nodes, 2) as expected
-    rise      (T, nodes, 2) after the hand was led up by 1 m at 0
+    rise      (T, nodes, 2) after the gripper was led up by 1 m at 0
     basis     (T, nodes', 2, unknowns) of one node in `EVERY_NODE`: by pictures that are `LATE_S`
               late; by an end that is seen wrongly by `END_M`; by the cable's parameters, each as
               uncertain as it is; then, for every knot, by forces that begin there and bend the tip
-              by 1 m at last, `MODES` of them, and by the hand set off by 1 m right and up
+              by 1 m at last, `MODES` of them, and by the gripper set off by 1 m right and up
     tip       (T, 2, unknowns) of the tip itself, which is neither late nor elsewhere
     lasting   how many of the unknowns are not changes at a knot
     """
@@ -71,8 +71,8 @@ def simulate_response(
 ) -> Response:
     """Simulate the expected motion, and every answer once.
 
-    motion         of the hand, on the clock of the identification
-    begin_s, end_s on that clock: from when the hand is told to move, until when nodes are wanted
+    motion         of the gripper, on the clock of the identification
+    begin_s, end_s on that clock: from when the gripper is told to move, until when nodes are wanted
     arc_length_m   (nodes,) of the nodes from the gripping point, m
     raises         what the engine raises
     """
@@ -150,13 +150,14 @@ def _responses_at_rest(
 
 
 def _resting(motion: Motion, t_s: FloatArray) -> Motion:
-    """The hand at rest where it is in the end, before time 0 and after."""
+    """The gripper at rest where it is in the end, before time 0 and after."""
     grid = np.arange(-10.0, len(t_s) + 1.0) * _STEP_S
     ends = (np.full(len(grid), float(v[-1])) for v in (motion.x_m, motion.y_m, motion.angle_rad))
     return Motion(grid, *ends)
 
 
-#: By so much at once, m: of the tip that a force bends, and of the hand.  Which of these fit best
+#: By so much at once, m: of the tip that a force bends, and of the gripper.  Which of these fit
+#: best
 #: the frames tell.  The smallest add up to 0.01 mm at the tip in a flight: the engine's own error.
 FORCES_M = (1e-6, 3e-5, 2e-4, 1e-3)
 GRIPPER_M = (1e-6, 3e-4)
@@ -188,7 +189,7 @@ def deviation(
 ) -> Deviation:
     """What the frames so far tell of the cable's motion until its end.
 
-    t_s      (frames,) from when the hand was told to move
+    t_s      (frames,) from when the gripper was told to move
     nodes_m  (frames, nodes, 2) measured, nan = not seen
     std_m    of their noise
     source   Kalman & Bucy; batch form, as in Bar-Shalom, Li & Kirubarajan 2001, section 3.4
@@ -248,7 +249,7 @@ def time_to_rest_s(
 ) -> float:
     """Time from the end of a motion until the tip stays within a distance of where it rests, s.
 
-    motion     of the hand, from a cable at rest on; it is held still afterwards
+    motion     of the gripper, from a cable at rest on; it is held still afterwards
     within_m   distance of the tip from its place at rest
     longest_s  returned if it swings longer
     raises     what the engine raises

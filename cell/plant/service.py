@@ -237,7 +237,7 @@ class Service:
         return True
 
     def _prepared(self) -> Result | None:
-        """Make the cell ready; a file says meanwhile that the hand may be moving."""
+        """Make the cell ready; a file says meanwhile that the gripper may be moving."""
         self._mark.leave("the program or the computer ended while the cell was made ready")
         self._stop_if_late()
         with self._changed:  # a person may send a reset, too

@@ -91,7 +91,7 @@ def _unfinished(folder: Path, number: int, step: str, *, readable: bool = True) 
         step,
         cause,
         time.time(),
-        remedy="look where the hand and the cable are, then reset",
+        remedy="look where the gripper and the cable are, then reset",
         cable=f"not known; see {folder}",
         code="unfinished",
     )
@@ -112,7 +112,7 @@ def _newest_naming_others(faults: list[FaultNotice]) -> FaultNotice | None:
 class Mark:
     """A file that lets the next service wait for a person, where no record does.
 
-    It is there while the hand may be moving outside a cycle, and after a stop in Idle.
+    It is there while the gripper may be moving outside a cycle, and after a stop in Idle.
     """
 
     def __init__(self, runs: Path) -> None:
@@ -142,6 +142,6 @@ class Mark:
             "reset",
             cause or "the service before has ended",
             time.time(),
-            remedy="look where the hand is and what the jaws hold, then reset",
+            remedy="look where the gripper is and what the jaws hold, then reset",
             code="unfinished",
         )

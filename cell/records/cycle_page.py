@@ -123,7 +123,7 @@ def _corrections(corrections: Sequence[Correction] | None) -> TableData | None:
         ]
         for c in corrections
     ]
-    led = ("hand led up by, mm", "then by, mm", "each within, s")
+    led = ("gripper led up by, mm", "then by, mm", "each within, s")
     headings = ["from, s", *led, "passes without, %", "with, %"]
     return TableData("", headings, rows, range(len(headings)))
 

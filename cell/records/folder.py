@@ -91,7 +91,7 @@ class Record:
         self._write("state.json", _json(self._state))
 
     def note(self, **entries: Any) -> None:
-        """Replace entries of `state.json` when it is written next: a hand that waits cannot wait
+        """Replace entries of `state.json` when it is written next: a gripper that waits cannot wait
         for a disk.
         """
         self._state.update(entries)

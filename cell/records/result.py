@@ -69,10 +69,10 @@ class AgreementCheck:
 
 @dataclass(frozen=True)
 class Correction:
-    """A change of the hand's path in flight.
+    """A change of the gripper's path in flight.
 
-    from_s       when it began, from when the hand was told to move
-    rise_m       by how much the hand was led up
+    from_s       when it began, from when the gripper was told to move
+    rise_m       by how much the gripper was led up
     then_m       by how much after that
     lasts_s      in how much time, either
     before, probability   predicted probability of passing, without and with it
@@ -91,7 +91,7 @@ class Result:
     """End of one cycle.  None = not known, because the cycle did not come so far.
 
     offset_m            executed
-    delay_s, pace       with which: so long the hand rested before, s; in so many times the usual
+    delay_s, pace       with which: so long the gripper rested before, s; in so many times the usual
                         time it moved
     further_m           and so much further left than usual it went
     predicted_miss_m    height of the tip above the middle of the destination at its mouth; as last
@@ -109,7 +109,7 @@ class Result:
     hold_saved_s        how much shorter than its longest the hold was, because more frames would
                         not have mattered
     corrections         of the path in flight; None = without feedback
-    stops               why the hand was stopped in front of the mouth in earlier tries with this
+    stops               why the gripper was stopped in front of the mouth in earlier tries with this
                         cable; the rest is of the last try
     seconds             time of each step, s
     state_seconds       time spent in each state of the cell, s

@@ -1,4 +1,4 @@
-"""Insertions that may be executed, simulated as the hand would make them."""
+"""Insertions that may be executed, simulated as the gripper would make them."""
 
 from __future__ import annotations
 
@@ -36,15 +36,17 @@ class Simulated(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class Executing:
-    """How the hand will be when it is told to insert at a moment.
+    """How the gripper will be when it is told to insert at a moment.
 
-    The cable still swings from the hand's motion before; the hand follows with its known lag, and
+    The cable still swings from the gripper's motion before; the gripper follows with its known
+    lag, and
     is seen by the camera at a constant offset from that of the arm.  Time goes on as in the hold,
     in which the cable was identified: an effect may depend on it.
 
     begin_s  when it is told, on the clock of the identification
-    history  of the hand until now, counted from then
-    camera_offset  (3,) x, y, angle of the hand as the camera sees it, from where the arm says it is
+    history  of the gripper until now, counted from then
+    camera_offset  (3,) x, y, angle of the gripper as the camera sees it, from where the arm says
+                   it is
     """
 
     task: Task
@@ -71,7 +73,7 @@ class Executing:
         return insertion_path(task.lowered, offset_m, advance_m, limits, rate_hz, delay_s=delay_s)
 
     def motion(self, path: Trajectory) -> Motion:
-        """Of the hand, on the clock of the identification, if the arm is told this."""
+        """Of the gripper, on the clock of the identification, if the arm is told this."""
         hand = executed_motion(
             moved(path, self.camera_offset),
             self.timing.arm_lag_s,

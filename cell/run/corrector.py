@@ -23,7 +23,7 @@ from drivers.interfaces import LimitError, TooLateError, Trajectory
 
 _LOG = logging.getLogger(__name__)
 
-#: When the hand has been told to move so long ago, it must be known how the cable answers, s.
+#: When the gripper has been told to move so long ago, it must be known how the cable answers, s.
 NEEDED_S = 0.1
 #: From a decision's last frame until its change may begin, s: to look, to compute, to tell the arm;
 #: and if the arm says that this was too late.
@@ -31,10 +31,10 @@ DEAD_S = (0.04, 0.08)
 
 
 class Corrector:
-    """Changes the hand's path if the tip will pass more probably.
+    """Changes the gripper's path if the tip will pass more probably.
 
     Which frames a decision uses depends on their times alone.  Whatever keeps a correction from
-    being found or told leaves the path as it is.  `stopped` says why the hand was brought to
+    being found or told leaves the path as it is.  `stopped` says why the gripper was brought to
     rest in front of the mouth; None = it was not.
     """
 

@@ -110,7 +110,7 @@ class Cell:
             listing.acknowledge(by, note)
 
     def reset(self, by: str = "", note: str = "") -> None:
-        """A person sends the hand home, which the log and the ledger keep.
+        """A person sends the gripper home, which the log and the ledger keep.
 
         raises  EventRefusedError: the cell is not stopped, or complete
         """

@@ -1,4 +1,4 @@
-"""The steps of a dry run, which moves the hand through a whole cycle with empty jaws."""
+"""The steps of a dry run, which moves the gripper through a whole cycle with empty jaws."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def check_paths(movements: Sequence[Movement], station: Station, findings: Findi
 
 
 def follow(movement: Movement, station: Station, findings: Findings) -> Findings:
-    """Make a movement, filmed if a cycle films it, unless the hand is there already."""
+    """Make a movement, filmed if a cycle films it, unless the gripper is there already."""
     arm, camera, clock = station.devices.arm, station.devices.camera, station.devices.clock
     path = movement.path_from(arm.state().pose, arm.rate_hz)
     if path is None:

@@ -31,7 +31,7 @@ SHARES_FREELY = (0.2, 0.45)
 
 #: Where a hold may end early all that is done so long before it may, s, and again from then on …
 AHEAD_S, AHEAD_FREELY_S = 0.3, 0.45
-#: … but not before the hand has rested so long.
+#: … but not before the gripper has rested so long.
 FIRST_S = 0.1
 
 
@@ -39,7 +39,7 @@ FIRST_S = 0.1
 class ScheduledEstimate:
     """A computation while a hold is filmed.
 
-    after_s  when the hand has rested so long
+    after_s  when the gripper has rested so long
     filming  the hold, as if it ended when this is used; None = it only identifies the cable
     """
 

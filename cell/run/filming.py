@@ -1,4 +1,4 @@
-"""Films a motion of the hand, and finds the cable in every frame as it comes."""
+"""Films a motion of the gripper, and finds the cable in every frame as it comes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drivers.interfaces import CameraError, Frame, Trajectory
 def film(
     station: Station, path: Trajectory, still_s: float, hold_s: float, keep_every: int
 ) -> Filming:
-    """Begin to film the cable at rest, then follow `path`; returns when the hand rests again.
+    """Begin to film the cable at rest, then follow `path`; returns when the gripper rests again.
 
     The cable is looked for in the frames meanwhile, so that none wait when the last one comes.
     keep_every  one frame in so many is kept as a picture

@@ -29,7 +29,8 @@ Value = TypeVar("Value")
 class Filming:
     """A motion that is being filmed.
 
-    It began at `begin_s`, the hand rests from `rest_s`, and it is filmed until `end_s`; sightings
+    It began at `begin_s`, the gripper rests from `rest_s`, and it is filmed until `end_s`;
+    sightings
     and pictures are those of the frames so far.  `delay_s` is the least time so far from a frame's
     exposure until it was taken up, s: one that takes longer has waited.
     """
@@ -129,11 +130,11 @@ class Findings:
     hold_saved_s     how much less than the longest hold it took
     lead_s      from now to when a motion that is chosen now would begin
     simulated_s  when each simulation of the offsets began, on the cell's clock
-    waiting_since_s   since when the hand waits for the computer, by the computer's own clock
+    waiting_since_s   since when the gripper waits for the computer, by the computer's own clock
     wait_s      how long it has waited when the choice was made
     offset_m    of the choice that is executed
     executed    the execution
-    stopped     why the hand was brought to rest in front of the mouth; None = it was not
+    stopped     why the gripper was brought to rest in front of the mouth; None = it was not
     stops       the same of earlier tries with this cable; their trials
     tails       changes of its path that were told in flight; None = without feedback
     predicted   (T,) times from when the path began, and (T, 2) tip as last predicted in flight

@@ -27,7 +27,7 @@ def approach(motion: Measuring, station: Station, findings: Findings) -> Finding
 
 
 def measure(motion: Measuring, station: Station, findings: Findings) -> Findings:
-    """Film the cable at rest, during the moves and while the hand is held after them."""
+    """Film the cable at rest, during the moves and while the gripper is held after them."""
     path = measuring_path(motion.start, motion.moves, station.devices.arm.rate_hz)
     filming = film(station, path, motion.still_s, motion.hold_s, KEEP_EVERY_HELD)
     held = capture(station, filming, KEEP_EVERY_HELD)

@@ -1,4 +1,5 @@
-"""The hand's movements in a plan, at any share of their speed: what a dry run makes and checks."""
+"""The gripper's movements in a plan, at any share of their speed: what a dry run makes and
+checks."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ class Movement:
     path: Trajectory | None = None
 
     def path_from(self, start: Pose, rate_hz: float) -> Trajectory | None:
-        """From where the hand is; None = it is at the goal already."""
+        """From where the gripper is; None = it is at the goal already."""
         if self.path is not None:
             return self.path
         assert self.limits is not None
@@ -103,7 +104,8 @@ def measuring_movements(
 def paths_from(
     start: Pose, task: Task, movements: Sequence[Movement], rate_hz: float
 ) -> tuple[tuple[str, Trajectory], ...]:
-    """What the hand will do from `start` on, and could do in a cycle: movements, every offset."""
+    """What the gripper will do from `start` on, and could do in a cycle: movements, every
+    offset."""
     paths = []
     for movement in movements:
         path = movement.path_from(start, rate_hz)

@@ -166,7 +166,7 @@ def metres_per_pixel(task: Task) -> float:
 
 
 def dry_run_pictures(followed: Sequence[RehearsedMotion], task: Task) -> dict[str, Image]:
-    """First and last frame of each motion that was filmed: where arm and camera see the hand.
+    """First and last frame of each motion that was filmed: where arm and camera see the gripper.
 
     Orange, upright cross: the gripping point by the arm, with its way.  Green, slanting: by the
     jaw's marks.  Red: the destination.

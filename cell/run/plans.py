@@ -39,7 +39,7 @@ class Step:
     computes       its time is the computer's, not that of the cell's clock
     holding        it begins with a cable between the jaws and ends with it there
     may_pause      the cell can be held or suspended before it
-    time_critical  the hand waits for what comes next: the record is written later
+    time_critical  the gripper waits for what comes next: the record is written later
     with_rejected  it is done with a rejected cable too
     once           it is done in the first cycle only; those of `REPEATED_AFTER_LOSS` also after
                    devices were lost
@@ -101,7 +101,8 @@ class Plan:
     """The steps for one cable, by the state of the cell in which they are done.
 
     aim        outcome of a cycle in which all goes well
-    movements  those of the hand, for a rehearsal: task, the arm's rate in Hz, factor of the speed
+    movements  those of the gripper, for a rehearsal: task, the arm's rate in Hz, factor of the
+               speed
     speed      share of the task's speed at which the plan is carried out
     initial_findings  what is known before the first step
     """
@@ -289,7 +290,7 @@ def measuring(motion: Measuring) -> Plan:
 def filmed(filming: Filming, *, decides: bool) -> Plan:
     """Identify the cable of a film that was made without this cell, and execute nothing.
 
-    decides  choose an offset too: the hand came to where insertions begin
+    decides  choose an offset too: the gripper came to where insertions begin
     """
     film = Step(FILM, partial(measuring_steps.begin_film, filming), adds="filming", holding=True)
     conclude = Step(

@@ -58,12 +58,12 @@ class Task:
 
     @property
     def lowered(self) -> Pose:
-        """Where the hand is held while the cable swings."""
+        """Where the gripper is held while the cable swings."""
         return Pose(self.home.x_m, self.home.y_m - self.lower_m, self.home.angle_rad)
 
     @property
     def longest_advance_m(self) -> float:
-        """So far left the hand goes at most."""
+        """So far left the gripper goes at most."""
         return self.advance_m + self.choice.freely.further_m
 
     @property

@@ -55,8 +55,8 @@ _LOG = logging.getLogger(__name__)
 KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
 #: A forecast is corrected to first order, without simulating again, if its tips move less, m.
 SMALL_SHIFT_M = 5e-4
-#: A computer that needs longer for a choice is not going to manage, s: the longer the hand waits,
-#: the more there is to simulate.
+#: A computer that needs longer for a choice is not going to manage, s: the longer the gripper
+#: waits, the more there is to simulate.
 LONGEST_LEAD_S = 3.0
 #: A cable rests if its tip stays within so much of its place, m: a twentieth of a pixel, or the
 #: noise if that is more.  No cable of a few decimetres swings longer than this, s.
@@ -113,7 +113,7 @@ def warm_up(station: Station, findings: Findings) -> Findings:
 
 
 def reset(station: Station, findings: Findings) -> Findings:
-    """Clear our own stop, empty the jaws and bring the hand home, level strokes first."""
+    """Clear our own stop, empty the jaws and bring the gripper home, level strokes first."""
     station.devices.arm.reset()
     station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
     station.devices.gripper.release()
@@ -143,7 +143,7 @@ def check_paths(movements: Movements, station: Station, findings: Findings) -> F
 def allowed_paths(
     station: Station, movements: Sequence[Movement]
 ) -> tuple[tuple[str, Trajectory], ...]:
-    """Names and paths of movements from where the hand is, and of every offset.
+    """Names and paths of movements from where the gripper is, and of every offset.
 
     raises  LimitError: the arm may not follow one of them; nothing was moved
     """
@@ -167,7 +167,7 @@ def check_ready(station: Station, findings: Findings) -> Findings:
 
 
 def go_home(station: Station, findings: Findings) -> Findings:
-    """Bring the hand from wherever it is to where cables are grasped."""
+    """Bring the gripper from wherever it is to where cables are grasped."""
     move_to(station, station.task.home, station.task.lowering)
     return findings
 
@@ -327,7 +327,8 @@ def choose(station: Station, findings: Findings) -> Findings:
 def review_choice(station: Station, findings: Findings, paused: bool) -> Findings:
     """The choice settled if there is still time to execute it, or more time for the next one.
 
-    paused  the cell was held or suspended after the choice: the hand did not wait for the computer
+    paused  the cell was held or suspended after the choice: the gripper did not wait for the
+            computer
     raises  DeviceTimeoutError: the computer is too slow for any choice
     """
     if paused:
@@ -349,7 +350,7 @@ def review_choice(station: Station, findings: Findings, paused: bool) -> Finding
 
 
 def execute(station: Station, findings: Findings) -> Findings:
-    """Follow the chosen path from its planned moment on; film it until the hand has settled.
+    """Follow the chosen path from its planned moment on; film it until the gripper has settled.
 
     With feedback the path may be changed meanwhile, see `Corrector`.
     """
@@ -406,7 +407,7 @@ def review_insertion(station: Station, findings: Findings, paused: bool) -> Find
 def bring_back(station: Station, findings: Findings) -> Findings:
     """Bring a cable that was stopped slowly to where it was grasped, until it rests.
 
-    How long it swings its own model says, with what the hand has done since it was lowered.
+    How long it swings its own model says, with what the gripper has done since it was lowered.
     raises  DeviceTimeoutError: the arm does not come to rest
     """
     task, arm, clock = station.task, station.devices.arm, station.devices.clock
@@ -417,7 +418,7 @@ def bring_back(station: Station, findings: Findings) -> Findings:
     moved = Motion(hand.t_s - begin_s, hand.x_m, hand.y_m, hand.angle_rad)
     rest_m = max(RESTING_M, identified.noise.std_m)
     swings_s = time_to_rest_s(identified, moved, rest_m, LONGEST_SWING_S)
-    _LOG.info("the cable rests %.1f s after the hand", swings_s)
+    _LOG.info("the cable rests %.1f s after the gripper", swings_s)
     wait_until(station, now_s + max(swings_s, task.calm_s))
     return findings.for_retry()
 
@@ -436,7 +437,8 @@ def release(station: Station, findings: Findings) -> Findings:
 
 
 def let_go(station: Station, findings: Findings) -> Findings:
-    """Open the jaws where the hand rests.  Raises DeviceTimeoutError: it does not come to rest."""
+    """Open the jaws where the gripper rests.  Raises DeviceTimeoutError: it does not come to
+    rest."""
     await_rest(station)
     station.devices.gripper.release()
     return findings

@@ -1,4 +1,5 @@
-"""Filmed motions as the trials of a study: time from the first frame, the hand as it was seen."""
+"""Filmed motions as the trials of a study: time from the first frame, the gripper as it was
+seen."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ NODE_ERROR_PX = 0.1
 
 
 def held_trial(filmed: FilmedMotion) -> Trial:
-    """The hold as a trial, time counted from the first frame; the hand where the camera saw it."""
+    """The hold as a trial, time counted from the first frame; the gripper where the camera saw
+    it."""
     sightings, hand, zero_s = filmed.sightings, filmed.gripper_log, filmed.begin_s
     return hold_trial(
         Motion(hand.t_s - zero_s, hand.x_m, hand.y_m, hand.angle_rad),
@@ -35,7 +37,8 @@ def held_trial(filmed: FilmedMotion) -> Trial:
 
 
 def executed_trial(held: Trial, before: FilmedMotion, after: FilmedMotion) -> Trial:
-    """The execution as a trial: it begins in equilibrium, hence with the hand's motion before."""
+    """The execution as a trial: it begins in equilibrium, hence with the gripper's motion
+    before."""
     offset = camera_offset_m_rad(before.gripper_log, held.grip)
     zero_s = before.begin_s
     later = after.gripper_log.t_s > before.gripper_log.t_s[-1]

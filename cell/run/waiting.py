@@ -92,5 +92,5 @@ def result_of(job: Future[Value], commands: Commands) -> Value | None:
 
 
 def hurried(computer: Executor) -> AbstractContextManager[None]:
-    """While the hand or a frame waits for the second process it need not give way."""
+    """While the gripper or a frame waits for the second process it need not give way."""
     return computer.hurried() if isinstance(computer, SecondProcess) else nullcontext()

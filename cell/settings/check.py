@@ -71,7 +71,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_retry(document, settings),
         *plant_problems(document, settings),
     ]
-    # Where the hand cannot go, what the tip can reach is an idle question.
+    # Where the gripper cannot go, what the tip can reach is an idle question.
     return problems or [
         *_destination_in_reach(document, settings),
         *_in_view(document, settings),
@@ -100,7 +100,7 @@ def _offsets(document: Document, settings: Settings) -> list[Problem]:
 
 
 def _poses_within_limits(document: Document, settings: Settings) -> list[Problem]:
-    """Home, the lowest and the leftmost place of the hand, each against the cell's limits."""
+    """Home, the lowest and the leftmost place of the gripper, each against the cell's limits."""
     motion, limits, home = settings.motion, settings.limits, settings.motion.home
     lowered_m = home.y_m - motion.lower_m
     deepest_m = lowered_m - motion.offsets.last_m
@@ -120,7 +120,8 @@ def _poses_within_limits(document: Document, settings: Settings) -> list[Problem
     return [
         document.problem(
             key,
-            f"takes the hand to {axis} = {value:g}, outside limits.{axis} = [{low:g}, {high:g}]; "
+            f"takes the gripper to {axis} = {value:g}, outside limits.{axis} = [{low:g}, "
+            f"{high:g}]; "
             "move less, start elsewhere or widen the limits",
         )
         for key, axis, value, (low, high) in places
@@ -278,7 +279,7 @@ def _model(document: Document, settings: Settings) -> list[Problem]:
 
 
 def _destination_in_reach(document: Document, settings: Settings) -> list[Problem]:
-    """Whether a cable stretched from some place of the hand's last stroke gets there at all."""
+    """Whether a cable stretched from some place of the gripper's last stroke gets there at all."""
     motion, destination = settings.motion, settings.destination
     length_m = settings.cable.free_length_m
     end_x_m = motion.home.x_m - motion.advance_m
@@ -288,7 +289,7 @@ def _destination_in_reach(document: Document, settings: Settings) -> list[Proble
         problems.append(
             document.problem(
                 ("destination", "x_m"),
-                f"entry edge {entry_m:g} m is out of reach: the hand ends its stroke at "
+                f"entry edge {entry_m:g} m is out of reach: the gripper ends its stroke at "
                 f"{end_x_m:g} m and the free length is {length_m:g} m; "
                 "give one farther right, or advance farther",
             )
@@ -297,7 +298,7 @@ def _destination_in_reach(document: Document, settings: Settings) -> list[Proble
         problems.append(
             document.problem(
                 ("destination", "x_m"),
-                f"entry edge {entry_m:g} m lies behind the hand, which starts at "
+                f"entry edge {entry_m:g} m lies behind the gripper, which starts at "
                 f"{motion.home.x_m:g} m and moves left; move it left",
             )
         )

@@ -118,7 +118,7 @@ class Offsets(Section):
 
 
 class Briskness(Section):
-    """How briskly the hand moves along either axis; no arm of this kind is brisker."""
+    """How briskly the gripper moves along either axis; no arm of this kind is brisker."""
 
     velocity_m_per_s: Annotated[float, Field(gt=0.0, le=5.0)]
     """Largest speed."""
@@ -166,7 +166,7 @@ class Hold(Section):
 
 
 class MotionSettings(Section):
-    """What the hand does in a cycle."""
+    """What the gripper does in a cycle."""
 
     home: HandPose = HandPose()
     """Where a cable is grasped."""
@@ -329,7 +329,7 @@ Discs = Annotated[
 
 
 class JawPlate(Section):
-    """Light discs on the dark plate of the jaw, by which the camera finds the hand."""
+    """Light discs on the dark plate of the jaw, by which the camera finds the gripper."""
 
     discs_m: Discs = ((0.006, 0.009), (0.006, -0.009), (0.032, 0.009), (0.025, -0.003))
     """Centres, m, as the camera sees them with the clamp level: origin at the gripping point, the

@@ -37,7 +37,7 @@ class Product(Section):
     destination: Overlay = Field(default={})
     """Where its tip must pass."""
     motion: Overlay = Field(default={})
-    """What the hand does with it."""
+    """What the gripper does with it."""
     vision: Overlay = Field(default={})
     """What its cable looks like; the jaw is that of the cell."""
     choice: Overlay = Field(default={})

@@ -129,8 +129,8 @@ QUESTIONS = (
     Question(("cable", "thickness_m"), "Its thickness, m"),
     Question(("destination", "x_m"), "Hole's mouth, far and near edge: x, x, m"),
     Question(("destination", "y_m"), "Hole's mouth, lower and upper edge: y, y, m"),
-    Question(("limits", "x_m"), "Where the hand may be: least and greatest x, m"),
-    Question(("limits", "y_m"), "Where the hand may be: least and greatest y, m"),
+    Question(("limits", "x_m"), "Where the gripper may be: least and greatest x, m"),
+    Question(("limits", "y_m"), "Where the gripper may be: least and greatest y, m"),
 )
 
 #: Asked for a real cell only.

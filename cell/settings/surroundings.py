@@ -1,4 +1,4 @@
-"""Where a hand and its cable may be: limits, the picture's edge and the workpiece of a cell."""
+"""Where a gripper and its cable may be: limits, the picture's edge and the workpiece of a cell."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Range = tuple[float, float]
 
 #: Nothing that is to be seen comes nearer to the picture's edge, px.
 EDGE_PX = 10.0
-#: The hand stays inside its limits by so much, m and rad, because an arm is never quite where it is
-#: sent; ten times what its guard tolerates.
+#: The gripper stays inside its limits by so much, m and rad, because an arm is never quite where
+#: it is sent; ten times what its guard tolerates.
 LIMIT_MARGIN_M, LIMIT_MARGIN_RAD = 0.001, 0.01
 #: Nothing comes nearer to the workpiece, m.
 CLEARANCE_M = 0.005
@@ -27,10 +27,10 @@ CLEARANCE_M = 0.005
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Limits of the hand in the cell's plane, and what the cable must stay in and away from.
+    """Limits of the gripper in the cell's plane, and what the cable must stay in and away from.
 
     home          pose in which a cable is grasped: x, y, m, and clamp angle, rad
-    x_m, y_m, angle_rad   of the hand
+    x_m, y_m, angle_rad   of the gripper
     picture_m     (2, 2) x and y that the camera sees, edge left off; None = not known
     workpiece_m   x of the workpiece, which is taken to reach everywhere left of it; None = none
     frame_rate_hz of the camera; None = as in the study
@@ -97,7 +97,7 @@ class Surroundings:
             ranges.append((low, high))
         if self.workpiece_m is not None:
             nearest = self.workpiece_m + CLEARANCE_M
-            # Brought to the start and back: the hand is between home, start and end, at rest.
+            # Brought to the start and back: the gripper is between home, start and end, at rest.
             low = max(ranges[0][0], nearest - min(swept.cable_low_m, swept.rest_low_m))
             if low > ranges[0][1] or self.home[0] + swept.rest_low_m < nearest:
                 return "workpiece"
@@ -126,12 +126,12 @@ def pictured(view: PlaneView, width_px: int, height_px: int) -> tuple[Range, Ran
 
 @dataclass(frozen=True)
 class Swept:
-    """What a stroke sweeps, relative to where the hand starts, m.
+    """What a stroke sweeps, relative to where the gripper starts, m.
 
     low_m, high_m  (2,) corners of all that the camera must see: cable and jaw
     cable_low_m    least x of the cable on the way
     rest_low_m     least x of the cable at rest, at any angle between home's and the stroke's, with
-                   the hand at the leftmost place of the stroke
+                   the gripper at the leftmost place of the stroke
     """
 
     low_m: FloatArray
@@ -145,10 +145,10 @@ class Swept:
     ) -> Swept:
         """From paths of points along the cable.
 
-        cable_m   (models, times, points, 2) relative to the hand's start
+        cable_m   (models, times, points, 2) relative to the gripper's start
         spread_m  the same shape: by which the points may be elsewhere
         hand_m    (times, 2) relative to its start
-        rest      least x of the cable at rest, relative to the hand
+        rest      least x of the cable at rest, relative to the gripper
         """
         marks = jaw_points_m(angle_rad)[None] + hand_m[:, None]
         low, high = (cable_m - spread_m).min((0, 1, 2)), (cable_m + spread_m).max((0, 1, 2))

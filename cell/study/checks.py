@@ -34,66 +34,69 @@ _LOG_LIMIT = f"{GAP_S:g} s or {GAP_STEPS:g} usual steps"
 
 LOG_GAP = DataCheck(
     "log_gap",
-    "Is the hand's log whole while it moves?",
-    "longest step within which the hand moves, s",
+    "Is the gripper's log whole while it moves?",
+    "longest step within which the gripper moves, s",
     _LOG_LIMIT,
     "refused",
-    "the hand is not seen from {from_s:.6g} to {to_s:.6g} s, limit {limit_s:.2g} s while it moves: "
+    "the gripper is not seen from {from_s:.6g} to {to_s:.6g} s, limit {limit_s:.2g} s while it "
+    "moves: "
     "{moved_mm:.3g} mm and {turned_rad:.2g} rad in between;",
     "log the whole motion, or cut the trial before it or after it",
     plausible.log_gap,
 )
 LOG_ENDS = DataCheck(
     "log_ends",
-    "Does the hand rest where its log ends?",
+    "Does the gripper rest where its log ends?",
     "time in which markers are seen after it, s",
     _LOG_LIMIT,
     "refused",
-    "the log ends at {log_s:.6g} s, while the hand moves at {speed:.2g} {unit}/s, yet the markers "
+    "the log ends at {log_s:.6g} s, while the gripper moves at {speed:.2g} {unit}/s, yet the "
+    "markers "
     "are seen until {film_s:.6g} s;",
-    "log the hand until it rests, or cut the frames after the log's end",
+    "log the gripper until it rests, or cut the frames after the log's end",
     plausible.log_ends,
 )
 LOG_BEGINS = DataCheck(
     "log_begins",
-    "Does the hand rest where its log begins?",
+    "Does the gripper rest where its log begins?",
     "time in which markers are seen before it, s",
     _LOG_LIMIT,
     "refused",
-    "the log begins at {log_s:.6g} s, while the hand moves at {speed:.2g} {unit}/s, yet the "
+    "the log begins at {log_s:.6g} s, while the gripper moves at {speed:.2g} {unit}/s, yet the "
     "markers are seen from {film_s:.6g} s on;",
-    "log the hand from its rest on, or cut the frames before the log's beginning and give "
+    "log the gripper from its rest on, or cut the frames before the log's beginning and give "
     "`start: moving`",
     plausible.log_begins,
 )
 HAND_UNIT = DataCheck(
     "hand_unit",
-    "Is the hand given in metres, as its markers are?",
-    "span of the hand's places over that of markers and cable",
+    "Is the gripper given in metres, as its markers are?",
+    "span of the gripper's places over that of markers and cable",
     f"{plausible.OTHER_UNIT:g}",
     "refused",
-    "the hand's places are up to {hand_m:.3g} m apart, those of the markers {reach_m:.3g} m;",
+    "the gripper's places are up to {hand_m:.3g} m apart, those of the markers {reach_m:.3g} m;",
     "give metres, not millimetres",
     plausible.hand_unit,
 )
 CABLE_WAITS = DataCheck(
     "cable_waits",
-    "Does the cable move soon after its hand?",
-    "time from the hand's first motion to the cable's, s",
+    "Does the cable move soon after its gripper?",
+    "time from the gripper's first motion to the cable's, s",
     _CLOCK_LIMIT,
     "refused",
-    "the cable rests until {cable_s:.3g} s, yet its hand moves at {hand_s:.3g} s, and no cable "
+    "the cable rests until {cable_s:.3g} s, yet its gripper moves at {hand_s:.3g} s, and no cable "
     "waits so long: the clocks differ by {late_s:.2g} s;",
     "subtract this from t_s of markers.csv",
     plausible.cable_waits,
 )
 CABLE_AHEAD = DataCheck(
     "cable_ahead",
-    "Does the cable rest until its hand moves?",
-    "time from the cable's first motion to the hand's, s",
-    f"{_CLOCK_LIMIT}; refused if a marker is too far from the hand too",
+    "Does the cable rest until its gripper moves?",
+    "time from the cable's first motion to the gripper's, s",
+    f"{_CLOCK_LIMIT}; refused if a marker is too far from the gripper too",
     "noted",
-    "the cable moves at {cable_s:.3g} s, its hand only at {hand_s:.3g} s; if both are one motion "
+    "the cable moves at {cable_s:.3g} s, its gripper only at {hand_s:.3g} s; if both are one "
+    "motion "
     "the clocks differ:",
     "add {late_s:.2g} s to t_s of markers.csv; if the cable was let go, give `start: held` with "
     "release_s: {cable_s:.3g} in study.yaml",
@@ -101,7 +104,7 @@ CABLE_AHEAD = DataCheck(
 )
 OUT_OF_REACH = DataCheck(
     "out_of_reach",
-    "Is every marker within the hand's reach?",
+    "Is every marker within the gripper's reach?",
     "largest distance of a marker from the gripping point, free lengths",
     f"{plausible.FARTHEST:g}",
     "refused",
@@ -146,7 +149,7 @@ FROZEN = DataCheck(
 REVERSED = DataCheck(
     "reversed_arcs",
     "Are arc lengths counted from the gripping point?",
-    "distance of a marker from the hand beyond its arc length, free lengths",
+    "distance of a marker from the gripper beyond its arc length, free lengths",
     f"{plausible.SLACK:g}, but not if counted from the other end",
     "refused",
     "the marker at arc length {arc_m:g} m is {away_m:.3g} m from the gripping point, farther than "
@@ -157,7 +160,7 @@ REVERSED = DataCheck(
 TOO_FAR = replace(
     REVERSED,
     name="too_far",
-    question="Is no marker farther from the hand than its arc length?",
+    question="Is no marker farther from the gripper than its arc length?",
     limit=f"{plausible.SLACK:g}",
     remedy="check arc_length_m, the metres of both files, and that both have the same frame",
     failure=plausible.too_far,
@@ -198,10 +201,10 @@ RISES = DataCheck(
 MOVES_FIRST = DataCheck(
     "moves_first",
     "Is a cable that begins in equilibrium at rest?",
-    "way of a marker before the hand moves, free lengths",
+    "way of a marker before the gripper moves, free lengths",
     f"{plausible.MOVES:g}",
     "noted",
-    "before the hand moves the cable does, by {reach_mm:.3g} mm, yet it is said to begin in "
+    "before the gripper moves the cable does, by {reach_mm:.3g} mm, yet it is said to begin in "
     "equilibrium;",
     "give {meant} in study.yaml",
     plausible.moves_first,
@@ -252,9 +255,10 @@ IMPORT_REFUSALS = (
         "not_on_cable",
         "Does every marker move?",
         "span of a marker over the largest of all",
-        f"{plausible.STAYS:g}, while the hand moves",
+        f"{plausible.STAYS:g}, while the gripper moves",
         "refused",
-        "{name!r} moves by {moved_mm:.2g} mm in all rows, the hand by {hand_mm:.3g} mm: it is not "
+        "{name!r} moves by {moved_mm:.2g} mm in all rows, the gripper by {hand_mm:.3g} mm: it "
+        "is not "
         "on the cable;",
         "remove it from markers",
         plausible.not_on_cable,
@@ -264,11 +268,12 @@ IMPORT_REFUSALS = (
 IMPORT_SHAPE = (
     DataCheck(
         "hand_scale",
-        "Is the hand in the unit of the markers?",
-        "span of the marker next to the hand over that of the hand",
+        "Is the gripper in the unit of the markers?",
+        "span of the marker next to the hand over that of the gripper",
         f"{plausible.TIMES_FARTHER:g} or its inverse, where both move alike",
         "refused",
-        "the hand moves by {hand_m:.3g} m, and {name!r} next to it as it does by {marker_m:.3g} m: "
+        "the gripper moves by {hand_m:.3g} m, and {name!r} next to it as it does by "
+        "{marker_m:.3g} m: "
         "its unit is another one;",
         "correct metres_per_unit of hand in the mapping",
         plausible.hand_scale,
@@ -293,7 +298,7 @@ IMPORT_SHAPE = (
         f"{plausible.REFUSED_ACROSS:g} in {plausible.MOST_SLIPS:g} of the rows",
         "refused",
         "the cable is {away_mm:.3g} mm out of the plane, limit {limit_mm:.3g} mm;",
-        "correct `axes` in the mapping, or move the hand within one plane",
+        "correct `axes` in the mapping, or move the gripper within one plane",
         plausible.out_of_plane,
     ),
 )
@@ -320,7 +325,7 @@ IMPORT_NOTES = (
     ),
 )
 
-_FORCE = "is {factor:.2g} times what moves cable and tool as hand and markers show, limit"
+_FORCE = "is {factor:.2g} times what moves cable and tool as gripper and markers show, limit"
 _OF_FORCE = "twice integrated force over that of the masses by hand and markers"
 FORCE_REVERSED = DataCheck(
     "force_reversed",
@@ -329,7 +334,7 @@ FORCE_REVERSED = DataCheck(
     f"0; {wrench.FORCE_REFUSED[0]:.2g} is refused",
     "noted",
     _FORCE + " {limit:.2g}: it points the other way;",
-    "give the force that hand and clamp exert on the cable, which at rest points up",
+    "give the force that gripper and clamp exert on the cable, which at rest points up",
     partial(wrench.force_reversed, limit=0.0),
 )
 FORCE_LARGE = DataCheck(
@@ -366,11 +371,11 @@ FORCE_NOTES = (FORCE_REVERSED, FORCE_LARGE, FORCE_SMALL)
 #: Of the record of every trial; all that fail are told, of trials with the same sentence at once.
 NEVER_MOVES = DataCheck(
     "never_moves",
-    "Does the hand move, or is the cable let go?",
-    "motion of the hand",
+    "Does the gripper move, or is the cable let go?",
+    "motion of the gripper",
     "none",
     "noted",
-    "the hand never moves, and the cable is not let go;",
+    "the gripper never moves, and the cable is not let go;",
     "record a motion",
     facts.never_moves,
 )
@@ -413,7 +418,7 @@ RECORD_NOTES = (
         f"{facts.SPAN_OF_NOISE:g}",
         "noted",
         "the tip moves by {tip_mm:.2g} mm, only {times:.2g} times the noise;",
-        "move the hand farther or faster",
+        "move the gripper farther or faster",
         facts.small_motion,
     ),
     DataCheck(
@@ -424,7 +429,7 @@ RECORD_NOTES = (
         "noted",
         "at rest the curve through the markers begins {away_mm:.2g} mm from the gripping point, "
         "limit {limit_mm:.2g} mm;",
-        "check the hand's place, arc lengths and both frames",
+        "check the gripper's place, arc lengths and both frames",
         facts.root_away,
     ),
     DataCheck(
@@ -452,20 +457,20 @@ RECORD_NOTES = (
     DataCheck(
         "moves_at_end",
         "Is a swing recorded after the motion?",
-        "time from the hand's stop to the last frame, s",
+        "time from the gripper's stop to the last frame, s",
         "0",
         "noted",
-        "the hand still moves when the record of the markers ends;",
+        "the gripper still moves when the record of the markers ends;",
         "record the swing too",
         facts.moves_at_end,
     ),
     DataCheck(
         "no_swing",
         "Does the record show a swing?",
-        "swings and frames after the hand's stop",
+        "swings and frames after the gripper's stop",
         f"{facts.FEWEST_SWINGS:g} and {facts.FEWEST_FRAMES}",
         "noted",
-        "the record ends {after_s:.2g} s after the hand stops, too soon to show a swing",
+        "the record ends {after_s:.2g} s after the gripper stops, too soon to show a swing",
         "",
         facts.no_swing,
     ),
@@ -504,10 +509,11 @@ RECORD_NOTES = (
     DataCheck(
         "few_swings",
         "Is the swing recorded long enough for its damping?",
-        "swings after the hand's stop",
+        "swings after the gripper's stop",
         f"{facts.DAMPING_SWINGS:.0f}",
         "noted",
-        "the record ends {after_s:.2g} s after the hand stops, {swings:.2g} swings of {hz:.3g} Hz;",
+        "the record ends {after_s:.2g} s after the gripper stops, {swings:.2g} swings of "
+        "{hz:.3g} Hz;",
         f"{facts.DAMPING_SWINGS:.0f} or more show the damping",
         facts.few_swings,
     ),

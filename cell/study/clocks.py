@@ -1,4 +1,4 @@
-"""Whether a hand's log and the pictures of its cable are of one clock, and the log is whole."""
+"""Whether a gripper's log and the pictures of its cable are of one clock, and the log is whole."""
 
 from __future__ import annotations
 
@@ -45,25 +45,27 @@ def pull_m_per_s2(study: Study) -> float | None:
     seen_hz = swing_hz(study)
     if seen_hz is None:
         raise ValueError(
-            "gravity in the plane is weak, and no trial shows a swing after the hand has stopped: "
+            "gravity in the plane is weak, and no trial shows a swing after the gripper has "
+            "stopped: "
             "nothing tells the rigidity; record three swings after the motion"
         )
     return (2.0 * np.pi * seen_hz) ** 2 * study.cable.free_length_m / (_SUPPOSED * _FIRST_MODE)
 
 
-#: A hand's log may skip so many of its usual steps, and so many seconds, while the hand moves.
+#: A gripper's log may skip so many of its usual steps, and so many seconds, while the gripper
+#: moves.
 GAP_STEPS, GAP_S = 5.0, 0.1
 #: Rows of a log whose median is no single wrong row; rows of the shortest piece that shows a speed,
 #: and s.  Its noise may be this many standard deviations and be no motion.
 _MEDIAN_OF, _PIECE, _PIECE_S, _CHANCE = 5, 3, 0.01, 4.0
-#: A hand may slow down so many times more sharply than the means over pieces show.
+#: A gripper may slow down so many times more sharply than the means over pieces show.
 _SHARPER = 1.5
-#: A cable begins to move with its hand, or within this many √(L/g) of it, and s: in 506 simulated
-#: strokes of all kinds from −0.2 to 0.6.  A camera's latency is less, and can be fitted.
+#: A cable begins to move with its gripper, or within this many √(L/g) of it, and s: in 506
+#: simulated strokes of all kinds from −0.2 to 0.6.  A camera's latency is less, and can be fitted.
 WITHIN, WITHIN_S = 1.0, 0.15
 #: It has begun when it is this share of its free length away, and this many times the noise.
 AWAY, OF_NOISE = 0.02, 8.0
-#: Shares of that distance at which hand and cable must be apart in time, each.
+#: Shares of that distance at which gripper and cable must be apart in time, each.
 SHARES = 1.0, 0.4, 0.1
 #: Frames in which it must be at rest before, and away from there on.
 _REST, _STAYS = 6, 3
@@ -71,7 +73,8 @@ _REST, _STAYS = 6, 3
 
 @dataclass(frozen=True)
 class Gap:
-    """Two rows of a hand's log, the second numbered, that are far apart while the hand moves."""
+    """Two rows of a gripper's log, the second numbered, that are far apart while the gripper
+    moves."""
 
     row: int
     from_s: float
@@ -89,7 +92,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class CutOff:
-    """An end of a hand's log at which the hand moves, while the frames of its cable go on.
+    """An end of a gripper's log at which the gripper moves, while the frames of its cable go on.
 
     log_s, film_s  where the log and the frames end, or begin
     speed          m/s, or rad/s if it `turns`
@@ -109,19 +112,19 @@ class CutOff:
 
 @dataclass(frozen=True)
 class Offset:
-    """Times at which a hand and its cable begin to move, on their clocks, s."""
+    """Times at which a gripper and its cable begin to move, on their clocks, s."""
 
     hand_s: float
     cable_s: float
 
     @property
     def late_s(self) -> float:
-        """By how much the pictures' clock is ahead of the hand's; negative: behind."""
+        """By how much the pictures' clock is ahead of the gripper's; negative: behind."""
         return self.cable_s - self.hand_s
 
 
 def gap(poses: FloatArray) -> Gap | None:
-    """The longest gap in a hand's log within which it moves; None if there is none.
+    """The longest gap in a gripper's log within which it moves; None if there is none.
 
     poses  (T, 4) t, x, y, angle
     """
@@ -141,7 +144,7 @@ def gap(poses: FloatArray) -> Gap | None:
 
 
 def cut_off(poses: FloatArray, from_s: float, to_s: float) -> CutOff | None:
-    """The end of a hand's log at which it is not done with moving; None if there is none.
+    """The end of a gripper's log at which it is not done with moving; None if there is none.
 
     poses         (T, 4) t, x, y, angle
     from_s, to_s  the first and the last frame that shows a marker
@@ -226,7 +229,7 @@ def _std_per_s(noise: float, rows: int, step_s: float) -> float:
 
 
 def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None:
-    """That a cable at rest begins to move long before or after its hand; None if it does not."""
+    """That a cable at rest begins to move long before or after its gripper; None if it does not."""
     any_seen = np.isfinite(trial.markers.xy_m).any(axis=(1, 2))
     t_s = trial.markers.t_s[any_seen]
     series_m = trial.markers.xy_m[any_seen].reshape(len(t_s), -1)
@@ -248,7 +251,7 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     # cameras that take turns see no marker in every row
     reach_m = np.nan_to_num(np.abs(forward_filled(beside_m, np.isfinite(beside_m)))).max(axis=1)
     least_m = OF_NOISE * _noise_m(beside_m[:_REST])
-    # an oscillation that grows passes one distance, of the hand or the cable, half a period late
+    # an oscillation that grows passes one distance, of the gripper or the cable, half a period late
     found = [
         _beyond_search(trial, cable, t_s, (reach_m, seen), within_s, max(share * away_m, least_m))
         for share in SHARES
@@ -264,7 +267,7 @@ def _beyond_search(
     within_s: float,
     away_m: float,
 ) -> Offset | None:
-    """That hand and cable are first so far from their places at times that are not within reach.
+    """That gripper and cable are first so far from their places at times that are not within reach.
 
     shown  (frames,) how far the cable is from its place, m, and whether a marker is seen
     """
@@ -317,10 +320,11 @@ def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:
 def _gripper_start_s(
     trial: Trial, away_m: float, after_s: float, lever_m: float = 0.0
 ) -> float | None:
-    """When the hand has left the place where it was at a time, as far as its cable's is measured.
+    """When the gripper has left the place where it was at a time, as far as its cable's is
+    measured.
 
     Of a cable seen from one side alone a stroke to or from there shows late, or not at all.
-    lever_m  by which a turn of the hand moves the cable
+    lever_m  by which a turn of the gripper moves the cable
     """
     grip, measured = trial.grip, np.isfinite(trial.markers.xy_m).any(axis=(0, 1))
     later = grip.t_s >= after_s

@@ -91,7 +91,7 @@ class Trial:
     wrench  what a sensor at the clamp showed, if there was one
     row_means  where that is among the markers, as in the lab: which values are means of its rows
     drifts     whether it begins `moving`, as nobody has stated, and so slowly that frames before
-               the hand moves show the noise about a smooth course
+               the gripper moves show the noise about a smooth course
     """
 
     name: str

@@ -17,7 +17,7 @@ from cell.study.data import Trial
 from cell.study.rest_shape import ClampedEnd, SwingScale, clamped_end, swing_scale
 from cell.study.series import span_m
 
-#: A frequency is told of at least so many swings and frames after the hand has stopped.
+#: A frequency is told of at least so many swings and frames after the gripper has stopped.
 FEWEST_SWINGS, FEWEST_FRAMES = 1.5, 16
 #: Spectra are drawn on a grid this much finer than their resolution.
 _FINER = 8
@@ -37,7 +37,7 @@ _BY_CHANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class SwingSpectrum:
-    """Amplitude of the tip's motion after the hand has stopped: (n,) Hz, (n,) m.
+    """Amplitude of the tip's motion after the gripper has stopped: (n,) Hz, (n,) m.
 
     resolution_hz  frequencies nearer than this are not told apart
     """
@@ -53,11 +53,11 @@ class TrialFacts:
     """What a trial shows.  Times in s, lengths in m.
 
     rate_hz       frames a second, by the usual step; irregular: share of steps 20 % off it
-    hand_m        how far apart the hand's places are, and hand_rad how far it turns
-    moves_s       when the hand begins to move and when it has stopped; None = it never moves
+    hand_m        how far apart the gripper's places are, and hand_rad how far it turns
+    moves_s       when the gripper begins to move and when it has stopped; None = it never moves
     rest_frames   frames before anything moves
     noise_m       of one coordinate in one frame, by frames at rest; nan = too few
-    tip           number of the marker farthest from the hand that is seen
+    tip           number of the marker farthest from the gripper that is seen
     tip_m         how far apart the tip's places are
     seen          share of values that were seen, of the coordinates that are seen at all
     spectrum      of the tip; None = too short
@@ -139,9 +139,10 @@ def trial_facts(
 
 
 def sensors_of(trial: Trial) -> tuple[str, ...]:
-    """What a trial states of sensors: of the hand's place with an error of its own, of a wrench."""
+    """What a trial states of sensors: of the gripper's place with an error of its own, of a
+    wrench."""
     drift = trial.hand_drift
-    hand = () if drift is None else (f"hand by {drift.sensor}",)
+    hand = () if drift is None else (f"gripper by {drift.sensor}",)
     return hand if trial.wrench is None else (*hand, "wrench")
 
 
@@ -229,7 +230,7 @@ def _peaks(frequency: FloatArray, amplitude: FloatArray, lowest_hz: float) -> tu
 
 
 def _moves_s(trial: Trial) -> tuple[float, float] | None:
-    """When the hand begins to move and when it has stopped."""
+    """When the gripper begins to move and when it has stopped."""
     grip = trial.grip
     begins = moves_from_s(grip, ROUGHLY_STILL)
     if not np.isfinite(begins):
@@ -258,7 +259,7 @@ def _tip(xy_m: FloatArray, arc_length_m: FloatArray) -> int:
 REST_FRAMES = 12
 #: Frames of a swing below which its shape is lost between them.
 FRAMES_PER_SWING = 8.0
-#: Swings after the hand has stopped with which damping is told.
+#: Swings after the gripper has stopped with which damping is told.
 DAMPING_SWINGS = 3.0
 #: Less than this share of the values seen, and more than this share of steps uneven, is noted.
 LEAST_SEEN, MOST_UNEVEN = 0.9, 0.05
@@ -281,7 +282,7 @@ class TrialRecord:
 
     @property
     def after_s(self) -> float:
-        """How long the record goes on after the hand has stopped."""
+        """How long the record goes on after the gripper has stopped."""
         f = self.facts
         return f.to_s - (f.from_s if f.moves_s is None else f.moves_s[1])
 
@@ -300,7 +301,7 @@ class TrialRecord:
 
 
 def never_moves(record: TrialRecord) -> Failure | None:
-    """A hand that rests all the time, of a cable that is not let go."""
+    """A gripper that rests all the time, of a cable that is not let go."""
     facts = record.facts
     return Failure({}) if facts.moves_s is None and facts.start == "equilibrium" else None
 
@@ -360,12 +361,12 @@ def root_turned(record: TrialRecord) -> Failure | None:
 
 
 def moves_at_end(record: TrialRecord) -> Failure | None:
-    """A record that ends before the hand has stopped."""
+    """A record that ends before the gripper has stopped."""
     return Failure({}) if record.after_s <= 0.0 else None
 
 
 def no_swing(record: TrialRecord) -> Failure | None:
-    """A record that ends too soon after the hand has stopped to show a swing."""
+    """A record that ends too soon after the gripper has stopped to show a swing."""
     shown = record.after_s <= 0.0 or record.peaks_hz
     return None if shown else Failure({"after_s": record.after_s})
 

@@ -40,7 +40,7 @@ GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
 AS_A_TURN_RAD = 0.5
 #: Beyond this a number is taken for a mistaken unit.
 MAX_DISTANCE_M = 100.0
-#: Of a marker; nearer ones are told with their distance from the hand.
+#: Of a marker; nearer ones are told with their distance from the gripper.
 MAX_COORDINATE_M = 1e6
 
 #: Frames of a trial that are taken; a fit's time and memory grow with them.
@@ -340,7 +340,7 @@ def _implausible(document: Document, header: _Study, datasheet: Cable | None) ->
 
 
 def _contradictions(trials: Sequence[_TrialSection]) -> Iterator[Complaint]:
-    """Trials of one name; a release or a drift of the hand that is not as its trial says."""
+    """Trials of one name; a release or a drift of the gripper that is not as its trial says."""
     seen: dict[str, int] = {}
     for i, trial in enumerate(trials):
         key: Key = ("trials", i)
@@ -359,7 +359,7 @@ def _contradictions(trials: Sequence[_TrialSection]) -> Iterator[Complaint]:
 
 
 def read_grip(path: Path) -> Motion:
-    """Read the log of a hand: t_s, x_m, y_m, angle_rad.  Raises InputError."""
+    """Read the log of a gripper: t_s, x_m, y_m, angle_rad.  Raises InputError."""
     return Motion(*_log(path).values.T)
 
 
@@ -381,7 +381,7 @@ def _log(path: Path) -> Table:
 
 
 def _check_continuous(log: Table) -> None:
-    """Raise InputError if a hand moves while nothing is logged, or its angle jumps by a turn."""
+    """Raise InputError if a gripper moves while nothing is logged, or its angle jumps by a turn."""
     angle_rad = log.values[:, 3]
     jumps = np.abs(np.abs(np.diff(angle_rad)) - 2.0 * np.pi) < AS_A_TURN_RAD
     if jumps.any():
@@ -398,7 +398,8 @@ def _check_continuous(log: Table) -> None:
 
 
 def _check_covers(log: Table, markers: Markers) -> None:
-    """Raise InputError if a hand's log ends or begins in motion, and its cable is seen beyond."""
+    """Raise InputError if a gripper's log ends or begins in motion, and its cable is seen
+    beyond."""
     seen_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
     found = cut_off(log.values, float(seen_s[0]), float(seen_s[-1]))
     if found is not None:

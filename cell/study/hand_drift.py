@@ -1,8 +1,8 @@
-"""How far a hand may be from where it is said to be, where its log does not show that.
+"""How far a gripper may be from where it is said to be, where its log does not show that.
 
 White noise of acceleration that is integrated twice is smooth, as a motion is.  An encoder at rest
-shows the same count all the time, wherever within it the hand is.  So a study states such errors,
-and what is fitted or claimed allows for them.
+shows the same count all the time, wherever within it the gripper is.  So a study states such
+errors, and what is fitted or claimed allows for them.
 """
 
 from __future__ import annotations
@@ -49,15 +49,15 @@ def drift_complaint(drift: HandDriftSection | None) -> str | None:
     """That its motion ends before it begins."""
     if drift is None or drift.to_s > drift.from_s:
         return None
-    message = f"{drift.to_s:g} s is not after from_s, {drift.from_s:g} s; give when the hand "
+    message = f"{drift.to_s:g} s is not after from_s, {drift.from_s:g} s; give when the gripper "
     return f"{message}rests again"
 
 
 @dataclass(frozen=True)
 class HandDrift:
-    """Error of a hand's place that its log does not show.
+    """Error of a gripper's place that its log does not show.
 
-    The hand is known to be at rest before `from_s` and after `to_s`.  An error by acceleration
+    The gripper is known to be at rest before `from_s` and after `to_s`.  An error by acceleration
     grows from 0 in between, its velocity 0 at both ends (zero-velocity update), and stays.  An
     encoder's is constant at either rest.
 
@@ -65,7 +65,7 @@ class HandDrift:
     gain_std    standard deviation of the sensor's sensitivity, as a share of it
     ends_known  the place after the motion is known without error
     turn_std_rad  standard deviation of the turn about `axle_m` at either rest
-    clamp_turns  whether the clamp turns with the hand's arm
+    clamp_turns  whether the clamp turns with the gripper's arm
     """
 
     from_s: float
@@ -79,7 +79,7 @@ class HandDrift:
 
     @property
     def sensor(self) -> str:
-        """What tells where the hand is."""
+        """What tells where the gripper is."""
         return "encoder" if self.turn_std_rad > 0.0 else "accelerometer"
 
     def to_plain(self) -> dict[str, Any]:

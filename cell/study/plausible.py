@@ -27,12 +27,13 @@ from cell.study.tracks import exchanges, frozen, identical, repeated_rows
 SLACK = 0.1
 #: Of a clamp steeper than this nobody can say to which side the cable leaves it, rad.
 SIDEWAYS_RAD = np.pi / 3
-#: A cable at rest does not move by this share of its free length while its hand is still, and no
+#: A cable at rest does not move by this share of its free length while its gripper is still, and no
 #: noise that a study may have does so in medians of so many frames.
 MOVES = 0.05
 MEDIAN_OF = 5
 FEWEST_STILL = 10
-#: Both ends are held if the farthest marker stays within this share of what the hand, or the cable
+#: Both ends are held if the farthest marker stays within this share of what the gripper, or the
+#: cable
 #: between, moves: a bead on a thread follows by more, unless it is shaken seven times as fast as it
 #: swings.  What moves must do so by a share of the cable, for what hardly moves shows nothing.  The
 #: marker must be in the outer half, and seen in so many rows.
@@ -42,13 +43,13 @@ GRAVITY_M_PER_S2 = 9.81
 #: A cable that hangs swings about like a rod of its length, in 5.1 √(L/g), or as a bead at the end
 #: of a thread in 6.3 √(L/g); bending makes it faster.
 SLOWEST = 2.0 * np.pi
-#: A marker cannot be farther from the hand than the cable is long; half as far again leaves
+#: A marker cannot be farther from the gripper than the cable is long; half as far again leaves
 #: room for noise, a slipping grip and a clock that is off, and none for millimetres.
 FARTHEST = 1.5
-#: A hand that moves so many times as far as its markers is given in another unit.
+#: A gripper that moves so many times as far as its markers is given in another unit.
 OTHER_UNIT = 30.0
-#: A lost marker is in the outer part of the cable, and the hand or another one moves by this share
-#: of the free length: a cable that is held at its clamp moves there by 1 % of it.
+#: A lost marker is in the outer part of the cable, and the gripper or another one moves by this
+#: share of the free length: a cable that is held at its clamp moves there by 1 % of it.
 OUTER_SHARE, MOVES_SHARE = 0.3, 0.1
 #: A marker is on no moving cable if it stays within this share of what the others move.
 STAYS = 1e-3
@@ -56,8 +57,8 @@ STAYS = 1e-3
 MOST_SLIPS = 0.02
 #: Out of the plane a cable may be by so much of its length: noted, and refused.
 NOTED_ACROSS, REFUSED_ACROSS = 0.02, 0.2
-#: The marker next to the hand follows it, by how well their paths agree, and moves by no more than
-#: so many times as far, in so many rows.
+#: The marker next to the gripper follows it, by how well their paths agree, and moves by no more
+#: than so many times as far, in so many rows.
 MOVES_ALIKE, TIMES_FARTHER, FEWEST_ROWS = 0.8, 8.0, 20
 
 
@@ -92,7 +93,7 @@ class TrialEvidence:
 
     @cached_property
     def poses(self) -> FloatArray:
-        """(T, 4) t, x, y, angle of the hand's log."""
+        """(T, 4) t, x, y, angle of the gripper's log."""
         grip = self.trial.grip
         return np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad])
 
@@ -108,24 +109,24 @@ class TrialEvidence:
 
     @cached_property
     def at_rest(self) -> NDArray[np.bool_]:
-        """(T,) frames before the hand moves, of a cable that nothing else holds or swings."""
+        """(T,) frames before the gripper moves, of a cable that nothing else holds or swings."""
         return _at_rest(self.trial)
 
     @cached_property
     def offset(self) -> Offset | None:
-        """That hand and cable begin to move far apart in time."""
+        """That gripper and cable begin to move far apart in time."""
         return offset(self.trial, self.cable, self.weight)
 
     @cached_property
     def is_far(self) -> NDArray[np.bool_]:
-        """(T, markers) farther from the hand than any of this cable can be."""
+        """(T, markers) farther from the gripper than any of this cable can be."""
         # A coordinate that was not seen adds nothing: what is left is the least that it can be.
         away_m = np.nan_to_num(self.from_grip_m)
         return np.hypot(away_m[..., 0], away_m[..., 1]) > FARTHEST * self.cable.length_m
 
     @cached_property
     def log_gap(self) -> Gap | None:
-        """The longest gap in the hand's log within which it moves."""
+        """The longest gap in the gripper's log within which it moves."""
         return gap(self.poses)
 
     @cached_property
@@ -143,7 +144,7 @@ class TrialEvidence:
 
 
 def hand_unit(e: TrialEvidence) -> Failure | None:
-    """A hand whose places span far more than the markers and the cable do."""
+    """A gripper whose places span far more than the markers and the cable do."""
     reach_m = _widest_m(e.trial.markers.xy_m[:, e.is_far.any(axis=0)])
     hand_m = _widest_m(e.hand_m)
     if not e.is_far.any() or hand_m <= OTHER_UNIT * max(reach_m, e.cable.length_m):
@@ -159,22 +160,22 @@ def _widest_m(xy_m: FloatArray) -> float:
 
 
 def cable_waits(e: TrialEvidence) -> Failure | None:
-    """A cable that stays at rest long after its hand has moved."""
+    """A cable that stays at rest long after its gripper has moved."""
     return None if e.offset is None or e.offset.late_s <= 0.0 else _of_clocks(e, e.offset)
 
 
 def cable_ahead(e: TrialEvidence) -> Failure | None:
-    """A cable at rest that moves long before its hand does."""
+    """A cable at rest that moves long before its gripper does."""
     return None if e.offset is None or e.offset.late_s > 0.0 else _of_clocks(e, e.offset)
 
 
 def cable_ahead_and_far(e: TrialEvidence) -> Failure | None:
-    """The same of one that is out of the hand's reach."""
+    """The same of one that is out of the gripper's reach."""
     return cable_ahead(e) if e.is_far.any() else None
 
 
 def cable_ahead_and_too_far(e: TrialEvidence) -> Failure | None:
-    """The same of one that is farther from the hand than its length."""
+    """The same of one that is farther from the gripper than its length."""
     return None if reversed_arcs(e) is None and too_far(e) is None else cable_ahead(e)
 
 
@@ -186,7 +187,7 @@ def _of_clocks(e: TrialEvidence, found: Offset) -> Failure:
 
 
 def out_of_reach(e: TrialEvidence) -> Failure | None:
-    """The first marker that is farther from the hand than any of this cable can be."""
+    """The first marker that is farther from the gripper than any of this cable can be."""
     if not e.is_far.any():
         return None
     row = int(np.argmax(e.is_far.any(axis=1)))
@@ -212,7 +213,7 @@ def exchanged(e: TrialEvidence) -> Failure | None:
 
 
 def both_ends_held(e: TrialEvidence) -> Failure | None:
-    """The marker farthest from the hand stays in place while hand or cable move."""
+    """The marker farthest from the gripper stays in place while gripper or cable move."""
     trial, length_m = e.trial, e.cable.length_m
     t_s, xy_m = trial.markers.t_s, trial.markers.xy_m
     seen = np.array([np.isfinite(_spread_m(xy_m[:, m])) for m in range(xy_m.shape[1])])
@@ -233,7 +234,7 @@ def both_ends_held(e: TrialEvidence) -> Failure | None:
         return None
     if tip_m > HELD_STAYS * most_m:
         return None
-    what = "the hand moves" if hand_m >= inner_m else "the cable between moves"
+    what = "the gripper moves" if hand_m >= inner_m else "the cable between moves"
     values = {"what": what, "tip_mm": tip_m * 1e3, "most_mm": most_m * 1e3}
     return Failure({"arc_m": e.arc_length_m[tip], **values}, 0)
 
@@ -270,7 +271,7 @@ def frozen_marker(e: TrialEvidence) -> Failure | None:
 
 
 def reversed_arcs(e: TrialEvidence) -> Failure | None:
-    """Markers that are too far from the hand, but not if they are counted from the other end."""
+    """Markers that are too far from the gripper, but not if they are counted from the other end."""
     found = _farther_than_arc(e)
     if found is None:
         return None
@@ -280,7 +281,7 @@ def reversed_arcs(e: TrialEvidence) -> Failure | None:
 
 
 def too_far(e: TrialEvidence) -> Failure | None:
-    """The marker that is farthest beyond its arc length from the hand."""
+    """The marker that is farthest beyond its arc length from the gripper."""
     found = _farther_than_arc(e)
     return None if found is None else found[0]
 
@@ -352,7 +353,7 @@ def rises(e: TrialEvidence) -> Failure | None:
 
 @dataclass(frozen=True)
 class FirstMotion:
-    """How far a cable moves before its hand does, and from which of its frames on."""
+    """How far a cable moves before its gripper does, and from which of its frames on."""
 
     reach_m: float
     row: int
@@ -364,7 +365,8 @@ class FirstMotion:
 
 
 def first_motion(trial: Trial, cable: Cable) -> FirstMotion | None:
-    """That a cable said to begin in equilibrium moves, by a share of it, before its hand does."""
+    """That a cable said to begin in equilibrium moves, by a share of it, before its gripper
+    does."""
     still = _at_rest(trial)
     if trial.start != "equilibrium" or np.count_nonzero(still) < FEWEST_STILL:
         return None
@@ -381,7 +383,7 @@ def first_motion(trial: Trial, cable: Cable) -> FirstMotion | None:
 
 
 def moves_first(e: TrialEvidence) -> Failure | None:
-    """The cable moves before the hand does, though it is said to begin in equilibrium."""
+    """The cable moves before the gripper does, though it is said to begin in equilibrium."""
     found = first_motion(e.trial, e.cable)
     if found is None:
         return None
@@ -406,7 +408,7 @@ def too_long(e: TrialEvidence) -> Failure | None:
 
 
 def log_gap(e: TrialEvidence) -> Failure | None:
-    """A hand that moves while nothing is known of it."""
+    """A gripper that moves while nothing is known of it."""
     if e.log_gap is None:
         return None
     row = int(np.searchsorted(e.trial.markers.t_s, e.log_gap.to_s))
@@ -414,13 +416,13 @@ def log_gap(e: TrialEvidence) -> Failure | None:
 
 
 def log_ends(e: TrialEvidence) -> Failure | None:
-    """A hand that moves where its log ends, and markers that are seen after it."""
+    """A gripper that moves where its log ends, and markers that are seen after it."""
     found = e.log_cut_off
     return None if found is None or not found.at_end else _of_log(e, found)
 
 
 def log_begins(e: TrialEvidence) -> Failure | None:
-    """A hand that moves where its log begins, and markers that are seen before it."""
+    """A gripper that moves where its log begins, and markers that are seen before it."""
     found = e.log_cut_off
     return None if found is None or found.at_end else _of_log(e, found)
 
@@ -440,7 +442,7 @@ def same_marker(e: TrialEvidence) -> Failure | None:
 
 
 def not_on_cable(e: TrialEvidence) -> Failure | None:
-    """A marker that does not move while the others and the hand do."""
+    """A marker that does not move while the others and the gripper do."""
     xy_m = e.trial.markers.xy_m
     moved_m = np.array([span_m(xy_m[:, m]) for m in range(xy_m.shape[1])])
     hand_m = span_m(e.poses[:, 1:3])
@@ -453,7 +455,7 @@ def not_on_cable(e: TrialEvidence) -> Failure | None:
 
 
 def hand_scale(e: TrialEvidence) -> Failure | None:
-    """A hand that moves as the marker next to it does, but many times less or more."""
+    """A gripper that moves as the marker next to it does, but many times less or more."""
     nearest = int(np.argmin(e.arc_length_m))
     marker = e.trial.markers.xy_m[:, nearest]
     seen = np.isfinite(marker).all(axis=1)

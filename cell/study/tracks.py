@@ -116,7 +116,7 @@ def frozen(
     xy_m     (T, markers, 2), nan = not seen
     hand_m   (T, 2)
     markers  numbers of those that are tested
-    least_m  by which the hand or another marker moves meanwhile
+    least_m  by which the gripper or another marker moves meanwhile
     """
     points_m = np.concatenate([xy_m, hand_m[:, None]], axis=1)
     for marker in markers:

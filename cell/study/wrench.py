@@ -22,7 +22,7 @@ from cell.study.table import check_times, read_table, table_text
 COLUMNS = ("force_x_n", "force_y_n", "moment_nm")
 FILE = "wrench.csv"
 
-#: Beyond these a number is taken for a mistaken unit: no hand that moves a cable bears them.
+#: Beyond these a number is taken for a mistaken unit: no gripper that moves a cable bears them.
 LIMITS = {"force_x_n": 1e3, "force_y_n": 1e3, "moment_nm": 1e2}
 UNITS = {"force_x_n": "N", "force_y_n": "N", "moment_nm": "N·m"}
 
@@ -76,7 +76,7 @@ def sensor_entry(sensor: WrenchSensor) -> Mapping[str, Any]:
 
 
 def read_wrench(path: Path, grip: Motion) -> Wrench:
-    """Read t_s and any of `COLUMNS`; the clock is that of the hand's log.
+    """Read t_s and any of `COLUMNS`; the clock is that of the gripper's log.
 
     raises  InputError: a column is unknown or none is there, a value or time cannot be; with line,
             column, value, limit and remedy
@@ -121,11 +121,11 @@ def wrench_text(wrench: Wrench) -> str:
 
 #: Where this share of what twice the integral of a force shows is the motion's, it is judged …
 _SHOWN = 0.8
-#: … by the factor that it has over what hand, markers and masses ask for: noted beyond these, …
+#: … by the factor that it has over what gripper, markers and masses ask for: noted beyond these, …
 FORCE_NOTED = (0.5, 2.0)
 #: … and refused beyond these.
 FORCE_REFUSED = (-1.0 / 3.0, 30.0)
-#: The cable's end is at most so many times as far from the hand as its outermost marker.
+#: The cable's end is at most so many times as far from the gripper as its outermost marker.
 _FARTHER = 4.0
 
 
@@ -146,7 +146,8 @@ def force_factor(
     """Of a trial's force; None where it shows too little to tell.
 
     Twice integrated it is mass times the way of the centre of mass, beside a parabola by weight and
-    tare.  That centre is roughly in the middle between the hand and where a straight cable through
+    tare.  That centre is roughly in the middle between the gripper and where a straight cable
+           through
     the outermost marker would end.
 
     outermost_m  arc length of that marker

@@ -205,7 +205,7 @@ class Jobs:
             if any(j.task == task and j.state in OPEN for j in self._jobs.values()):
                 return "this is being done already: wait for its end"
             if task.moves and any(j.state in OPEN for j in self._jobs.values()):
-                return "the hand must move when you say so: wait until the job at work has ended"
+                return "the gripper must move when you say so: wait until the job at work has ended"
             if any(j.task.moves and j.state in OPEN for j in self._jobs.values()):
                 return "a cable is being measured: wait for its end"
             self._numbers += 1

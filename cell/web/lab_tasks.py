@@ -167,7 +167,7 @@ class LabTasks:
         return ("promote", "--undo", *self._line(True))
 
     def measure(self, subject: Subject, runs: Path) -> JobTask:
-        """Measure a cable with the motion suggested; the hand moves."""
+        """Measure a cable with the motion suggested; the gripper moves."""
         motion = self.workspace.results(subject.name) / "motion.yaml"
         words = (MOVING, *self._line(True), "--motion", str(motion), "--runs", str(runs))
         return JobTask(N_("Measure"), subject.name, (words,), moves=True)

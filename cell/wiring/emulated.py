@@ -90,7 +90,7 @@ class CellScene:
 
 
 def load_code(cable: EmulatedCable) -> None:
-    """Hold a cable at rest, then in a trembling hand, whose poses are smoothed.
+    """Hold a cable at rest, then in a trembling gripper, whose poses are smoothed.
 
     What would be compiled while the camera films holds its pictures up for half a second.
     """

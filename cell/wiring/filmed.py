@@ -1,4 +1,4 @@
-"""A film and the poses of its hand → a recording: the cell plays it and identifies its cable."""
+"""A film and the poses of its gripper → a recording: the cell plays it and identifies its cable."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from drivers.sim.clock import SimClock
 
 #: Before the film a cell that plays it has this time for what comes before, s.
 BEFORE_S = 60.0
-#: A hand that is no farther from where it ends than this rests, m and rad.
+#: A gripper that is no farther from where it ends than this rests, m and rad.
 REST_M, REST_RAD = 0.2e-3, 2e-3
-#: A hand that moves less does not make a cable swing, m.
+#: A gripper that moves less does not make a cable swing, m.
 LEAST_STROKE_M = 2e-3
 
 
@@ -43,7 +43,7 @@ class RenderedFilm:
 
     frames  in their order, from index 0
     gripper_log  poses for at least as long
-    rest_s  from here on the hand rests
+    rest_s  from here on the gripper rests
     """
 
     frames: tuple[Frame, ...]
@@ -63,7 +63,7 @@ class RenderedFilm:
 
     @property
     def ends_at(self) -> Pose:
-        """Where the hand rests."""
+        """Where the gripper rests."""
         hand = self.gripper_log
         return Pose(float(hand.x_m[-1]), float(hand.y_m[-1]), float(hand.angle_rad[-1]))
 
@@ -97,13 +97,13 @@ def read_film(
         raise InputError.at(
             poses,
             f"spans {hand.t_s[0]:g} … {hand.t_s[-1]:g} s, the film {begin_s:g} … {end_s:g} s; "
-            "log the hand for as long as is filmed, and say with --first-frame when the first "
+            "log the gripper for as long as is filmed, and say with --first-frame when the first "
             "frame was exposed on the clock of the poses",
         )
     rest_s = _rests_from(poses, hand, begin_s)
     if end_s - rest_s < 0.1:
         raise InputError.at(
-            film, f"ends {end_s - rest_s:.2f} s after the hand rests; film a second of the swing"
+            film, f"ends {end_s - rest_s:.2f} s after the gripper rests; film a second of the swing"
         )
     return RenderedFilm(tuple(frames), rate_hz, hand, rest_s)
 
@@ -138,21 +138,23 @@ def _frames(film: Path, frame_rate_hz: float | None) -> tuple[float, list[Frame]
 
 
 def _rests_from(poses: Path, hand: Trajectory, begin_s: float) -> float:
-    """Since when the hand is where it ends.  Raises InputError: it never moves in the film."""
+    """Since when the gripper is where it ends.  Raises InputError: it never moves in the film."""
     away_m = np.hypot(hand.x_m - hand.x_m[-1], hand.y_m - hand.y_m[-1])
     turned = np.abs(hand.angle_rad - hand.angle_rad[-1])
     filmed = hand.t_s >= begin_s
     if away_m[filmed].max() < LEAST_STROKE_M and turned[filmed].max() < LEAST_STROKE_M / 0.1:
         raise InputError.at(
             poses,
-            f"the hand moves by {1e3 * away_m[filmed].max():.2g} mm in the film; a cable that does "
+            f"the gripper moves by {1e3 * away_m[filmed].max():.2g} mm in the film; a cable that "
+            "does "
             "not swing cannot be identified",
         )
     moving = np.flatnonzero((away_m > REST_M) | (turned > REST_RAD))
     return float(hand.t_s[min(moving[-1] + 1, len(hand.t_s) - 1)])
 
 
-#: From here an offset can be chosen: so far the hand may be from where insertions begin, m and rad.
+#: From here an offset can be chosen: so far the gripper may be from where insertions begin, m and
+#: rad.
 NEAR_M, NEAR_RAD = 1e-3, 5e-3
 
 
@@ -165,7 +167,7 @@ def record_film(
 ) -> Result:
     """Write a recording of a film, with what vision and identification make of it.
 
-    If the hand ends where insertions begin, an offset is chosen too, which nobody executes.
+    If the gripper ends where insertions begin, an offset is chosen too, which nobody executes.
 
     config   of the settings
     target   file of the recording

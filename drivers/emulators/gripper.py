@@ -87,7 +87,7 @@ def serve(door: Connection, link: Path | None, address: int) -> None:
 
 
 class _Emulation:
-    """The gripper, its cable, and the hand that pulls it."""
+    """The gripper, its cable, and the gripper that pulls it."""
 
     def __init__(self, link: Path | None, address: int) -> None:
         self._link = link

@@ -67,7 +67,8 @@ class ArmTwinOptions:
 
 @dataclass(frozen=True)
 class _Followed:
-    """A path on the cell's clock, the lag with which it is followed, and where the hand rested."""
+    """A path on the cell's clock, the lag with which it is followed, and where the gripper
+    rested."""
 
     path: Trajectory
     lag_s: float

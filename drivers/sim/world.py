@@ -1,4 +1,4 @@
-"""World that the twins share: the arm moves the hand, it swings the cable, the camera looks."""
+"""World that the twins share: the arm moves the gripper, it swings the cable, the camera looks."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class SimWorld:
         return self._hand.velocity(self.clock.now_s())
 
     def gripper_rest_from_s(self) -> float:
-        """Time from which the hand is committed to rest."""
+        """Time from which the gripper is committed to rest."""
         return self._hand.rests_from_s
 
     def gripper_at(self, t_s: FloatArray) -> FloatArray:
@@ -101,20 +101,20 @@ class SimWorld:
         return self._hand.at(t_s)
 
     def commit(self, path: Trajectory) -> None:
-        """Let the hand move along `path`: absolute times from now on, from where it rests."""
+        """Let the gripper move along `path`: absolute times from now on, from where it rests."""
         with self.lock:
             self._forget_after(float(path.t_s[0]))
             self._hand.extend(path)
 
     def recommit(self, path: Trajectory) -> None:
-        """Let the hand move along `path` from now on, which it has followed so far."""
+        """Let the gripper move along `path` from now on, which it has followed so far."""
         with self.lock:
             now_s = self.clock.now_s()
             self._forget_after(now_s)
             self._hand.replace(now_s, path)
 
     def halt(self, duration_s: float) -> None:
-        """Bring the hand to rest within `duration_s` from now."""
+        """Bring the gripper to rest within `duration_s` from now."""
         with self.lock:
             now_s = self.clock.now_s()
             self._forget_after(now_s)
@@ -260,7 +260,7 @@ class GripperTrajectory:
 
     @property
     def rests_from_s(self) -> float:
-        """Time from which the hand is committed to rest."""
+        """Time from which the gripper is committed to rest."""
         return float(self._t_s[-1])
 
     def at(self, t_s: FloatArray) -> FloatArray:
@@ -278,7 +278,7 @@ class GripperTrajectory:
         return np.asarray((now - before) / span_s, dtype=np.float64)
 
     def extend(self, path: Trajectory) -> None:
-        """Commit to `path` (absolute times, beginning where the hand rests)."""
+        """Commit to `path` (absolute times, beginning where the gripper rests)."""
         resting = path.t_s[0] > self._t_s[-1]
         hold_t = [path.t_s[0]] if resting else []
         hold_p = self._poses[-1:] if resting else self._poses[:0]

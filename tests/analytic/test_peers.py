@@ -24,7 +24,7 @@ N, LENGTH, MASS, STIFFNESS, DAMPING = 10, 0.01, 7.4e-5, 3e-3, 1e-5
 
 
 def mujoco_tip(motion, times, step):
-    """Tip against time of ten thin rods; the hand's acceleration enters as gravity."""
+    """Tip against time of ten thin rods; the gripper's acceleration enters as gravity."""
     rod = MASS * LENGTH**2 / 12
     opened = "".join(
         f'<body pos="{0 if i == 0 else -LENGTH} 0 0"><joint type="hinge" axis="0 -1 0" '

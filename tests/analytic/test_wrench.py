@@ -123,7 +123,8 @@ def test_in_motion_it_is_the_rate_of_momentum_less_what_else_acts(drag):
 
 
 def test_a_cable_that_hardly_bends_is_a_rod():
-    """Force m (a − g) of its middle, and moment of the rod about its end, the hand turning too."""
+    """Force m (a − g) of its middle, and moment of the rod about its end, the gripper turning
+    too."""
     model = CableModel.uniform(Cable(0.1, 0.06, 0.008, 0.006), 50.0)
     t = np.arange(0.0, 1.0, 0.002)
     turn, pace = 0.4, 2.0 * np.pi * 1.5

@@ -25,7 +25,7 @@ TURNS = (0.3, 0.5, 0.7, 0.9)
 
 
 def shape(turn: float) -> np.ndarray:
-    """(K, 2) a hidden cable at rest in a hand at the origin, from the gripping point."""
+    """(K, 2) a hidden cable at rest in a gripper at the origin, from the gripping point."""
     settings = load_settings(Path("config/fake.yaml"))
     hold_s, still = np.array([0.0, 0.1]), np.zeros(2)
     held = Trajectory(hold_s, still, still, still + turn)

@@ -1,4 +1,4 @@
-"""The classic hand–eye calibration of a hand that moves in one plane, against the true map."""
+"""The classic hand–eye calibration of a gripper that moves in one plane, against the true map."""
 
 from __future__ import annotations
 

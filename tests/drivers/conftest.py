@@ -31,7 +31,7 @@ SCALE_M_PER_PX = 0.001  # coarse pictures are quick pictures
 
 @dataclass
 class StraightCable:
-    """A cable that stays straight behind the hand; counts how often it is simulated."""
+    """A cable that stays straight behind the gripper; counts how often it is simulated."""
 
     length_m: float = 0.1
     points: int = 61

@@ -63,7 +63,7 @@ def test_names_the_point_the_value_and_the_limit(guarded) -> None:
         guarded.follow(points(y_m=[0.5, 0.5, -0.2, 0.5, 0.5]))
     assert str(error.value) == (
         "arm: point 3 of 5 has y = -0.2000 m, allowed 0.0000..1.0000 m; this path was not begun; "
-        "the hand is at x = 0.5000 m, y = 0.5000 m, angle = 0.0000 rad"
+        "the gripper is at x = 0.5000 m, y = 0.5000 m, angle = 0.0000 rad"
     )
 
 

@@ -93,7 +93,7 @@ BENT = np.array([0.1, -1.2, 1.3, -0.4, 0.5, 0.6])
 
 
 def to_and_fro(rest_s: float, lasts_s: float) -> tuple[Trajectory, PlaneMount]:
-    """0.1 m up and back, after a rest; in a plane through the hand at rest."""
+    """0.1 m up and back, after a rest; in a plane through the gripper at rest."""
     X = UR5E.forward(BENT)
     mount = PlaneMount(*(tuple(X[:3, k].tolist()) for k in (3, 0, 1)))
     t_s = np.arange(0.0, lasts_s, 0.002)

@@ -140,7 +140,8 @@ def test_a_path_beyond_the_limits_is_named_before_anything_moves(
 
 
 def test_the_way_home_is_slow_too(live: Live, quick: Settings, tmp_path: Path) -> None:
-    """At first commissioning the hand is anywhere; nothing may be fast, not even the first move."""
+    """At first commissioning the gripper is anywhere; nothing may be fast, not even the first
+    move."""
     elsewhere = quick.motion.model_copy(update={"home": quick.motion.aside})
     twins = build_twins(quick.model_copy(update={"motion": elsewhere}), 1, 0)
     fastest: list[float] = []

@@ -1,4 +1,4 @@
-"""A few of the fault trials: one of each device while the hand moves or holds, and two kills.
+"""A few of the fault trials: one of each device while the gripper moves or holds, and two kills.
 
 All of them: `make fault-trials`.  Times are judged there, on a computer that does nothing else.
 """

@@ -25,7 +25,7 @@ from drivers.sim.gripper import GripperFaults
 
 Live = Callable[..., SimpleNamespace]
 
-#: Steps during which the hand moves, and those after which there is something measured.
+#: Steps during which the gripper moves, and those after which there is something measured.
 KNOWS_STUDY = INSERTING.names[INSERTING.names.index("check_clocks") :]
 KNOWS_MODEL = INSERTING.names[INSERTING.names.index("simulate") :]
 

@@ -39,7 +39,7 @@ FAR = Tail(0.0, 0.5, 0.0, 0.2, 1.0, 0.0, 0.2, np.zeros((1, 2)))
 
 
 def one_change(rise_m: float) -> Callable[..., Tail | None]:
-    """At the first decision the hand is led up by so much, at no other."""
+    """At the first decision the gripper is led up by so much, at no other."""
     made: list[Tail] = []
 
     def tail(answers: Any, beside: Any, destination: Any, from_s: float, *rest: Any) -> Tail | None:

@@ -176,7 +176,7 @@ def test_a_hand_that_ends_elsewhere_is_identified_without_a_choice(own, tmp_path
         (["film", "--poses", "poses.csv", "--first-frame", "7"], "--first-frame"),
         (["film"], "needs --poses and --config"),
         (["film", "--poses", "still.csv"], "does not swing"),
-        (["film", "--poses", "short.csv"], "log the hand for as long as is filmed"),
+        (["film", "--poses", "short.csv"], "log the gripper for as long as is filmed"),
     ],
 )
 def test_what_is_wrong_with_a_film_is_named(own, tmp_path, words, said):

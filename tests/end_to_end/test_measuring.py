@@ -158,7 +158,7 @@ def test_a_motion_beyond_the_limits_ends_with_2_and_nothing_moves(
     runs = tmp_path / "runs"
     code, out, err = run("run", "-c", quick_config, "--motion", motion_file, "--runs", runs)
     assert (code, out) == (2, "")
-    assert f"{motion_file}:6:18: moves[0].y_m: takes the hand to y_m = -0.25" in err
+    assert f"{motion_file}:6:18: moves[0].y_m: takes the gripper to y_m = -0.25" in err
     assert not runs.exists()
 
 

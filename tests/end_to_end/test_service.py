@@ -186,7 +186,8 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
 
 
 def test_after_a_kill_while_it_is_made_ready_nothing_moves(start: Start, tmp_path: Path) -> None:
-    """It reset by itself: a hand that was moving, or a cable in the jaws, nobody had looked at."""
+    """It reset by itself: a gripper that was moving, or a cable in the jaws, nobody had looked
+    at."""
     killed = start()
     client = Client(tmp_path / "runs").connect(wait_s=60.0)
     until(client, in_step("warm_up"))

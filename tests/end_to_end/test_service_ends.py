@@ -64,7 +64,7 @@ def waits_for_a_person(client: Client) -> Status:
 def test_a_kill_in_idle_or_ctrl_c_there_leaves_nothing_that_a_person_must_look_at(
     start: Start, client: Client, tmp_path: Path
 ) -> None:
-    """The jaws are empty and the hand is home: the next service makes itself ready."""
+    """The jaws are empty and the gripper is home: the next service makes itself ready."""
     for number, code in ((signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, 0)):
         process = start()
         client.connect(wait_s=60.0)
@@ -113,7 +113,7 @@ def test_ctrl_c_stops_a_cycle_and_the_next_service_waits(start: Start, client: C
     assert (fault.cycle, fault.step, fault.code) == (1, "lower", "stop")
     assert client.send(Request(MachineEvent.RESET, "Ada", "cable taken out")).accepted
     until(client, in_step("warm_up"))
-    process.send_signal(signal.SIGINT)  # the hand may be moving: somebody has to look again
+    process.send_signal(signal.SIGINT)  # the gripper may be moving: somebody has to look again
     assert ended(process) == [("failed", "interrupted by a person")]
 
 

@@ -51,7 +51,7 @@ from drivers.sim.clock import SimClock
 from tools.plant.around import Plant
 from tools.worlds.fast_cell import with_opening
 
-#: No hand shall hold a cable longer for want of a decision.
+#: No gripper shall hold a cable longer for want of a decision.
 MOST_WAITED_MS = 50.0
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"

@@ -231,7 +231,8 @@ def without_part(plc: Plc) -> str:
 
 
 def part_taken(plc: Plc) -> str:
-    """The part goes within the cycle, as when the hand takes it, and is missing at the next start.
+    """The part goes within the cycle, as when the gripper takes it, and is missing at the next
+    start.
 
     That start does nothing, nor does the part when it comes while start is held.
     """

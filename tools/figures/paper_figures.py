@@ -68,7 +68,7 @@ def figure_2() -> Figure:
 
 
 def figure_3() -> Figure:
-    """The swing of a tip while the hand goes 50 mm down."""
+    """The swing of a tip while the gripper goes 50 mm down."""
     _, seen = identified(4)
     figure = Figure(figsize=(9.0, 3.4), layout="constrained")
     for axes, c, name, which in zip(
@@ -235,7 +235,7 @@ def figure_14() -> Figure:
 
 
 def figure_15() -> Figure:
-    """Tip and hand of each guided cable."""
+    """Tip and gripper of each guided cable."""
     hole, choices = guided()
     figure = Figure(figsize=(9.0, 2.6), layout="constrained")
     for axes, (index, choice), colour in zip(

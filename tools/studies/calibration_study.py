@@ -6,7 +6,7 @@
 
 Every set-up has its own camera (k1 −0.3 … 0.1, tilt to 30°, pan, roll, focal length, blur, noise),
 robot base, jaw and board, all known; its pictures are rendered and then calibrated as live ones
-are, with the hand turned out of the plane as well.  Peers: `cv2.calibrateCamera` with
+are, with the gripper turned out of the plane as well.  Peers: `cv2.calibrateCamera` with
 `cv2.calibrateHandEye` (Park, Daniilidis), on the same pictures.
 
 With `--time` latency and lag instead: the motion of a calibration in cells whose arm, rates, noise
@@ -256,7 +256,8 @@ def plane_errors(fit: CellFit, setup: Setup) -> dict[str, float]:
 def opencv_view(
     views: tuple[BoardView, ...], shown: list[JawObservation], setup: Setup, method: int
 ) -> PlaneView:
-    """Map by OpenCV alone: lens, poses of the plate one by one, hand–eye, mean plate in the tool.
+    """Map by OpenCV alone: lens, poses of the plate one by one, gripper–eye, mean plate in the
+    tool.
 
     It is given the true plane against its own plate: only camera, robot and plate are its own.
     """

@@ -83,7 +83,7 @@ def random_cable(rng: np.random.Generator) -> CableModel:
 
 
 def hold() -> Motion:
-    """The hand's true motion: 50 mm down with a lag, then held."""
+    """The gripper's true motion: 50 mm down with a lag, then held."""
     path = identification_path(Pose(0.0, 0.0, 0.0), 0.05, MotionLimits(), 500.0)
     late = executed_motion(path, 0.03)
     t = np.arange(0.0, STILL_S + late.t_s[-1], 0.002)

@@ -32,7 +32,7 @@ MORE_STROKES = (
 ORDER = (0, 3, 1, 4, 2, 5, 6, 7)
 #: Frames of a trial, at most: time is spent on more studies instead.
 MOST_FRAMES = 400
-#: Periods of the first mode that are filmed after the hand has stopped.
+#: Periods of the first mode that are filmed after the gripper has stopped.
 LEAST_PERIODS, MOST_PERIODS = 1.2, 4.0
 GRAVITY = 9.81
 #: An effect is made at most so many times as strong as is typical, by so many attempts.
@@ -49,7 +49,7 @@ class Conditions:
     pixel       step to which values are rounded over the noise; 0 = not rounded
     lost        share of the markers' values that is missing
     jitter      of the frames' times, which are known, over the time between frames
-    log_hz, log_m   rate and noise of the hand's log
+    log_hz, log_m   rate and noise of the gripper's log
     held_out    whether trials are held out (never of one trial)
     shift       of a hidden effect: rms displacement of the markers over the noise
     uneven      each marker of each trial has exp(−uneven … uneven) times the noise of another
@@ -112,7 +112,7 @@ def _conditions(number: int, u: np.ndarray) -> Conditions:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A cable and its hand, without noise: the same for a study with an effect and without."""
+    """A cable and its gripper, without noise: the same for a study with an effect and without."""
 
     conditions: Conditions
     model: CableModel
@@ -253,7 +253,7 @@ def _after_s(
 
 
 def _logged(rng: np.random.Generator, hand: Motion, conditions: Conditions, quiet: bool) -> Motion:
-    """The hand's log at its own rate, noisy; a quiet one is the hand's motion itself."""
+    """The gripper's log at its own rate, noisy; a quiet one is the gripper's motion itself."""
     if quiet:
         return hand
     t_s = np.arange(0.0, hand.t_s[-1] + 1.0 / conditions.log_hz, 1.0 / conditions.log_hz)

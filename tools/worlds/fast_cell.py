@@ -208,7 +208,7 @@ def _in_truth(
 def _flown(
     cycle: FastCycle, view: View, flown: Flown, at_s: FloatArray, rng: np.random.Generator
 ) -> tuple[FastCycle, Motion]:
-    """The cycle with what happened in flight, and the hand's true motion."""
+    """The cycle with what happened in flight, and the gripper's true motion."""
     task, coming, identified = view.task, cycle.candidates, cycle.identified
     assert coming is not None and identified is not None and cycle.choice is not None
     path = coming.paths[cycle.choice.table.index(cycle.choice.best)]

@@ -27,7 +27,7 @@ class Flown:
     feedback   whether it is corrected
     late_s     by so much earlier the last frame was taken that is used
     dead_s     a change can begin so long after it is decided
-    knock      when the hand is set off, and by how much to the right and up, m
+    knock      when the gripper is set off, and by how much to the right and up, m
     lost       share of the frames in which nothing is seen
     latency_s  by so much later than known pictures come
     """
@@ -65,7 +65,7 @@ class View:
         return expected_nodes(self.identified, motion, at_s, self.task.arc_length_m)
 
     def motion(self, path: Trajectory, flown: Flown) -> Motion:
-        """The hand's true one, the hold before included."""
+        """The gripper's true one, the hold before included."""
         motion = whole_motion(self.task, self.down, path, self.start_s, self.timing.arm_lag_s)
         if flown.knock is None:
             return motion
@@ -77,7 +77,7 @@ class View:
     def nodes_m(
         self, motion: Motion, t_s: FloatArray, flown: Flown, rng: np.random.Generator
     ) -> FloatArray:
-        """(frames, nodes, 2) as seen, from when the hand is told to move."""
+        """(frames, nodes, 2) as seen, from when the gripper is told to move."""
         at_s = self.start_s + t_s - flown.latency_s
         nodes = simulate(self.hidden, motion, at_s, self.task.arc_length_m, solver=WORLD)[0]
         seen = pictured(nodes, self.bias, self.errors, rng)
@@ -90,9 +90,9 @@ class Look:
     """What a decision was made from.
 
     flight   the cable's answers, changes of the path that were told before included
-    t_s      (frames,) of the frames so far, from when the hand was told to move
+    t_s      (frames,) of the frames so far, from when the gripper was told to move
     nodes_m  (frames, nodes, 2) as seen
-    motion   the hand's true one, if nothing is changed from here on
+    motion   the gripper's true one, if nothing is changed from here on
     """
 
     flight: Flight
@@ -105,11 +105,11 @@ class Look:
 class Inserted:
     """What became of an insertion.
 
-    motion   true, of the hand
+    motion   true, of the gripper
     tails    changes that were told
     tip_m    (T, 2) as last predicted, at the times of the answers
     looks    one per decision
-    stopped  whether the hand was stopped in front of the mouth, which is not simulated
+    stopped  whether the gripper was stopped in front of the mouth, which is not simulated
     """
 
     motion: Motion

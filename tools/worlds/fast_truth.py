@@ -27,7 +27,7 @@ RATE_HZ = 500.0
 def whole_motion(
     task: Task, down: Motion, path: Trajectory, start_s: float, lag_s: float
 ) -> Motion:
-    """The hand's true motion when it follows a path after a hold."""
+    """The gripper's true motion when it follows a path after a hold."""
     late = executed_motion(path, lag_s, settle_s=task.settle_s)
     rows = np.column_stack([late.t_s + start_s, late.x_m, late.y_m, late.angle_rad])
     before = np.column_stack([down.t_s, down.x_m, down.y_m, down.angle_rad])
@@ -54,7 +54,8 @@ def filmed_of(held: Trial) -> FilmedMotion:
 
 @dataclass(frozen=True, eq=False)
 class Truths:
-    """The hand's true motion of every offset, holds before included, and the tips' true paths."""
+    """The gripper's true motion of every offset, holds before included, and the tips' true
+    paths."""
 
     task: Task
     hidden: CableModel

@@ -129,7 +129,7 @@ def stroke(
     still_s: float = 0.2,
     after_s: float = 0.9,
 ) -> Motion:
-    """A smooth way of the hand that begins after `still_s`; the record goes on for `after_s`."""
+    """A smooth way of the gripper that begins after `still_s`; the record goes on for `after_s`."""
     t = np.arange(0.0, still_s + 0.02 + seconds + after_s, 0.002)
     u = np.clip((t - still_s) / seconds, 0.0, 1.0)
     done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
@@ -137,7 +137,7 @@ def stroke(
 
 
 def logged(rng: np.random.Generator, hand: Motion, noise_m: float) -> Motion:
-    """The hand's motion with the noise of its log."""
+    """The gripper's motion with the noise of its log."""
     x, y = (v + noise_m * rng.normal(size=len(v)) for v in (hand.x_m, hand.y_m))
     return Motion(hand.t_s, x, y, hand.angle_rad)
 

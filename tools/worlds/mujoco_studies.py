@@ -1,6 +1,6 @@
 """Studies made by MuJoCo: the lab against physics that none of the project's own code computes.
 
-The cable is a chain of 50 rigid links with springs and dampers between them.  The hand's
+The cable is a chain of 50 rigid links with springs and dampers between them.  The gripper's
 acceleration enters as gravity and its velocity as wind, which is exact as long as it does not turn.
 """
 
@@ -122,7 +122,7 @@ CASES: dict[str, Hidden] = {
 
 
 class Chain:
-    """MuJoCo's chain of one specimen, clamped at an angle in the frame of the hand."""
+    """MuJoCo's chain of one specimen, clamped at an angle in the frame of the gripper."""
 
     def __init__(self, specimen: Specimen, angle_rad: float, step_s: float, links: int) -> None:
         hidden = specimen.hidden
@@ -187,7 +187,7 @@ class Chain:
         )
 
     def surroundings(self, velocity: np.ndarray, acceleration: np.ndarray) -> None:
-        """Gravity and wind as felt in the hand's frame."""
+        """Gravity and wind as felt in the gripper's frame."""
         option, wind = self.model.opt, self.hidden.draught
         option.gravity[:] = (-acceleration[0], 0.0, -GRAVITY_M_PER_S2 - acceleration[1])
         option.wind[:] = (wind[0] - velocity[0], 0.0, wind[1] - velocity[1])
@@ -262,7 +262,7 @@ class Chain:
         steps = every * round(end_s / KEPT_S)
         edges = self.step_s * np.arange(steps + 1)
         velocity = hand.velocity(0.5 * (edges[1:] + edges[:-1]))
-        # mean acceleration over each step, so that the hand ends where it should
+        # mean acceleration over each step, so that the gripper ends where it should
         acceleration = np.diff(hand.velocity(edges), axis=0) / self.step_s
         kept = [self.data.qpos.copy()]
         for k in range(steps):
@@ -290,7 +290,7 @@ class Chain:
 
 @dataclass(frozen=True)
 class Hand:
-    """Where the hand truly is."""
+    """Where the gripper truly is."""
 
     stroke: Stroke
     hidden: Hidden

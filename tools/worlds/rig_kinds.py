@@ -74,7 +74,7 @@ def arcs(seed: int) -> Rig:
 
 
 def encoder(seed: int) -> Rig:
-    """The hand is on an arm of 0.15 m; an encoder of its axle has 2¹⁴ to 2²⁰ counts a turn."""
+    """The gripper is on an arm of 0.15 m; an encoder of its axle has 2¹⁴ to 2²⁰ counts a turn."""
     rng = np.random.default_rng([seed, 46])
     rig = _plain(rng, seed, "encoder", CABLE)
     return replace(rig, counts=2 ** int(rng.integers(14, 21)))

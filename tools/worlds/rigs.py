@@ -87,7 +87,8 @@ class Rig:
     clocks    per trial the frames' and the log's steps, s; none = `frame_s`, and the log's own
     arc_std_m  standard deviation of the markers' arc lengths, which the study states
     parted    the outer half of the markers is seen by a second camera, of another rate and clock
-    counts    a turn, of an encoder that tells the hand, which is on an arm of `arm_m`; 0 = none is
+    counts    a turn, of an encoder that tells the gripper, which is on an arm of `arm_m`; 0 = none
+              is
     turns_rad  by how much a clamp turns whose motion an accelerometer tells; None = none does
     sensor    under the jaws, if there is one
     """
@@ -149,7 +150,7 @@ class Rig:
 
     @property
     def sensed(self) -> bool:
-        """Whether a sensor tells the hand, and no log of its place."""
+        """Whether a sensor tells the gripper, and no log of its place."""
         return self.counts > 0 or self.turns_rad is not None
 
     @property

@@ -1,4 +1,5 @@
-"""Studies whose hand is told by an encoder or an accelerometer, imported as anybody's files are."""
+"""Studies whose gripper is told by an encoder or an accelerometer, imported as anybody's files
+are."""
 
 from __future__ import annotations
 
@@ -47,7 +48,7 @@ _TIME = TimeSection(column="t_s", seconds_per_unit=1.0)
 
 
 def arc(hand: Motion, radius_m: float, way_m: tuple[float, float]) -> Motion:
-    """A hand on an arm about the origin that turns by as much as `hand` goes; the clamp follows.
+    """A gripper on an arm about the origin that turns by as much as `hand` goes; the clamp follows.
 
     At the clamp angle at which `hand` begins; down or to the left it turns downwards.
     """
@@ -147,6 +148,6 @@ def _entry(trial: Trial) -> TrialEntry:
 
 
 def turning(hand: Motion, by_rad: float) -> Motion:
-    """The hand with a clamp that turns by so much as it moves."""
+    """The gripper with a clamp that turns by so much as it moves."""
     way = np.hypot(hand.x_m, hand.y_m)
     return replace(hand, angle_rad=hand.angle_rad + by_rad * way / way[-1])

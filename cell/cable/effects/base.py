@@ -111,7 +111,7 @@ class Bend(NamedTuple):
 
 @dataclass(frozen=True)
 class HandMotion:
-    """Pose of the hand against time, smooth; logged from `start_s` to `end_s`, held outside."""
+    """Pose of the gripper against time, smooth; logged from `start_s` to `end_s`, held outside."""
 
     function: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
     start_s: float
@@ -140,7 +140,7 @@ class Effect:
     rest_curvature(cable, arc_length, p) -> κ₀         1/m, arrays
     grip_compliance(cable, p) -> (c, τ)                rad/(N·m) and s at the gripping point
     extra_length(cable, p) -> m                        added to the free length
-    clamp(pose: HandMotion, p) -> t -> (x, y, angle)         the hand's true pose, arrays
+    clamp(pose: HandMotion, p) -> t -> (x, y, angle)         the gripper's true pose, arrays
     camera_time(cable, t, xy, p) -> t                  when the points (…, 2) of a picture were
                                                        there; t (…) is the picture's time
     camera_points(cable, xy, p) -> xy                  where the camera sees points (…, 2)

@@ -1,4 +1,4 @@
-"""The hand that is not quite where the robot says."""
+"""The gripper that is not quite where the robot says."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect, HandMotion, Parameter
 
-#: The hand is still below this share of the log's highest speed.
+#: The gripper is still below this share of the log's highest speed.
 _STILL = 0.02
 #: Shares of a motion's length that are still left where its end is extrapolated from.
 _NEAR, _FAR = 1e-3, 0.03
 _LOOK_S = 1e-3
 #: A ringing whose damping is 0.05 is found from frequencies up to some 7 % off.
 _FREQUENCIES_HZ = tuple(float(f"{f:.3g}") for f in np.geomspace(1.5, 60.0, 27))
-#: Looks in a row for which a hand must be faster to have begun to move; least for an extrapolation.
+#: Looks in a row for which a gripper must be faster to have begun to move; least for an
+#: extrapolation.
 _LASTS, _LEAST_SAMPLES = 10, 5
 
 
 class RobotLag(Effect):
-    """The hand is at the logged pose of t − δ."""
+    """The gripper is at the logged pose of t − δ."""
 
     name = "robot_lag"
     parameters = (Parameter("delay_s", "s", -0.1, 0.1, 0.0, (0.005, -0.005)),)
@@ -34,7 +35,7 @@ class RobotLag(Effect):
 
 
 class RobotRinging(Effect):
-    """After every stop the hand rings along the direction in which it came.
+    """After every stop the gripper rings along the direction in which it came.
 
     A e^(−ζωt) sin ωt with ω = 2π·frequency, t from `onset_s` after the end of the stop: that of a
     smooth one is only roughly seen in a log, and a hundredth of a second is a third of a radian.

@@ -152,7 +152,7 @@ MAX_BYTES = 100_000
 class Residual:
     """What a model leaves of one trial, fitted to all trials.
 
-    trial         hand, markers as measured (T, markers, 2), m, and their times, s
+    trial         gripper, markers as measured (T, markers, 2), m, and their times, s
     arc_length_m  (markers,) from the gripping point
     white         (T, markers, channels) residual in standard deviations, all trials together scaled
                   to rms 1; independent values if the model is complete; nan where not seen.

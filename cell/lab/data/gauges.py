@@ -1,6 +1,6 @@
 """The wrench at a clamp among the markers of a study: as two further points, in lengths.
 
-So whatever the lab knows of markers, their noise, their mesh's error or the hand's, it knows of
+So whatever the lab knows of markers, their noise, their mesh's error or the gripper's, it knows of
 forces too.  The first point has the force as its coordinates.  The second has the moment, and
 another that is never seen.  Their unit is such that their noise is as large as the markers'.
 """
@@ -294,7 +294,7 @@ def _noise_model(
     found = noise_model_of_blocks(blocks, series, stated)
     if found is None:
         raise NoiseUnknownError(
-            f"study {name}: no trial has still rows of the wrench before the hand moves, so its "
+            f"study {name}: no trial has still rows of the wrench before the gripper moves, so its "
             f"noise is unknown; give wrench.{key} in study.yaml"
         )
     return found

@@ -198,7 +198,7 @@ def noise_model_of(study: Study) -> NoiseModel:
     found = noise_model_of_blocks(blocks, series, study.noise_std_m, most)
     if found is None:
         raise NoiseUnknownError(
-            f"study {study.name}: no trial has {MIN_STILL_FRAMES} frames before the hand "
+            f"study {study.name}: no trial has {MIN_STILL_FRAMES} frames before the gripper "
             "moves, so the camera's noise is unknown; give noise_std_m in study.yaml, "
             f"or record at least {MIN_STILL_FRAMES} frames at rest first"
         )

@@ -53,7 +53,8 @@ class RestDrift:
         """What is wrong, and the remedy."""
         return (
             f"{self.trial}: the cable drifts by {self.moved_m * 1e3:.2g} mm in "
-            f"{self.seconds:.2g} s before the hand moves, noise {self.noise_m * 1e3:.2g} mm, yet "
+            f"{self.seconds:.2g} s before the gripper moves, noise {self.noise_m * 1e3:.2g} mm, "
+            "yet "
             "`start: equilibrium` says that it rests; wait until it rests, or give "
             "`start: moving` in study.yaml"
         )
@@ -166,7 +167,7 @@ def _left_out(log: Path, grip: Motion) -> list[str]:
         shown = [f"line {i + 2} by {apart[i] * 1e3:+.2g} {unit}" for i in largest]
         more = f" and {len(apart) - TOLD} more" if len(apart) > TOLD else ""
         notes.append(
-            f"{log}: {column} jumps for a sample or two, which no hand does: {', '.join(shown)}"
+            f"{log}: {column} jumps for a sample or two, which no gripper does: {', '.join(shown)}"
             f"{more}; left out"
         )
     return notes
@@ -202,7 +203,7 @@ def _too_short(study: Study, trial: Trial) -> str | None:
         return None
     if trial.start == "equilibrium" and not np.isfinite(moves_from_s(trial.grip)):
         return (
-            f"is the last of {len(t_s)} rows in which the hand moves by less than "
+            f"is the last of {len(t_s)} rows in which the gripper moves by less than "
             f"{STILL.position_m * 1e3:g} mm, and the cable is not let go: record a motion; give "
             "`start: held` with release_s if it was let go; or remove the trial"
         )

@@ -183,7 +183,7 @@ class PreparedStudy:
     ) -> FloatArray:
         """(lanes, times, markers, 2) where models put a trial's markers, m; nan where they cannot.
 
-        initial_states  (lanes, unknowns) of the trial.  While a release is late the hand stands
+        initial_states  (lanes, unknowns) of the trial.  While a release is late the gripper stands
             still, so that everything happens later by as much.
         """
         known = None if initial_states is None else {trial.name: initial_states}

@@ -131,7 +131,7 @@ def _within_limits(document: Document, motion: MotionFile, settings: Settings) -
             low, high = getattr(settings.limits, axis)
             if not low - ROUNDING <= value <= high + ROUNDING:
                 message = (
-                    f"takes the hand to {axis} = {value:g}, outside limits.{axis} = "
+                    f"takes the gripper to {axis} = {value:g}, outside limits.{axis} = "
                     f"[{low:g}, {high:g}]; move less or widen the limits"
                 )
                 problems.append(document.problem((*key, axis), message))

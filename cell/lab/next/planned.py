@@ -124,7 +124,7 @@ def with_motions(fits: FitCache, hands: Sequence[tuple[str, Motion]]) -> FitCach
 
 
 def _logged(study: Study, hand: Motion, number: int) -> Motion:
-    """A hand as the study's logs would show it: at their rate, with their noise."""
+    """A gripper as the study's logs would show it: at their rate, with their noise."""
     rng = np.random.default_rng([_NOISE, number])
     step_s = usual_step_s([t.grip.t_s for t in study.trials])
     t_s = np.arange(hand.t_s[0], hand.t_s[-1], step_s)

@@ -78,8 +78,8 @@ def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
 
 
 def courses(trial: Trial, facts: TrialFacts) -> go.Figure:
-    """Tip, hand and clamp angle against time; the hand moves between the dotted lines."""
-    titles = ("tip, mm", "hand, mm", "clamp angle, degrees")
+    """Tip, gripper and clamp angle against time; the gripper moves between the dotted lines."""
+    titles = ("tip, mm", "gripper, mm", "clamp angle, degrees")
     figure = make_subplots(3, 1, shared_xaxes=True, subplot_titles=titles, vertical_spacing=0.08)
     markers, grip = trial.markers, trial.grip
     tip = _thinned(np.column_stack([markers.t_s, _tip(trial, facts) * 1e3]))
@@ -160,13 +160,14 @@ def _line(
 
 
 FACT_HEADS = (
-    "trial", "role, start, sensors", "frames", "per s", "still", "hand, mm", "hand, °", "tip, mm",
-    "seen, %", "noise, mm", "swings at, Hz",
+    "trial", "role, start, sensors", "frames", "per s", "still", "gripper, mm", "gripper, °",
+    "tip, mm", "seen, %", "noise, mm", "swings at, Hz",
 )  # fmt: skip
 FACT_NOTE = (
-    "Still: frames before anything moves. Hand and tip: how far apart their places are, and by how "
-    "much the hand turns. Noise: of one coordinate in one frame, by the still frames. Swings at: "
-    "the tip’s frequencies after the hand has stopped, the strongest first"
+    "Still: frames before anything moves. Gripper and tip: largest distance between two of its "
+    "places, and by how much the gripper turns. Noise: of one coordinate in one frame, from the "
+    "still frames. Swings at: "
+    "the tip’s frequencies after the gripper has stopped, the strongest first"
 )
 
 

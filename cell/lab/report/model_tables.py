@@ -216,7 +216,8 @@ def _kept(suggestion: Suggestion) -> str:
             "picture and the workpiece of a cell"
         )
     return (
-        "hand within its limits, cable and jaw in the picture, cable clear of the workpiece, all "
+        "gripper within its limits, cable and jaw in the picture, cable clear of the workpiece, "
+        "all "
         f"including the uncertainty of the cable; {refused} motions refused"
     )
 

@@ -96,7 +96,7 @@ def _worst_place(comparison: Comparison) -> str:
     ]
     when = {
         "still": "even at rest",
-        "moving": "while the hand moves",
+        "moving": "while the gripper moves",
         "early swing": "early in the swing",
         "late swing": "late in the swing",
     }

@@ -115,7 +115,7 @@ class PlcInputs:
     def is_acknowledged(self) -> bool:
         """Whether Stopped is acknowledged: now, or by what has just cleared Aborted.
 
-        The hand would go home, so a stop that is held goes before it.
+        The gripper would go home, so a stop that is held goes before it.
         """
         pressed = self.rose("acknowledge") and not self.inputs.stop
         return pressed or (self.memory.cleared and self.goes_on_clearing)

@@ -19,7 +19,7 @@ _LOG = logging.getLogger(__name__)
 
 #: After a failure the store is tried again so soon, s, then later and later.
 _FIRST_S, _LAST_S = 2.0, 120.0
-#: So long a hand that is about to grip waits for the block that is on its way, s …
+#: So long a gripper that is about to grip waits for the block that is on its way, s …
 HOLD_S = 2.0
 #: … and the end of a run for the recordings that are not uploaded yet.
 CLOSE_S = 60.0

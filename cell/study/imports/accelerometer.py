@@ -1,7 +1,7 @@
-"""A hand's place, integrated twice from its acceleration between two rests.
+"""A gripper's place, integrated twice from its acceleration between two rests.
 
-The hand's velocity is 0 at both rests.  Where noise is white and the sensor's offset constant, the
-likeliest acceleration is the measured one less its own mean over the motion: the zero-velocity
+The gripper's velocity is 0 at both rests.  Where noise is white and the sensor's offset constant,
+the likeliest acceleration is the measured one less its own mean over the motion: the zero-velocity
 update (ZUPT) of inertial navigation.
 Source: Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2013,
 ch. 15.3 (zero velocity updates).
@@ -23,7 +23,7 @@ Flags = NDArray[np.bool_]
 
 #: A rest is at least so many rows and so many seconds.
 REST_ROWS, REST_S = 10, 0.05
-#: A hand moves where the mean over so many seconds is so many standard deviations from its rest.
+#: A gripper moves where the mean over so many seconds is so many standard deviations from its rest.
 _MEAN_S, _MOVES = 0.02, 7.0
 #: Of a motion, what is before its beginning is seen: always, and by limit over acceleration.
 _MARGIN, _LATE = 0.02, 0.3
@@ -85,7 +85,8 @@ class AccelerometerSamples:
 
 @dataclass(frozen=True, eq=False)
 class Integrated:
-    """Path of a hand from (0, 0) on: (T, 2), m, and what it may be wrong by; None = it rested."""
+    """Path of a gripper from (0, 0) on: (T, 2), m, and what it may be wrong by; None = it
+    rested."""
 
     path_m: FloatArray
     drift: HandDrift | None
@@ -117,7 +118,7 @@ def integrated(
     ends_m: tuple[float, float] | None = None,
     gain_std: float = 0.0,
 ) -> Integrated:
-    """The path of a hand between two rests.
+    """The path of a gripper between two rests.
 
     limit_m   error of the place that is allowed for each thing that is wrong with a sensor
     ends_m    where the path ends, beside where it begins; None = that is not known
@@ -184,7 +185,7 @@ def _motion_rows(sensed: AccelerometerSamples, inner: FloatArray) -> _MotionRows
             raise NotIntegrableError(
                 at, f"the acceleration changes {max(kept, 0) * step_s:.2g} s from the end of the "
                 f"record: there is no rest {where} the motion, limit {rest * step_s:.2g} s; record "
-                "the hand at rest there, for only then its velocity is known"
+                "the gripper at rest there, for only then its velocity is known"
             )  # fmt: skip
     return _MotionRows(begin - margin, end + margin)
 
@@ -207,7 +208,7 @@ def _check_saturation(sensed: AccelerometerSamples, rests: _MotionRows) -> None:
                     rests.begin + int(longest[0]),
                     f"shows {extreme:.6g} m/s², an end of its range, in {len(longest)} rows one "
                     f"after the other, limit {SATURATED_ROWS - 1}: the sensor is saturated; move "
-                    "the hand more slowly, or take a wider range",
+                    "the gripper more slowly, or take a wider range",
                 )
 
 
@@ -218,7 +219,7 @@ def _check_gaps(sensed: AccelerometerSamples, rests: _MotionRows) -> None:
         raise NotIntegrableError(
             rests.begin + longest + 1,
             f"comes {steps_s[longest]:.3g} s after the sample before, limit "
-            f"{_GAP * sensed.step_s:.3g} s while the hand moves; record it again without gaps",
+            f"{_GAP * sensed.step_s:.3g} s while the gripper moves; record it again without gaps",
         )
 
 
@@ -292,7 +293,7 @@ def _check_velocity(
     noise: FloatArray,
     limit_m: float,
 ) -> None:
-    """Raise NotIntegrableError where the hand would not stop by far more than noise explains."""
+    """Raise NotIntegrableError where the gripper would not stop by far more than noise explains."""
     rows = slice(rests.begin, rests.end + 1)
     moved_s = float(sensed.t_s[rests.end] - sensed.t_s[rests.begin])
     ends = np.trapezoid(outer[rows], sensed.t_s[rows], axis=0)
@@ -303,7 +304,7 @@ def _check_velocity(
     if speed > allowed:
         raise NotIntegrableError(
             rests.end,
-            f"the acceleration leaves the hand with {speed:.3g} m/s after the motion, where it "
+            f"the acceleration leaves the gripper with {speed:.3g} m/s after the motion, where it "
             f"rests; limit {allowed:.2g} m/s: give the sensor's axes, the clamp's angle if it "
             "turns, and a sensor whose range is wide enough",
         )

@@ -19,16 +19,16 @@ STAYS = 1e-3
 LOST = (0.0, -9999.0, 9999.0, -999.0, 999.0, -1.0)
 #: First words of names that programs give to what nobody named.
 _UNLABELED = frozenset(("unlabeled", "unlabelled", "unidentified", "unassigned"))
-#: Share of the record in which a hand rests and a cable still swings.
+#: Share of the record in which a gripper rests and a cable still swings.
 _LATE = 0.3
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """Points of a cable from the hand to the tip.
+    """Points of a cable from the gripper to the tip.
 
     gripper    the gripping point, in the same file; None = it is in another one, or in none
-    second     another point of the hand
+    second     another point of the gripper
     of_root    whether the gripping point is the cable's own first marker
     """
 
@@ -42,7 +42,7 @@ class Chosen:
 def choose(
     capture: Capture, inside: Contents, hand_elsewhere: bool, others: Sequence[Capture] = ()
 ) -> tuple[Chosen, list[Finding]]:
-    """The cable's points in order, and the hand's.  Raises InputError: there are no points.
+    """The cable's points in order, and the gripper's.  Raises InputError: there are no points.
 
     others  files of the other trials, which may lose markers that this one does not
     """
@@ -56,7 +56,7 @@ def choose(
     ]
     named = [p for p in points if p.on_gripper]
     cable = [p for p in points if not p.on_gripper]
-    if not cable and len(named) > 1:  # a cable all of whose points are called after the hand
+    if not cable and len(named) > 1:  # a cable all of whose points are called after the gripper
         named, cable = named[:1], named[1:]
     cable, told = _labeled(cable)
     findings += told
@@ -64,7 +64,7 @@ def choose(
     findings += told
     if not cable:
         raise capture.error(
-            0, "shows no point that moves beside the hand; give the cable's markers"
+            0, "shows no point that moves beside the gripper; give the cable's markers"
         )
     if hand_elsewhere:
         order = _from_end(cable, raw)
@@ -85,13 +85,13 @@ def choose(
         return Chosen(tuple(order), hand, second, False, lost), findings
     if len(cable) < 2:
         sentence = (
-            f"{capture.path.name} shows one point and no hand: name two columns of its place as "
-            "hand.columns, or give a file of the hand with --hand"
+            f"{capture.path.name} shows one point and no gripper: name two columns of its place as "
+            "hand.columns, or give a file of the gripper with --hand"
         )
         findings += [Finding("hand", sentence, Sure.WANTED), columns_finding(capture)]
         return Chosen(tuple(cable), None, None, False, lost), findings
     order = _from_end(cable, raw)
-    sentence = f"no point is named after a hand: {order[0].name!r}, the end of the chain that "
+    sentence = f"no point is named after a gripper: {order[0].name!r}, the end of the chain that "
     findings.append(Finding("hand", f"{sentence}rests first, is the gripping point", Sure.GUESSED))
     findings.append(_order_finding(order[1:]))
     return Chosen(tuple(order[1:]), order[0], None, True, lost), findings
@@ -188,7 +188,8 @@ def _gripper_points(
     raw: dict[str, FloatArray],
     inside: Contents,
 ) -> tuple[Point | None, Point | None]:
-    """The hand's point nearest to the cable, and another one if its angle is not told otherwise."""
+    """The gripper's point nearest to the cable, and another one if its angle is not told
+    otherwise."""
     if not named:
         return None, None
     groups = {group for group, _ in inside.quaternions} | {m.group for _, m in inside.angles}
@@ -212,7 +213,7 @@ def _ordered(points: Sequence[Point], raw: dict[str, FloatArray], start: int) ->
 
 
 def _from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
-    """The same from the end that rests first: there the hand is."""
+    """The same from the end that rests first: there the gripper is."""
     places = _typical(cable, raw)
     orders = [chain(places, start) for start in range(len(cable))]
     order = min(
@@ -234,7 +235,7 @@ def _typical(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
 
 
 def columns_finding(capture: Capture) -> Finding:
-    """What a person may choose from where a hand is not found."""
+    """What a person may choose from where a gripper is not found."""
     names, most = capture.names, 24
     more = f" and {len(names) - most} more" if len(names) > most else ""
     sentence = f"columns of {capture.path.name}: {', '.join(names[:most])}{more}"
@@ -243,5 +244,7 @@ def columns_finding(capture: Capture) -> Finding:
 
 def _order_finding(order: Sequence[Point]) -> Finding:
     names = " → ".join(p.name for p in order)
-    sentence = f"from the hand to the tip the markers are {names}, each nearest to the one before"
+    sentence = (
+        f"from the gripper to the tip the markers are {names}, each nearest to the one before"
+    )
     return Finding("markers", sentence, Sure.SEEN)

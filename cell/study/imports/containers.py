@@ -261,7 +261,7 @@ def _check_one_trial(path: Path, keys: Collection[tuple[str, ...]]) -> None:
     if len(groups) > 1:
         names = " and ".join(sorted("/".join(group) or "its top" for group in groups)[:3])
         message = f"holds times in {names}: these are several recordings; save each in a file of "
-        raise InputError.at(path, f"{message}its own, and give that of the hand with --hand")
+        raise InputError.at(path, f"{message}its own, and give that of the gripper with --hand")
 
 
 def _capture(path: Path, tree: Tree, units: Mapping[tuple[str, ...], str]) -> Capture:

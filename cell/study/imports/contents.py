@@ -57,7 +57,7 @@ class Contents:
 
     @property
     def has_gripper_sensor(self) -> bool:
-        """Whether a sensor of the hand is there, and no place of it."""
+        """Whether a sensor of the gripper is there, and no place of it."""
         by_sensor = bool(self.encoders or self.accelerations)
         return by_sensor and not any(p.on_gripper for p in self.points)
 
@@ -129,7 +129,8 @@ def without_unsure(capture: Capture) -> Capture:
 def _accelerations(
     said: list[tuple[str, Meaning]], markers: set[str]
 ) -> tuple[tuple[str, Meaning], ...]:
-    """Of the sensor that is named after a hand, else of the first; of markers they are no use."""
+    """Of the sensor that is named after a gripper, else of the first; of markers they are no
+    use."""
     found = [
         (n, m) for n, m in said if m.kind is ColumnKind.ACCELERATION and m.group not in markers
     ]

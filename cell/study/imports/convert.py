@@ -101,7 +101,7 @@ class _ImportedTrial:
 
     detected  (rows of the file,) rows of frames
     across_m  (T, markers) coordinate across the plane; None = the file has two coordinates
-    notes     on how the hand is known, one sentence each
+    notes     on how the gripper is known, one sentence each
     """
 
     trial: Trial
@@ -156,7 +156,8 @@ def _one_angle(read: ReadMapping, trials: list[Trial]) -> list[Problem]:
     if high - low < _RESTS_ALIKE:
         return []
     message = (
-        f"is one constant, yet at rest the marker next to the hand is at {np.degrees(low):.1f}° in "
+        "is one constant, yet at rest the marker next to the gripper is at "
+        f"{np.degrees(low):.1f}° in "
         f"{first} and at {np.degrees(high):.1f}° in {last}, limit {np.degrees(_RESTS_ALIKE):.1f}° "
         "apart; give a column of the angle, or make studies of their own of these trials"
     )
@@ -169,9 +170,9 @@ def trials_of(
     """Trials as far as they can be shown, though the mapping lacks entries, and what is wrong.
 
     Lengths are in the file's unit where the mapping lacks metres_per_unit, and times likewise.  A
-    hand that is not known yet stands still.
+    gripper that is not known yet stands still.
     """
-    # A proposal has the marker at the hand first.
+    # A proposal has the marker at the gripper first.
     order = np.arange(len(read.mapping.markers))[::-1]
     if read.mapping.hand.unfinished:
         hand = read.mapping.hand.standing_still()
@@ -309,7 +310,7 @@ def _motion(
     xy_m, angle_rad = path.xy_m, path.angle_rad
     known = np.isfinite(xy_m).all(axis=1) & np.isfinite(angle_rad)
     if np.count_nonzero(known) < 2:
-        raise capture.error(0, "tells the hand's place and angle in fewer than 2 rows", "hand")
+        raise capture.error(0, "tells the gripper's place and angle in fewer than 2 rows", "hand")
     rows = np.flatnonzero(known)
     if np.abs(angle_rad[known]).max() > 2.0 * np.pi:
         row = int(rows[np.argmax(np.abs(angle_rad[known]))])
@@ -325,7 +326,7 @@ def _motion(
     if seen[-1] < span[0] or seen[0] > span[-1]:
         raise capture.error(
             int(rows[0]),
-            f"the hand is known from {span[0]:.6g} to {span[-1]:.6g} s, the markers from "
+            f"the gripper is known from {span[0]:.6g} to {span[-1]:.6g} s, the markers from "
             f"{seen[0]:.6g} to {seen[-1]:.6g} s; give clock_offset_s of the trial",
         )
     values = (span, xy_m[known, 0], xy_m[known, 1], angle_rad[known])
@@ -361,7 +362,7 @@ def _check_unit(read: ReadMapping, trial: Trial, arcs: FloatArray) -> None:
             ("hand",),
             f"is {each_m[-1]:.4g} m from the nearest marker of {trial.name}, with "
             f"{cables_m[-1]:.4g} m of cable between them; give origin_m, where the origin of the "
-            "hand's places is in the markers' frame, or correct its metres_per_unit",
+            "gripper's places is in the markers' frame, or correct its metres_per_unit",
         )
     fitting = scale * cable_m / long_m
     nearest = min((1.0, 0.1, 0.01, 0.001, 1e-6, 0.0254), key=lambda u: abs(np.log(u / fitting)))

@@ -1,4 +1,4 @@
-"""The plane of a cable's motion, which way is up, and to which side it leaves the hand."""
+"""The plane of a cable's motion, which way is up, and to which side it leaves the gripper."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class _Up:
 def find_axes(places: FloatArray, shape: FloatArray) -> tuple[AxesSection, list[Finding]]:
     """Directions of x (right) and y (up) of the study, such that the cable leaves towards −x.
 
-    places  (rows, points, 2 or 3) in order along the cable, the hand first
+    places  (rows, points, 2 or 3) in order along the cable, the gripper first
     shape   (points, d) of the cable at rest, or its mean
     """
     dimensions = places.shape[2]
@@ -51,7 +51,7 @@ def find_axes(places: FloatArray, shape: FloatArray) -> tuple[AxesSection, list[
         Finding("axes.up", f"up is {words[1]}: {up.why}", up.sure),
         Finding(
             "axes.right",
-            f"right is {words[0]}: so the cable leaves the hand to the left{along}",
+            f"right is {words[0]}: so the cable leaves the gripper to the left{along}",
             Sure.SEEN,
         ),
     ]
@@ -100,7 +100,7 @@ def _in_plane(normal: FloatArray, axis: int) -> bool:
 def _right(
     places: FloatArray, shape: FloatArray, normal: FloatArray | None, up: FloatArray
 ) -> tuple[FloatArray, str]:
-    """The level direction in the plane, from the cable to the hand."""
+    """The level direction in the plane, from the cable to the gripper."""
     if normal is None:
         level = np.array([up[1], -up[0]])
         told = ""

@@ -1,4 +1,4 @@
-"""Where the hand was: by columns, at rest, by an encoder, or integrated from acceleration."""
+"""Where the gripper was: by columns, at rest, by an encoder, or integrated from acceleration."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from cell.study.imports.shape import lost_rows
 
 Flags = NDArray[np.bool_]
 
-#: Of the cable's length: what each thing that is wrong with an accelerometer may do to the hand's
-#: place, and the standard deviation of it that may be left.
+#: Of the cable's length: what each thing that is wrong with an accelerometer may do to the
+#: gripper's place, and the standard deviation of it that may be left.
 DRIFT, MOST_DRIFT = 1e-3, 0.02
 #: At rest a sensor shows gravity within this share, in this direction; or none, if it shows no
 #: constant acceleration.
@@ -50,9 +50,9 @@ class GripperPath:
 def gripper_path(
     read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: FloatArray
 ) -> GripperPath:
-    """The hand of a trial.
+    """The gripper of a trial.
 
-    capture  with the hand, and t_s (rows,) its times on the study's clock
+    capture  with the gripper, and t_s (rows,) its times on the study's clock
     raises   InputError: a column is missing, or acceleration cannot be integrated
     """
     mapping, hand = read.mapping, read.mapping.hand
@@ -80,14 +80,16 @@ def gripper_path(
 
 
 def _lost_rows_text(read: ReadMapping, entry: TrialEntry, capture: Capture) -> str:
-    """How many rows of the hand are left out for its place is a value of `lost`; empty if none."""
+    """How many rows of the gripper are left out for its place is a value of `lost`; empty if
+    none."""
     lost, columns = read.mapping.lost, read.mapping.hand.columns or []
     rows = lost_rows(capture.at([c for c in columns if c is not None]), lost, of_hand=True)
     if not rows.any():
         return ""
     row = int(np.argmax(rows))
     return (
-        f"{entry.name}: the hand is taken as not seen in {np.count_nonzero(rows)} rows, the first "
+        f"{entry.name}: the gripper is taken as not seen in {np.count_nonzero(rows)} rows, the "
+        "first "
         f"at {capture.counted} {capture.lines[row]}: it jumps to values of `lost` there, and back"
     )
 
@@ -99,7 +101,7 @@ def _turned(
     t_s: FloatArray,
     angle_rad: FloatArray | None,
 ) -> GripperPath:
-    """The hand of a trial by its axle's encoder; angle None: the clamp turns with the arm."""
+    """The gripper of a trial by its axle's encoder; angle None: the clamp turns with the arm."""
     hand = read.mapping.hand
     turns = hand.turns
     assert turns is not None
@@ -133,7 +135,7 @@ def _turned(
 def _integrated(
     read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: FloatArray, angle_rad: FloatArray
 ) -> GripperPath:
-    """The hand of a trial by its accelerometer."""
+    """The gripper of a trial by its accelerometer."""
     mapping = read.mapping
     section = mapping.hand.acceleration
     assert section is not None
@@ -230,7 +232,7 @@ def _note(
 ) -> str:  # fmt: skip
     """What is known of an integrated place.  Raises InputError: too little."""
     if drift is None:
-        return f"{entry.name}: the acceleration shows no motion of the hand"
+        return f"{entry.name}: the acceleration shows no motion of the gripper"
     known = np.isfinite(xy_m).all(axis=1)
     std_m = drift.largest_std_m(t_s[known], xy_m[known])
     moved_s = drift.to_s - drift.from_s
@@ -244,7 +246,7 @@ def _note(
         )
     density = max(drift.noise_m_per_s2_per_rt_hz)
     return (
-        f"{entry.name}: the hand's place is integrated over {moved_s:.2g} s; its standard "
+        f"{entry.name}: the gripper's place is integrated over {moved_s:.2g} s; its standard "
         f"deviation is at most {std_m * 1e3:.2g} mm, by noise of {density:.2g} m/s²/√Hz"
         f"{f' and a gain known to {drift.gain_std:.1%}' if drift.gain_std else ''}. "
         "The study states it, and the lab allows for it"

@@ -80,9 +80,9 @@ def clamp_angle(
 ) -> tuple[AngleSection, list[Finding]]:
     """How the clamp angle is told.
 
-    capture  with the hand
-    second   another point of the hand, and the angle of the line to it at rest; None = none
-    hand     name of the gripping point, by which its columns are known
+    capture  with the gripper
+    second   another point of the gripper, and the angle of the line to it at rest; None = none
+    gripper     name of the gripping point, by which its columns are known
     """
     if (column := _column(inside, axes, hand)) is not None:
         return _of_column(capture, *column, root)
@@ -99,7 +99,8 @@ def clamp_angle(
         return _of_line(*second, root, hand)
     angle = round(root.rest_rad, 4) + 0.0
     sentence = (
-        f"no angle of the hand is in the file: it is taken as constant, {np.degrees(angle):.2f}°, "
+        "no angle of the gripper is in the file: it is taken as constant, "
+        f"{np.degrees(angle):.2f}°, "
         "as the markers show at rest"
     )
     if root.is_line:
@@ -110,7 +111,7 @@ def clamp_angle(
 def _of_line(
     second: Point, shown_rad: float, root: Root, hand: str
 ) -> tuple[AngleSection, list[Finding]]:
-    """The line between two points of the hand, along the cable or against it."""
+    """The line between two points of the gripper, along the cable or against it."""
     offset = _wrapped(root.rest_rad - shown_rad)
     offset = 0.0 if abs(offset) < root.agrees_rad else offset
     if abs(abs(offset) - np.pi) < _AGREES:
@@ -123,7 +124,7 @@ def _of_line(
 
 
 def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, str] | None:
-    """The column of the clamp angle and its unit: the hand's, about the normal of the plane."""
+    """The column of the clamp angle and its unit: the gripper's, about the normal of the plane."""
     of_hand = [
         (n, m) for n, m in inside.angles if m.group == hand or HAND.intersection(m.group.split())
     ]
@@ -227,7 +228,7 @@ def _of_body(
     seen = body_axis(rows, best)[0] if len(rows) else leaving
     offset = _wrapped(root.rest_rad - angle_of(np.array([seen @ right, seen @ up])))
     offset = float(round(offset, 4)) if abs(offset) > root.agrees_rad else 0.0
-    sentence = f"the hand turns as {four[0]!r} … say; the cable leaves along its axis {best}"
+    sentence = f"the gripper turns as {four[0]!r} … say; the cable leaves along its axis {best}"
     section = AngleSection(quaternion=list(four), body_axis=best, offset_rad=offset)
     return section, [Finding("hand.angle", sentence, Sure.GUESSED)]
 

@@ -1,4 +1,5 @@
-"""The mapping's section of the hand: its place and its angle, each told in one of several ways."""
+"""The mapping's section of the gripper: its place and its angle, each told in one of several
+ways."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ Name = Annotated[str, Field(min_length=1)]
 Vector = Annotated[list[Finite], Field(min_length=2, max_length=3)]
 Columns = Annotated[list[Name | None], Field(min_length=2, max_length=3)]
 
-#: Entries that say where the hand is; `angle` is told in ways of its own.
+#: Entries that say where the gripper is; `angle` is told in ways of its own.
 WAYS = ("columns", "fixed_m", "turns", "acceleration")
 
 
@@ -63,7 +64,7 @@ class AxesSection(SectionPart):
 
 
 class TurnsSection(SectionPart):
-    """A hand on an arm that turns about an axle, by its encoder.
+    """A gripper on an arm that turns about an axle, by its encoder.
 
     At turn 0 the arm points from the axle to the left, as a cable does at clamp angle 0; positive
     turns it downwards.
@@ -82,9 +83,9 @@ class TurnsSection(SectionPart):
 
 
 class AccelerationSection(SectionPart):
-    """A hand whose place is integrated twice from an accelerometer's specific force (a − g).
+    """A gripper whose place is integrated twice from an accelerometer's specific force (a − g).
 
-    columns            along `axes` of the hand at clamp angle 0; null = it does not move so
+    columns            along `axes` of the gripper at clamp angle 0; null = it does not move so
     m_per_s2_per_unit  9.81 for g; negative where the sensor shows g − a
     along              `clamp`: the sensor turns with the clamp; `study`: it does not
     starts_at_m        gripping point before the motion, in the study's frame, if a trial does not
@@ -105,7 +106,7 @@ class AngleSection(SectionPart):
     constant_rad      it never turns
     column            of the angle, with `radians_per_unit` (negative: positive means up)
     quaternion        columns x, y, z, w; `body_axis`: along it the cable leaves the clamp
-    towards           columns of a second point of the hand; the cable leaves in its direction
+    towards           columns of a second point of the gripper; the cable leaves in its direction
     follows           true: the clamp turns with the arm of `turns`; then the cable leaves along it
     offset_rad        added
     """
@@ -127,7 +128,7 @@ class GripperSection(SectionPart):
     fixed_m    it never moves, in the study's frame; or
     turns      it is on an arm that turns about an axle; or
     acceleration  its place is integrated
-    origin_m   the hand's origin in the study's frame, where its file has another one
+    origin_m   the gripper's origin in the study's frame, where its file has another one
     """
 
     columns: Columns | None = None
@@ -143,7 +144,7 @@ class GripperSection(SectionPart):
 
     @property
     def along_columns(self) -> list[str | None] | None:
-        """Columns that the hand's axes are along; None = there are none."""
+        """Columns that the gripper's axes are along; None = there are none."""
         return self.acceleration.columns if self.acceleration is not None else self.columns
 
     @property
@@ -200,12 +201,12 @@ def gripper_complaints(hand: GripperSection) -> Iterator[tuple[Key, str]]:
         yield ("hand", "angle", "radians_per_unit"), f"{message}negative if up is positive"
     elif angle.quaternion is not None and angle.body_axis is None:
         message = (
-            "is missing; give the axis of the hand along which the cable leaves it, such as +x"
+            "is missing; give the axis of the gripper along which the cable leaves it, such as +x"
         )
         yield ("hand", "angle", "body_axis"), message
     elif angle.follows and hand.turns is None:
-        message = "is only for a hand that `turns`; give constant_rad or column"
+        message = "is only for a gripper that `turns`; give constant_rad or column"
         yield ("hand", "angle", "follows"), message
     elif angle.towards and hand.columns is None and hand.fixed_m is None:
-        message = "is only for a hand with columns or fixed_m; give constant_rad or column"
+        message = "is only for a gripper with columns or fixed_m; give constant_rad or column"
         yield ("hand", "angle", "towards"), message

@@ -12,7 +12,7 @@ from cell.study.imports.column_names import ColumnKind, meaning
 
 #: Names of a column of whole numbers that tell markers apart.
 _NUMBERED = frozenset(("marker", "id", "point", "node", "label", "landmark", "index"))
-#: Markers of a study, and a hand's points; a column with more values is no name.
+#: Markers of a study, and a gripper's points; a column with more values is no name.
 _MOST_LABELS = 300
 
 

@@ -40,7 +40,7 @@ class WrenchSection(SensorEntry):
     """What a study says of its sensor, and where its values are.
 
     columns  of force x, force y and moment; null = not measured
-    newtons_per_unit, newton_metres_per_unit  negative: the sensor shows what acts on the hand
+    newtons_per_unit, newton_metres_per_unit  negative: the sensor shows what acts on the gripper
     """
 
     columns: Annotated[list[Name | None], Field(min_length=3, max_length=3)]
@@ -101,10 +101,10 @@ class MarkerEntry(SectionPart):
 class TrialEntry(SectionPart):
     """A trial; file names are relative to the mapping's folder.
 
-    clock_offset_s  added to the times of the hand's file
+    clock_offset_s  added to the times of the gripper's file
     hand_starts_at_m, hand_ends_at_m  gripping point before and after its motion, where an
                     accelerometer tells this: what the integral misses the end by is closed
-    hand_drift      error of the hand's place, as a study states it
+    hand_drift      error of the gripper's place, as a study states it
     text, hand_text  how its files are written; None = as `text` and `hand.text` say
     seconds_per_unit, hand_seconds_per_unit  of its files' times, or None as for `text`
     """
@@ -278,7 +278,7 @@ def _of_sensors(mapping: Mapping) -> Iterator[Complaint]:
     for i, trial in enumerate(mapping.trials):
         for name in ("hand_starts_at_m", "hand_ends_at_m"):
             if getattr(trial, name) is not None and mapping.hand.acceleration is None:
-                message = "is only for a hand that is told by its acceleration; remove it"
+                message = "is only for a gripper that is told by its acceleration; remove it"
                 yield ("trials", i, name), message
         if (drifts := drift_complaint(trial.hand_drift)) is not None:
             yield ("trials", i, "hand_drift", "to_s"), drifts

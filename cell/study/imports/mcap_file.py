@@ -68,7 +68,7 @@ def read_mcap(path: Path) -> Capture:
             raise InputError.at(
                 path,
                 f"has more than {MAX_ROWS} times or {_MOST_COLUMNS} numbers; keep the topics with "
-                "markers and hand, and cut it to the motion",
+                "markers and gripper, and cut it to the motion",
             )
     if not table.rows:
         why = f": {', '.join(sorted(undecoded))} cannot be decoded" if undecoded else ""

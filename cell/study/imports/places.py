@@ -32,7 +32,7 @@ def places_m(
 
     columns  null = this coordinate was not measured; it counts as `unseen`
     lost     values that all coordinates have where the point is not seen
-    of_hand  it is one of the hand, which may be at such a value
+    of_hand  it is one of the gripper, which may be at such a value
     raises   InputError: there is no such column
     """
     raw = np.full((len(capture.values), len(columns)), unseen)
@@ -81,7 +81,7 @@ def clamp_angle_rad(capture: Capture, angle: AngleSection, axes: AxesSection) ->
 
 
 def angle_towards(from_m: FloatArray, to_m: FloatArray, offset_rad: float = 0.0) -> FloatArray:
-    """Clamp angle of a hand whose cable leaves from one point (rows, 2) towards another."""
+    """Clamp angle of a gripper whose cable leaves from one point (rows, 2) towards another."""
     direction = to_m - from_m
     return continuous(_angle(direction[:, 0], direction[:, 1]), offset_rad)
 

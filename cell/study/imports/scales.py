@@ -166,7 +166,7 @@ def metres_per_unit(
             return METRES[name], Finding("metres_per_unit", sentence, Sure.SEEN)
         sentence = (
             f"a unit of length is {unit:.4g} m, so that the markers span the free length; if it is "
-            f"{name}, they span {extent * METRES[name]:.3g} m: one is missing, or the hand"
+            f"{name}, they span {extent * METRES[name]:.3g} m: one is missing, or the gripper"
         )
         return float(f"{unit:.6g}"), Finding("metres_per_unit", sentence, Sure.GUESSED)
     if "px" not in units:
@@ -210,7 +210,8 @@ def arc_length_stds(places_m: FloatArray, length_m: float, from_hand: bool) -> F
     """(markers,) standard deviation of arc lengths that a curve through points shows, m.
 
     Noise shifts each marker by itself.  What the curve does between two points, and noise of the
-    hand, is one error of all n markers; a study knows only independent ones, so it counts √n times.
+    gripper, is one error of all n markers; a study knows only independent ones, so it counts √n
+    times.
 
     places_m   (rows, points, 2 or 3) in their order along the cable, nan = not seen
     length_m   free length of the cable

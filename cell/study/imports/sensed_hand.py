@@ -1,4 +1,4 @@
-"""What is proposed for a hand with a file of its own, or with an encoder or accelerometer."""
+"""What is proposed for a gripper with a file of its own, or with an encoder or accelerometer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from cell.study.imports.units import METRES, RADIANS
 #: m/s² that one of a unit is, and standard gravity within this share tells an unnamed one.
 ACCELERATIONS = {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665}
 _WITHIN = 0.1
-#: Rows in which a hand rests at first.
+#: Rows in which a gripper rests at first.
 _REST = 20
 
 
@@ -41,7 +41,7 @@ def sensor_section(
     root: Root,
     of_file: dict[str, Any],
 ) -> tuple[GripperSection, list[Finding]]:
-    """The hand's section with null where somebody must fill it in, and why.
+    """The gripper's section with null where somebody must fill it in, and why.
 
     axes     of the markers
     of_file  entries of the section that are of a file of its own
@@ -66,11 +66,11 @@ def sensor_section(
 
 
 def _linear(inside: Contents) -> tuple[list[str | None], list[Finding]]:
-    """Columns of axes that move the hand straight; null = it stays along this one."""
+    """Columns of axes that move the gripper straight; null = it stays along this one."""
     by_axis = {m.axis or "x": name for name, m in reversed(inside.encoders)}
     columns: list[str | None] = [by_axis.get("x"), by_axis.get("y") or by_axis.get("z")]
     names = " and ".join(repr(c) for c in columns if c is not None)
-    sentence = f"{names} tells the hand's place; along null it stays at hand.origin_m"
+    sentence = f"{names} tells the gripper's place; along null it stays at hand.origin_m"
     return columns, [Finding("hand", f"{sentence}: does it move right, or up?", Sure.GUESSED)]
 
 
@@ -80,7 +80,9 @@ def _turning(
     name, said = next((n, m) for n, m in inside.encoders if m.unit not in METRES)
     unit = RADIANS.get(said.unit)
     turns = TurnsSection(column=name, radians_per_unit=unit, axle_m=None, radius_m=None)
-    sentence = f"no place of the hand is in {capture.path.name}: {name!r} tells how its arm turns"
+    sentence = (
+        f"no place of the gripper is in {capture.path.name}: {name!r} tells how its arm turns"
+    )
     findings = [Finding("hand", sentence, Sure.GUESSED)]
     if not inside.angles:
         sentence = (
@@ -104,7 +106,9 @@ def _by_acceleration(
     unit, sure, why = _unit(found[0][1].unit, size)
     shows_gravity = unit is None or size * unit > 0.5 * ACCELERATIONS["g"]
     own, sentence = _axes(capture, names, rest, shows_gravity)
-    said = f"no place of the hand is in {capture.path.name}: it is integrated from acceleration, "
+    said = (
+        f"no place of the gripper is in {capture.path.name}: it is integrated from acceleration, "
+    )
     findings = [Finding("hand", f"{said}columns {', '.join(names)}; {sentence}", Sure.GUESSED)]
     findings.append(Finding("hand.acceleration", f"acceleration is {why}", sure))
     sensor = AccelerationSection(
@@ -144,18 +148,18 @@ def _axes(
     return AxesSection(right=right.tolist(), up=up.tolist()), f"up is {shown}: {why}"
 
 
-#: A hand moves along one axis if it moves by less than this share of that across it.
+#: A gripper moves along one axis if it moves by less than this share of that across it.
 _LEVEL = 0.02
-#: A chain from the hand on is the cable's if it is longer than the free length by this share at
+#: A chain from the gripper on is the cable's if it is longer than the free length by this share at
 #: most; where no unit is stated, and shorter by that.
 TIP, _SHORTER = 0.02, 0.3
-#: Of a hand's distances from its first place: what is beyond are single wrong rows.
+#: Of a gripper's distances from its first place: what is beyond are single wrong rows.
 _MOST = 0.95
 
 
 @dataclass(frozen=True, eq=False)
 class GripperFile:
-    """A file of the hand.
+    """A file of the gripper.
 
     point  the gripping point; None = it has none
     rest   (d,) where that rests at first, in the file's unit and axes; None = it never does
@@ -168,7 +172,7 @@ class GripperFile:
 
 
 def gripper_file(capture: Capture) -> GripperFile:
-    """What a file of the hand holds."""
+    """What a file of the gripper holds."""
     inside = contents(capture)
     named = [p for p in inside.points if p.on_gripper] or list(inside.points)
     named.sort(key=lambda p: "actual" not in p.name.split())  # before what was only commanded
@@ -193,11 +197,11 @@ def _initial_place(places: FloatArray) -> FloatArray | None:
 def first_point(
     hand: GripperFile, shape: FloatArray, units: Set[str], free_length_m: float | None
 ) -> FloatArray | None:
-    """(d,) where the hand rests, in the markers' unit, if both are in one frame; None if not.
+    """(d,) where the gripper rests, in the markers' unit, if both are in one frame; None if not.
 
-    They are if the chain from the hand on is no longer than the cable.
+    They are if the chain from the gripper on is no longer than the cable.
 
-    shape   (points, d) of the markers at rest, from the hand to the tip, in the file's unit
+    shape   (points, d) of the markers at rest, from the gripper to the tip, in the file's unit
     units   that the file states for them
     """
     point, rest = hand.point, hand.initial
@@ -213,16 +217,16 @@ def first_point(
     return None
 
 
-#: The marker next to the hand moves about as far as the hand; so many times more or less is another
-#: unit.
+#: The marker next to the gripper moves about as far as the gripper; so many times more or less is
+#: another unit.
 _AS_FAR = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class NearestMarker:
-    """Motion of the marker next to the hand, in the trial whose hand moves most.
+    """Motion of the marker next to the gripper, in the trial whose gripper moves most.
 
-    hand   (rows, d) of that trial's hand, in the unit and axes of its file
+    gripper   (rows, d) of that trial's gripper, in the unit and axes of its file
     xy_m   (frames, 2) of the marker in the study's plane
     """
 
@@ -237,9 +241,9 @@ def section_of_file(
     scale: float | None,
     nearest: NearestMarker | None,
 ) -> tuple[GripperSection, list[Finding]]:
-    """The section of a hand with a file of its own; without a place where it tells none.
+    """The section of a gripper with a file of its own; without a place where it tells none.
 
-    nearest  None = the markers' unit or the hand's place is not known
+    nearest  None = the markers' unit or the gripper's place is not known
     """
     capture, inside, point = hand.capture, hand.inside, hand.point
     time, told = time_section(capture, inside, None)
@@ -248,7 +252,9 @@ def section_of_file(
         section, findings = sensor_section(capture, inside, axes, root, of_file)
         return section, [*told, *findings]
     if point is None:
-        sentence = f"no place of the hand is known in {capture.path.name}: name two columns of it "
+        sentence = (
+            f"no place of the gripper is known in {capture.path.name}: name two columns of it "
+        )
         sentence += "as hand.columns, that of its axle's encoder in hand.turns, or those of an "
         sentence += "accelerometer on it in hand.acceleration"
         findings = [Finding("hand", sentence, Sure.WANTED), columns_finding(capture)]
@@ -276,7 +282,7 @@ def section_of_file(
 def _unit_of_place(
     point: Point, scale: float | None, nearest: NearestMarker | None
 ) -> tuple[float | None, Finding | None]:
-    """Metres a unit of the hand's place; the marker next to it moves as far.
+    """Metres a unit of the gripper's place; the marker next to it moves as far.
 
     scale  of the markers
     """
@@ -306,17 +312,17 @@ def _unit_of_place(
 
 
 def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSection, str]:
-    """Right and up along the columns of a hand that are not as many as a marker's.
+    """Right and up along the columns of a gripper that are not as many as a marker's.
 
-    A robot's third axis is up.  Right is the level direction in which the hand moves, towards the
-    same side as the marker next to it.
+    A robot's third axis is up.  Right is the level direction in which the gripper moves, towards
+    the same side as the marker next to it.
     """
     if places.shape[1] == 2:
         plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
-        return plane, "the hand's file has its own axes: right and up are its first and second"
+        return plane, "the gripper's file has its own axes: right and up are its first and second"
     seen = places[np.isfinite(places).all(axis=1)]
     span = np.ptp(seen, axis=0) if len(seen) else np.zeros(3)
-    sentence = "the hand's file has its own axes: up is its third"
+    sentence = "the gripper's file has its own axes: up is its third"
     right = np.array([1.0, 0.0, 0.0])
     if np.hypot(*span[:2]) <= _LEVEL * span[2]:
         return _plane_of(right), f"{sentence}; it only moves along that: right is its first"

@@ -131,7 +131,7 @@ def root_direction(shape: FloatArray) -> FloatArray:
 def distinct_points(shape: FloatArray) -> FloatArray:
     """(points, d) without those that lie where the one before them does.
 
-    Between such points, a marker at the gripping point and the hand for instance, noise alone
+    Between such points, a marker at the gripping point and the gripper for instance, noise alone
     makes a direction.  The last point is kept.
     """
     at = _chords(shape)
@@ -188,7 +188,7 @@ def means_lost(value: float, raw: FloatArray) -> bool:
 def lost_rows(raw: FloatArray, values: Sequence[float], of_hand: bool) -> Flags:
     """(rows,) of a point (rows, d) that are one of the values in all coordinates.
 
-    of_hand  a hand may rest at a value that means that a marker was lost, such as 0: of it only
+    of_hand  a gripper may rest at a value that means that a marker was lost, such as 0: of it only
              those rows count to which it jumps and from which it jumps back
     """
     lost = np.zeros(len(raw), dtype=bool)

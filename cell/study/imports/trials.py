@@ -121,9 +121,9 @@ def _seconds_per_unit(
 
 #: A clock is proposed to be off if it is so by more than this many rows.
 ROWS_OFF = 1.5
-#: The first marker follows the hand closely if it is within this share of the cable.
+#: The first marker follows the gripper closely if it is within this share of the cable.
 NEAR_HAND = 0.35
-#: A hand moves if it leaves its place by this share of the cable's length.
+#: A gripper moves if it leaves its place by this share of the cable's length.
 _MOVES = 0.01
 
 
@@ -149,7 +149,7 @@ def start_of(
     if known:
         hand_s, hand_m = _gripper_path(capture, hand, mapping, zero_s)
     elif hand is not None:
-        sentence = f"{name}: whether both clocks agree is not known before the hand's path is"
+        sentence = f"{name}: whether both clocks agree is not known before the gripper's path is"
         findings.append(Finding("clock_offset_s", sentence, Sure.GUESSED))
     if known and hand is not None:
         begun, findings = _by_rows(name, capture, t_s, hand_s)
@@ -189,8 +189,8 @@ def _by_rows(
         return {}, []
     late_s = round(late_s, 6)
     sentence = (
-        f"{name}: hand and markers have {len(t_s)} rows at one rate and are taken row by row: "
-        f"{late_s:+g} s are added to the hand's clock"
+        f"{name}: gripper and markers have {len(t_s)} rows at one rate and are taken row by row: "
+        f"{late_s:+g} s are added to the gripper's clock"
     )
     return {"clock_offset_s": late_s}, [Finding("clock_offset_s", sentence, Sure.GUESSED)]
 
@@ -201,21 +201,21 @@ def _clock(
     seen: tuple[FloatArray, FloatArray],
     mapping: Mapping,
 ) -> tuple[dict[str, Any], list[Finding]]:
-    """The offset of the hand's clock, where a marker near it tells one."""
+    """The offset of the gripper's clock, where a marker near it tells one."""
     first, length_m = mapping.markers[0].arc_length_m, mapping.cable.free_length_m
     if first is None or length_m is None or first > NEAR_HAND * length_m:
-        sentence = f"{name}: no marker is near the hand: whether both clocks agree is not known"
+        sentence = f"{name}: no marker is near the gripper: whether both clocks agree is not known"
         return {}, [Finding("clock_offset_s", sentence, Sure.GUESSED)]
     shift_s = clock_shift_s(*hand, seen[0], seen[1][:, 0])
     if shift_s is None:
-        sentence = f"{name}: the hand hardly moves: whether both clocks agree is not known"
+        sentence = f"{name}: the gripper hardly moves: whether both clocks agree is not known"
         return {}, [Finding("clock_offset_s", sentence, Sure.GUESSED)]
     limit_s = ROWS_OFF * float(max(np.median(np.diff(hand[0])), np.median(np.diff(seen[0]))))
     if abs(shift_s) <= limit_s:
         sentence = f"{name}: both clocks agree within {limit_s * 1e3:.3g} ms"
         return {}, [Finding("clock_offset_s", sentence, Sure.SEEN)]
     shift_s = round(shift_s, 4)
-    sentence = f"{name}: {shift_s:+g} s are added to the hand's clock, so that both move at once"
+    sentence = f"{name}: {shift_s:+g} s are added to the gripper's clock, so that both move at once"
     return {"clock_offset_s": shift_s}, [Finding("clock_offset_s", sentence, Sure.GUESSED)]
 
 
@@ -225,9 +225,9 @@ def _start(
     hand: tuple[FloatArray, FloatArray] | None,
     length_m: float,
 ) -> tuple[dict[str, Any], list[Finding]]:
-    """At rest until the hand moves, let go, or in motion from the first row on.
+    """At rest until the gripper moves, let go, or in motion from the first row on.
 
-    hand  None = its path is not known yet
+    gripper  None = its path is not known yet
     """
     t_s, xy_m = seen
     rest = rest_rows(xy_m)
@@ -242,11 +242,11 @@ def _start(
     begins_s = float(t_s[rest.stop]) if rest.stop < len(t_s) else np.inf
     late_s = 0.15 + float(np.sqrt(length_m / 9.81))  # as `cell.study.clocks` allows it
     if begins_s == np.inf or moves_s <= begins_s + late_s:
-        sentence = f"{name}: the cable is at rest until the hand moves: start equilibrium"
+        sentence = f"{name}: the cable is at rest until the gripper moves: start equilibrium"
         return {"start": "equilibrium"}, [Finding("trials.start", sentence, Sure.SEEN)]
     release_s = round(float(t_s[rest.stop - 1]), 4)
     sentence = (
-        f"{name}: the cable moves at {begins_s:.3g} s, the hand does not: let go (start held)"
+        f"{name}: the cable moves at {begins_s:.3g} s, the gripper does not: let go (start held)"
     )
     return {"start": "held", "release_s": release_s}, [
         Finding("trials.start", sentence, Sure.GUESSED)
@@ -257,14 +257,14 @@ def _start(
 _SHIFTS, _SAMPLES = 1500, 600
 #: Both must be known at once for this share of the shorter one.
 _OVERLAP = 0.5
-#: A hand that moves by less than this share of what the marker moves tells no shift.
+#: A gripper that moves by less than this share of what the marker moves tells no shift.
 _MOVING = 0.1
 
 
 def clock_shift_s(
     hand_s: FloatArray, hand_m: FloatArray, seen_s: FloatArray, seen_m: FloatArray
 ) -> float | None:
-    """What to add to the hand's times so that a marker near it moves as it does; None = unknown.
+    """What to add to the gripper's times so that a marker near it moves as it does; None = unknown.
 
     hand_m  (T, 2) path of the gripping point
     seen_m  (frames, 2) places of the marker nearest to it, nan = not seen

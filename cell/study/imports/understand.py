@@ -80,7 +80,8 @@ class _Scene:
 
 
 def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
-    """Propose a mapping.  Raises InputError: a file has no points or no hand, or is disordered."""
+    """Propose a mapping.  Raises InputError: a file has no points or no gripper, or is
+    disordered."""
     first = trials[0]
     inside = contents(first.capture)
     apart = None if first.gripper is None else gripper_file(first.gripper)
@@ -148,7 +149,8 @@ def _detected(capture: Capture, points: Sequence[Point], chosen: Chosen) -> Floa
 
 
 def _chain(raw: FloatArray, begins: FloatArray | None) -> FloatArray:
-    """Places (rows, points, d), behind that (d,) where the hand of another file rests, if known."""
+    """Places (rows, points, d), behind that (d,) where the gripper of another file rests, if
+    known."""
     if begins is None:
         return raw
     return np.concatenate([np.broadcast_to(begins, (len(raw), 1, len(begins))), raw], axis=1)
@@ -165,7 +167,7 @@ def _scene(
 ) -> _Scene:
     """The chain in the plane.
 
-    begins     (d,) where the hand of another file rests; None = that is not known
+    begins     (d,) where the gripper of another file rests; None = that is not known
     with_hand  the first of the points is the gripping point
     """
     directions = np.array([axes.right, axes.up])
@@ -179,7 +181,7 @@ def _scene(
     if begins is not None and len(shape) <= _A_LINE:
         lengths = lengths[1:]  # nothing shows how far a cable droops from the line to one marker
     from_hand = with_hand or (begins is not None and len(shape) > _A_LINE)
-    # Else the first marker is at an unknown distance from the hand.
+    # Else the first marker is at an unknown distance from the gripper.
     return _Scene(xy_m, lengths[1:] if from_hand else lengths, shape, from_hand)
 
 
@@ -191,15 +193,15 @@ def _arcs(
         sentence = "where the markers are along the cable is known with the unit of length"
         return [None] * len(chosen.markers), [Finding("markers", sentence, Sure.WANTED)]
     lengths, length_m = scene.arcs, stated.free_length_m
-    how = "" if chosen.gripper is not None else ", from the hand's place at rest on"
+    how = "" if chosen.gripper is not None else ", from the gripper's place at rest on"
     if not scene.from_gripper:
         if length_m is None:
             sentence = "where the markers are along the cable needs --free-length"
             return [None] * len(lengths), [Finding("markers", sentence, Sure.WANTED)]
         lengths = lengths + length_m - lengths[-1]
-        why = "no place of the hand at rest is known in their frame"
+        why = "no place of the gripper at rest is known in their frame"
         if len(scene.shape) > scene.xy_m.shape[1]:
-            why = "one marker shows no curve from the hand on"
+            why = "one marker shows no curve from the gripper on"
         how = f", {chosen.markers[-1].name!r} taken as the cable's tip, for {why}"
     arcs = [round(float(s), 5) for s in lengths]
     if length_m is not None and 0.0 < arcs[-1] - length_m <= TIP * length_m:
@@ -211,9 +213,9 @@ def _arcs(
     findings = [Finding("markers", sentence, Sure.GUESSED)]
     if length_m is not None and arcs[-1] > length_m:
         sentence = (
-            f"the markers span {arcs[-1]:g} m from the hand, the cable {length_m:g} m: is the "
+            f"the markers span {arcs[-1]:g} m from the gripper, the cable {length_m:g} m: is the "
         )
-        sentence += "hand's place, a unit or --free-length wrong?"
+        sentence += "gripper's place, a unit or --free-length wrong?"
         findings.append(Finding("markers", sentence, Sure.GUESSED))
     if length_m is None:
         sentence = f"the cable ends at its last marker: {arcs[-1]:g} m long; give --free-length"
@@ -230,7 +232,7 @@ def _arc_stds(
 ) -> tuple[list[float | None], list[Finding]]:
     """How well the proposed arc lengths are known; None where none is proposed, or nothing tells.
 
-    places_m  (rows, points, d) of the chain, from the hand on where that is known
+    places_m  (rows, points, d) of the chain, from the gripper on where that is known
     """
     last_m = arcs[-1]
     if last_m is None or places_m.shape[1] < _A_LINE:
@@ -296,7 +298,7 @@ def _gripper(
 def _nearest(
     trials: Sequence[Files], point: Point, chosen: Chosen, axes: AxesSection, scale: float
 ) -> NearestMarker | None:
-    """Motion of the marker next to the hand where that moves most; None = no trial tells it.
+    """Motion of the marker next to the gripper where that moves most; None = no trial tells it.
 
     point  the gripping point, in files of their own
     """
@@ -321,7 +323,7 @@ def _with_origin(
     arcs: Sequence[float | None],
     scale: float | None,
 ) -> tuple[GripperSection, list[Finding]]:
-    """The section with the origin of the hand's places, where that is not the markers'.
+    """The section with the origin of the gripper's places, where that is not the markers'.
 
     At rest the curve through the markers goes on to the gripping point.
     """
@@ -338,8 +340,9 @@ def _with_origin(
         return hand, []
     x_m, y_m = (round(float(v), 5) for v in origin_m)
     sentence = (
-        f"the hand's places have another origin: [{x_m:g}, {y_m:g}] m are added, so that the curve "
-        "through the markers at rest begins at the hand; measure hand.origin_m"
+        f"the gripper's places have another origin: [{x_m:g}, {y_m:g}] m are added, so that the "
+        "curve "
+        "through the markers at rest begins at the gripper; measure hand.origin_m"
     )
     return hand.model_copy(update={"origin_m": (x_m, y_m)}), [
         Finding("hand.origin_m", sentence, Sure.GUESSED)

@@ -188,7 +188,7 @@ class _CalibrationPage:
             ui.label(t("Calibrate anew")).classes("text-xl font-bold").props(
                 "role=heading aria-level=2"
             )
-            words = t("Needs the devices: end the cell first. The hand moves within the limits.")
+            words = t("Needs the devices: end the cell first. The gripper moves within the limits.")
             ui.label(words)
             runs = ui.label(t("A cell runs now: end it first.")).classes("wrong")
             runs.props("data-test=cell-runs")

@@ -213,7 +213,7 @@ class _Live:
                 saying = ui.button(t(word), color=BLUE)
                 on_press(self._visit.heartbeats, saying, t(word), acknowledge)
                 saying.classes("big-button").props("text-color=white data-test=acknowledge")
-                word = N_("Reset: the jaws open, the hand goes home")
+                word = N_("Reset: the jaws open, the gripper goes home")
                 moving = ui.button(t(word), color=AMBER)
                 on_press(self._visit.heartbeats, moving, t(word), reset)
                 moving.classes("big-button").props("text-color=black data-test=reset")

@@ -81,7 +81,7 @@ PART_S = 0.5
 
 
 def parting(jerk: Motion) -> list[Motion]:
-    """The hand's motion, then up or down or neither."""
+    """The gripper's motion, then up or down or neither."""
     later = np.clip((jerk.t_s - PART_S) / 0.2, 0.0, 1.0)
     by_m = later**3 * (10 - 15 * later + 6 * later**2)
     motions = [Motion(jerk.t_s, jerk.x_m, jerk.y_m + k * by_m, jerk.angle_rad) for k in (0, 0.01)]
@@ -98,7 +98,7 @@ def parting(jerk: Motion) -> list[Motion]:
         ("camera_latency", 0),
         ("rolling_shutter", 0),
         ("robot_lag", 0),
-        ("robot_lag", 1),  # the hand is ahead: its motions part before those of the log
+        ("robot_lag", 1),  # the gripper is ahead: its motions part before those of the log
     ],
 )
 def test_what_motions_share_may_be_simulated_once(cable, arc, jerk, effect, start):

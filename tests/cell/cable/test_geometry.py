@@ -1,4 +1,4 @@
-"""When the hand first moves, by its log."""
+"""When the gripper first moves, by its log."""
 
 import numpy as np
 import pytest

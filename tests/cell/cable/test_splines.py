@@ -66,7 +66,7 @@ def test_noise_is_estimated_and_taken_out_without_smearing_the_jerk(seed):
     error = spline(FINE) - jerk(FINE)
     assert np.sqrt(np.mean(error**2)) < 4.5e-6
     assert np.abs(error).max() < 2e-5
-    assert np.std(spline(FINE, 1)[FINE > 0.5]) < 5e-4  # a hand at rest is still
+    assert np.std(spline(FINE, 1)[FINE > 0.5]) < 5e-4  # a gripper at rest is still
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -99,7 +99,7 @@ def test_a_wrong_value_at_an_end_is_found(begin_s):
 @pytest.mark.parametrize("every", [1, 4, 8], ids=["500 Hz", "125 Hz", "62 Hz"])
 @pytest.mark.parametrize("begin_s", [0.15, 0.0, -0.1])
 def test_a_right_value_at_an_end_stays(begin_s, every):
-    """Whether the hand rests there or is in the middle of its motion."""
+    """Whether the gripper rests there or is in the middle of its motion."""
     t_s, last = T[::every], len(T[::every]) - 1
     for seed in range(20):
         noise = 3e-5 * np.random.default_rng(seed).normal(size=len(t_s))

@@ -60,7 +60,7 @@ def test_only_a_cable_that_is_bent_has_bends():
 def test_a_late_camera_shows_what_moved_before_the_first_picture(delay_s):
     """From a turning point without loss a swing goes back the way it came.
 
-    It was shown as if the cable had stood still until then; a lag of the hand was named instead.
+    It was shown as if the cable had stood still until then; a lag of the gripper was named instead.
     """
     latency = library()["camera_latency"].active(delay_s=delay_s)
     hand = Motion(np.array([0.0, 2.0]), *np.zeros((3, 2)))

@@ -105,7 +105,8 @@ def test_a_grip_is_right_and_the_cell_works_with_it(folder):
     known = calibrated(settings, folder / "cell.yaml")
     task = cell_task(settings, known)
     assert task.cable.free_length_m == task.vision.free_length_m == grip.number("length_m")
-    # a hand that stands level holds the cable askew: to the cable's eye the marks are turned back
+    # a gripper that stands level holds the cable askew: to the cable's eye the marks are turned
+    # back
     (x, y), (level_x, level_y) = task.vision.marks.centres_m[2], (0.032, 0.009)
     turn = np.arctan2(y, x) - np.arctan2(level_y, level_x)
     assert turn == pytest.approx(-ASKEW_RAD, abs=0.003)
@@ -310,7 +311,7 @@ def test_an_impossible_board_is_named_with_its_file(tmp_path):
 
 
 def test_a_grip_known_too_poorly_is_left_out_and_the_cell_runs_without_it(folder, tmp_path):
-    """An emulated cell, whose hand cannot let the cable hang, was refused because of it."""
+    """An emulated cell, whose gripper cannot let the cable hang, was refused because of it."""
     config = settings_file(tmp_path)
     shutil.copytree(folder / "calib", tmp_path / "calib", dirs_exist_ok=True)
     (tmp_path / "calib" / "grip.yaml").unlink()
@@ -347,7 +348,7 @@ def test_a_hand_that_does_not_rest_is_told(folder, tmp_path):
     config.write_text(config.read_text().replace("kind: sim\n", "kind: sim\n  noise_m: 1e-4\n", 1))
     code, _, refused = called("calibrate", "cell", "--config", config)
     assert code == 2
-    assert re.search(r"the hand moved by 0\.\d\d mm while pictures were taken; let", refused)
+    assert re.search(r"the gripper moved by 0\.\d\d mm while pictures were taken; let", refused)
 
 
 def test_a_poor_calibration_says_what_would_make_it_better(folder, tmp_path):

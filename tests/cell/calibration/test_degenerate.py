@@ -65,7 +65,7 @@ def from_hand(
     bend_m: float = 0.0,
     y_m: tuple[float, float] = (-0.1, 0.02),
 ) -> object:
-    """A cell from pictures of the hand, each changed, with a plate that is as told.
+    """A cell from pictures of the gripper, each changed, with a plate that is as told.
 
     bend_m  how far the plate's end stands out of its plane
     """
@@ -163,7 +163,7 @@ def smeared(image: Image) -> Image:
         ),
         pytest.param(
             lambda: from_hand(mirrored),
-            WrongBoardError, "the picture is mirrored; switch", id="mirrored hand",
+            WrongBoardError, "the picture is mirrored; switch", id="mirrored gripper",
         ),
         pytest.param(
             lambda: from_hand(marks=3),
@@ -175,7 +175,7 @@ def smeared(image: Image) -> Image:
         ),
         pytest.param(
             lambda: from_hand(smeared),
-            BlurredError, r"moved during exposure: in 1\d of 1\d.*come to rest", id="hand moved",
+            BlurredError, r"moved during exposure: in 1\d of 1\d.*come to rest", id="gripper moved",
         ),
         pytest.param(
             lambda: from_hand(bend_m=5e-4),

@@ -89,7 +89,7 @@ def _runs(process: int) -> bool:
 
 
 def test_it_gives_way_except_while_somebody_waits_for_it(second: SecondProcess) -> None:
-    """On a busy computer the hand waited for a process that gave way to nobody any more."""
+    """On a busy computer the gripper waited for a process that gave way to nobody any more."""
 
     def niceness() -> int:
         return second.submit(os.getpriority, os.PRIO_PROCESS, 0).result()

@@ -180,7 +180,7 @@ NUMBERS = st.one_of(
 
 @st.composite
 def spoilt(draw, text: str) -> str:
-    """A file in which one thing is as somebody's editor, or hand, may leave it."""
+    """A file in which one thing is as somebody's editor, or gripper, may leave it."""
     lines = text.splitlines()
     kind = draw(st.sampled_from(["value", "value", "value", "drop", "twice", "cut", "junk"]))
     i = draw(st.integers(0, len(lines) - 1))

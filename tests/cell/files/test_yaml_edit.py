@@ -15,7 +15,7 @@ from cell.files.yaml_edit import UNSET, Names, edited
 FILE = Path("cell.yaml")
 TEXT = """\
 # heading
-motion:            # of the hand
+motion:            # of the gripper
   home: {x_m: 0.0, y_m: 0.0}   # where
   paces:
     # slow ones

@@ -136,7 +136,7 @@ def test_uncertain_hand_widens_the_intervals(measure, flat_cable: Cable) -> None
 
 
 def test_physics_that_the_model_lacks_inflates_the_variance(measure, flat_cable: Cable) -> None:
-    """A cable in a draught of its own kind: the hand log is 20 ms late."""
+    """A cable in a draught of its own kind: the gripper log is 20 ms late."""
     world = measure(varied(flat_cable), seed=8)
     late = replace(world.trial.grip, t_s=world.trial.grip.t_s + 0.02)
     found = fit([replace(world.trial, grip=late)], NODES_M, ParameterSpace.of(flat_cable))

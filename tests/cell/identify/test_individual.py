@@ -95,7 +95,8 @@ def test_missing_still_frames_reject(world, flat_cable: Cable) -> None:
 
 
 def test_a_motion_that_is_not_the_cables_is_known_by_its_error(world, flat_cable: Cable) -> None:
-    """The hand's log belongs to another time: no cable swings like this, and the model says so."""
+    """The gripper's log belongs to another time: no cable swings like this, and the model says
+    so."""
     right = identify(world.trial, NODES_M, flat_cable)
     late = replace(world.trial.grip, t_s=world.trial.grip.t_s + 0.1)
     found = identify(replace(world.trial, grip=late), NODES_M, flat_cable)

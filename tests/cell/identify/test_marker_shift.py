@@ -61,7 +61,7 @@ def test_arc_lengths_that_are_wrong_do_not_spoil_the_slopes(trial):
 
 
 def test_many_markers_show_the_slopes_though_the_hand_is_wrong(trial):
-    """A camera's scale or a wrong angle of the clamp kinked the spline beside the hand."""
+    """A camera's scale or a wrong angle of the clamp kinked the spline beside the gripper."""
     arcs_m = np.array([0.095, 0.08, 0.065, 0.05, 0.035, 0.02])
     markers = simulate(MODEL, trial.grip, trial.markers.t_s, arcs_m)[0]
     right = Trial("swing", "fit", "equilibrium", trial.grip, Markers(trial.markers.t_s, markers))

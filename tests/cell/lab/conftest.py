@@ -25,7 +25,7 @@ WORLD = Solver(segments=60, step_s=5e-4)
 
 #: A line's solver, for half of what the lab's own costs: its error is small in these studies.
 COARSE = Solver(segments=24, step_s=1.5e-3)
-#: After the hand has stopped.
+#: After the gripper has stopped.
 HOLD = {"s": 0.4}
 
 MakeStudy = Callable[..., Study]

@@ -142,7 +142,8 @@ def test_bad_studies_are_refused_and_nothing_is_written(folder, tmp_path, comman
 
 
 def test_wrong_values_of_a_hands_log_are_told_with_their_place_and_size(folder, tmp_path):
-    """One of them in the first line made the model swing by millimetres before the hand moved."""
+    """One of them in the first line made the model swing by millimetres before the gripper
+    moved."""
 
     def jumps(lines):
         t, x, *rest = lines[1].split(",")

@@ -39,7 +39,7 @@ def flight() -> Flight:
 
 
 def frames(up_m: float) -> np.ndarray:
-    """Nodes as seen if the hand is knocked up 0.3 s after it began to move."""
+    """Nodes as seen if the gripper is knocked up 0.3 s after it began to move."""
     u = np.clip((HAND.t_s - 0.3) / 0.02, 0.0, 1.0)
     knocked = Motion(HAND.t_s, HAND.x_m, HAND.y_m + up_m * u * u * (3 - 2 * u), HAND.angle_rad)
     nodes_m = simulate(SPACE.model(MEAN), knocked, FRAMES_S, ARC_M)[0]
@@ -68,7 +68,7 @@ def test_what_comes_too_late_is_hopeless(flight: Flight) -> None:
 
 def test_without_frames_nothing_is_decided(flight: Flight) -> None:
     nodes_m = frames(0.0)
-    nodes_m[LEAST_FRAMES + 3 :] = np.nan  # the first four are from before the hand moved
+    nodes_m[LEAST_FRAMES + 3 :] = np.nan  # the first four are from before the gripper moved
     decision = flight.decide(FRAMES_S, nodes_m, 0.5)
     assert decision.withheld == f"the cable is seen in {LEAST_FRAMES - 1} frames"
     assert decision.tail is None and not decision.hopeless

@@ -183,7 +183,7 @@ def test_a_swing_decays_exponentially(jerked: Motion) -> None:
 
 
 def test_the_noise_of_a_log_does_not_swing_on(jerked: Motion) -> None:
-    """Its hand was led to a place half a minute away by a curve that bulged by 0.08 mm."""
+    """Its gripper was led to a place half a minute away by a curve that bulged by 0.08 mm."""
     rng = np.random.default_rng(1)
     noisy = replace(jerked, y_m=jerked.y_m + rng.normal(scale=1e-5, size=jerked.y_m.shape))
     told = [time_to_rest_s(cable(), motion, 5e-5, 30.0) for motion in (jerked, noisy)]

@@ -41,7 +41,7 @@ def ask(service: Service, command: MachineEvent) -> CommandReply:
 
 
 def test_an_abort_in_stopped_is_not_taken_back_by_a_reset(tmp_path: Path, told: Told) -> None:
-    """The reset acknowledged what came before, and the hand moved."""
+    """The reset acknowledged what came before, and the gripper moved."""
     runs = tmp_path / "runs"
     Record(runs, 1, datetime.now(UTC))  # a cycle that was killed
     service = service_of(runs, told)
@@ -105,7 +105,7 @@ def test_nothing_moves_if_the_process_was_halted_after_it_had_accepted(
 def test_acknowledging_moves_nothing_and_the_reset_that_follows_does(
     tmp_path: Path, told: Told
 ) -> None:
-    """One press acknowledged, opened the jaws and brought the hand home."""
+    """One press acknowledged, opened the jaws and brought the gripper home."""
     runs = tmp_path / "runs"
     Record(runs, 1, datetime.now(UTC))  # a cycle that was killed
     service = service_of(runs, told)

@@ -181,7 +181,7 @@ class ServiceStates(RuleBasedStateMachine):
         assert (before, state) in LEGAL, f"{before} → {state}"
         if (before, state) == (CellState.STOPPED, CellState.RESETTING):
             asked = self._asked is MachineEvent.RESET
-            assert asked or len(self._states) == 1, "nobody has sent the hand home"
+            assert asked or len(self._states) == 1, "nobody has sent the gripper home"
         self._states.append(state)
         self._due -= {state}
         if state is CellState.ABORTED:

@@ -14,7 +14,7 @@ LAG_S = 0.03
 
 
 def checks(late_s: float = 0.0, later_s: float = 0.0, frames: int = 300, stretched: float = 1.0):
-    """Those of a hand that goes down by 50 mm in 0.3 s, seen at 200 Hz."""
+    """Those of a gripper that goes down by 50 mm in 0.3 s, seen at 200 Hz."""
     t_s = np.arange(0.0, 0.3001, 0.002)
     way = (t_s / 0.3) ** 3 * (10.0 - 15.0 * t_s / 0.3 + 6.0 * (t_s / 0.3) ** 2)
     told = Trajectory(1.0 + t_s, 0.0 * t_s, -0.05 * way, 0.0 * t_s)

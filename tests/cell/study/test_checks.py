@@ -38,7 +38,7 @@ T_S = np.arange(0.0, 1.0, 0.01)
 
 
 def evidence() -> TrialEvidence:
-    """A straight cable that follows its hand upwards, and droops a little when it is moved."""
+    """A straight cable that follows its gripper upwards, and droops a little when it is moved."""
     share = np.clip((T_S - 0.3) / 0.2, 0.0, 1.0)
     hand_m = np.column_stack([0.0 * T_S, 0.04 * share**2 * (3.0 - 2.0 * share)])
     droop_m = 0.002 * (1.0 + np.sin(40.0 * T_S) * (share > 0.0))

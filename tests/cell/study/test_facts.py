@@ -100,9 +100,9 @@ def test_sensors_beside_markers_and_log_are_told() -> None:
     integrated = replace(trial, hand_drift=HandDrift(0.3, 0.8, (1e-3, 1e-3)))
     turned = replace(trial, hand_drift=HandDrift(0.3, 0.8, turn_std_rad=1e-5))
     pulled = replace(integrated, wrench=Wrench(np.zeros(2), np.zeros((2, 3))))
-    assert trial_facts(turned, ARCS_M[::-1]).sensors == ("hand by encoder",)
+    assert trial_facts(turned, ARCS_M[::-1]).sensors == ("gripper by encoder",)
     assert sensors_in_words([trial, integrated, pulled]) == (
-        "hand by accelerometer (2 of 3 trials), wrench (1 of 3 trials)"
+        "gripper by accelerometer (2 of 3 trials), wrench (1 of 3 trials)"
     )
     assert sensors_in_words([trial]) == ""
 
@@ -121,14 +121,14 @@ def test_a_good_trial_has_nothing_odd_and_each_lack_is_told() -> None:
     assert "show the cable at rest" in told(rows(trial, slice(80, None)))
     assert "in a swing of" in told(rows(trial, slice(None, None, 10)))
     assert "swings of" in told(rows(trial, slice(0, 240)))
-    assert "the hand still moves" in told(rows(trial, slice(0, 120)))
+    assert "the gripper still moves" in told(rows(trial, slice(0, 120)))
     half = trial.markers.xy_m.copy()
     half[::3] = np.nan
     assert "of the values were seen" in told(
         replace(trial, markers=Markers(trial.markers.t_s, half))
     )
     still = Motion(trial.grip.t_s, *(np.zeros_like(trial.grip.t_s) for _ in range(3)))
-    assert "the hand never moves" in told(replace(trial, grip=still))
+    assert "the gripper never moves" in told(replace(trial, grip=still))
 
 
 def test_trials_of_two_cables_are_told_and_of_one_not() -> None:

@@ -96,7 +96,7 @@ def studies(draw: st.DrawFn) -> Study:
             lambda x: np.sort(np.array(x))[::-1] / 1000
         )
     )
-    # Inside 1.5 free lengths of the hand wherever both are.
+    # Inside 1.5 free lengths of the gripper wherever both are.
     near = st.floats(-0.4 * free_length_m, 0.4 * free_length_m)
     trials = []
     for i in range(draw(st.integers(1, 3))):
@@ -104,7 +104,7 @@ def studies(draw: st.DrawFn) -> Study:
         rows = draw(st.integers(2, 6))
         steps = draw(hnp.arrays(float, rows, elements=st.floats(1e-4, 0.1)))
         grip = draw(hnp.arrays(float, (2, rows), elements=near))
-        # Within reach of the hand, on the side to which the clamp points.
+        # Within reach of the gripper, on the side to which the clamp points.
         towards = draw(hnp.arrays(float, (rows, count, 2), elements=st.floats(-0.7, 0.0)))
         xy_m = grip.T[:, None] + towards * (fractions * free_length_m)[:, None]
         xy_m += 1e-5 * free_length_m * np.arange(rows)[:, None, None]  # none was lost and stays

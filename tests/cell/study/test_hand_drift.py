@@ -41,7 +41,7 @@ def test_shapes_have_the_covariance_of_simulated_noise(gain_std, ends_known):
     found = shapes.T @ shapes
     assert np.abs(found - wanted).max() < 0.07 * wanted.max()
     before_m = drift.shapes_m(T_S[:150], grip())
-    assert np.abs(before_m).max() < 1e-15, "the hand rests until it moves"
+    assert np.abs(before_m).max() < 1e-15, "the gripper rests until it moves"
 
 
 def test_the_largest_standard_deviation_is_that_of_the_end():

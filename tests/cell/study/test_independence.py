@@ -24,7 +24,7 @@ def hand_y_m(t_s, way_m):
 
 
 def swing(t_s, way_m=0.05):
-    """(T, markers, 2) a cable that follows its hand, with two modes that decay."""
+    """(T, markers, 2) a cable that follows its gripper, with two modes that decay."""
     after = np.maximum(t_s - HOLD_S, 0.0)[:, None]
     s = ARCS_M / CABLE.free_length_m
     first = np.exp(-3.0 * after) * np.sin(30.0 * after) * s**2

@@ -160,7 +160,7 @@ def test_a_gap_in_the_log_of_a_hand_that_moves_is_told_with_its_size(
     write_study(logged_without(swung, 0.1, 0.7), tmp_path / "moves")
     with pytest.raises(InputError) as caught:
         read_study(tmp_path / "moves")
-    assert "a/grip.csv:23: t_s: the hand is not seen from 0.1 to 0.7 s, limit 0.1 s" in str(
+    assert "a/grip.csv:23: t_s: the gripper is not seen from 0.1 to 0.7 s, limit 0.1 s" in str(
         caught.value
     )
     write_study(logged_without(swung, 0.52, 1.1), tmp_path / "rests")
@@ -172,13 +172,13 @@ def test_a_gap_in_the_log_of_a_hand_that_moves_is_told_with_its_size(
     [
         (
             (0.0, 0.38),
-            "a/grip.csv:78: t_s: the log ends at 0.38 s, while the hand moves at 0.3 m/s",
+            "a/grip.csv:78: t_s: the log ends at 0.38 s, while the gripper moves at 0.3 m/s",
         ),
         (
             (0.3, 2.0),
-            "a/grip.csv:2: t_s: the log begins at 0.3 s, while the hand moves at 0.26 m/s",
+            "a/grip.csv:2: t_s: the log begins at 0.3 s, while the gripper moves at 0.26 m/s",
         ),
-        ((0.0, 0.5), None),  # a log may end as soon as the hand rests
+        ((0.0, 0.5), None),  # a log may end as soon as the gripper rests
         ((0.19, 2.0), None),
         ((0.0, 1.1), None),
     ],
@@ -186,7 +186,7 @@ def test_a_gap_in_the_log_of_a_hand_that_moves_is_told_with_its_size(
 def test_a_log_that_ends_or_begins_in_motion_is_refused(
     swung: Study, tmp_path: Path, kept_s: tuple[float, float], says: str | None
 ) -> None:
-    """The hand was held where its log ended, a few millimetres short of where it went."""
+    """The gripper was held where its log ended, a few millimetres short of where it went."""
     grip = swung.trials[0].grip
     kept = (grip.t_s >= kept_s[0] - 1e-9) & (grip.t_s <= kept_s[1] + 1e-9)
     short = Motion(*(v[kept] for v in (grip.t_s, grip.x_m, grip.y_m, grip.angle_rad)))
@@ -204,7 +204,8 @@ def test_a_log_that_ends_or_begins_in_motion_is_refused(
 
 
 def test_an_angle_that_jumps_by_a_whole_turn_is_refused(swung: Study, tmp_path: Path) -> None:
-    """Of a clamp that points to the right the noise goes over ±π: the model's hand spun round."""
+    """Of a clamp that points to the right the noise goes over ±π: the model's gripper spun
+    round."""
     grip = mirrored(swung).trials[0].grip
     angle_rad = np.pi + np.random.default_rng(1).normal(0.0, 1e-3, len(grip.t_s))
     study = with_trial(mirrored(swung), grip=replace(grip, angle_rad=angle_rad))
@@ -252,7 +253,7 @@ def test_clocks_that_differ_are_told_with_line_and_size(
     except InputError as error:
         said = str(error)
     line = int(re.search(r"markers.csv: ?(?:line )?(\d+): ", said).group(1))  # type: ignore[union-attr]
-    # The hand, and the cable with it, is a few millimetres away at 0.26 s.
+    # The gripper, and the cable with it, is a few millimetres away at 0.26 s.
     assert t_s[line - 2] == pytest.approx(0.26 + late_s, abs=0.03)
     assert ("subtract this" if late_s > 0 else "add 0.5 s to t_s of markers.csv") in said
 
@@ -270,7 +271,7 @@ def of_one_side(dx_m: float, dy_m: float, late_s: float = 0.0) -> tuple[Trial, C
 
 
 def test_of_a_coordinate_along_which_no_hand_moves_no_clock_is_told() -> None:
-    """It was refused: the hand moves up, and the cable swings to the side a while later."""
+    """It was refused: the gripper moves up, and the cable swings to the side a while later."""
     for dy_m in (0.04, -0.04, 0.08):
         trial, cable = of_one_side(0.0, dy_m)
         assert offset(trial, cable, 9.81) is None
@@ -287,7 +288,7 @@ def test_by_one_coordinate_clocks_that_differ_are_told(late_s: float) -> None:
 def sweep(
     size_m: float, turn_rad: float, top_hz: float, late_s: float = 0.0
 ) -> tuple[Trial, Cable]:
-    """A cable whose hand oscillates and turns, faster and further; its pictures' clock ahead."""
+    """A cable whose gripper oscillates and turns, faster and further; its pictures' clock ahead."""
     t = np.arange(0.0, 2.6, 0.005)
     u = np.clip((t - 0.3) / 2.2, 0.0, 1.0)
     wave = np.sin(np.pi * u) ** 4 * np.sin(np.pi * top_hz * (t - 0.3) * (1.0 + u))
@@ -300,8 +301,8 @@ def sweep(
 
 @pytest.mark.parametrize("motion", [(0.03, 0.1, 1.0), (0.02, -0.1, 1.0), (0.02, 0.2, 7.0)])
 def test_an_oscillation_that_grows_is_of_one_clock(motion: tuple[float, float, float]) -> None:
-    """It was refused: of a growing swing one distance is passed by the hand or by the cable first,
-    and half a period later by the other."""
+    """It was refused: of a growing swing one distance is passed by the gripper or by the cable
+    first, and half a period later by the other."""
     trial, cable = sweep(*motion)
     assert offset(trial, cable, 9.81) is None
     late, cable = sweep(*motion, late_s=0.8)
@@ -353,7 +354,7 @@ def test_a_hand_in_millimetres_is_told_so(swung: Study, tmp_path: Path) -> None:
     write_study(with_trial(swung, grip=grip, xy_m=markers_m), tmp_path)
     with pytest.raises(InputError, match="give metres, not millimetres") as caught:
         read_study(tmp_path)
-    assert "a/grip.csv:2: x_m, y_m: the hand's places are up to 50 m apart" in str(caught.value)
+    assert "a/grip.csv:2: x_m, y_m: the gripper's places are up to 50 m apart" in str(caught.value)
 
 
 def evidence_of(trial: Trial, study: Study) -> TrialEvidence:
@@ -370,7 +371,7 @@ def test_a_marker_that_is_rounded_to_pixels_is_not_lost(swung: Study) -> None:
 
 
 def test_a_marker_that_turns_is_not_lost_though_it_is_rounded(swung: Study) -> None:
-    """One step of 3 mm is more than a marker moves in some frames while the hand moves on."""
+    """One step of 3 mm is more than a marker moves in some frames while the gripper moves on."""
     trial, step_m = swung.trials[0], 0.003
     xy_m = step_m * np.round(trial.markers.xy_m / step_m)
     (rounded,) = with_trial(swung, xy_m=xy_m).trials
@@ -579,7 +580,7 @@ def test_both_ends_held_is_refused_in_one_sentence(level: Study, tmp_path: Path)
     hand = np.column_stack(
         [np.interp(trial.markers.t_s, trial.grip.t_s, v) for v in (trial.grip.x_m, trial.grip.y_m)]
     )
-    # Bowed between the hand and a post at its other end, which stays.
+    # Bowed between the gripper and a post at its other end, which stays.
     rest = np.stack([-0.9 * ARCS, 0.05 * LENGTH_M * np.sin(np.pi * share)], axis=1)
     xy_m = rest + hand[:, None] * (1.0 - share)[:, None]
     xy_m = xy_m + np.random.default_rng(1).normal(0.0, 1e-4, xy_m.shape)
@@ -594,7 +595,7 @@ def test_both_ends_held_is_refused_in_one_sentence(level: Study, tmp_path: Path)
 
 
 def test_a_coordinate_that_is_not_seen_does_not_hold_the_tip(level: Study) -> None:
-    """A laser sees the tip along the cable, the hand moves across it."""
+    """A laser sees the tip along the cable, the gripper moves across it."""
     for trial in level.trials:
         along_m = trial.markers.xy_m.copy()
         along_m[..., 1] = np.nan
@@ -607,7 +608,7 @@ def test_a_coordinate_that_is_not_seen_does_not_hold_the_tip(level: Study) -> No
 def test_clocks_that_differ_are_seen_without_gravity(
     level: Study, gravity_m_per_s2: tuple[float, float], late_s: float
 ) -> None:
-    """How long a cable may wait for its hand is as it swings, not as it would hang."""
+    """How long a cable may wait for its gripper is as it swings, not as it would hang."""
     for trial in level.trials:
         markers = Markers(trial.markers.t_s + late_s, trial.markers.xy_m)
         found = refused(replace(trial, markers=markers), gravity_m_per_s2)
@@ -622,7 +623,7 @@ def test_no_free_cable_is_taken_for_one_that_is_held_twice(level: Study) -> None
 def test_a_record_that_ends_before_the_hand_moves_says_nothing_of_the_tip(level: Study) -> None:
     """It was once refused as one of a cable whose both ends are held."""
     trial = level.trials[0]
-    early = trial.markers.t_s < 0.42  # the hand moves from 0.4 to 0.6 s
+    early = trial.markers.t_s < 0.42  # the gripper moves from 0.4 to 0.6 s
     short = replace(trial, markers=Markers(trial.markers.t_s[early], trial.markers.xy_m[early]))
     assert not refused(short)
 

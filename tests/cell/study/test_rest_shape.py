@@ -117,10 +117,10 @@ FAULTS: dict[str, tuple[Callable[[Trial], Trial], str]] = {
     "hand in half its unit": (
         grip(lambda g: (g.t_s, g.x_m * 0.5, g.y_m * 0.5, g.angle_rad)), "farther than any cable"
     ),
-    "hand 0.2 s late": (
+    "gripper 0.2 s late": (
         grip(lambda g: (g.t_s + 0.2, g.x_m, g.y_m, g.angle_rad)), "clocks differ"
     ),
-    "hand 0.2 s early": (
+    "gripper 0.2 s early": (
         grip(lambda g: (g.t_s - 0.2, g.x_m, g.y_m, g.angle_rad)), "clocks differ"
     ),
 }  # fmt: skip

@@ -112,7 +112,7 @@ def test_of_the_real_studies_no_sample_is_taken_for_wrong():
 
 @pytest.fixture
 def study() -> Study:
-    """A cable at rest, seen with noise in 200 frames; listed from the hand on."""
+    """A cable at rest, seen with noise in 200 frames; listed from the gripper on."""
     t_s = np.arange(200) / 100.0
     still = np.zeros(200)
     arcs = np.array([0.1, 0.05])

@@ -38,7 +38,7 @@ CAMERA = CameraTwinOptions(
 
 
 class Feed:
-    """A hand that moves along a parabola, told in small portions."""
+    """A gripper that moves along a parabola, told in small portions."""
 
     def __init__(self) -> None:
         self.known_s = 0.0

@@ -103,7 +103,7 @@ def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, nam
 
 
 def test_a_known_ringing_is_fitted_at_its_own_frequency_by_a_slow_camera():
-    """At 30 frames/s 19.7 Hz looks like 10.3 where the camera sees the hand, and was nearer."""
+    """At 30 frames/s 19.7 Hz looks like 10.3 where the camera sees the gripper, and was nearer."""
     ringing = library()["robot_ringing"]
     rig = rigs.Rig.drawn(64, "robot_ringing")
     hidden = ringing.active(amplitude_m=-4.01e-4, frequency_hz=10.21)

@@ -165,7 +165,7 @@ class DiagnosePanel:
         """A button that has the cell measure, once somebody has said that all is ready."""
         desk, t = self._desk, self._t
         with ui.dialog() as dialog, ui.card():
-            ui.label(t("The hand grips a cable and moves. Stay beside it, clear of its way."))
+            ui.label(t("The gripper grips a cable and moves. Stay beside it, clear of its way."))
 
             async def measure(asked_s: float) -> None:
                 dialog.close()

@@ -250,7 +250,7 @@ class _ImportForm:
                     entry = ui.number(f"{t(words)}, {unit}", min=0).classes("w-48")
                     entry.props(f"data-test=entry-{key}")
                     self._entries[key] = (entry, size)
-            self._hands = ui.select([], label=t("Files of the hand, if apart"), multiple=True)
+            self._hands = ui.select([], label=t("Files of the gripper, if apart"), multiple=True)
             self._hands.classes("w-full").props("use-chips")
             button = ui.button(t("Propose a mapping"), icon="table_view", color=BLUE)
             button.props("text-color=white data-test=propose").on_click(self._propose)

@@ -304,7 +304,7 @@ from cell.cable.effects import Effect, Parameter
 
 
 class Drag(Effect):
-    """F = -c v, and a hand that is late."""
+    """F = -c v, and a gripper that is late."""
 
     name = "own_drag"
     parameters = (

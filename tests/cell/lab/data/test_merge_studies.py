@@ -59,7 +59,7 @@ def refused(runs):
 def test_cycles_of_one_cable_become_one_study(record, measured):
     runs = [
         record("first"),
-        record("second", changes=[("y_m: [-0.10, 0.02]", "y_m: [-0.12, 0.02]")]),  # of the hand
+        record("second", changes=[("y_m: [-0.10, 0.02]", "y_m: [-0.12, 0.02]")]),  # of the gripper
     ]
     study = merge_studies(runs, "together")
     assert len(study.trials) == 2 * len(measured[0].trials)

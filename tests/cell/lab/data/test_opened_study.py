@@ -25,5 +25,5 @@ def test_a_hand_that_never_moves_is_told_so_whatever_the_noise_looks_like(tmp_pa
         open_study(tmp_path)
     assert len(caught.value.problems) == 3
     for problem in caught.value.problems:
-        assert "140 rows in which the hand moves by less than 0.1 mm" in str(problem)
+        assert "140 rows in which the gripper moves by less than 0.1 mm" in str(problem)
         assert "give `start: held` with release_s" in str(problem)

@@ -37,7 +37,7 @@ def coloured(shape, ar1, seed):
 
 @pytest.fixture(scope="module")
 def swinging(small):
-    """The hand waits for 0.2 s and moves down; the cable has never come to rest."""
+    """The gripper waits for 0.2 s and moves down; the cable has never come to rest."""
     t = np.arange(0.0, 0.8, 0.002)
     u = np.clip((t - 0.2) / 0.25, 0.0, 1.0)
     motion = Motion(t, 0.0 * t, -0.05 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2), 0.0 * t)

@@ -1,4 +1,4 @@
-"""What the hand's log may be wrong by, and how much less an effect that it imitates is worth."""
+"""What the gripper's log may be wrong by, and how much less an effect that it imitates is worth."""
 
 from types import SimpleNamespace
 

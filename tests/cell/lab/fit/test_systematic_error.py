@@ -1,4 +1,4 @@
-"""What a mesh and a hand's noisy log do to a fit's residual: as much as they really do."""
+"""What a mesh and a gripper's noisy log do to a fit's residual: as much as they really do."""
 
 from dataclasses import replace
 

@@ -69,9 +69,13 @@ MISTAKES = [
     (
         "y_m: -0.05, angle_rad: 0.05",
         "y_m: -0.15, angle_rad: 0.05",
-        ":6:16: moves[0].y_m: takes the hand to y_m = -0.15, outside limits.y_m = [-0.1, 0.02]",
+        ":6:16: moves[0].y_m: takes the gripper to y_m = -0.15, outside limits.y_m = [-0.1, 0.02]",
     ),
-    ("angle_rad: 0.05}\nstill", "angle_rad: 3.0}\nstill", ":3:29: start.angle_rad: takes the hand"),
+    (
+        "angle_rad: 0.05}\nstill",
+        "angle_rad: 3.0}\nstill",
+        ":3:29: start.angle_rad: takes the gripper",
+    ),
     ("duration_s: 0.27", "duration_s: 0.1", ":6:45: moves[0].duration_s: 0.1 s is too short"),
     ("angle_rad: 0.0, duration_s: 0.4", "angle_rad: -0.5, duration_s: 0.4", "0.55 rad"),
 ]

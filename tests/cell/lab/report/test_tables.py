@@ -130,7 +130,7 @@ def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_b
     first = replace(first, hand_drift=HandDrift(0.1, 0.4, (1e-3, 1e-3)))
     sensed = replace(shown, study=replace(study, trials=(first, *rest)))
     parts = diagnosis_parts(Diagnosis(shown.noise_m, small, "complete"), [sensed], ())
-    assert "The study states: hand by accelerometer (1 of 3 trials)." in parts
+    assert "The study states: gripper by accelerometer (1 of 3 trials)." in parts
 
 
 @pytest.mark.parametrize(
@@ -194,6 +194,6 @@ def test_the_worst_place_is_found_where_a_marker_is_lost_in_one_trial():
         ]
         return _worst_place(SimpleNamespace(study=study, where=where))
 
-    assert worst((0.9, 0.1), (np.nan, 0.2)) == ", most of it at the tip while the hand moves"
-    assert worst((0.9, np.nan), (np.nan, 0.2)) == ", most of it at the tip while the hand moves"
+    assert worst((0.9, 0.1), (np.nan, 0.2)) == ", most of it at the tip while the gripper moves"
+    assert worst((0.9, np.nan), (np.nan, 0.2)) == ", most of it at the tip while the gripper moves"
     assert worst((np.nan, np.nan)) == ""

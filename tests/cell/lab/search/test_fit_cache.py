@@ -341,7 +341,9 @@ def test_an_effect_explains_no_less_than_nothing(make_study):
 def test_a_fit_with_an_effect_looks_as_hard_for_it_as_a_diagnosis(make_study, tmp_path):
     """The docs' magnet, from its typical place: 1.03 mm were left where 0.06 could be."""
     example = (
-        (DOCS / "howto" / "own_effect.md").read_text(encoding="utf-8").partition("<!-- file: magnet.py -->")
+        (DOCS / "howto" / "own_effect.md")
+        .read_text(encoding="utf-8")
+        .partition("<!-- file: magnet.py -->")
     )
     path = tmp_path / "magnet.py"
     path.write_text(example[2].split("```")[1].removeprefix("python\n"), encoding="utf-8")

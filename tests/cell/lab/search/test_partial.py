@@ -44,7 +44,7 @@ def partly(make_study):
 
 
 def test_an_effect_found_first_keeps_its_ties_when_a_second_is_in(partly):
-    """Pictures late or a hand late: no motion from rest tells them apart."""
+    """Pictures late or a gripper late: no motion from rest tells them apart."""
     found = partly.diagnosis
     assert found.verdict == "unexplained"
     named = {f.effect: f.tied_with for f in found.partial}

@@ -38,7 +38,7 @@ def fitted(make_study):
 
 
 def _at_rest(trial):
-    """What was seen before the hand moved."""
+    """What was seen before the gripper moved."""
     still = slice(0, int(np.searchsorted(trial.markers.t_s, 0.2)))
     seen = Markers(trial.markers.t_s[still], trial.markers.xy_m[still])
     return replace(trial, markers=seen)

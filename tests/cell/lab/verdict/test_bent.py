@@ -61,7 +61,8 @@ def held(*effects):
 
 
 def moving(*effects):
-    """Records that begin while the cable swings and, in the first of them, the hand still moves."""
+    """Records that begin while the cable swings and, in the first of them, the gripper still
+    moves."""
     rng, trials = np.random.default_rng(5), []
     t = np.arange(0.0, 1.4, 0.002)
     for number, (angle, role) in enumerate(zip(ANGLES_RAD, ROLES, strict=True)):
@@ -133,7 +134,7 @@ def test_what_is_missing_is_named_and_a_right_model_complete(made):
 def test_taken_for_a_start_at_rest_it_is_told_what_to_write(made, tmp_path):
     study = made()
     mistaken = [replace(t, start="equilibrium", release_s=None) for t in study.trials]
-    if made is moving:  # records that begin when the hand has stopped
+    if made is moving:  # records that begin when the gripper has stopped
         mistaken = [replace(t, grip=after(t.grip, t.markers.t_s[0])) for t in mistaken[1:]]
     write_study(replace(study, trials=tuple(mistaken)), tmp_path)
     notes = read_study(tmp_path).notes

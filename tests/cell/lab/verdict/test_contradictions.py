@@ -61,7 +61,7 @@ def wrong_in(diagnosis, text):
 
 @pytest.fixture(scope="module")
 def shaken(make_study):
-    """Markers that follow the hand, and of the swing only a third: no free end does that."""
+    """Markers that follow the gripper, and of the swing only a third: no free end does that."""
     study = make_study(seed=2)
     trials = []
     for trial in study.trials[:3]:

@@ -37,7 +37,7 @@ def fitted(folder, tmp_path, *more):
 
 
 def test_a_fit_that_cannot_be_right_says_so_in_its_first_line(loaded, tmp_path):
-    """The tip's swing is delayed by half a second: nothing follows the hand.
+    """The tip's swing is delayed by half a second: nothing follows the gripper.
 
     Said to begin in motion, lest the clocks that differ be refused before.
     """

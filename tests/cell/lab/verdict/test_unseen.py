@@ -24,7 +24,7 @@ def diagnosed(study, names):
 
 
 def at_rest(trial):
-    """What was seen before the hand moved: there no picture tells when it was taken."""
+    """What was seen before the gripper moved: there no picture tells when it was taken."""
     still = slice(0, int(np.searchsorted(trial.markers.t_s, 0.2)))
     seen = Markers(trial.markers.t_s[still], trial.markers.xy_m[still])
     return replace(trial, markers=seen)

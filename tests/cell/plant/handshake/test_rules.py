@@ -219,7 +219,7 @@ def test_a_reset_follows_only_its_own_clear_and_nothing_else() -> None:
 
 
 def test_while_a_stop_is_held_no_acknowledgement_moves_the_hand() -> None:
-    """A wire of the stop is broken: the hand went home when somebody pressed the button."""
+    """A wire of the stop is broken: the gripper went home when somebody pressed the button."""
     stopped, held = status(CellState.STOPPED), Inputs(stop=True)
     _, _, memory = commands(held, stopped, Memory())
     _, _, memory = commands(held, stopped, memory)

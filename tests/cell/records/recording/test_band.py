@@ -87,7 +87,7 @@ def noisy(image: Image, index: int) -> Image:
 
 
 def hidden(image: Image, index: int) -> Image:
-    """A hand comes between for a while."""
+    """A gripper comes between for a while."""
     image = image.copy()
     if 20 <= index < 40:
         image[:, 300:420] = 90

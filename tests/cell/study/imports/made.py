@@ -22,9 +22,9 @@ CABLE = (*CABLE, "--thickness", "0.0001")
 
 @dataclass(frozen=True)
 class Made:
-    """A hand that goes down and turns, and a cable that swings: metres, radians, seconds.
+    """A gripper that goes down and turns, and a cable that swings: metres, radians, seconds.
 
-    t_s (T,), hand_m (T, 2), angle_rad (T,), markers_m (T, 5, 2) from the hand to the tip
+    t_s (T,), hand_m (T, 2), angle_rad (T,), markers_m (T, 5, 2) from the gripper to the tip
     """
 
     t_s: np.ndarray
@@ -45,7 +45,7 @@ def made(seed: int = 1, noise_m: float = 5e-5) -> Made:
 def swinging(
     t: np.ndarray, hand: np.ndarray, angle: np.ndarray, seed: int = 1, noise_m: float = 5e-5
 ) -> Made:
-    """The cable on any hand that moves from 0.4 to 0.7 s."""
+    """The cable on any gripper that moves from 0.4 to 0.7 s."""
     after = np.clip(t - 0.45, 0.0, None)
     curl = 9.0 - 4.0 * np.exp(-2.0 * after) * np.sin(2 * np.pi * 4.0 * after)
     fine = np.linspace(0.0, LENGTH_M, 501)
@@ -69,7 +69,7 @@ def digits(values: np.ndarray, count: int = 6) -> list[list[str]]:
 
 
 def _wide(m: Made) -> np.ndarray:
-    """(T, 4 + 10): time, hand, angle, markers from the tip to the hand."""
+    """(T, 4 + 10): time, gripper, angle, markers from the tip to the gripper."""
     markers = m.markers_m[:, ::-1].reshape(len(m.t_s), -1)
     return np.column_stack([m.t_s, m.hand_m, m.angle_rad, markers])
 
@@ -108,7 +108,7 @@ def spaces(m: Made, folder: Path) -> list[str]:
 
 
 def long_table(m: Made, folder: Path) -> list[str]:
-    """A row per time and marker; the angle only in the hand's rows."""
+    """A row per time and marker; the angle only in the gripper's rows."""
     rows: list[list[object]] = [["time (s)", "label", "X (mm)", "Y (mm)", "angle (deg)"]]
     for k, t in enumerate(m.t_s):
         x, y = m.hand_m[k] * 1e3
@@ -136,7 +136,7 @@ def melted(m: Made, folder: Path) -> list[str]:
 
 
 def _spatial(m: Made, up: int, right: int, turned_rad: float = 0.0) -> np.ndarray:
-    """(T, 7, 3) mm: gripping point, a point of the hand behind it, markers; in three dimensions.
+    """(T, 7, 3) mm: gripping point, a point of the gripper behind it, markers; in three dimensions.
 
     up, right   which axis is up, and which is to the right before the plane is turned about up
     """
@@ -241,7 +241,7 @@ def c3d(m: Made, folder: Path) -> list[str]:
 
 
 def mcap_json(m: Made, folder: Path) -> list[str]:
-    """JSON messages, a topic for the hand and one for each marker, stamped alike."""
+    """JSON messages, a topic for the gripper and one for each marker, stamped alike."""
     file = folder / "trial.mcap"
     with file.open("wb") as stream:
         writer = Writer(stream)
@@ -264,7 +264,8 @@ def mcap_json(m: Made, folder: Path) -> list[str]:
 
 
 def two_files(m: Made, folder: Path) -> list[str]:
-    """Markers by numbers of frames in mm; the hand in its own file, in seconds, m and degrees."""
+    """Markers by numbers of frames in mm; the gripper in its own file, in seconds, m and
+    degrees."""
     seen = digits(m.markers_m.reshape(len(m.t_s), -1) * 1e3, 7)
     names = ["frame", *(f"{a}{i}" for i in range(5) for a in "xy")]
     markers, hand = folder / "markers.csv", folder / "robot.csv"

@@ -1,4 +1,5 @@
-"""A hand's place by its acceleration: recovered, with the uncertainty that it has, or refused."""
+"""A gripper's place by its acceleration: recovered, with the uncertainty that it has, or
+refused."""
 
 from __future__ import annotations
 
@@ -137,7 +138,7 @@ def test_a_hand_at_rest_stays():
 
 
 def late(shown: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """The offset jumps while the hand moves."""
+    """The offset jumps while the gripper moves."""
     return shown + np.where(t[:, None] > 0.35, 0.1, 0.0)
 
 

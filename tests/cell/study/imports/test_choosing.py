@@ -1,4 +1,4 @@
-"""What stands where a marker was not seen is told from its places, and from those of a hand."""
+"""What stands where a marker was not seen is told from its places, and from those of a gripper."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.cell.study.imports.made import made
 
 
 def a_file(places_mm: np.ndarray) -> Capture:
-    """Time, hand and markers (rows, points, 2) of a file."""
+    """Time, gripper and markers (rows, points, 2) of a file."""
     names = [f"{n} {a} [mm]" for n in ("hand", "m1", "m2", "m3", "m4", "tip") for a in "xy"]
     values = np.column_stack([np.arange(len(places_mm)) / 200.0, places_mm.reshape(-1, 12)])
     columns = (CapturedColumn("t [s]"), *map(CapturedColumn, names))
@@ -25,7 +25,7 @@ def a_file(places_mm: np.ndarray) -> Capture:
 
 
 def places() -> np.ndarray:
-    """A hand that rests at the origin, exactly, and the markers of its cable, mm."""
+    """A gripper that rests at the origin, exactly, and the markers of its cable, mm."""
     m = made()
     return np.concatenate([m.hand_m[:, None], m.markers_m], axis=1) * 1e3
 
@@ -50,7 +50,7 @@ def test_zeros_in_the_file_of_another_trial_are_seen_too() -> None:
 
 
 def test_an_origin_at_which_a_point_rests_or_that_it_passes_is_a_place() -> None:
-    """The hand rests at the origin before its motion, or after it, or comes back to it."""
+    """The gripper rests at the origin before its motion, or after it, or comes back to it."""
     stays = places()
     assert lost(a_file(stays)) == ()
     returns = stays - stays[:, :1]
@@ -63,7 +63,7 @@ LENGTH_M, ROWS, SEEDS = 0.1, 70, 16
 
 
 def hanging(arcs_m: np.ndarray, bend_1_per_m: float) -> np.ndarray:
-    """(points, 2) hand and markers of a cable that its weight bends: curvature ∝ (1 − s/L)²."""
+    """(points, 2) gripper and markers of a cable that its weight bends: curvature ∝ (1 − s/L)²."""
     fine = np.linspace(0.0, LENGTH_M, 30001)
     turn = bend_1_per_m * LENGTH_M / 3.0 * (1.0 - (1.0 - fine / LENGTH_M) ** 3)
     steps = -np.stack([np.cos(turn), np.sin(turn)], axis=1)

@@ -57,10 +57,13 @@ def test_a_program_s_file_of_the_trial_is_the_same_study(
 
 
 def test_an_unusual_unit_of_length_is_doubted() -> None:
-    """A table in metres without its hand was scaled by 2.24, and nothing but the number said so."""
+    """A table in metres without its gripper was scaled by 2.24, and nothing but the number said
+    so."""
     unit, finding = metres_per_unit(set(), 0.0447, 0.1)
     assert unit == pytest.approx(2.237, abs=1e-3)
-    assert finding.sentence.endswith("if it is m, they span 0.0447 m: one is missing, or the hand")
+    assert finding.sentence.endswith(
+        "if it is m, they span 0.0447 m: one is missing, or the gripper"
+    )
 
 
 def test_a_newcomer_s_table_is_a_study_in_two_commands(tmp_path: Path) -> None:
@@ -147,12 +150,12 @@ def test_the_hand_s_clock_is_proposed_from_the_motion(tmp_path: Path) -> None:
     hand = FORMS[-1](late, tmp_path / "late") if (tmp_path / "late").mkdir() is None else []
     arguments[2] = hand[2]
     study = imported(arguments, tmp_path / "study")
-    # A marker 20 mm from the hand moves as the hand does but for what the cable bends.
+    # A marker 20 mm from the gripper moves as the gripper does but for what the cable bends.
     assert study.trials[0].grip.t_s[0] == pytest.approx(0.0, abs=0.01)
 
 
 def test_one_marker_on_rows_of_its_own_does_not_turn_the_clamp(tmp_path: Path) -> None:
-    """Hand and marker are logged at different times; the line between them is no clamp angle."""
+    """Gripper and marker are logged at different times; the line between them is no clamp angle."""
     trial = made()
     tip_m = trial.markers_m[:, -1]
     lines = ["time_s,hand_x_m,hand_y_m,hand_angle_rad,tip_x_m,tip_y_m,Fx [N],Fy [N],Mz [Nm],,"]

@@ -1,4 +1,4 @@
-"""Clamp angles, however a file counts a turn; a hand and its cable in files of their own."""
+"""Clamp angles, however a file counts a turn; a gripper and its cable in files of their own."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def markers_of(m: Made, count: int = 5, scale: float = 1e3) -> dict[str, np.ndar
 
 
 def hand_of(m: Made) -> dict[str, np.ndarray]:
-    return {f"hand {a}": m.hand_m[:, k] * 1e3 for k, a in enumerate("xy")}
+    return {f"gripper {a}": m.hand_m[:, k] * 1e3 for k, a in enumerate("xy")}
 
 
 def understood(capture: Capture, hand: Capture | None = None) -> Understanding:
@@ -78,7 +78,7 @@ def test_an_angle_is_the_same_however_a_turn_is_counted(
     s = np.clip((T_S - 0.4) / 0.3, 0.0, 1.0)
     angle_rad = noise(5) - 0.5 * turn_rad + turn_rad * s
     m = trial(angle_rad)
-    angles = {"hand angle [deg]": counted(sign * angle_rad if turn_rad else angle_rad)}
+    angles = {"gripper angle [deg]": counted(sign * angle_rad if turn_rad else angle_rad)}
     capture = captured("a.csv", **hand_of(m), **angles, **markers_of(m))
     mapping = understood(capture).mapping
     found = clamp_angle_rad(capture, mapping.hand.angle, mapping.axes)
@@ -128,7 +128,7 @@ def test_a_hand_in_its_own_file_begins_the_chain(count: int, unit: str) -> None:
     np.testing.assert_allclose(arcs, ARCS_M[:count], atol=5e-5)
     assert found.mapping.metres_per_unit == 1e-3
     assert found.mapping.hand.angle.constant_rad == pytest.approx(0.2, abs=0.02)
-    assert "from the hand's place at rest on" in " ".join(said(found, "markers"))
+    assert "from the gripper's place at rest on" in " ".join(said(found, "markers"))
 
 
 def test_a_hand_in_another_frame_begins_no_chain_and_the_tip_is_told() -> None:
@@ -136,7 +136,7 @@ def test_a_hand_in_another_frame_begins_no_chain_and_the_tip_is_told() -> None:
     seen = {f"{n} [mm]": v for n, v in markers_of(m, 4).items()}
     found = understood(captured("a.csv", **seen), of_hand_file(m, at=(0.5, 0.1)))
     assert [entry.arc_length_m for entry in found.mapping.markers][-1] == LENGTH_M
-    assert "'m4' taken as the cable's tip, for no place of the hand" in " ".join(
+    assert "'m4' taken as the cable's tip, for no place of the gripper" in " ".join(
         said(found, "markers")
     )
 
@@ -147,7 +147,7 @@ def test_one_marker_beside_a_hand_in_its_own_file_is_taken_for_the_tip() -> None
     tip = {f"tip {a} [mm]": m.markers_m[:, -1, k] * 1e3 for k, a in enumerate("xy")}
     found = understood(captured("a.csv", **tip), of_hand_file(m))
     assert [entry.arc_length_m for entry in found.mapping.markers] == [LENGTH_M]
-    assert "for one marker shows no curve from the hand on" in " ".join(said(found, "markers"))
+    assert "for one marker shows no curve from the gripper on" in " ".join(said(found, "markers"))
     assert "from which a cable droops" in said(found, "hand.angle")[-1]
 
 
@@ -159,13 +159,13 @@ def test_a_hand_that_moves_from_its_first_row_on_begins_no_chain() -> None:
 
 @pytest.mark.parametrize("jumps", [False, True])
 def test_of_a_lost_marker_s_value_the_hand_is_left_out_only_where_it_jumps(jumps: bool) -> None:
-    """Zeros meant a lost tip: all of the hand's rest at (0, 0) was left out, and nobody told."""
+    """Zeros meant a lost tip: all of the gripper's rest at (0, 0) was left out, and nobody told."""
     m = trial(np.full(len(T_S), 0.2))
     columns = {**hand_of(m), **markers_of(m)}
     for name in ("tip x", "tip y"):
         columns[name][80:84] = 0.0
     for axis in "xy" if jumps else "":
-        columns[f"hand {axis}"][200:203] = 0.0
+        columns[f"gripper {axis}"][200:203] = 0.0
     capture = captured("a.csv", **columns)
     mapping = understood(capture).mapping
     assert mapping.lost == (0.0,)
@@ -173,7 +173,7 @@ def test_of_a_lost_marker_s_value_the_hand_is_left_out_only_where_it_jumps(jumps
     path = gripper_path(read, mapping.trials[0], capture, T_S)
     left_out = np.flatnonzero(np.isnan(path.xy_m[:, 0])).tolist()
     assert left_out == ([200, 201, 202] if jumps else [])
-    assert path.note.startswith("a: the hand is taken as not seen in 3 rows") == jumps
+    assert path.note.startswith("a: the gripper is taken as not seen in 3 rows") == jumps
 
 
 @pytest.mark.parametrize("count", [1, 4])

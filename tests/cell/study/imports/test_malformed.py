@@ -57,7 +57,7 @@ def exchanged(lines: Lines) -> Lines:
 
 
 def lost_hand(lines: Lines) -> Lines:
-    """The hand is not seen while it goes down."""
+    """The gripper is not seen while it goes down."""
     rows = [line.split(",") for line in lines]
     for row in rows[90:130]:
         row[1:4] = ["", "", ""]
@@ -89,7 +89,7 @@ MALFORMED: list[tuple[str, Callable[[Lines], Lines], str, str]] = [
     ("milliseconds as s", every(0, lambda _, v: 1e3 * v), "trial.csv:361", "seconds_per_unit"),
     ("degrees as rad", every(3, lambda _, v: 57.3 * v), "trial.csv", "0.0174533 for degrees"),
     ("exchanged", exchanged, "trial.csv:150", "exchange the columns of the two"),
-    ("the hand lost", lost_hand, "trial.csv:131", "cut the trial before it or after it"),
+    ("the gripper lost", lost_hand, "trial.csv:131", "cut the trial before it or after it"),
     (
         "one marker as two",
         lambda x: [",".join([*r.split(",")[:6], *r.split(",")[4:6], *r.split(",")[8:]]) if k else r
@@ -116,7 +116,7 @@ MALFORMED: list[tuple[str, Callable[[Lines], Lines], str, str]] = [
         "give 0.001 for millimetres",
     ),
     (
-        "the cable beyond the hand",
+        "the cable beyond the gripper",
         both(*(every(c, lambda _, v: v + 0.1) for c in range(4, 14, 2))),
         "import.yaml:",
         "is not on the cable",

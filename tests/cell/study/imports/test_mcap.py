@@ -45,12 +45,12 @@ float64 w
 
 
 def _turns(m: Made) -> np.ndarray:
-    """A hand whose +x is where the cable leaves, in a plane of x and z: about −y."""
+    """A gripper whose +x is where the cable leaves, in a plane of x and z: about −y."""
     return Rotation.from_rotvec((np.pi + m.angle_rad)[:, None] * [0.0, -1.0, 0.0]).as_quat()
 
 
 def ros2(m: Made, file: Path) -> None:
-    """A PoseStamped of the hand and one of each marker."""
+    """A PoseStamped of the gripper and one of each marker."""
     writer = Ros2Writer(str(file))
     schema = writer.register_msgdef("geometry_msgs/msg/PoseStamped", _POSE)
     turns = _turns(m)
@@ -70,7 +70,7 @@ def ros2(m: Made, file: Path) -> None:
 
 
 def protobuf(m: Made, file: Path) -> None:
-    """A pose of the hand, and all markers in one message."""
+    """A pose of the gripper, and all markers in one message."""
     turns = _turns(m)
     with file.open("wb") as stream, ProtobufWriter(stream) as writer:
         for k, t in enumerate(m.t_s):

@@ -430,4 +430,4 @@ def test_trials_that_rest_at_two_angles_have_no_one_angle(tmp_path: Path) -> Non
     done = CliRunner().invoke(app, ["import", *files, "-o", str(tmp_path / "s"), *CABLE])
     told = " ".join(done.output.split())
     assert done.exit_code == 1, told
-    assert "is one constant, yet at rest the marker next to the hand is at" in told
+    assert "is one constant, yet at rest the marker next to the gripper is at" in told

@@ -1,4 +1,4 @@
-"""A hand that is told by an encoder or an accelerometer: proposed, imported, or refused."""
+"""A gripper that is told by an encoder or an accelerometer: proposed, imported, or refused."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def on_arm() -> tuple[Made, np.ndarray]:
 
 
 def straight(rate_hz: float = 1000.0) -> tuple[Made, np.ndarray, np.ndarray, np.ndarray]:
-    """The cable on a hand that goes down and turns; its fine times, acceleration and angle."""
+    """The cable on a gripper that goes down and turns; its fine times, acceleration and angle."""
     t = np.arange(0.0, 1.8, 1.0 / rate_hz)
     u = np.clip((t - BEGINS_S) / MOVED_S, 0.0, 1.0)
     done = u**3 * (10 - 15 * u + 6 * u**2)
@@ -44,7 +44,7 @@ def straight(rate_hz: float = 1000.0) -> tuple[Made, np.ndarray, np.ndarray, np.
 
 
 def wide(m: Made, columns: dict[str, np.ndarray], file: Path) -> Path:
-    """A table of markers in mm, with other columns in place of the hand's."""
+    """A table of markers in mm, with other columns in place of the gripper's."""
     names = ["t_s", *columns, *(f"{n}_{a}_mm" for n in NAMES for a in "xy")]
     markers = m.markers_m.reshape(len(m.t_s), -1) * 1e3
     values = np.column_stack([m.t_s, *columns.values(), markers])
@@ -103,7 +103,7 @@ def test_an_encoder_of_an_axle_is_proposed_and_imported(tmp_path: Path) -> None:
     mapping = folder / "import.yaml"
     said = run(str(mapping), code=2)
     for key in ("axle_m", "radius_m", "radians_per_unit"):
-        assert re.search(rf"import\.yaml:\d+:\d+: hand\.turns\.{key}: is not known", said), said
+        assert re.search(rf"import\.yaml:\d+:\d+: gripper\.turns\.{key}: is not known", said), said
     offset = -2.0 + 22000 * 2 * np.pi / COUNTS
     turns = {"axle_m": list(AXLE_M), "radius_m": RADIUS_M, "radians_per_unit": 2 * np.pi / COUNTS}
     filled(mapping, {f"hand.turns.{k}": v for k, v in turns.items()})
@@ -152,7 +152,7 @@ def test_an_encoder_of_a_linear_axis_moves_one_coordinate(tmp_path: Path) -> Non
     columns = {"enc_y_mm": 1e3 * m.hand_m[:, 1] - 7.0, "angle_rad": m.angle_rad}
     file = wide(down, columns, tmp_path / "trial.csv")
     said = run(str(file), "-o", str(tmp_path / "s"), *CABLE)
-    assert "'enc_y_mm' tells the hand's place" in said
+    assert "'enc_y_mm' tells the gripper's place" in said
     mapping = tmp_path / "s" / "import.yaml"
     assert "columns: [null, enc_y_mm]" in mapping.read_text().replace("[, ", "[null, ")
     filled(mapping, {"hand.origin_m": [0.0, 0.007]})
@@ -251,7 +251,9 @@ def test_where_the_hand_ends_is_of_no_use_to_an_encoder(mapping: Path) -> None:
     drift = {"from_s": 1.0, "to_s": 0.5}
     filled(mapping, {"hand": hand, "trials.0.hand_ends_at_m": [0, 0], "trials.0.hand_drift": drift})
     said = " ".join(run(str(mapping), code=2).split())
-    assert "trials[0].hand_ends_at_m: is only for a hand that is told by its acceleration" in said
+    assert (
+        "trials[0].hand_ends_at_m: is only for a gripper that is told by its acceleration" in said
+    )
     assert "trials[0].hand_drift.to_s: 0.5 s is not after from_s, 1 s" in said
 
 
@@ -270,7 +272,7 @@ def test_a_sensor_that_is_lost_in_the_motion_is_refused_with_its_line(
     ("hand", "remedy"),
     [
         ({}, "turns by an encoder of its axle, acceleration by"),
-        ({"fixed_m": [0, 0], "angle": {"follows": True}}, "is only for a hand that `turns`"),
+        ({"fixed_m": [0, 0], "angle": {"follows": True}}, "is only for a gripper that `turns`"),
         ({"columns": [None, None]}, "are all null"),
     ],
 )
@@ -282,7 +284,8 @@ def test_a_hand_that_is_told_in_no_way_is_refused_with_the_ways(
 
 
 def test_sensors_of_other_things_are_no_hand_s(tmp_path: Path) -> None:
-    """An accelerometer at the tip is not the hand's; where a hand is seen, nor is an encoder."""
+    """An accelerometer at the tip is not the gripper's; where a gripper is seen, nor is an
+    encoder."""
     m, _ = on_arm()
     still = np.zeros_like(m.t_s)
     hand = {"hand_x_mm": 1e3 * m.hand_m[:, 0], "hand_y_mm": 1e3 * m.hand_m[:, 1]}

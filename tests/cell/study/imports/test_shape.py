@@ -7,7 +7,7 @@ import pytest
 
 from cell.study.imports.shape import bend, distinct_points, lost_rows, root_direction
 
-#: A cable that droops to the left of the hand at the origin, m.
+#: A cable that droops to the left of the gripper at the origin, m.
 DROOPING = np.array([[-0.02 * i, -0.001 * i**2] for i in range(6)])
 
 
@@ -33,7 +33,7 @@ def test_the_tip_is_kept_and_points_that_are_apart_are() -> None:
 
 T_S = np.arange(0.0, 1.0, 0.005)
 X = np.clip((T_S - 0.3) / 0.25, 0.0, 1.0)
-#: A hand that rests at (0, 0), then goes down by 50.
+#: A gripper that rests at (0, 0), then goes down by 50.
 FROM_0 = np.outer(X**3 * (10 - 15 * X + 6 * X**2), [0.0, -50.0])
 
 

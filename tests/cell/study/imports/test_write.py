@@ -60,7 +60,7 @@ def test_a_frame_in_which_no_marker_was_seen_comes_back(tmp_path: Path) -> None:
     study = a_study()
     first, second = study.trials
     lost_m = second.markers.xy_m.copy()
-    lost_m[[0, 7, -1]] = np.nan  # the hand's log has times of its own
+    lost_m[[0, 7, -1]] = np.nan  # the gripper's log has times of its own
     hand = replace(second.grip, t_s=second.grip.t_s - 1e-3)  # and here those of the frames
     second = replace(second, grip=hand, markers=Markers(second.markers.t_s, lost_m))
     study = replace(study, trials=(first, second))
