@@ -281,7 +281,7 @@ def _check_fit(fit: RobustFit, lens: Lens) -> None:
         )
     if fit.noise_px > MOST_NOISE_PX:
         raise MisfitError(
-            f"corners are {fit.noise_px:.2f} px rms beside where they must be, allowed "
+            f"corners are {fit.noise_px:.2f} px rms from where they must be, allowed "
             f"{MOST_NOISE_PX} px",
             "check that the board is flat and stiff, its description, focus and shutter",
         )

@@ -356,7 +356,7 @@ def _check_fit(fit: RobustFit, common: float, shown: Sequence[JawObservation]) -
     if fit.noise_px > MOST_NOISE_PX or common > MOST_ARM_NOISE_PX or outliers > 0.2:
         worst = np.linalg.norm(fit.residuals.reshape(len(shown), -1, 2), axis=2).mean(axis=1)
         raise MisfitError(
-            f"the marks are {max(common, fit.noise_px):.2f} px rms beside where they must be, "
+            f"the marks are {max(common, fit.noise_px):.2f} px rms from where they must be, "
             f"{outliers:.0%} of them far off, most at {shown[int(np.argmax(worst))].name}",
             "check that camera and plate are tight, the plate flat, its marks as described, and "
             "that the gripper rested in every picture",
@@ -389,7 +389,7 @@ def _checked_bend_m(fit: RobustFit, marks_m: FloatArray) -> float:
     other = int(np.argmax(away))
     if away[other] > MOST_WITHIN_M:
         raise MisfitError(
-            f"mark {other + 1} on the jaw is {away[other] * 1e3:.2f} mm beside its stated place, "
+            f"mark {other + 1} on the jaw is {away[other] * 1e3:.2f} mm from its stated place, "
             f"allowed {MOST_WITHIN_M * 1e3:g} mm",
             "measure the plate again and correct vision.jaw.discs_m",
         )

@@ -235,6 +235,6 @@ def _check(fit: GripFit, views: Sequence[GripView]) -> None:
         )
         raise MisfitError(
             f"the cable moved in the jaws: its {_NAMES[what]} at {views[pose].name} is {moved} "
-            "beside that of the other poses",
+            "away from that of the other poses",
             "grip harder, clean the pads, let the cable come to rest; then do it again",
         )

@@ -25,7 +25,7 @@ THREADS = 2
 _HANG = (
     "hang a thread with a weight where the cable swings, let it come to rest, Enter; "
     "or n, if there is none: the robot's base is then taken to be level to 0.2°",
-    "hang it at another place, a third of the picture's width or more beside the first, let it "
+    "hang it at another place, a third of the picture's width or more away from the first, let it "
     "come to rest, Enter; or n, if it cannot be: roll then depends on how level the base stands",
 )
 _HOLD = (

@@ -280,7 +280,7 @@ def today(
         sentence = f"recalibrate time: the camera's latency changed by {change_s * 1e3:+z.2f} ms"
         command = f"cell calibrate time --config {config}"
         return Drift(False, sentence, command, moved_m, left_m, change_s)
-    sentence = f"good: {np.hypot(moved_m, left_m) * 1e3:.3f} mm beside the stored map"
+    sentence = f"good: {np.hypot(moved_m, left_m) * 1e3:.3f} mm from the stored map"
     return Drift(True, sentence, None, moved_m, left_m, change_s)
 
 

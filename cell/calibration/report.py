@@ -117,7 +117,7 @@ def cell_report(
         ("held-out poses, rms", f"{e['held_out_rms_m'] * 1e3:.3f} mm"),
         ("held-out poses, worst mark", f"{e['held_out_max_m'] * 1e3:.3f} mm"),
         (
-            "classic hand–eye beside it, rms and worst",
+            "classic hand–eye for comparison, rms and worst",
             f"{e['classic_rms_m'] * 1e3:.3f}, {e['classic_max_m'] * 1e3:.3f} mm",
         ),
         ("plate bent: a mark off the plane of all", f"{e['bend_m'] * 1e3:.3f} mm"),
@@ -129,14 +129,17 @@ def cell_report(
             "roll against gravity",
             f"{np.degrees(roll_rad):.3f}° ± {np.degrees(e['roll_95_rad']):.3f}°",
         ),
-        ("gripping point beside the tool, x and y", f"{offset[0]:+z.3f}, {offset[1]:+z.3f} mm"),
+        (
+            "gripping point relative to the tool, x and y",
+            f"{offset[0]:+z.3f}, {offset[1]:+z.3f} mm",
+        ),
     ]
     last = shown.poses[-1].picture.image
     overlay = _grid_over(last, fit)
     return _page(
         "Where pixels lie in the cell's plane",
         f"Marks at poses that had no part in the fit are {e['held_out_rms_m'] * 1e3:.3f} mm rms "
-        f"beside where the map has them, {e['held_out_max_m'] * 1e3:.3f} mm at most.",
+        f"from where the map has them, {e['held_out_max_m'] * 1e3:.3f} mm at most.",
         [
             (
                 "The plane as the map has it",
@@ -226,7 +229,7 @@ def grip_report(
     return _page(
         "How the jaws hold a cable",
         f"The cable leaves the jaws {np.degrees(fit.mean[2]):+z.2f}° ± "
-        f"{np.degrees(e['angle_95_rad']):.2f}° beside the direction of the marks, its free length "
+        f"{np.degrees(e['angle_95_rad']):.2f}° from the direction of the marks, its free length "
         f"is {1e3 * fit.mean[3]:.2f} ± {1e3 * e['length_95_m']:.2f} mm (95 %).",
         [
             ("Numbers", _table(("", "value", "± 95 %", "between poses"),

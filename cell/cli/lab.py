@@ -57,7 +57,7 @@ Candidates = Annotated[
     Path | None,
     typer.Option(
         "--candidates",
-        help="A folder of files with effects, written by people or programs; all are tried beside "
+        help="A folder of files with effects, written by people or programs; all are tried with "
         "the library. A file that could do more than compute is left out.",
     ),
 ]

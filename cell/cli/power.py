@@ -35,7 +35,7 @@ class _Power:
         typer.Option(
             "--verify",
             help="Hide the effect in so many copies of the study, diagnose each, and print what "
-            "was found beside the forecast.",
+            "resulted, next to the forecast.",
             min=1,
             max=10_000,
         ),

@@ -190,7 +190,7 @@ def recover(
     out: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--out", help="File to write; default: recording.mcap beside the torn one."
+            "-o", "--out", help="File to write; default: recording.mcap next to the torn one."
         ),
     ] = None,
     as_json: Json = None,

@@ -265,7 +265,7 @@ class _MjcfReader:
             if beside > STRAIGHT * length:
                 self._refuse(
                     j,
-                    f"is {beside * 1e3:.3g} mm beside the line from the clamp to the tip",
+                    f"is {beside * 1e3:.3g} mm off the line from the clamp to the tip",
                     "draw the chain straight; bends free of load are `springref`",
                 )
         return np.asarray(arc[1:-1]), length, along

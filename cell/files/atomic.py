@@ -93,7 +93,9 @@ def named_folder(folder: Path) -> Path:
         raise ValueError(f"{folder}: is a file; give a folder")
     named = folder.resolve() if folder.name in ("", "..") else folder
     if not named.name:
-        raise ValueError(f"{folder}: has no name, and files stand beside it; give another folder")
+        raise ValueError(
+            f"{folder}: has no name, and files are written next to it; give another folder"
+        )
     return named
 
 

@@ -314,7 +314,7 @@ def expected_change(
 
     For every cable that this one may be the probability is that of the other reasons alone: what
     the model lacks, arm, camera, draught, of which more frames tell nothing.  Only the nearer edge
-    of the mouth counts.
+    of the opening counts.
     """
     index = choice.table.index(choice.best)
     shift = deviates(len(identified.mean) + 1, options.samples)[:, :-1] @ identified.root.T

@@ -20,7 +20,7 @@ from drivers.servo import servo_response
 MOST_M = 6e-3
 LASTS_S = (0.12, 0.2, 0.3)
 COARSE_M, FINE_M = 1e-3, (5e-4, 2.5e-4)
-#: So long before the tip reaches the mouth a change is decided, s.
+#: So long before the tip reaches the opening a change is decided, s.
 AHEAD_S = (0.45, 0.32, 0.2)
 #: Of two changes that do as well the smaller one: so much margin a metre of it must gain, m.
 COST = 0.1

@@ -15,10 +15,10 @@ from cell.cable.arrays import FloatArray
 class Destination:
     """Rectangle of the cell's plane that the tip must pass: a hole open towards +x, m.
 
-    The hole's mouth is the edge x = x_max, its floor and ceiling are y_min and y_max, and at
+    The opening is the edge x = x_max, its floor and ceiling are y_min and y_max, and at
     x = x_min the tip is deep enough.  The tip *passes* when, from the first time it goes through
-    the mouth until the first time thereafter that it is deep enough, it is between floor and
-    ceiling whenever x ≤ x_max.  It may swing back out of the mouth meanwhile: there is no wall.
+    the opening until the first time thereafter that it is deep enough, it is between floor and
+    ceiling whenever x ≤ x_max.  It may swing back out of the opening meanwhile: there is no wall.
     """
 
     x_min_m: float
@@ -36,7 +36,7 @@ class Destination:
         tip_m    (…, T, 2) tip positions in order of time, T ≥ 2, m; straight between samples
         returns  (…) m: the smallest distance to floor or ceiling during the passage (negative
                  outside).  A path that stays short of the full depth has at most minus the depth
-                 it lacks, one that never reaches the mouth minus its smallest distance from it.
+                 it lacks, one that never reaches the opening minus its smallest distance from it.
         raises   ValueError: fewer than two samples, or samples that are not finite
         """
         if tip_m.ndim < 2 or tip_m.shape[-2:][1] != 2 or tip_m.shape[-2] < 2:
@@ -57,7 +57,7 @@ def _margins(
     result = np.empty(len(paths))
     for p in range(len(paths)):
         path = paths[p]
-        first = 1  # sample behind the mouth
+        first = 1  # sample behind the opening
         while first < len(path) and not (path[first - 1, 0] > x_max >= path[first, 0]):
             first += 1
         if first == len(path):

@@ -18,7 +18,7 @@ class Passage:
     """The tip's passage as measured; nan = not known.
 
     margin_m      see `Destination.margin_m`
-    miss_m        height of the tip above the middle of the mouth, when it goes through it
+    miss_m        height of the tip above the middle of the opening, when it goes through it
     error_m       largest distance between measured and predicted tip while it is in the
                   destination's range of x
     reason        why it does not count as passed; None if it passed
@@ -36,7 +36,7 @@ class Passage:
 
 
 def height_at_opening_m(destination: Destination, tip_m: FloatArray) -> float:
-    """Height of a tip path (T, 2) above the mouth's middle, m; nan if it never goes through."""
+    """Height of a tip path (T, 2) above the opening's middle, m; nan if it never goes through."""
     x, y = tip_m[:, 0], tip_m[:, 1]
     through = (x[:-1] > destination.x_max_m) & (x[1:] <= destination.x_max_m)
     if not through.any():

@@ -1,7 +1,7 @@
 """Control charts over a line's cycles: whether forecasts, fits or cables have changed, since when.
 
 Two quantities, each on an individuals' chart for a sudden change and on an EWMA chart for a slow
-one: the error of the tip's height in the mouth over what the forecast expects of it, and the
+one: the error of the tip's height in the opening over what the forecast expects of it, and the
 logarithm of what the model misses while the cable swings, over the noise.  Two more by the mean of
 the newest five, for cables of a batch differ: mean log EI, and log viscosity beyond what goes with
 EI.

@@ -20,7 +20,7 @@ CONFIDENCE, REPEATABILITY_M = 0.999, 1e-4
 
 @dataclass(frozen=True)
 class MeanError:
-    """Mean height of the tip above its forecast in the mouth, m, with its interval.
+    """Mean height of the tip above its forecast in the opening, m, with its interval.
 
     cycles  so many cables
     """
@@ -34,7 +34,7 @@ class MeanError:
         low_m, high_m = sorted((abs(self.low_m), abs(self.high_m)))
         where = "above" if self.mean_m > 0.0 else "below"
         return (
-            f"tips pass the mouth {abs(self.mean_m) * 1e3:.2f} mm {where} their forecast in the "
+            f"tips pass the opening {abs(self.mean_m) * 1e3:.2f} mm {where} their forecast in the "
             f"mean of {self.cycles} cables ({CONFIDENCE:.1%} interval {low_m * 1e3:.2f} to "
             f"{high_m * 1e3:.2f} mm): the model lacks something that all of them have"
         )

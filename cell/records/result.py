@@ -94,7 +94,7 @@ class Result:
     delay_s, pace       with which: so long the gripper rested before, s; in so many times the usual
                         time it moved
     further_m           and so much further left than usual it went
-    predicted_miss_m    height of the tip above the middle of the destination at its mouth; as last
+    predicted_miss_m    height of the tip above the middle of the opening at entry; as last
                         predicted if the path was changed in flight
     measured_miss_m     the same, from the pictures of the execution
     margin_m            measured: smallest distance to the destination's floor or ceiling while
@@ -109,8 +109,8 @@ class Result:
     hold_saved_s        how much shorter than its longest the hold was, because more frames would
                         not have mattered
     corrections         of the path in flight; None = without feedback
-    stops               why the gripper was stopped in front of the mouth in earlier tries with this
-                        cable; the rest is of the last try
+    stops               why the gripper was stopped in front of the opening in earlier tries with
+                        this cable; the rest is of the last try
     seconds             time of each step, s
     state_seconds       time spent in each state of the cell, s
     parameters          of this cable, as identified: name → value, SI units

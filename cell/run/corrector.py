@@ -35,7 +35,7 @@ class Corrector:
 
     Which frames a decision uses depends on their times alone.  Whatever keeps a correction from
     being found or told leaves the path as it is.  `stopped` says why the gripper was brought to
-    rest in front of the mouth; None = it was not.
+    rest in front of the opening; None = it was not.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class Corrector:
             self._stop(decision, since_s, from_s)
 
     def _stop(self, decision: Decision, since_s: float, from_s: float) -> None:
-        """What would not pass does not go on to the mouth's edge.  Raises TooLateError."""
+        """What would not pass does not go on to the opening's edge.  Raises TooLateError."""
         try:
             path = path_to_rest(self._path, from_s, self._station.task.lowering)
         except ValueError as error:
@@ -171,7 +171,7 @@ class Corrector:
             return
         if self._revise_path(path, from_s):
             self.stopped = (
-                "stopped in front of the mouth: the tip would have passed with probability "
+                "stopped in front of the opening: the tip would have passed with probability "
                 f"{decision.probability:.2f}, and no change of the path made it {LEAST:.2f}"
             )
             _LOG.info("%s", self.stopped)

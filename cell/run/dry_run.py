@@ -194,7 +194,7 @@ def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[AgreementCheck
             f"set arm.lag_s to {found_s:.4f}",
         ),
         AgreementCheck(
-            "arm: beside its path",
+            "arm: off its path",
             float(residual_m(found_s).max()),
             "m",
             high=PATH_TOLERANCE_M,
@@ -258,7 +258,7 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
             f"add {delay_s:.4f} to camera.latency_s",
         ),
         AgreementCheck(
-            "camera: jaw beside the arm",
+            "camera: jaw away from the arm",
             abs(shift_m),
             "m",
             high=OFFSET_TOLERANCE_M,

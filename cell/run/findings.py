@@ -134,7 +134,7 @@ class Findings:
     wait_s      how long it has waited when the choice was made
     offset_m    of the choice that is executed
     executed    the execution
-    stopped     why the gripper was brought to rest in front of the mouth; None = it was not
+    stopped     why the gripper was brought to rest in front of the opening; None = it was not
     stops       the same of earlier tries with this cable; their trials
     tails       changes of its path that were told in flight; None = without feedback
     predicted   (T,) times from when the path began, and (T, 2) tip as last predicted in flight

@@ -152,7 +152,7 @@ def passage_pictures(
     title(image, [("", SEEN), (said, SEEN if passage.passed else DESTINATION), (error, WHITE)])
     lines = (
         ("destination", DESTINATION),
-        ("cable and path of its tip, seen", SEEN),
+        ("cable and path of its tip, measured", SEEN),
         ("path of its tip, predicted (dashed)", PREDICTED),
         _JAW_AXIS,
     )

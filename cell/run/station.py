@@ -52,7 +52,7 @@ class Task:
     feedback: bool = False
     """Whether an insertion is corrected while it is made."""
     retries: int = 0
-    """So often a cable that was stopped in front of the mouth is measured and inserted again."""
+    """So often a cable that was stopped in front of the opening is measured and inserted again."""
     delays: CalibratedDelays | None = None
     """None = latency and lag are typed: nothing says how well they are known."""
 

@@ -398,7 +398,7 @@ def verify(station: Station, findings: Findings) -> Findings:
 
 
 def review_insertion(station: Station, findings: Findings, paused: bool) -> Findings:
-    """Open again if the cable was stopped in front of the mouth, and the task leaves a try."""
+    """Open again if the cable was stopped in front of the opening, and the task leaves a try."""
     if findings.stopped is None or len(findings.stops) >= station.task.retries:
         return findings
     return replace(findings, outcome=None, reason=None)

@@ -149,7 +149,7 @@ def _retry(document: Document, settings: Settings) -> list[Problem]:
     if settings.retry == 0 or settings.feedback != "off":
         return []
     message = (
-        f"is {settings.retry}, but only feedback stops a cable in front of the mouth; remove it, "
+        f"is {settings.retry}, but only feedback stops a cable in front of the opening; remove it, "
         "or set feedback: on"
     )
     return [document.problem(("retry",), message)]

@@ -81,7 +81,7 @@ class CableSettings(Section):
 
 
 class DestinationSettings(Section):
-    """Rectangle that the tip must pass, moving left: the hole's mouth."""
+    """The opening: rectangle that the tip must pass, moving left."""
 
     x_m: PlaceRange
     """Far edge and entry edge of the opening."""

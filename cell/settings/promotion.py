@@ -178,7 +178,7 @@ def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool 
     now = model_hash(settings.model)
     if candidate.beside != now:
         message = (
-            f"was learned beside the model {candidate.beside}, the settings now have {now}: "
+            f"was learned with the model {candidate.beside}, the settings now have {now}: "
             "learn it again from cycles with this model"
         )
         problems.append(Problem(candidate.path, 1, None, "beside", message))

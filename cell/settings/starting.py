@@ -127,8 +127,8 @@ QUESTIONS = (
     Question(("cable", "line_density_kg_per_m"), "Its mass per metre, kg/m"),
     Question(("cable", "width_m"), "Its width, m"),
     Question(("cable", "thickness_m"), "Its thickness, m"),
-    Question(("destination", "x_m"), "Hole's mouth, far and near edge: x, x, m"),
-    Question(("destination", "y_m"), "Hole's mouth, lower and upper edge: y, y, m"),
+    Question(("destination", "x_m"), "Opening, far and near edge: x, x, m"),
+    Question(("destination", "y_m"), "Opening, lower and upper edge: y, y, m"),
     Question(("limits", "x_m"), "Where the gripper may be: least and greatest x, m"),
     Question(("limits", "y_m"), "Where the gripper may be: least and greatest y, m"),
 )

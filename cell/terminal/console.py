@@ -240,7 +240,7 @@ def parameters_table(model: Mapping[str, Any]) -> Table:
 
 
 def _tries(result: Result) -> str:
-    """Which try it was, if the cable was stopped in front of the mouth before."""
+    """Which try it was, if the cable was stopped in front of the opening before."""
     return f", try {len(result.stops) + 1}" if result.stops else ""
 
 

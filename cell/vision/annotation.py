@@ -133,7 +133,7 @@ def difference_inset(
     line(picture, pixels, SEEN, 1)
     for u, v in sixteenths(pixels).tolist():
         cv2.circle(picture, (u, v), 3 << _SHIFT, SEEN, -1, cv2.LINE_AA, _SHIFT)
-    words = f"seen beside predicted, x{times}: {largest_m * 1e3:.2f} mm at most"
+    words = f"measured - predicted, x{times}: max {largest_m * 1e3:.2f} mm"
     wide = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, 0.7 * scale, 2)[0][0]
     right = picture.shape[1] - round(16 * scale)
     write(picture, words, (right - wide, top + 2 * half + round(24 * scale)), WHITE)

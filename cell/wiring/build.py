@@ -298,7 +298,7 @@ def _real_camera(settings: Settings, clock: RealClock, latency_s: float) -> Came
             return GenicamCamera(GenicamOptions(**values, capture=capture), clock)
         case given.FilesCameraSettings() as camera:
             return FilesCamera(camera.folder, camera.frame_rate_hz, clock)
-    raise AssertionError("the settings refuse a simulated camera beside a real arm")
+    raise AssertionError("the settings refuse a simulated camera with a real arm")
 
 
 def _real_gripper(settings: Settings, clock: Clock) -> Gripper:
@@ -308,7 +308,7 @@ def _real_gripper(settings: Settings, clock: Clock) -> Gripper:
             return SerialGripper(SerialGripperOptions(**values), clock)
         case given.UrcapGripperSettings():
             return UrcapGripper(UrcapGripperOptions(**values), clock)
-    raise AssertionError("the settings refuse a simulated gripper beside a real arm")
+    raise AssertionError("the settings refuse a simulated gripper with a real arm")
 
 
 def cell_task(settings: Settings, calibration: Calibrated | None = None) -> Task:

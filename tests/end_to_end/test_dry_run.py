@@ -240,7 +240,7 @@ def test_json_and_a_cell_that_is_unfit(quick_config: Path, tmp_path: Path) -> No
     result = json.loads(out)
     assert (result["outcome"], result["speed"]) == ("unfit", 1.0)
     assert {"what", "found", "unit", "low", "high", "remedy"} == set(result["checks"][0])
-    assert "arm: beside its path: " in err and "arm.gain" in err
+    assert "arm: off its path: " in err and "arm.gain" in err
 
 
 @pytest.mark.parametrize("speed", ["0.1", "0.99"])

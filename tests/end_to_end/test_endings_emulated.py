@@ -174,7 +174,7 @@ def test_a_cable_stopped_again_is_put_aside(seeing: Line, hopeless: Callable[[in
     hopeless(9)
     result = seeing.cycle(at={"lower": the_first_but_calm})
     assert (result.outcome, result.fault) == (Outcome.REJECTED, None)
-    assert result.reason is not None and result.reason.startswith("stopped in front of the mouth")
+    assert result.reason is not None and result.reason.startswith("stopped in front of the opening")
     assert len(result.stops) == 1
     check_put_aside(seeing, result)
 

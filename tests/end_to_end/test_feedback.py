@@ -134,7 +134,7 @@ def test_what_needs_a_change_that_the_arm_refuses_stops_in_front_of_the_mouth(
     monkeypatch.setattr(correction, "probability_of_passing", lambda *asked: 0.2)
     result = live(settings=seeing(quick)).cell.run_cycle(1)
     assert result.outcome is Outcome.REJECTED and result.corrections == ()
-    assert result.reason is not None and result.reason.startswith("stopped in front of the mouth")
+    assert result.reason is not None and result.reason.startswith("stopped in front of the opening")
 
 
 def test_what_cannot_be_explained_is_not_corrected(
@@ -181,7 +181,9 @@ def test_what_nothing_brings_through_stops_in_front_of_the_mouth(
     result = it.cell.run_cycle(1)
     assert result.outcome is Outcome.REJECTED
     assert result.reason is not None
-    assert result.reason.startswith("stopped in front of the mouth: the tip would have passed with")
+    assert result.reason.startswith(
+        "stopped in front of the opening: the tip would have passed with"
+    )
     study = read_record(Path(result.folder)).study
     assert study is not None
     executed = study.trials[-1]
@@ -221,7 +223,7 @@ def test_a_stopped_cable_is_brought_back_measured_and_inserted(
     it = live(settings=seeing(quick, retry=1))
     result = it.cell.run_cycle(1)
     assert result.outcome is Outcome.INSERTED and result.reason is None
-    assert len(result.stops) == 1 and result.stops[0].startswith("stopped in front of the mouth")
+    assert len(result.stops) == 1 and result.stops[0].startswith("stopped in front of the opening")
     assert it.steps.count("lower") == 2 and it.steps.count("bring_back") == 1
     assert it.steps.count("grasp") == 1, "the cable stays in the jaws"
     record = read_record(Path(result.folder))
@@ -244,7 +246,7 @@ def test_a_cable_that_is_stopped_again_is_put_aside(
     it = live(settings=seeing(quick, retry=2), cycles=2)
     result = it.cell.run_cycle(1)
     assert result.outcome is Outcome.REJECTED and result.reason is not None
-    assert result.reason.startswith("stopped in front of the mouth")
+    assert result.reason.startswith("stopped in front of the opening")
     assert len(result.stops) == 2 and it.steps.count("lower") == 3
     assert it.steps[-2:] == ["release", "go_home"]
     monkeypatch.undo()

@@ -370,7 +370,7 @@ def test_a_hold_that_ended_early_is_replayed(tmp_path, recorded_config):
 
 
 def test_an_insertion_that_begins_later_is_recorded_and_replayed(tmp_path, recorded_config):
-    """A narrow mouth: at once no offset passes."""
+    """A narrow opening: at once no offset passes."""
     config = changed(
         recorded_config,
         tmp_path / "narrow.yaml",

@@ -356,7 +356,7 @@ def main() -> None:
         "--freely", type=float, metavar="S", help="the same again with motion.start.window_s"
     )
     parser.add_argument(
-        "--half-mm", type=float, default=5.0, help="half the mouth's height of --freely, mm"
+        "--half-mm", type=float, default=5.0, help="half the opening's height of --freely, mm"
     )
     options = parser.parse_args()
     asked = options.cycles, options.seed, options.burn

@@ -40,7 +40,7 @@ from tools.faults.scripted_plc import (
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: A person aborts every so many-th cycle, while the cable is lowered.
 ABORTED_EVERY = 5
-#: A mouth in which some cables are not inserted: the PLC has to be told that, too.
+#: An opening in which some cables are not inserted: the PLC has to be told that, too.
 NARROW_M = [-0.107, -0.105]
 #: What the PLC is told of an outcome.
 TOLD = {"inserted": "done", "missed": "rejected", "rejected": "rejected", "unfit": "rejected"}

@@ -296,7 +296,8 @@ def held_out_is_held_out(found: Found, text: str) -> list[str]:
 
 
 def order_is_of_what_is_shown(found: Found, text: str) -> list[str]:
-    shown = [row["χ² explained"] for row in columns(text, "Effects, each alone beside the baseline")
+    rows = columns(text, "Effects, each alone added to the baseline")
+    shown = [row["χ² explained"] for row in rows
              if "χ² explained" in row]  # fmt: skip
     values = [float(v) for v in shown]
     return [] if values == sorted(values, reverse=True) else ["effects are not listed by their χ²"]

@@ -1,6 +1,6 @@
 """From a line that rejects good cables to one that inserts them: the whole loop in one command.
 
-A simulated cell has physics in its world that its model lacks.  Its mouth is narrow, so that
+A simulated cell has physics in its world that its model lacks.  Its opening is narrow, so that
 cables are rejected or missed for it; `cell learn` names the effect from the recorded cycles,
 `cell promote` gives it to the model, and the same cables come again.
 `python -m tools.studies.learn [--effect air_drag] [--size 2] [--cables 4] [--out FOLDER]
@@ -33,8 +33,8 @@ from cell.wiring.build import cell_task
 from tools.worlds.fast_cell import typical
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
-#: A mouth this high lets pass what is forecast well, and little else.
-MOUTH = ("y_m: [-0.111, -0.101]", "y_m: [-0.1085, -0.1035]")
+#: An opening this high lets pass what is forecast well, and little else.
+OPENING = ("y_m: [-0.111, -0.101]", "y_m: [-0.1085, -0.1035]")
 OFFSETS = ("step_m: 0.002", "step_m: 0.001")
 #: First guesses of what a cable's cycle, its part in learning, and promoting take, s; what the
 #: commands really took corrects them.
@@ -117,7 +117,7 @@ class Commands:
 def config_in(folder: Path, effect: str, size: float) -> Path:
     text = CONFIG.read_text(encoding="utf-8")
     hidden = json.dumps({effect: typical(library()[effect], size)})
-    for old, new in (MOUTH, OFFSETS, ("effects: {}  ", f"effects: {hidden}  ")):
+    for old, new in (OPENING, OFFSETS, ("effects: {}  ", f"effects: {hidden}  ")):
         assert old in text, old
         text = text.replace(old, new)
     path = folder / "cell.yaml"
@@ -161,13 +161,13 @@ def _draw_tip(axes: plt.Axes, before: Step, after: Step) -> None:
         path = simulate(found.model, executed.grip, times, at)[0, :, 0] * 1e3
         axes.plot(*path.T, color=colour, label=f"forecast {step.title}")
     axes.plot(*tip.T, ".", color="black", markersize=3, label="seen")
-    mouth = task.destination
-    x, y = mouth.x_min_m * 1e3, mouth.y_min_m * 1e3
-    size = (mouth.x_max_m * 1e3 - x, mouth.y_max_m * 1e3 - y)
+    opening = task.destination
+    x, y = opening.x_min_m * 1e3, opening.y_min_m * 1e3
+    size = (opening.x_max_m * 1e3 - x, opening.y_max_m * 1e3 - y)
     axes.add_patch(plt.Rectangle((x, y), *size, fill=False, edgecolor="#1565c0", linewidth=2))
     axes.set(xlim=(x - 8, x + 14), ylim=(y - 5, y + size[1] + 5), xlabel="x, mm", ylabel="y, mm")
     axes.xaxis.set_major_locator(plt.MultipleLocator(5))
-    axes.set(title="The tip in the mouth (blue)")
+    axes.set(title="The tip in the opening (blue)")
     axes.legend(frameon=False, fontsize=8)
 
 

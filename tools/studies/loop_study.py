@@ -56,7 +56,7 @@ from tools.worlds.outside_laws import LATER, LAWS
 #: Of a sharp camera, assumed: nodes at the bound that vision holds across the cable, the
 #: end a seventh of a pixel off.  The default of `Errors` is a poor camera's.
 SEEN = Errors(node_m=1.2e-5, across_m=4e-6, end_m=3e-5)
-#: An effect that moves the tip by less than this at the mouth is not counted, m.
+#: An effect that moves the tip by less than this at the opening is not counted, m.
 SHIFT_M = 3e-4
 
 
@@ -89,7 +89,7 @@ class World:
 
     @property
     def shift_m(self) -> float:
-        """By how much the model before errs at the mouth beyond a complete one."""
+        """By how much the model before errs at the opening beyond a complete one."""
         return float(np.sqrt(max(self.before.error_m**2 - self.complete.error_m**2, 0.0)))
 
     def line(self) -> str:
@@ -110,7 +110,7 @@ class World:
 class Cables:
     """Cables of one world with one model.
 
-    error_m   root mean square over cables of the forecast's largest error in the mouth
+    error_m   root mean square over cables of the forecast's largest error in the opening
     """
 
     insertable: int

@@ -109,7 +109,7 @@ class Inserted:
     tails    changes that were told
     tip_m    (T, 2) as last predicted, at the times of the answers
     looks    one per decision
-    stopped  whether the gripper was stopped in front of the mouth, which is not simulated
+    stopped  whether the gripper was stopped in front of the opening, which is not simulated
     """
 
     motion: Motion

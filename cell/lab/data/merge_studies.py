@@ -204,7 +204,7 @@ def _individuals(cycles: Sequence[_Cycle]) -> Iterator[Problem]:
                 apart_m = float(np.max(apart[np.isfinite(apart)], initial=0.0))
                 if apart_m > limit_m:
                     message = (
-                        f"the resting cable is {apart_m * 1e3:.1f} mm beside that of {where} at "
+                        f"the resting cable is {apart_m * 1e3:.1f} mm away from that of {where} at "
                         f"the same clamp angle (allowed {limit_m * 1e3:.1f} mm): another "
                         "individual, or gripped elsewhere; merge only cycles of one cable"
                     )

@@ -79,7 +79,7 @@ def _effect_file(model: Path, name: str, entry: Mapping[str, str]) -> Path:
         raise InputError.at(
             model,
             f"was fitted with the effect {name} of {stated}, SHA-256 {entry['sha256']}; this file "
-            "is missing, also beside the model: put it back, or say with --with where it is, or "
+            "is missing, also next to the model: put it back, or say with --with where it is, or "
             "fit the model again",
         )
     files = [EffectFile(p, file_sha256(p)) for p in there]

@@ -42,8 +42,8 @@ class ForecastPair:
                              those that the other cables show
     present_s, candidate_s   of the computer, for the identification
     present_rms_m, candidate_rms_m   of the tip in all frames, of which noise makes less
-    present_above_m, candidate_above_m   height of the tip in the mouth above its forecast; nan = it
-                                         was not executed, or did not come there
+    present_above_m, candidate_above_m   height of the tip in the opening above its forecast; nan =
+                                         it was not executed, or did not come there
     """
 
     cycle: str

@@ -337,7 +337,7 @@ class LearningSpace:
         best = result.best
         if best is None:
             return self.search.next(self.alone, self.others, None)
-        if not self.search.budget.allows(SECOND, f"effects beside {best.effect.name}"):
+        if not self.search.budget.allows(SECOND, f"effects with {best.effect.name}"):
             return []
         self.search.progress(f"looking for what {best.effect.name} leaves")
         rest = [e for e in self.others if e not in best.effects]

@@ -40,7 +40,7 @@ class LineRules:
     least_gain, least_gain_m   share and size by which forecasts must become better
     significance         one-sided, of the paired differences over all frames (Wilcoxon)
     repeatability_m      by which the worst forecast may become worse: what arm and camera repeat to
-    lost_passages        forecasts that may leave the mouth
+    lost_passages        forecasts that may leave the opening
     at_bound             parameters that may be at a bound
     identifiable         standard deviations that an effect must be from none
     stays_within         factor by which it may change if a cable is left out
@@ -177,11 +177,11 @@ def worst_change(evidence: LineEvidence) -> Reading | None:
 
 
 def lost_passages(evidence: LineEvidence) -> Reading | None:
-    """Number of forecasts that leave the mouth with the candidate."""
-    mouth = evidence.destination
-    if mouth is None or not _enough(evidence):
+    """Number of forecasts that leave the opening with the candidate."""
+    opening = evidence.destination
+    if opening is None or not _enough(evidence):
         return None
-    half_m = 0.5 * (mouth.y_max_m - mouth.y_min_m)
+    half_m = 0.5 * (opening.y_max_m - opening.y_min_m)
     before, after = (int(np.sum(v < half_m)) for v in evidence.errors_m)
     count = len(evidence.differing)
     found = f"{before} → {after} of {count} forecast within ± {half_m * 1e3:.1f} mm"
@@ -371,13 +371,13 @@ GATES: tuple[Check[LineEvidence], ...] = (
     ),
     Check(
         "as many would have passed",
-        "How many forecasts leave the mouth?",
+        "How many forecasts leave the opening?",
         "forecasts",
         questions.lost_passages,
         "<=",
         "lost_passages",
         "refused",
-        "Fewer forecasts are within the mouth.",
+        "Fewer forecasts are within the opening.",
         "their number before and after",
     ),
     Check(

@@ -23,8 +23,8 @@ VERDICTS: dict[Verdict, str] = {
 STATUSES: dict[Status, str] = {
     "present": "missing in the model",
     "inspect": "explains a part too; examine it",
-    "absent": "excluded at its typical size, beside what was found",
-    "cannot_tell": "possible beside what was found; these trials could not show it",
+    "absent": "excluded at its typical size, given the model found",
+    "cannot_tell": "possible given the model found; these trials could not show it",
 }
 
 
@@ -137,7 +137,7 @@ def advice(
         case "unexplained":
             accepted = tuple(f.effect for f in diagnosis.partial) or accepted
             there = [*known, *accepted]
-            beside = f" beside {' and '.join(there)}" if there else ""
+            beside = f" in addition to {' and '.join(there)}" if there else ""
             look = paths.command("discover", there, f"-o {_new_law(there)}.py")
             fall = comparison_steps(paths, accepted, known) if accepted else ()
             return (*fall, NextStep(f"Search for an unknown law{beside}", look))
@@ -154,7 +154,7 @@ def after_discovery(
         return steps
     there = [*known, effect]
     more = paths.command("discover", there, f"-o {_new_law(there)}.py")
-    return (*steps, NextStep("Search for what is missing beside it", more))
+    return (*steps, NextStep("Search for what else is missing", more))
 
 
 def _new_law(taken: Iterable[str]) -> str:

@@ -156,7 +156,7 @@ def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArr
     of_held = iter(np.split(rows, _ends(quiet, "validate")[:-1]))
     left = np.concatenate([next(of_fitted if t.role == "fit" else of_held) for t in seen])
     if not np.all(np.isfinite(left)):
-        raise UnsimulatedError(f"the cable cannot be simulated beside {hidden.effect.name}")
+        raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
     return left
 
 

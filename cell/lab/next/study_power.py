@@ -268,8 +268,8 @@ def _doubts(fits: FitCache) -> tuple[Doubt, ...]:
         found.append(
             Doubt(
                 "misfit",
-                f"the fitted model leaves {over:.2g} times the noise, and power is told beside the "
-                "noise alone; add what the study lacks with --with",
+                f"the fitted model leaves {over:.2g} times the noise, and power is forecast with "
+                "the noise alone; add what the study lacks with --with",
             )
         )
     return tuple(found)

@@ -351,7 +351,7 @@ def split_effects(effects: Sequence[str]) -> tuple[list[str], list[str]]:
     asked = [given for given in effects if not given.endswith(".py")]
     if asked and tried:
         raise ValueError(
-            f"--try {tried[0]}: is tried beside the library, but {asked[0]} asks for a motion "
+            f"--try {tried[0]}: is tried with the library, but {asked[0]} asks for a motion "
             f"that shows it; give {tried[0]}=SIZE for a motion that shows both, or leave one out"
         )
     return asked, tried

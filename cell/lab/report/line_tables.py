@@ -139,7 +139,7 @@ def common_error_line(paired: Sequence[ForecastPair]) -> str:
         mean_m, low_m, high_m = (1e3 * m for m in interval(errors_m, 0.95))
         said.append(f"{mean_m:+z.3f} mm ({low_m:+z.3f} to {high_m:+z.3f})")
     return (
-        f"in the mean of {len(pairs)} executions the tip passes the mouth {said[0]} above the "
+        f"in the mean of {len(pairs)} executions the tip passes the opening {said[0]} above the "
         f"present model's forecast, {said[1]} above the candidate's; 95 % intervals"
     )
 

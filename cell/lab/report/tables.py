@@ -117,7 +117,7 @@ def nearest_table(diagnosis: Diagnosis) -> TableData:
     bounds = [name for n in diagnosis.nearest for name in n.at_bound]
     at = f". At a bound: {', '.join(bounds)}: the effect may be stronger than it allows"
     note = (
-        f"Error, mm rms per coordinate, with each effect alone beside the model. “all trials”: "
+        f"Error, mm rms per coordinate, with each effect alone added to the model. “all trials”: "
         f"error on all trials, fitted to {to}; –: not fitted so{at if bounds else ''}"
     )
     heads = ("effect", "all trials", "fitted", "held out", "most of it")
@@ -163,7 +163,7 @@ def ranking_table(diagnosis: Diagnosis) -> TableData:
     ]
     shown = dict.fromkeys(r.status for r in diagnosis.ranking)
     note = "; ".join(f"{s}: {STATUSES[s]}" for s in shown)
-    title = "Effects, each alone beside the baseline"
+    title = "Effects, each alone added to the baseline"
     return TableData(title, ["effect", "χ² explained", "p", "status"], rows, (1, 2), note, _COLOURS)
 
 
@@ -179,9 +179,9 @@ def limits_table(diagnosis: Diagnosis) -> TableData:
         rows.append([limit.effect, limit.parameter, possible, moves])
     heads = ("effect", "parameter", "possible (95 %)", "moves the tip by, mm")
     note = (
-        "Each effect alone beside the model found, with the shape that this study detects least; "
-        "the residual of the model counts as noise. An effect outside the range is excluded; "
-        "inside it is possible"
+        "Each effect alone added to the resulting model, with the shape that this study detects "
+        "least; the residual of the model counts as noise. An effect outside the range is "
+        "excluded; inside it is possible"
     )
     return TableData("What the study excludes, 95 %", heads, rows, (3,), note)
 

@@ -111,7 +111,7 @@ def _of_noise(evidence: Evidence) -> Iterator[Check[Evidence]]:
             "residual_significance",
             "unexplained",
             f"What the model leaves is not what noise would leave: {own.question}",
-            f"the statistic of {own.file} beside its values for noise alone, Holm-corrected",
+            f"the statistic of {own.file} compared with its values for noise alone, Holm-corrected",
         )
 
 

@@ -330,8 +330,8 @@ def _check_rate(
         raise NotIntegrableError(
             rests.begin,
             f"the motion of {moved_s:.2g} s has {rests.end - rests.begin} samples, "
-            f"{1.0 / sensed.step_s:.4g} a second; half of them make a path {apart_m * 1e3:.3g} mm "
-            f"beside, limit {allowed_m * 1e3:.2g} mm: take a higher rate",
+            f"{1.0 / sensed.step_s:.4g} a second; the path from half of them differs by "
+            f"{apart_m * 1e3:.3g} mm, limit {allowed_m * 1e3:.2g} mm: take a higher rate",
         )
 
 

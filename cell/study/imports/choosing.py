@@ -64,7 +64,7 @@ def choose(
     findings += told
     if not cable:
         raise capture.error(
-            0, "shows no point that moves beside the gripper; give the cable's markers"
+            0, "shows no point that moves besides the gripper; give the cable's markers"
         )
     if hand_elsewhere:
         order = _from_end(cable, raw)

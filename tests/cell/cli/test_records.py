@@ -69,7 +69,7 @@ def test_the_folder_one_is_in_is_a_folder_of_records(
 def test_beside_the_root_there_is_no_place(command: tuple[object, ...]) -> None:
     done = cell(*command)
     assert done.exit_code == 2
-    assert "has no name, and files stand beside it" in " ".join(
+    assert "has no name, and files are written next to it" in " ".join(
         done.stderr.replace("│", "").split()
     )
 

@@ -47,12 +47,12 @@ def expected(motions: list[Motion]) -> Forecast:
 
 
 def hole_around(expected: Forecast, index: int, half_height_m: float) -> Destination:
-    """A hole whose mouth the tip of one offset meets in the middle."""
-    mouth, depth = -0.13, 0.004
+    """A destination whose opening the tip of one offset meets in the middle."""
+    opening, depth = -0.13, 0.004
     tip = expected.tip_m[index]
-    at = int(np.argmax(tip[:, 0] <= mouth))
+    at = int(np.argmax(tip[:, 0] <= opening))
     y = float(tip[at, 1])
-    return Destination(mouth - depth, mouth, y - half_height_m, y + half_height_m)
+    return Destination(opening - depth, opening, y - half_height_m, y + half_height_m)
 
 
 def test_the_offset_that_meets_the_hole_is_chosen(expected: Forecast) -> None:

@@ -26,7 +26,7 @@ FRAMES_S = np.arange(-0.02, 0.46, 0.005)
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
-    """The expected tip comes through the middle of a narrow mouth."""
+    """The expected tip comes through the middle of a narrow opening."""
     covariance = 0.01**2 * np.eye(len(MEAN))
     none = np.zeros_like(covariance)
     cable = Identified(SPACE, MEAN, covariance, Noise(3e-5), 3e-5, 1.0, 9, 9, 1, "map", none)
@@ -61,7 +61,7 @@ def test_what_can_be_mended_is_changed(flight: Flight) -> None:
 
 
 def test_what_comes_too_late_is_hopeless(flight: Flight) -> None:
-    """So short before the mouth no change of height brings it through."""
+    """So short before the opening no change of height brings it through."""
     decision = flight.decide(FRAMES_S, frames(0.004), 0.7)
     assert decision.hopeless and decision.tail is None and decision.withheld is None
 

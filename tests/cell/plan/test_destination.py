@@ -19,14 +19,14 @@ def path(*points_mm: tuple[float, float]) -> np.ndarray:
         (((20, 2), (-5, 2)), 1.0),
         (((20, -4), (-5, -4)), -1.0),  # below the floor
         (((15, 0), (5, 2), (-5, 0)), 1.0),  # closest to the ceiling inside
-        (((15, 9), (5, -1), (-5, -1)), -1.0),  # enters above the ceiling: y = 4 at the mouth
+        (((15, 9), (5, -1), (-5, -1)), -1.0),  # enters above the ceiling: y = 4 at the opening
         (((15, 0), (0.1, 0), (-5, 50)), 2.0196),  # only the part before x_min counts
         (((15, 0), (5, 0), (12, 9), (8, 2), (-5, 2)), -3.429),  # leaves upwards through ceiling
         (((15, 1), (8, 1), (20, 1), (20, -1), (-5, -1)), 2.0),  # swings back out: no wall there
         (((15, 1), (4, 1), (15, 1)), -4.0),  # 4 mm short of the full depth
-        (((15, 0), (12, 0)), -2.0),  # 2 mm in front of the mouth
-        (((15, 7), (13, 7)), -5.0),  # 3 right of and 4 above the mouth's upper edge
-        (((5, 0), (-5, 0)), -5.0),  # starts behind the mouth: never goes through it
+        (((15, 0), (12, 0)), -2.0),  # 2 mm in front of the opening
+        (((15, 7), (13, 7)), -5.0),  # 3 right of and 4 above the opening's upper edge
+        (((5, 0), (-5, 0)), -5.0),  # starts behind the opening: never goes through it
     ],
 )
 def test_margin_by_hand(points_mm, margin_mm: float) -> None:

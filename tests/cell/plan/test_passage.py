@@ -13,7 +13,7 @@ T_S = np.arange(0.0, 0.5, 0.005)
 
 
 def level(y_m: float) -> np.ndarray:
-    """Tip moving left at 0.1 m/s at a constant height, through the mouth at 0.2 s."""
+    """Tip moving left at 0.1 m/s at a constant height, through the opening at 0.2 s."""
     return np.column_stack([-0.1 - 0.1 * T_S, np.full(len(T_S), y_m)])
 
 
@@ -69,7 +69,7 @@ def test_unseen_frames_far_from_the_destination_do_not_matter() -> None:
 
 
 def test_frames_missing_before_a_tip_that_was_near_the_mouth_earlier_still_count() -> None:
-    """It hung nearer to the mouth at first than in any frame of the passage."""
+    """It hung nearer to the opening at first than in any frame of the passage."""
     tip = level(-0.1)
     tip[:5, 0] = -0.1199
     tip[38:62] = np.nan

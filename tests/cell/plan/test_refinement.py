@@ -27,7 +27,7 @@ def free(task):
 
 
 def narrow(half_mm: float):
-    """The settings with a mouth of so many mm on either side of its middle."""
+    """The settings with an opening of so many mm on either side of its middle."""
     destination = SETTINGS.destination
     middle_m = float(np.mean(destination.y_m))
     height = (middle_m - half_mm * 1e-3, middle_m + half_mm * 1e-3)
@@ -63,7 +63,7 @@ def test_where_an_offset_passes_surely_it_is_done_at_once_and_refined():
 
 
 def test_a_cable_that_hangs_too_low_is_led_further():
-    """Half as stiff as usual: its tip does not come as far left as the mouth is deep."""
+    """Half as stiff as usual: its tip does not come as far left as the opening is deep."""
     low, high = SETTINGS.world.rigidity_n_m2
     world = SETTINGS.world.model_copy(update={"rigidity_n_m2": (0.5 * low, 0.5 * high)})
     settings = SETTINGS.model_copy(update={"world": world})

@@ -93,11 +93,11 @@ def test_a_cell_in_order_is_right_at_any_speed(speed: float) -> None:
 
 FAULTS = {
     "arm: lag": ({"lag_s": 0.05}, 0.05, "set arm.lag_s to 0.050"),
-    "arm: beside its path": ({"bulge_m": 0.001}, 0.001, "arm.gain"),
+    "arm: off its path": ({"bulge_m": 0.001}, 0.001, "arm.gain"),
     "camera: frame rate": ({"frame_hz": 150.0}, 150.0, "camera.frame_rate_hz"),
     "camera: jaw found in": ({"unseen": 0.5}, 0.5, "look at the pictures"),
     "camera: stamps late by": ({"late_s": 0.012}, 0.012, "add 0.01"),
-    "camera: jaw beside the arm": ({"beside_m": 0.003 - 0.004j}, 0.005, "by 3.0, -4.0 mm"),
+    "camera: jaw away from the arm": ({"beside_m": 0.003 - 0.004j}, 0.005, "by 3.0, -4.0 mm"),
     "camera: scale": ({"scale": 1.02}, 1.02, "metres_per_pixel by 1.02"),
     "camera: direction": ({"turned_rad": 0.01}, 0.01, "turn the camera level"),
 }
@@ -132,7 +132,7 @@ def test_all_of_them_together_are_told_apart(
     assert found["camera: stamps late by"].found == pytest.approx(late_s, abs=5e-4)
     assert found["camera: scale"].found == pytest.approx(scale, abs=1e-3)
     assert found["camera: direction"].found == pytest.approx(turned_rad, abs=1e-3)
-    assert found["camera: jaw beside the arm"].found == pytest.approx(abs(beside_m), abs=1e-4)
+    assert found["camera: jaw away from the arm"].found == pytest.approx(abs(beside_m), abs=1e-4)
 
 
 def test_a_jaw_that_is_never_found_says_so_and_no_more() -> None:

@@ -100,7 +100,7 @@ def test_what_failed_a_gate_or_was_learned_beside_another_model_is_refused(
         promote(failed, config)
     good = read_candidate(candidate(tmp_path, config, DRAG))
     promote(good, config)
-    with pytest.raises(InputError, match="was learned beside the model"):
+    with pytest.raises(InputError, match="was learned with the model"):
         promote(good, config)
     undo(config)
     assert config.read_bytes() == before

@@ -355,17 +355,17 @@ def test_a_tip_that_is_not_seen_tells_nothing_of_a_forecast(result: LearningResu
 def test_what_noise_hides_in_the_destination_is_sure_from_all_frames(
     result: LearningResult,
 ) -> None:
-    """58 → 37 µm in the mouth was refused with p = 0.08: two of six cables had their noise there.
+    """58 → 37 µm in the opening was refused with p = 0.08: two of six cables had their noise there.
 
-    What is better in the mouth by chance alone is refused still, as is what is not better there.
+    What is better in the opening by chance alone is refused still, as is what is not better there.
     """
     destination = cell_task(SETTINGS).destination
     before, after = (65, 40, 70, 45, 68, 52), (30, 44, 32, 47, 33, 31)
 
-    def passes(path: tuple[float, ...], mouth: tuple[int, ...] = after) -> bool:
+    def passes(path: tuple[float, ...], opening: tuple[int, ...] = after) -> bool:
         paired = [
             ForecastPair(str(i), 1e-6 * b, 1e-6 * a, 1.0, 1.0, 4e-5, 1e-6 * p)
-            for i, (b, a, p) in enumerate(zip(before, mouth, path, strict=True))
+            for i, (b, a, p) in enumerate(zip(before, opening, path, strict=True))
         ]
         found = gates(result, paired, destination)
         return next(g.passed for g in found if g.name == "forecasts unseen cables better")

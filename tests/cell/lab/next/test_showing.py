@@ -77,7 +77,7 @@ def test_a_size_that_no_motion_shows_says_what_would_help(fits: FitCache) -> Non
 def test_names_are_shown_and_files_tried_but_not_both() -> None:
     assert split_effects(["air_drag", "my.py=0.1"]) == (["air_drag", "my.py=0.1"], [])
     assert split_effects(["my.py"]) == ([], ["my.py"])
-    with pytest.raises(ValueError, match=r"my.py: is tried beside the library, but air_drag asks"):
+    with pytest.raises(ValueError, match=r"my.py: is tried with the library, but air_drag asks"):
         split_effects(["my.py", "air_drag"])
 
 

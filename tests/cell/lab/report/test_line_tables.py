@@ -19,7 +19,7 @@ def pairs(present_mm: float, candidate_mm: float, count: int = 6) -> list[Foreca
 
 def test_both_means_are_said_with_their_intervals() -> None:
     line = common_error_line(pairs(-0.6, 0.0))
-    assert line.startswith("in the mean of 6 executions the tip passes the mouth -0.")
+    assert line.startswith("in the mean of 6 executions the tip passes the opening -0.")
     assert "above the present model's forecast, " in line and "above the candidate's" in line
     numbers = [float(w.strip("(),")) for w in line.split() if w.strip("(),")[:1] in "+-"]
     mean, low, high, after, after_low, after_high = numbers
