@@ -317,6 +317,8 @@ def effects(
 ) -> None:
     """List the effects that a model can have: laws, parameters, units and limits.
 
+    `cell help effects` has each with a picture, with what it is confused, and how it is removed.
+
     Exit codes: 0; 1 if a file of --candidates is left out; 2 if another file is wrong.
     """
     from cell.lab.data.named_effects import candidates_in, select_effects

@@ -40,6 +40,7 @@ from cell.lab.report.tables import (
 )
 from cell.lab.report.wording import (
     agreement_sentence,
+    catalogue_entry,
     correlation,
     digits,
     left_in_words,
@@ -62,11 +63,12 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 @dataclass(frozen=True)
 class _Law:
-    """The law of an effect, as its file states it."""
+    """The law of an effect, as its file states it, and where it is described further."""
 
     effect: str
     first: str
     others: Sequence[str]
+    entry: str
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,7 @@ def comparison_page(comparisons: Sequence[Comparison]) -> str:
         by_trial=Plot.of(by_trial(series)) if several else None,
         left=_where(series),
         wrenches=wrenches_table(comparisons),
+        entries=catalogue_entry([e for c in comparisons for e in c.effects]),
         shown=_trials(ends),
     )
 
@@ -294,5 +297,5 @@ def _laws(diagnosis: Diagnosis, model: Identified) -> list[_Law]:
     for effect in model.space.effects:
         if effect.name in accepted:
             first, *others = inspect.cleandoc(effect.__doc__ or "").split("\n\n")
-            laws.append(_Law(effect.name, first, others))
+            laws.append(_Law(effect.name, first, others, catalogue_entry([effect.name])))
     return laws

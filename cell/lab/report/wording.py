@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cell.cable.effects import library, unscreened
 from cell.cable.effects.base import after_number
 from cell.files.words import counted
 from cell.lab.data.prepared import ERRS
@@ -20,6 +21,16 @@ from cell.lab.data.results import (
 )
 from cell.lab.strength.compare import NOTICEABLE, Comparison
 from cell.lab.strength.trial_residual import TrialResidual
+
+
+def catalogue_entry(effects: Sequence[str]) -> str:
+    """Where the project's effects among these are described; empty if there is none."""
+    described = library() | unscreened()
+    names = [name for name in dict.fromkeys(effects) if name in described]
+    if not names:
+        return ""
+    entries = "entry" if len(names) == 1 else "entries"
+    return f"Limits, confusions and remedies: `cell help effects`, {entries} {', '.join(names)}."
 
 
 def why_not_told(diagnosis: Diagnosis) -> str:

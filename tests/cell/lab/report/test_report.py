@@ -14,6 +14,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.next.advice import advice
 from cell.lab.report.report import comparison_page, diagnosis_page
+from cell.lab.report.wording import catalogue_entry
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.kept_model import identified
@@ -106,6 +107,13 @@ def test_a_comparison_shows_models_side_by_side_on_logarithmic_axes(diagnosed):
     assert len(shown(by_trial, "with")["y"]) == len(study.trials)
     words = " ".join(page.text)
     assert "From “base” to “with” the error on motions not fitted to falls" in words
+    assert "cell help effects , entry tip_mass." in " ".join(words.split())
+
+
+def test_an_effect_of_ones_own_has_no_entry_in_the_catalogue():
+    assert catalogue_entry(["mine"]) == ""
+    said = catalogue_entry(["air_drag", "mine", "rest_shape", "air_drag"])
+    assert said.endswith("`cell help effects`, entries air_drag, rest_shape.")
 
 
 def overlays(page):
@@ -129,6 +137,8 @@ def test_the_first_words_say_what_is_missing(diagnosed):
     assert words.index("with tip mass in it") < words.index("Error as effects are added")
     assert "Point mass with weight at the tip" in words  # the law
     assert "--with tip_mass" in words
+    said = " ".join(words.split())
+    assert "Limits, confusions and remedies: cell help effects , entry tip_mass." in said
 
 
 def test_waterfall_and_ranking_show_the_diagnosis(diagnosed):
