@@ -186,14 +186,16 @@ class SimulatedCamera(_Camera):
     """Standard deviation, grey levels."""
 
 
-class _RealCamera(_Camera):
+class RealCamera(_Camera):
+    """Settings that every camera has which is really there."""
+
     latency_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     """Shortest time from the middle of an exposure to the arrival of its picture."""
     lost_after_s: Annotated[float, Field(ge=0.01, le=5.0)] = 0.055
     """Time without a picture after which the camera counts as lost and the arm stops."""
 
 
-class OpenCvCameraSettings(_RealCamera):
+class OpenCvCameraSettings(RealCamera):
     """Camera of the operating system (UVC), through OpenCV."""
 
     kind: Literal["opencv"]
@@ -207,7 +209,7 @@ class OpenCvCameraSettings(_RealCamera):
     """Timestamps of the pictures: the device's, or the time of arrival."""
 
 
-class GenicamCameraSettings(_RealCamera):
+class GenicamCameraSettings(RealCamera):
     """Industrial camera through its GenTL producer."""
 
     kind: Literal["genicam"]
@@ -230,20 +232,22 @@ class FilesCameraSettings(_Camera):
 _Force = Annotated[float, Field(ge=0.0, le=1000.0)]
 
 
-class _Gripper(Section):
+class Gripper(Section):
+    """Settings that every gripper has."""
+
     force_n: Annotated[float, Field(gt=0.0, le=235.0)]
     """Closing force."""
     force_limits_n: Annotated[tuple[_Force, _Force], AfterValidator(increasing)] = (1.0, 40.0)
     """Smallest force that holds the cable, largest that does not crush it."""
 
 
-class SimulatedGripper(_Gripper):
+class SimulatedGripper(Gripper):
     """Twin of a gripper in the simulated world."""
 
     kind: Literal["sim"]
 
 
-class SerialGripperSettings(_Gripper):
+class SerialGripperSettings(Gripper):
     """Robotiq-type gripper (2F-85), Modbus RTU on a serial line."""
 
     kind: Literal["serial"]
@@ -261,7 +265,7 @@ class SerialGripperSettings(_Gripper):
     stops."""
 
 
-class UrcapGripperSettings(_Gripper):
+class UrcapGripperSettings(Gripper):
     """Robotiq-type gripper (2F-85) on a UR's tool flange, through Robotiq's URCap."""
 
     kind: Literal["urcap"]

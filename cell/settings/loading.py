@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cell.files.input_error import InputError, Problem, did_you_mean
-from cell.files.yaml_document import Document, Key, dotted, read_yaml, validate
+from cell.files.yaml_document import Document, Key, dotted, read_yaml
 from cell.settings.check import contradictions
 from cell.settings.model import Settings
+from cell.settings.plugged import validated
 from cell.settings.product import REPLACED, overlaid
 
 _PRODUCTS = "products"
@@ -29,7 +30,7 @@ def load_settings(path: Path) -> Settings:
 
 def settings_of(document: Document) -> Settings:
     """Settings from a file that was read.  Raises InputError, as above."""
-    settings = _with_files(validate(document, Settings), document.path)
+    settings = _with_files(validated(document), document.path)
     problems = [*contradictions(document, settings), *_of_products(document, settings)]
     if problems:
         raise InputError(problems)
@@ -79,7 +80,7 @@ def for_product(settings: Settings, name: str) -> Settings:
         raise ValueError(f"{name!r} is no product of these settings; those are: {known}")
     plain = settings.model_dump(mode="json", exclude_unset=True)
     data = overlaid(plain, name, plain[_PRODUCTS][name])
-    return Settings.model_validate_json(json.dumps(data), strict=True)
+    return type(settings).model_validate_json(json.dumps(data), strict=True)
 
 
 def products_of(settings: Settings) -> dict[str, Settings]:
@@ -112,7 +113,7 @@ class _ProductDocument(Document):
 def _checked_product(document: Document, name: str) -> Settings:
     """The settings of a product that is in the file.  Raises InputError."""
     made = _product_document(document, name)
-    settings = _with_files(validate(made, Settings), document.path)
+    settings = _with_files(validated(made), document.path)
     if problems := contradictions(made, settings):
         raise InputError(problems)
     return settings

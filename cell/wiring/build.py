@@ -31,6 +31,7 @@ from cell.run.station import ProductTask, Task
 from cell.settings import InputError, Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, as_gripped, typed
+from cell.settings.plugged import plugged_in
 from cell.settings.provenance import calibration_hash, files_of, line_name
 from cell.settings.records import LedgerSettings
 from cell.settings.translate import (
@@ -55,7 +56,7 @@ from drivers.guard import (
     GuardedCamera,
     GuardedGripper,
 )
-from drivers.interfaces import Camera, Clock, Devices, Gripper
+from drivers.interfaces import Arm, Camera, Clock, Devices, Gripper
 from drivers.opencv_camera import OpenCvCamera, OpenCvOptions
 from drivers.plane_mount import PlaneMount
 from drivers.priority import take_precedence
@@ -274,17 +275,23 @@ def real_devices(settings: Settings, calibration: Calibrated | None = None) -> D
     calibration  their delays; None = as typed
     """
     calibration = typed(settings) if calibration is None else calibration
-    arm, clock = settings.arm, RealClock()
+    clock, lag_s, latency_s = RealClock(), calibration.lag_s, calibration.latency_s
+    return Devices(
+        arm=plugged_in("arm", settings.arm, clock, lag_s) or _real_arm(settings, lag_s),
+        camera=plugged_in("camera", settings.camera, clock, latency_s)
+        or _real_camera(settings, clock, latency_s),
+        gripper=plugged_in("gripper", settings.gripper, clock) or _real_gripper(settings, clock),
+        clock=clock,
+    )
+
+
+def _real_arm(settings: Settings, lag_s: float) -> Arm:
+    arm = settings.arm
     assert isinstance(arm, given.UrArmSettings)
     mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
     reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
-    reached |= {"lag_s": calibration.lag_s, "allow_version": arm.allowed_version}
-    return Devices(
-        arm=UrArm(UrOptions(mount=mount, **reached)),
-        camera=_real_camera(settings, clock, calibration.latency_s),
-        gripper=_real_gripper(settings, clock),
-        clock=clock,
-    )
+    reached |= {"lag_s": lag_s, "allow_version": arm.allowed_version}
+    return UrArm(UrOptions(mount=mount, **reached))
 
 
 def _real_camera(settings: Settings, clock: RealClock, latency_s: float) -> Camera:

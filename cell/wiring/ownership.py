@@ -24,6 +24,7 @@ from pathlib import Path
 from cell.files.input_error import InputError
 from cell.settings import Settings
 from cell.settings import devices as given
+from cell.settings.plugged import place_of
 from drivers.ur_claim import COMMANDS, ClaimedError, claim
 
 #: Folders that may hold the locks: the first in which every user may make files.
@@ -116,6 +117,9 @@ def devices_of(settings: Settings) -> list[Device]:
         case given.UrcapGripperSettings():
             place = f"{_address(gripper.host)}:{gripper.port}"
             devices.append(Device("gripper.host", f"gripper on {place}"))
+    for name, section in (("arm", arm), ("camera", camera), ("gripper", gripper)):
+        if (foreign := place_of(section)) is not None:
+            devices.append(Device(f"{name}.kind", f"{name} {foreign}"))
     return devices
 
 

@@ -10,8 +10,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from pydantic import ValidationError
-
 from cell.files.input_error import InputError
 from cell.files.plain import plain
 from cell.records.recording import form
@@ -23,6 +21,7 @@ from cell.run.findings import Filming
 from cell.run.plans import FILM, INSERTING, LOOK, Plan, filmed
 from cell.settings import Settings, load_settings
 from cell.settings.calibrated import Calibrated, calibrated
+from cell.settings.plugged import settings_class
 from cell.settings.translate import pose_of
 from cell.wiring.build import cell_with
 from drivers.interfaces import Devices
@@ -216,8 +215,9 @@ def _settings(
         settings = load_settings(config)
         return _at_once(settings), calibrated(settings, config)
     try:
-        settings = Settings.model_validate(restored_files(recording, folder))
-    except ValidationError as error:
+        restored = restored_files(recording, folder)
+        settings = settings_class(restored).model_validate(restored)
+    except ValueError as error:  # pydantic's, too
         message = f"its settings are of another version: {error}; give some with --config"
         raise InputError.at(recording.path, message) from error
     started = datetime.fromisoformat(about["started"]).astimezone()
