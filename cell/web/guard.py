@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import sys
+import time
 from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
@@ -22,6 +24,8 @@ COOKIE = "cell_session"
 LOGIN = "/login"
 #: A longer body of a request is refused, bytes: files for the lab.
 MOST_BYTES = 64 << 20
+#: A body must come at this rate, bytes/s, after a delay, s.
+LEAST_RATE, BODY_S = 50e3, 10.0
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 #: Nothing is loaded from outside; NiceGUI itself compiles templates and has inline styles.
@@ -36,8 +40,13 @@ _HEADERS = (
 )
 
 
-class _TooLongError(Exception):
-    """A body without a stated length grew too long."""
+#: Browsers reach this host by TLS only for so long after each answer, s.  They do so for all services
+#: of the host: it is short, so that it can be taken back.
+_TLS_ONLY_S = 30 * 86400
+
+
+class _BodyError(Exception):
+    """A body without a stated length grew too long, or came too slowly."""
 
 
 def same_origin(origin: str | None, host: str, secure: bool) -> bool:
@@ -68,6 +77,8 @@ class Guard:
         self._users = users
         self._sessions = sessions
         self._secure = secure
+        tls = ((b"strict-transport-security", f"max-age={_TLS_ONLY_S}".encode()),)
+        self._headers = (*_HEADERS, *(tls if secure else ()))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or hand it on with its session in `state`."""
@@ -81,36 +92,37 @@ class Guard:
             await _refuse(scope, send, status)
             return
         scope.setdefault("state", {})["session"] = session
-        left, begun = MOST_BYTES, False
+        body, begun, refusal = _Body(), False, 0
 
         async def heard() -> MutableMapping[str, Any]:
-            nonlocal left
-            message = await receive()
-            if message["type"] == "http.request":
-                left -= len(message.get("body", b""))
-                if left < 0:
-                    raise _TooLongError
+            nonlocal refusal
+            if scope["type"] == "http" and not body.is_complete:
+                message, refusal = await body.receive(receive)
+                if refusal:
+                    raise _BodyError
+            else:
+                message = await receive()
             if message["type"] == "websocket.receive" and self._ended(session):
                 return {"type": "websocket.disconnect", "code": 1008}
             return message
 
         async def sent(message: MutableMapping[str, Any]) -> None:
             nonlocal begun
-            if left < 0 and not begun:
+            if refusal and not begun:
                 return  # what the application says of the body that broke off: the refusal follows
             begun = True
             if message["type"] == "http.response.start":
                 known = {k.lower() for k, _ in message.get("headers", ())}
-                new = [h for h in _HEADERS if h[0] not in known]
+                new = [h for h in self._headers if h[0] not in known]
                 message["headers"] = [*message.get("headers", ()), *new]
             await send(message)
 
         try:
             await self._app(scope, heard, sent)
-        except _TooLongError:
+        except _BodyError:
             if begun:
                 raise
-            await _refuse(scope, send, 413)
+            await _refuse(scope, send, refusal)
 
     def _session(self, headers: dict[str, str]) -> LoginSession | None:
         if self._sessions is None:
@@ -159,6 +171,28 @@ class Guard:
             return True
 
 
+class _Body:
+    """A request's body as it comes."""
+
+    def __init__(self) -> None:
+        self.is_complete = False
+        self._bytes, self._waited_s = 0, 0.0
+
+    async def receive(self, receive: Receive) -> tuple[MutableMapping[str, Any], int]:
+        """The next message, and the status of what is refused; 0 = it is allowed."""
+        started_s = time.monotonic()
+        try:
+            async with asyncio.timeout(BODY_S + self._bytes / LEAST_RATE - self._waited_s):
+                message = await receive()
+        except TimeoutError:
+            return {"type": "http.disconnect"}, 408
+        self._waited_s += time.monotonic() - started_s
+        if message["type"] == "http.request":
+            self._bytes += len(message.get("body", b""))
+            self.is_complete = not message.get("more_body", False)
+        return message, 413 if self._bytes > MOST_BYTES else 0
+
+
 def _is_of_this_user(scope: Scope) -> bool:
     """Whether a connection is of who runs this server, or of root; where the system tells it."""
     client, server = scope.get("client"), scope.get("server")
@@ -176,11 +210,14 @@ async def _refuse(scope: Scope, send: Send, status: int) -> None:
         await send({"type": "websocket.close", "code": 1008})
         return
     headers = [(b"content-type", b"text/plain"), *_HEADERS]
+    if status in (408, 413):  # the rest of the body is not read
+        headers.append((b"connection", b"close"))
     if status == 303:
         headers.append((b"location", LOGIN.encode()))
     await send({"type": "http.response.start", "status": status, "headers": headers})
     said = {
         **{303: b"log in", 401: b"log in", 413: b"too long"},
+        408: b"too slow",
         403: b"from another site, or another user's: cell user add makes accounts",
         503: b"users were added: start cell serve again, and log in",
     }

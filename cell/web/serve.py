@@ -30,6 +30,7 @@ from cell.web.lab_routes import lab_routes
 from cell.web.pages import calibration, history, lab, live, settings
 from cell.web.pages.cycle import build as build_cycle
 from cell.web.theme import CSS, N_
+from cell.web.timed_http import TimedHttp
 from cell.web.visit import PagesContext, Visit
 from cell.web.wording import languages, preferred, translation
 
@@ -96,7 +97,8 @@ def serve(
             port=address[1],
             log_level="warning",
             server_header=False,
-            proxy_headers=room.sessions is not None,  # else any local user is whom they say
+            proxy_headers=False,  # `X-Forwarded-For` is whatever a client says
+            http=TimedHttp,
             ws_max_size=1 << 20,
             timeout_graceful_shutdown=2,
             **options,
@@ -120,6 +122,7 @@ def application(room: PagesContext, users: Users, secure: bool) -> FastAPI:
     @ui.page("/cycle/{name}", title=_TITLE, dark=None)
     def cycle(request: Request, name: str) -> None:
         if cycle_view.cycle_folder(room.runs, name) is None:
+            ui.context.client.status_code = 404
             ui.label("no such cycle")
             return
         visit = _visit(room, request)
@@ -139,6 +142,7 @@ def _page_route(room: PagesContext, page: Page) -> None:
             if visit.has_role(page.role):
                 page.build(visit)
             else:
+                ui.context.client.status_code = 403
                 ui.label(visit.t("You may not see this page."))
 
 
@@ -205,14 +209,18 @@ def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) 
             return RedirectResponse("/", 303)
         async with request.form(max_files=0, max_fields=4, max_part_size=4096) as form:
             name, password = str(form.get("name", "")), str(form.get("password", ""))
-        keys = (f"name {name[:60]}", f"from {request.client.host if request.client else ''}")
-        if not room.sessions.login_allowed(*keys):
+        by, address = name[:60], request.client.host if request.client else ""
+        limit = room.sessions.count_login(by, address)
+        if limit is not None:
+            if limit.is_first:  # a line each would fill the disk
+                note = f"from {address}; too many wrong passwords {limit.counted}"
+                room.audit.write(by, "log in", False, note)
             return shown(request, N_("Too many wrong passwords; wait a minute."), 429)
         user = await run_in_threadpool(users.authenticate, name, password)
-        room.audit.write(name[:60], "log in", user is not None)
+        room.audit.write(by, "log in", user is not None, f"from {address}")
         if user is None:
             return shown(request, N_("Name or password is wrong."), 401)
-        room.sessions.right(*keys)
+        room.sessions.count_right(by, address)
         answer = RedirectResponse("/", 303)
         token = room.sessions.begin(user)
         answer.set_cookie(COOKIE, token, httponly=True, secure=secure, samesite="strict")

@@ -13,11 +13,24 @@ from cell.plant.users import Role, User
 
 #: A session ends after so long without a request, and after so long in any case, s.
 IDLE_S, LONGEST_S = 30 * 60.0, 12 * 3600.0
-#: After so many wrong passwords for a name or from an address within `_LATELY_S`, it must wait.
-MOST_WRONG = 5
+#: So many passwords may be wrong within `_LATELY_S`: of a name from one address, of all names from
+#: one address, and in all.  The last limit spares a name at an address where it was right before.
+MOST_WRONG, MOST_WRONG_OF_ADDRESS, MOST_WRONG_IN_ALL = 5, 20, 200
 _LATELY_S = 60.0
 #: More are forgotten, the oldest first.
 _MOST = 1000
+
+
+@dataclass(frozen=True)
+class LoginLimit:
+    """A limit of wrong passwords that is reached.
+
+    counted   what was counted
+    is_first  whether it has refused nobody else within the last minute
+    """
+
+    counted: str
+    is_first: bool
 
 
 @dataclass
@@ -49,6 +62,8 @@ class Sessions:
         self._lock = threading.Lock()
         self._open: dict[str, LoginSession] = {}
         self._wrong: dict[str, list[float]] = {}
+        self._refused_s: dict[str, float] = {}
+        self._proved: dict[tuple[str, str], None] = {}
 
     def begin(self, user: User) -> str:
         """Token of a new session, which only its cookie has."""
@@ -89,31 +104,54 @@ class Sessions:
         with self._lock:
             self._open.pop(_key(token or ""), None)
 
-    def login_allowed(self, *keys: str) -> bool:
-        """Whether a password may be looked at: not too many were wrong lately.
+    def count_login(self, name: str, address: str) -> LoginLimit | None:
+        """Count a password as wrong before it is checked; the limit that refuses the check.
 
-        It counts as wrong for this name and from this address until `right` is told, so that many
-        requests at once are no more tries than one after another.
+        `count_right` takes it back, so that many requests at once are no more tries than one after
+        another.
         """
         now = self._now_s()
         with self._lock:
             if len(self._wrong) > _MOST:
                 self._wrong = {w: t for w, t in self._wrong.items() if now - t[-1] < _LATELY_S}
-            lately = [sum(now - t < _LATELY_S for t in self._wrong.get(w, ())) for w in keys]
-            if any(number >= MOST_WRONG for number in lately):
-                return False
-            for who in keys:
-                self._wrong.setdefault(who, []).append(now)
-            return True
+                self._refused_s = {w: t for w, t in self._refused_s.items() if now - t < _LATELY_S}
+            limits = _limits(name, address)
+            for counted, most in limits.items():
+                lately = sum(now - t < _LATELY_S for t in self._wrong.get(counted, ()))
+                spared = counted == _IN_ALL and (name, address) in self._proved
+                if lately >= most and not spared:
+                    is_first = now - self._refused_s.get(counted, -_LATELY_S) >= _LATELY_S
+                    if is_first:
+                        self._refused_s[counted] = now
+                    return LoginLimit(counted, is_first)
+            for counted in limits:
+                times = self._wrong.get(counted, ())
+                self._wrong[counted] = [*(t for t in times if now - t < _LATELY_S), now]
+            return None
 
-    def right(self, *keys: str) -> None:
+    def count_right(self, name: str, address: str) -> None:
         """A password was right: its try counts no more."""
         with self._lock:
-            for who in keys:
-                times = self._wrong.get(who, [])
+            for counted in _limits(name, address):
+                times = self._wrong.get(counted, [])
                 del times[-1:]
                 if not times:
-                    self._wrong.pop(who, None)
+                    self._wrong.pop(counted, None)
+            while len(self._proved) >= _MOST:
+                self._proved.pop(next(iter(self._proved)))
+            self._proved[name, address] = None
+
+
+_IN_ALL = "in all"
+
+
+def _limits(name: str, address: str) -> dict[str, int]:
+    """What a login counts for, and how many wrong passwords it may have."""
+    return {
+        f"of {name} from {address}": MOST_WRONG,
+        f"from {address}": MOST_WRONG_OF_ADDRESS,
+        _IN_ALL: MOST_WRONG_IN_ALL,
+    }
 
 
 def local_session() -> LoginSession:

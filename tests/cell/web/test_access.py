@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 import pytest
+import uvicorn
 
 from cell.cli.users import typed_password
 from cell.computer.peers import user_of_peer
@@ -37,11 +38,14 @@ from cell.web.sessions import (
     LONGEST_S,
     LOST_S,
     MOST_WRONG,
+    MOST_WRONG_IN_ALL,
+    MOST_WRONG_OF_ADDRESS,
     Control,
     LoginSession,
     Sessions,
     local_session,
 )
+from cell.web.timed_http import TimedHttp
 from cell.web.visit import PagesContext, Visit
 from cell.web.watching import CellWatch
 
@@ -182,6 +186,81 @@ def test_a_body_that_is_too_long_is_refused() -> None:
     assert asked(guard, body=bytes(MOST_BYTES + 1), **given) == 413
 
 
+def test_a_body_that_stops_half_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a request kept its connection as long as it liked."""
+    monkeypatch.setattr("cell.web.guard.BODY_S", 0.05)
+    said: list[MutableMapping[str, Any]] = []
+    pieces = [{"type": "http.request", "body": b"half", "more_body": True}]
+
+    async def receive() -> MutableMapping[str, Any]:
+        return pieces.pop() if pieces else await asyncio.sleep(60, {"type": "http.disconnect"})
+
+    async def send(message: MutableMapping[str, Any]) -> None:
+        said.append(message)
+
+    async def reading(scope: Any, receive: Any, send: Any) -> None:
+        while (await receive()).get("more_body"):
+            pass
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    headers = [(b"host", b"localhost"), (b"origin", b"http://localhost")]
+    scope = {"type": "http", "path": "/login", "method": "POST", "headers": headers}
+    asyncio.run(Guard(reading, None, False)(scope, receive, send))
+    assert said[0]["status"] == 408
+    assert (b"connection", b"close") in said[0]["headers"]
+
+
+@pytest.mark.parametrize(
+    "heads", [(), (b"GET / HTTP/1.1\r\nHost: a",), (b"GET / HTTP/1.1\r\n\r\n", b"G")]
+)
+def test_a_head_that_stops_half_way_is_closed(
+    monkeypatch: pytest.MonkeyPatch, heads: tuple[bytes, ...]
+) -> None:
+    monkeypatch.setattr("cell.web.timed_http.HEAD_S", 0.2)
+
+    async def answer(scope: Any, receive: Any, send: Any) -> None:
+        await send({"type": "http.response.start", "status": 204, "headers": []})
+        await send({"type": "http.response.body", "body": b""})
+
+    async def closed_after() -> float:
+        config = uvicorn.Config(answer, http=TimedHttp, lifespan="off", log_config=None)
+        config.load()
+        state = uvicorn.server.ServerState()
+        server = await asyncio.get_running_loop().create_server(
+            lambda: TimedHttp(config, state, {}), "127.0.0.1", 0
+        )
+        reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
+        for number, head in enumerate(heads):
+            if number:
+                await reader.readuntil(b"\r\n\r\n")
+            writer.write(head)
+        began_s = monotonic()
+        await asyncio.wait_for(reader.read(), 10.0)
+        writer.close()
+        server.close()
+        return monotonic() - began_s
+
+    assert 0.1 < asyncio.run(closed_after()) < 5.0
+
+
+def test_with_tls_browsers_come_by_tls_only(sessions: Sessions) -> None:
+    def headers(secure: bool) -> dict[bytes, bytes]:
+        said: list[MutableMapping[str, Any]] = []
+
+        async def send(message: MutableMapping[str, Any]) -> None:
+            said.append(message)
+
+        async def receive() -> MutableMapping[str, Any]:
+            return {"type": "http.request", "body": b"", "more_body": False}
+
+        scope = {"type": "http", "path": "/login", "method": "GET", "headers": []}
+        asyncio.run(Guard(inner, sessions, secure)(scope, receive, send))
+        return dict(said[0]["headers"])
+
+    assert headers(True)[b"strict-transport-security"] == b"max-age=2592000"
+    assert b"strict-transport-security" not in headers(False)
+
+
 def test_sessions_expire_and_end(sessions: Sessions, clock: Clock) -> None:
     token = sessions.begin(ADA)
     clock.now_s = IDLE_S
@@ -219,17 +298,42 @@ def test_who_was_removed_has_no_session() -> None:
     assert sessions.of(token) is None
 
 
+def wrong(sessions: Sessions, name: str, address: str) -> bool:
+    """Whether a password that is wrong was checked."""
+    return sessions.count_login(name, address) is None
+
+
 def test_after_wrong_passwords_one_must_wait(sessions: Sessions, clock: Clock) -> None:
     """Of a thousand requests at once every password was looked at: none was known to be wrong."""
     for _ in range(MOST_WRONG):
-        assert sessions.login_allowed("ada", "10.0.0.1")
-        sessions.right("ada", "10.0.0.1")
-    tried = [sessions.login_allowed("ada", "10.0.0.1") for _ in range(1000)]
+        assert wrong(sessions, "ada", "10.0.0.1")
+        sessions.count_right("ada", "10.0.0.1")
+    tried = [wrong(sessions, "ada", "10.0.0.1") for _ in range(1000)]
     assert tried == [True] * MOST_WRONG + [False] * (1000 - MOST_WRONG)
-    assert not sessions.login_allowed("bob", "10.0.0.1")
-    assert sessions.login_allowed("bob", "10.0.0.2")
+    assert wrong(sessions, "bob", "10.0.0.2")
     clock.now_s = 61.0
-    assert sessions.login_allowed("ada")
+    assert wrong(sessions, "ada", "10.0.0.1")
+
+
+def test_wrong_passwords_of_others_lock_nobody_out(sessions: Sessions) -> None:
+    """Five wrong passwords by anybody locked the owner of the name out."""
+    sessions.count_login("ada", "10.0.0.1")
+    sessions.count_right("ada", "10.0.0.1")
+    assert sum(wrong(sessions, "ada", "10.0.0.9") for _ in range(99)) == MOST_WRONG
+    assert wrong(sessions, "ada", "10.0.0.1")
+    for host in range(500):
+        sessions.count_login("ada", f"10.0.1.{host}")
+    assert wrong(sessions, "ada", "10.0.0.1")
+    assert not wrong(sessions, "ada", "10.0.0.3")
+
+
+def test_many_names_and_many_addresses_are_no_way_around(sessions: Sessions) -> None:
+    of_address = sum(wrong(sessions, f"user{n}", "10.0.0.1") for n in range(1000))
+    assert of_address == MOST_WRONG_OF_ADDRESS
+    in_all = sum(wrong(sessions, "ada", f"10.1.{n}") for n in range(1000))
+    assert of_address + in_all == MOST_WRONG_IN_ALL
+    limits = [sessions.count_login("ada", "10.0.0.1") for _ in range(3)]
+    assert [limit is not None and limit.is_first for limit in limits] == [False] * 3
 
 
 def test_users_are_hashed_in_a_file_for_their_owner(tmp_path: Path) -> None:

@@ -26,8 +26,9 @@ from cell.web.audit import Audit, audit_file
 from cell.web.camera import Films, LiveCamera
 from cell.web.guard import COOKIE, Guard
 from cell.web.guided import Guided
-from cell.web.serve import application
-from cell.web.sessions import IDLE_S, Control, Sessions
+from cell.web.serve import application, serve
+from cell.web.sessions import IDLE_S, MOST_WRONG, Control, Sessions
+from cell.web.timed_http import TimedHttp
 from cell.web.visit import PagesContext, Visit
 from cell.web.watching import CellWatch, WatchedState
 
@@ -101,7 +102,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 @pytest.mark.parametrize("path", ["/settings", "/calibration", "/lab"])
 def test_pages_of_engineers_are_not_built_for_others(served: Served, role: str, path: str) -> None:
     shown = served.web.get(path, headers=served.log_in(role))
-    assert shown.status_code == 200 and "You may not see this page." in shown.text
+    assert shown.status_code == 403 and "You may not see this page." in shown.text
     for inside in ("data-test=search", "data-test=promote", "data-test=editor", "hold_s"):
         assert inside not in shown.text
 
@@ -110,6 +111,36 @@ def test_pages_of_engineers_are_not_built_for_others(served: Served, role: str, 
 def test_calibrations_are_read_by_engineers_only(served: Served, path: str) -> None:
     for role, status in (("watch", 403), ("operate", 403), ("engineer", 404)):
         assert served.web.get(path, headers=served.log_in(role)).status_code == status
+
+
+def test_a_login_that_must_wait_is_in_the_log_once_and_no_header_evades_it(served: Served) -> None:
+    """Of 429s the log said nothing, and `X-Forwarded-For` named another address each time."""
+    statuses = []
+    for n in range(MOST_WRONG + 3):
+        headers = {"origin": AT, "x-forwarded-for": f"10.0.0.{n}"}
+        given = {"name": "mallory", "password": "guessed"}
+        statuses.append(served.web.post("/login", data=given, headers=headers).status_code)
+    assert statuses == [401] * MOST_WRONG + [429] * 3
+    lines = map(json.loads, served.room.audit.file.read_text("utf-8").splitlines())
+    said = [line["note"] for line in lines if line["by"] == "mallory"]
+    assert said == ["from testclient"] * MOST_WRONG + [
+        "from testclient; too many wrong passwords of mallory from testclient"
+    ]
+
+
+def test_the_server_takes_no_address_from_a_header(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options: dict[str, object] = {}
+    monkeypatch.setattr("uvicorn.run", lambda app, **given: options.update(given))
+    monkeypatch.setattr("cell.web.serve.application", lambda *_: None)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    serve(served.room, Users(served.room.runs / "users.json"), ("127.0.0.1", 0), None)
+    assert (options["proxy_headers"], options["http"]) == (False, TimedHttp)
+
+
+def test_a_cycle_that_is_not_there_is_not_found(served: Served) -> None:
+    assert served.web.get("/cycle/none", headers=served.log_in("watch")).status_code == 404
 
 
 ENGINEERS = ["write settings", "calibrate camera", "remove recording", "keep recording"]
