@@ -1,8 +1,9 @@
 """A robot cell that identifies each cable it holds and inserts it.
 
-From Python it offers what the lab's commands do: `cell.read_study`, `cell.fit`, `cell.compare`,
-`cell.diagnose`, `cell.suggest`, `cell.power`, `cell.learn`.  Lengths are in m, times in s, angles
-in rad.
+From Python it offers the commands `fit`, `compare`, `diagnose` (`cell.diagnose_together`: of
+several studies), `suggest`, `power` and `learn`; `cell.read_study` and `cell.write_study` are the
+file form of a study.  `import`, `look`, `study`, `discover`, `effects` and `export` are commands
+only.  Lengths are in m, times in s, angles in rad.
 """
 
 from __future__ import annotations

@@ -1,15 +1,9 @@
-"""References of checks and warnings in docs, written from the tables that the programs read.
-
-docs/howto/import.md has those of a study's data.
-
-python -m tools.figures.checks_reference
-"""
+"""References of checks and warnings as Markdown, from the tables that the programs read."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from cell.lab.data.check import Check
@@ -19,8 +13,6 @@ from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.doubts import MEANINGS
 from cell.study.checks import CHECKS as DATA_CHECKS
 
-DOCS = Path(__file__).parents[2] / "docs"
-BEGIN, END = "<!-- checks: begin -->", "<!-- checks: end -->"
 #: Codes of warnings in files of versions before.
 OLD_CODES = {
     "heldout_insensitive": "unconfirmed",
@@ -69,20 +61,3 @@ def of_data() -> str:
         sentence = re.sub(r"\{[^}]*\}", "…", f"{c.says} {c.remedy}".strip())
         lines.append(f"- `{c.name}`: {c.statistic}; limit {c.limit}. It says: {sentence}.")
     return "\n".join(lines)
-
-
-PAGES = {
-    DOCS / "howto" / "import.md": of_data,
-}
-
-
-def page(text: str, reference: str) -> str:
-    """The page with the reference in its place."""
-    before, _, rest = text.partition(BEGIN)
-    after = rest.partition(END)[2]
-    return f"{before}{BEGIN}\n\n{reference}\n\n{END}{after}"
-
-
-if __name__ == "__main__":
-    for path, reference in PAGES.items():
-        path.write_text(page(path.read_text(encoding="utf-8"), reference()), encoding="utf-8")

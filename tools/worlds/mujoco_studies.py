@@ -26,6 +26,8 @@ KEPT_S = 0.002
 MARKERS = 11
 #: Stiff enough that a joint rests while the moment is below its friction loss.
 FRICTION = 'solreffriction="-1 -20000" solimpfriction="0.9999 0.9999 0.001"'
+#: The magnet's pull is finite at its pole.
+MAGNET_RADIUS_M = 0.01
 IMAGE_CENTRE_M = np.array([-0.05, -0.03])
 
 
@@ -73,6 +75,7 @@ class Hidden:
     camera_scale: float = 1.0
     camera_roll: float = 0.0
     rolling_shutter: float = 0.0
+    magnet: tuple[float, float, float] = (0.0, -0.1, -0.15)
 
 
 @dataclass(frozen=True)
@@ -192,8 +195,8 @@ class Chain:
         option.gravity[:] = (-acceleration[0], 0.0, -GRAVITY_M_PER_S2 - acceleration[1])
         option.wind[:] = (wind[0] - velocity[0], 0.0, wind[1] - velocity[1])
 
-    def apply(self, hand_velocity: np.ndarray) -> None:
-        """Forces of which MuJoCo has none of its own: memory in bending, linear drag, weight."""
+    def apply(self, hand_velocity: np.ndarray, hand_place: np.ndarray) -> None:
+        """Forces of which MuJoCo has none of its own: memory in bending, drag, weight, magnet."""
         hidden, data = self.hidden, self.data
         data.qfrc_applied[:] = 0.0
         curvature, rate = data.qpos / self.link_m, data.qvel / self.link_m
@@ -206,7 +209,8 @@ class Chain:
         if moment:
             data.qfrc_applied[:] -= moment * self.friction
             self.friction += self.step_s * (rate - self.friction * np.abs(rate)) / scale
-        if hidden.linear_air_drag or hidden.added_mass:
+        pull, *pole = hidden.magnet
+        if hidden.linear_air_drag or hidden.added_mass or pull:
             force = np.zeros((len(self.size_m), 2))
             if hidden.linear_air_drag:
                 angle = self.angle_rad + np.cumsum(data.qpos)
@@ -219,6 +223,12 @@ class Chain:
                 force -= across[:, None] * normal
             force[:, 1] += hidden.added_mass * self.size_m * GRAVITY_M_PER_S2
             first = self.model.nbody - len(self.size_m) - bool(hidden.tip_mass)
+            if pull:
+                centre = data.xipos[first : first + len(self.size_m)][:, [0, 2]] + hand_place
+                way = np.array(pole) - centre
+                square = np.sum(way**2, axis=1)
+                size = pull * self.size_m / ((square + MAGNET_RADIUS_M**2) * np.sqrt(square))
+                force += size[:, None] * way
             data.xfrc_applied[first : first + len(self.size_m), 0] = force[:, 0]
             data.xfrc_applied[first : first + len(self.size_m), 2] = force[:, 1]
 
@@ -234,7 +244,8 @@ class Chain:
 
         def force(q: np.ndarray) -> np.ndarray:
             data.qpos[:], data.qvel[:] = q, 0.0
-            self.apply(np.zeros(2))
+            mujoco.mj_kinematics(model, data)
+            self.apply(np.zeros(2), np.zeros(2))
             mujoco.mj_forward(model, data)
             weight = np.zeros(nv)
             for i in np.flatnonzero(data.xfrc_applied.any(axis=1)):
@@ -262,12 +273,13 @@ class Chain:
         steps = every * round(end_s / KEPT_S)
         edges = self.step_s * np.arange(steps + 1)
         velocity = hand.velocity(0.5 * (edges[1:] + edges[:-1]))
+        place = hand.place(edges)
         # mean acceleration over each step, so that the gripper ends where it should
         acceleration = np.diff(hand.velocity(edges), axis=0) / self.step_s
         kept = [self.data.qpos.copy()]
         for k in range(steps):
             self.surroundings(velocity[k], acceleration[k])
-            self.apply(velocity[k])
+            self.apply(velocity[k], place[k])
             mujoco.mj_step(self.model, self.data)
             if (k + 1) % every == 0:
                 kept.append(self.data.qpos.copy())
