@@ -4,13 +4,18 @@ import csv
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from cell.cable.effects import library, unscreened
+from cell.cli import app
+from tools.figures.effect_confusions import motions, signatures
 from tools.figures.effect_pictures import main
 
 ROOT = Path(__file__).parents[2]
 EFFECTS = library() | unscreened()
+TABLE = ROOT / "docs" / "measured" / "effect_confusions.csv"
 LARGEST_PICTURE = 45_000
 #: What the page calls a motion, and its name in the table.
 MOTIONS = {
@@ -71,7 +76,7 @@ def test_each_entry_has_its_law_and_a_small_picture(name):
 
 
 def test_confusions_are_those_of_the_table():
-    with (ROOT / "docs" / "measured" / "effect_confusions.csv").open(encoding="utf-8") as file:
+    with TABLE.open(encoding="utf-8") as file:
         rows = {
             (r["motion"], r["effect"], r["other"]): r["correlation"] for r in csv.DictReader(file)
         }
@@ -87,6 +92,24 @@ def test_confusions_are_those_of_the_table():
                     wrong.append((name, other, words, second, there))
     assert not wrong
     assert compared > 20
+
+
+def test_the_table_is_what_its_program_computes():
+    with TABLE.open(encoding="utf-8") as file:
+        (row,) = [
+            r
+            for r in csv.DictReader(file)
+            if (r["motion"], r["effect"], r["other"]) == ("rest", "grip_angle", "grip_compliance")
+        ]
+    found = signatures(motions()["rest"])
+    seen = np.linalg.svd(found["grip_angle"].T @ found["grip_compliance"], compute_uv=False)[0]
+    assert f"{seen:.2f}" == row["correlation"]
+    assert "robot_lag" not in found, "nothing moves"
+
+
+def test_the_list_of_effects_names_the_catalogue():
+    said = CliRunner().invoke(app, ["effects", "--help"]).stdout
+    assert "cell help effects" in " ".join(said.split())
 
 
 def test_a_picture_is_drawn(tmp_path, capsys):
