@@ -116,7 +116,7 @@ discover: $(VENV)/.dev   ## the laws of ten effects outside the library, inferre
 	$(BIN)/python -m tools.studies.discover_study $(ARGS)
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
-	$(BIN)/python -m tools.faults.fault_trials --patience-s 0.15 $(or $(ARGS),-o docs/validation/fault_trials.md)
+	$(BIN)/python -m tools.faults.fault_trials --patience-s 0.15 $(or $(ARGS),-o docs/measured/fault_trials.csv)
 
 handshake: $(VENV)/.dev   ## 50 cycles over Modbus and 50 over the controller's I/O, by a PLC that misbehaves, ~10 min
 	$(BIN)/python -m tools.faults.handshake_trial $(ARGS)

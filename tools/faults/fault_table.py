@@ -1,4 +1,4 @@
-"""What fault trials have shown: a summary on a page, and every trial as CSV behind it."""
+"""What fault trials have shown: a summary, a table, and the same table as CSV."""
 
 from __future__ import annotations
 
@@ -6,27 +6,23 @@ import csv
 import io
 import os
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
+from datetime import date
 
 import numpy as np
 
-from tools.faults.fault_kills import Kill
-
-INTRODUCTION = """# Fault trials
-
-Written by `make fault-trials`: the real drivers against the emulators, a fault in every step. In
-steps that move, the fault comes while the arm moves; otherwise when the step begins. *Stop* is
-the time from the fault (or, if nobody needed the device then, from the step that did) until the
-arm was told to stop; *still* until the emulated arm stood. A trial passes if device, step and
-remedy are named, the record says the same, the jaws hold what they held, and after repair and
-acknowledgement the next cycle inserts. Every trial stands in [fault_trials.csv](fault_trials.csv);
-how these were gathered, in [measurements.md](measurements.md#fault-trials).
-"""
+from tools.faults.fault_kills import STILL_S, Kill
 
 
 @dataclass(frozen=True)
 class Row:
-    """One trial; `stop_ms` nan = there was nothing to stop, `wrong` empty = passed."""
+    """One trial.
+
+    stop_ms   from the fault (or, if nobody needed the device then, from the step that did) until
+              the arm was told to stop; nan if there was nothing to stop
+    still_ms  from the same moment until the emulated arm stood still
+    wrong     empty if passed
+    """
 
     device: str
     fault: str
@@ -70,52 +66,41 @@ def summary(rows: Sequence[Row], kills: Sequence[Kill]) -> list[str]:
     return lines
 
 
-def page(rows: Sequence[Row], said: Sequence[str], killed: Sequence[str]) -> str:
-    """The page: what a summary says, a line for every device and fault, and the kills' table."""
-    out = [
-        INTRODUCTION,
-        "\n".join(said),
-        "",
-        "| device | fault | steps | passed | stop, ms, median | largest | in step | still, ms, "
-        "largest |",
-        "|---|---|---:|---:|---:|---:|---|---:|",
-    ]
-    for device, fault in dict.fromkeys((r.device, r.fault) for r in rows):
-        some = [r for r in rows if (r.device, r.fault) == (device, fault)]
-        stopped = [r for r in some if not np.isnan(r.stop_ms)]
-        passed = sum(not r.wrong for r in some)
-        line = f"| {device} | {fault} | {len(some)} | {passed} |"
-        if stopped:
-            worst = max(stopped, key=lambda r: r.stop_ms)
-            middle = percentile([r.stop_ms for r in stopped], 50.0)
-            line += f" {middle:.0f} | {worst.stop_ms:.0f} | {worst.step} |"
-        else:
-            line += "  |  |  |"
-        out.append(f"{line} {max(r.still_ms for r in some):.0f} |")
-    failed = [f"- {r.device}: {r.fault} in {r.step}: {r.wrong}" for r in rows if r.wrong]
-    if failed:
-        out += ["", "Not passed:", "", *failed]
-    if killed:
-        out += ["", "## Processes killed", "", *killed]
-    return "\n".join(out) + "\n"
+#: Columns of the table; `goal`: 99 % of all trials stop within that.
+COLUMNS = ("condition", "n", "passed", "stop_median_ms", "stop_p99_ms", "stop_largest_ms", "goal",
+           "largest_in_step", "still_largest_ms")  # fmt: skip
 
 
-def kills_table(kills: Sequence[Kill]) -> list[str]:
-    """A line for every process that was killed."""
-    if not kills:
-        return []
-    out = [
-        "| killed | times | of a moving arm | moved on, ms, median | largest |",
-        "|---|---:|---:|---:|---:|",
-    ]
+def table(rows: Sequence[Row], kills: Sequence[Kill], goal_ms: float) -> list[tuple[str, ...]]:
+    """A line for all trials, for every device and fault, and for every process that was killed."""
+    groups = {"all": list(rows)}
+    for row in rows:
+        groups.setdefault(f"{row.device}: {row.fault}", []).append(row)
+    out = [_line(name, some, goal_ms) for name, some in groups.items() if some]
     for victim in dict.fromkeys(k.victim for k in kills):
-        some = [k for k in kills if k.victim == victim]
-        moved_ms = [1e3 * k.moved_on_s for k in some]
-        out.append(
-            f"| {victim} | {len(some)} | {moving(some)} | {percentile(moved_ms, 50.0):.0f} "
-            f"| {max(moved_ms):.0f} |"
-        )
+        moved_ms = [1e3 * k.moved_on_s for k in kills if k.victim == victim]
+        passed = sum(ms <= 1e3 * STILL_S for ms in moved_ms)
+        blank = ("",) * 5
+        counts = (str(len(moved_ms)), str(passed))
+        out.append((f"killed: {victim}", *counts, *blank, f"{max(moved_ms):.0f}"))
     return out
+
+
+def _line(name: str, some: Sequence[Row], goal_ms: float) -> tuple[str, ...]:
+    stops = [r for r in some if not np.isnan(r.stop_ms)]
+    stop = ("", "", "", "", "")
+    if stops:
+        largest = max(stops, key=lambda r: r.stop_ms)
+        middle, high = (percentile([r.stop_ms for r in stops], q) for q in (50.0, 99.0))
+        stop = (f"{middle:.0f}", f"{high:.0f}", f"{largest.stop_ms:.0f}", f"{goal_ms:g}",
+                largest.step)  # fmt: skip
+    passed = sum(not r.wrong for r in some)
+    return (name, str(len(some)), str(passed), *stop, f"{max(r.still_ms for r in some):.0f}")
+
+
+def failures(rows: Sequence[Row]) -> list[str]:
+    """A line for each trial that did not pass."""
+    return [f"- {r.device}: {r.fault} in {r.step}: {r.wrong}" for r in rows if r.wrong]
 
 
 def load_average() -> str:
@@ -123,13 +108,22 @@ def load_average() -> str:
     return f"Load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores."
 
 
-def csv_text(rows: Sequence[Row]) -> str:
-    """All trials, a line each."""
+def markdown(lines: Sequence[Sequence[str]]) -> str:
+    """The table, to read."""
+    head = [COLUMNS, ["---"] * len(COLUMNS)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in [*head, *lines])
+
+
+def csv_text(lines: Sequence[Sequence[str]], command: str) -> str:
+    """The table with the day, the computer, its load and the command."""
+    origin = {
+        "measured_on": date.today().isoformat(),
+        "machine": f"{os.cpu_count()} cores",
+        "load": f"load {os.getloadavg()[0]:.0f}",
+        "command": command,
+    }
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(f.name for f in fields(Row))
-    for row in rows:
-        writer.writerow(
-            "" if v != v else f"{v:.0f}" if isinstance(v, float) else v for v in astuple(row)
-        )
+    writer.writerow((*COLUMNS, *origin))
+    writer.writerows((*line, *origin.values()) for line in lines)
     return text.getvalue()

@@ -1,7 +1,6 @@
 """Forecast and observed detection of effects hidden in copies of made studies.
 
-    python -m tools.studies.power_study docs/measured/power.csv [--rounds 4] [--copies 10]
-                                        [--case 6]
+    python -m tools.studies.power_study power.csv [--rounds 4] [--copies 10] [--case 6]
 
 A case is an effect, its size and a set of motions.  Its study is made by a finer mesh, of a random
 cable and noise, without the effect.  `cell power` forecasts how often a diagnosis of a study with
