@@ -68,7 +68,7 @@ def build(target: Path, folder: Path) -> int:
     returns  code of Sphinx, 0 = built without a warning
     """
     source, html = folder / "docs", folder / "html"
-    shutil.copytree(DOCS, source, ignore=shutil.ignore_patterns("measured", "*.ipynb", "*.csv"))
+    shutil.copytree(DOCS, source, ignore=shutil.ignore_patterns("*.ipynb", "*.csv"))
     for page in source.rglob("*.md"):
         original = DOCS / page.relative_to(source)
         text = prepared(original, page.read_text(encoding="utf-8"))
