@@ -40,8 +40,8 @@ _HEADERS = (
 )
 
 
-#: Browsers reach this host by TLS only for so long after each answer, s.  They do so for all services
-#: of the host: it is short, so that it can be taken back.
+#: Browsers reach this host by TLS only for so long after each answer, s.  This holds for all of the
+#: host's services: it is short, so that it can be taken back.
 _TLS_ONLY_S = 30 * 86400
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from cell.records.ledger.ledger import ListedCycle
+from cell.records.past_cycles import UNFINISHED
+from cell.records.result import Outcome
 from cell.run.machine import MachineEvent
 from cell.web.theme import AWAY, LOOKS, N_, UNKNOWN, StateStyle
 from cell.web.watching import WatchedState
@@ -42,7 +44,9 @@ WORDS = {
     "measured": N_("measured"),
     "rehearsed": N_("rehearsed"),
     "unfit": N_("unfit"),
-    "running or killed": N_("running or killed"),
+    UNFINISHED: N_("under way or broken off"),
+    "under way": N_("under way"),
+    "broken off": N_("broken off"),
     "acknowledgement": N_("an acknowledgement"),
     "unhold": N_("Continue"),
     "unsuspend": N_("the line"),
@@ -129,13 +133,29 @@ def live_view(seen: WatchedState, now_s: float) -> LiveView:
         outcome=str(last.get("outcome", "")),
         reason=str(last.get("reason") or ""),
         result=result_figures(last),
-        counts=figures.counts if figures else dict(status.counts) if status else {},
+        counts=ordered_counts(
+            figures.counts if figures else status.counts if status else {},
+            has_cycle=bool(step) and there,
+        ),
         shift=shift_texts(seen),
         reasons=figures.reasons if figures else (),
         note=seen.note,
         folder=Path(str(last.get("folder", ""))).name,
         unknown_s=seen.unknown_s,
     )
+
+
+def ordered_counts(counts: Mapping[str, int], *, has_cycle: bool) -> dict[str, int]:
+    """Cycles by outcome, always in the same order; cycles without one are said to be what they are.
+
+    has_cycle  whether a cycle is under way
+    """
+    unfinished = counts.get(UNFINISHED, 0)
+    under_way = min(unfinished, int(has_cycle))
+    found = {o.value: counts.get(o.value, 0) for o in Outcome}
+    found |= {o: n for o, n in sorted(counts.items()) if o not in found and o != UNFINISHED}
+    found |= {"under way": under_way, "broken off": unfinished - under_way}
+    return {outcome: n for outcome, n in found.items() if n}
 
 
 def adapter_troubles(adapters: Mapping[str, str]) -> dict[str, str]:
@@ -210,24 +230,39 @@ def history_row(cycle: ListedCycle, t: Translate) -> dict[str, str]:
     }
 
 
-def error_chart(cycles: list[ListedCycle], seen: str, expected: str) -> dict[str, Any]:
-    """Errors of the forecasts over the cycles, with what they expect, as an ECharts option.
+def error_chart(
+    cycles: list[ListedCycle], seen: str, expected: str, not_executed: str, axis: str
+) -> dict[str, Any]:
+    """Errors of the forecasts over the cables, with what they expect, as an ECharts option.
 
-    seen, expected  names of the two in the legend
+    seen, expected, not_executed  names in the legend: the last is of cables rejected and failed
+    axis                          name of the cables' numbers
     """
-    rows = [
-        (c.folder.name, 1e3 * (measured - predicted), 1e3 * (c.numbers.get("predicted_std_m") or 0))
-        for c in cycles
-        if (measured := c.numbers.get("measured_miss_m")) is not None
-        and (predicted := c.numbers.get("predicted_miss_m")) is not None
+    rows = [(c, _forecast_error_mm(c)) for c in cycles if c.outcome in _CABLES]
+    if all(error is None for _, error in rows):
+        rows = []
+    errors = [None if e is None else round(e, 4) for _, e in rows]
+    limits = [
+        None if e is None else round(3e3 * (c.numbers.get("predicted_std_m") or 0.0), 4)
+        for c, e in rows
     ]
     band = {"type": "line", "symbol": "none", "lineStyle": {"type": "dashed", "color": "#8a94a3"}}
     return {
         "animation": False,
-        "grid": {"left": 75, "right": 15, "top": 40, "bottom": 30},
-        "legend": {"top": 0, "data": [seen, expected], "textStyle": {"color": "#8a94a3"}},
+        "grid": {"left": 75, "right": 15, "top": 40, "bottom": 45},
+        "legend": {
+            "top": 0,
+            "data": [seen, expected, not_executed],
+            "textStyle": {"color": "#8a94a3"},
+        },
         "tooltip": {"trigger": "axis"},
-        "xAxis": {"type": "category", "data": list(range(1, len(rows) + 1))},
+        "xAxis": {
+            "type": "category",
+            "data": [str(c.cycle) for c, _ in rows],
+            "name": axis,
+            "nameLocation": "middle",
+            "nameGap": 26,
+        },
         "yAxis": {
             "type": "value",
             "axisLabel": {"formatter": "{value} mm"},
@@ -237,10 +272,28 @@ def error_chart(cycles: list[ListedCycle], seen: str, expected: str) -> dict[str
             {
                 "name": seen,
                 "type": "line",
-                "data": [round(e, 4) for _, e, _ in rows],
+                "data": errors,
                 "itemStyle": {"color": "#0b7fab"},
             },
-            {**band, "name": expected, "data": [round(3 * s, 4) for *_, s in rows]},
-            {**band, "name": f"{expected} ", "data": [round(-3 * s, 4) for *_, s in rows]},
+            {**band, "name": expected, "data": limits},
+            {**band, "name": f"{expected} ", "data": [None if s is None else -s for s in limits]},
+            {
+                "name": not_executed,
+                "type": "scatter",
+                "symbol": "triangle",
+                "data": [0.0 if c.outcome in _NOT_EXECUTED else None for c, _ in rows],
+                "itemStyle": {"color": "#b3261e"},
+            },
         ],
     }
+
+
+_NOT_EXECUTED = frozenset({Outcome.REJECTED, Outcome.FAILED})
+#: Outcomes of cycles that were to insert a cable.
+_CABLES = frozenset({Outcome.INSERTED, Outcome.MISSED, *_NOT_EXECUTED})
+
+
+def _forecast_error_mm(cycle: ListedCycle) -> float | None:
+    measured = cycle.numbers.get("measured_miss_m")
+    predicted = cycle.numbers.get("predicted_miss_m")
+    return None if measured is None or predicted is None else 1e3 * (measured - predicted)

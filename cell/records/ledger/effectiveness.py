@@ -23,8 +23,9 @@ class Shift:
     running_s      time at work on cables
     ideal_s        time that one cable needs at best
     availability   running_s / planned_s; None also where simulated time was quicker than the clock
-    performance    ideal_s × cables / running_s
+    performance    ideal_s × cables / running_s, at most 1: a rejected cable needs less than ideal_s
     quality        inserted / cables
+    cables         whose cycle has ended, but not by a commanded stop
     source         ISO 22400-2:2014, key performance indicators for manufacturing operations
     """
 
@@ -45,7 +46,8 @@ class Shift:
     @property
     def performance(self) -> float | None:
         """How quick the cables were, of what is possible."""
-        return None if self.ideal_s is None else _share(self.ideal_s * self.cables, self.running_s)
+        share = _share((self.ideal_s or 0.0) * self.cables, self.running_s)
+        return None if self.ideal_s is None or share is None else min(share, 1.0)
 
     @property
     def quality(self) -> float | None:

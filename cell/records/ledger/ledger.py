@@ -13,6 +13,7 @@ from sqlalchemy import (
     Connection,
     Engine,
     Select,
+    case,
     delete,
     func,
     insert,
@@ -39,6 +40,8 @@ from cell.records.result import Fault, Outcome, Result
 MOST = 500
 #: Cycles that tell of forecasts and fits.
 TELLING = (Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED)
+#: `Fault.code` of a cycle that a commanded stop has ended.
+STOPPED = "stop"
 #: States in which the cell works on a cable; in the others it waits for a person or the line.
 RUNNING = frozenset({"resetting", "starting", "execute", "completing", "complete"})
 
@@ -256,16 +259,24 @@ class Ledger:
         return None if first is None else (_aware(first), _aware(last))
 
     def work(self, wanted: LedgerQuery) -> tuple[dict[str, int], float]:
-        """Of cycles that were to insert a cable: number by outcome, and time at work in all, s."""
+        """Of cycles that were to insert a cable: number by outcome, and time at work in all, s.
+
+        A cycle that a commanded stop has ended is in the time, and not in the number: the stop says
+        nothing about its cable.
+        """
+        stopped = select(faults.c.cycle_id).where(faults.c.code == STOPPED)
+        counted = case((cycles.c.id.in_(stopped), 0), else_=1)
         asked = _of_cycles(
             select(
-                cycles.c.outcome, func.count(), func.coalesce(func.sum(cycles.c.running_s), 0.0)
+                cycles.c.outcome,
+                func.sum(counted),
+                func.coalesce(func.sum(cycles.c.running_s), 0.0),
             ),
             wanted,
         ).where(cycles.c.aim == Outcome.INSERTED.value, cycles.c.outcome.is_not(None))
         with database_errors(self._engine), self._engine.connect() as connection:
             rows = connection.execute(asked.group_by(cycles.c.outcome)).all()
-        return {o: n for o, n, _ in rows}, float(sum(s for *_, s in rows))
+        return {o: int(n) for o, n, _ in rows}, float(sum(s for *_, s in rows))
 
     def quick_cycle_s(self, wanted: LedgerQuery, share: float) -> float | None:
         """Time at work that this share of the insertions needed at most, s; None = no insertion."""

@@ -51,7 +51,7 @@ def build(visit: Visit) -> None:
         )
         product.classes("w-40").set_visibility(bool(made))
     said = ui.label().classes("whitespace-pre-line")
-    chart = ui.echart(error_chart([], "", "")).classes("w-full h-64")
+    chart = ui.echart(error_chart([], "", "", "", "")).classes("w-full h-64")
     columns = [
         {"name": key, "label": label, "field": key, "align": "left", "sortable": True}
         for key, label in (
@@ -91,7 +91,8 @@ def build(visit: Visit) -> None:
             return
         cycles, changes, error = found
         table.rows = [history_row(c, t) for c in reversed(cycles)]
-        options = error_chart(cycles, t("Error of the forecast"), t("± 3 σ expected"))
+        names = (t("Error of the forecast"), t("± 3 σ expected"), t("Rejected or failed"))
+        options = error_chart(cycles, *names, t("Cable"))
         chart.set_visibility(bool(options["xAxis"]["data"]))
         chart.options.clear()
         chart.options.update(options)

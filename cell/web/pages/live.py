@@ -325,12 +325,17 @@ class _Figures:
         self._row = ui.row().classes("gap-x-6 gap-y-2 w-full")
 
     def show(self, figures: Mapping[str, str]) -> None:
-        """Show these, in place of those before."""
+        """Show these in their order, in place of those before."""
+        is_new = False
         for heading, text in figures.items():
             if heading not in self._shown:
                 with self._row, ui.element("div").classes("flex flex-col") as place:
                     ui.label(self._t(heading)).classes("text-sm")
                     self._shown[heading] = (place, ui.label().classes("figure"))
+                    is_new = True
             self._shown[heading][1].text = self._t(text)
+        if is_new:
+            for at, heading in enumerate(figures):
+                self._shown[heading][0].move(target_index=at)
         for heading, (place, _) in self._shown.items():
             place.set_visibility(heading in figures)

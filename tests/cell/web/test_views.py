@@ -11,6 +11,7 @@ import pytest
 from cell.plant.messages import FaultNotice, MessageKind, Notice, Status
 from cell.records.ledger.effectiveness import Shift, shift_start
 from cell.records.ledger.ledger import Ledger, ListedCycle
+from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Result
 from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING
@@ -140,8 +141,24 @@ def test_cycles_as_rows_and_errors_as_a_chart() -> None:
         "",
         "too stiff",
     )
-    chart = error_chart([good, unknown], "seen", "expected")
-    assert [s["data"] for s in chart["series"]] == [[0.5], [0.3], [-0.3]]
+    cycles = [replace(good, cycle=41), replace(unknown, cycle=42)]
+    chart = error_chart(cycles, "seen", "expected", "none", "cable")
+    assert chart["xAxis"]["data"] == ["41", "42"]
+    errors, high, low, none = (s["data"] for s in chart["series"])
+    assert (errors, high, low) == ([0.5, None], [0.3, None], [-0.3, None])
+    assert none == [None, 0.0]
+    assert error_chart([unknown], "", "", "", "")["xAxis"]["data"] == []
+
+
+def test_counts_have_one_order_and_a_cycle_under_way_is_no_killed_one() -> None:
+    counts = {"failed": 1, UNFINISHED: 2, "inserted": 5}
+    figures = ShiftFigures(counts, None, ())
+    status = replace(IDLE, state=CellState.EXECUTE, step="lower")
+    seen = replace(state_after(WatchedState(), status), figures=figures)
+    expected = [("inserted", 5), ("failed", 1), ("under way", 1), ("broken off", 1)]
+    assert list(live_view(seen, 0.0).counts.items()) == expected
+    idle = replace(seen, status=IDLE)
+    assert list(live_view(idle, 0.0).counts.items())[2:] == [("broken off", 2)]
 
 
 def test_a_german_page_says_causes_remedies_and_reasons_in_german() -> None:

@@ -75,12 +75,28 @@ def test_the_ideal_cycle_is_that_of_the_quickest_tenth(tmp_path: Path) -> None:
 
 def test_a_fault_counts_as_no_insertion(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path / "runs", create=True)
-    ledger.write([ended(1), stopped(2)])
+    ledger.write([ended(1), stopped(2, "arm.limit")])
     now = datetime(2026, 11, 3, tzinfo=UTC)
     (shift,) = shifts(ledger, LedgerQuery(), [time(0)], now)
     assert shift.quality == 0.5
     assert shifts(ledger, LedgerQuery(line="other"), [time(0)], now) == []
     ledger.close()
+
+
+def test_a_stop_by_a_person_lowers_no_yield(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "runs", create=True)
+    ledger.write([ended(1), stopped(2)])
+    now = datetime(2026, 11, 3, tzinfo=UTC)
+    (shift,) = shifts(ledger, LedgerQuery(), [time(0)], now)
+    assert (shift.cables, shift.quality, shift.running_s) == (1, 1.0, 50.0)
+    ledger.close()
+
+
+def test_performance_is_never_above_one() -> None:
+    """Rejected cables need less than the ideal time: the page said 106 %."""
+    shift = Shift(at(6), at(14), 1000.0, 100.0, 26.5, 4, 2)
+    assert shift.performance == 1.0
+    assert shift.oee == pytest.approx(0.1 * 0.5)
 
 
 def test_a_clock_that_was_set_back_loses_no_cable(tmp_path: Path) -> None:
