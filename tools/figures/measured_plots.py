@@ -2,8 +2,8 @@
 
     python -m tools.figures.measured_plots [FOLDER]        (default: docs/images/measured)
 
-The same files give the same pictures, byte for byte, with the same version of matplotlib.
-Intervals of shares: 95 %, Wilson; of wrong claims: binomial, exact.
+The same files give the same pictures with the same version of matplotlib.  Intervals of shares:
+95 %, Wilson; of wrong claims: binomial, exact.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import argparse
 import csv
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import matplotlib as mpl
@@ -19,24 +20,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
+from numpy.typing import ArrayLike
 from scipy.stats import binomtest
 
 DOCS = Path(__file__).parents[2] / "docs"
 FOLDER = DOCS / "images" / "measured"
-COLOURS = BLUE, GREEN, ORANGE = "#1f5fa8", "#2b7a3f", "#c8590a"
-GREY = "#5a5a5a"
+COLOURS = BLUE, GREEN, ORANGE, GREY = "#1f5fa8", "#2b7a3f", "#c8590a", "#5a5a5a"
 STYLE = {
-    "svg.hashsalt": "measured",
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
+    **{"svg.hashsalt": "measured", "svg.fonttype": "none", "font.size": 9},
+    **{"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True},
+    **{"axes.grid": True, "grid.color": "#dddddd", "legend.frameon": False},
 }
-TAG = re.compile(r"<[^>]+>")
+#: A number in a tag, not in a text: two of its decimals are kept.
+DECIMALS = re.compile(r"(?<=\d\.\d\d)\d+(?=[^<>]*>)")
 MARKS = ("median", "largest")
 Rows = list[dict[str, str]]
 Marks = tuple[str, str]
@@ -53,7 +49,7 @@ def numbers(rows: Rows, column: str) -> np.ndarray:
     return np.array([float(r[column] or "nan") for r in rows])
 
 
-def share(axes: Axes, y: Sequence[float], of: Rows, count: str, colour: str, label: str) -> None:
+def share(axes: Axes, y: ArrayLike, of: Rows, count: str, colour: str, label: str) -> None:
     """Percent of n, with Wilson intervals."""
     tests = [binomtest(int(row[count]), int(row["n"])) for row in of]
     ends = np.array([test.proportion_ci(method="wilson") for test in tests])
@@ -72,14 +68,13 @@ def named(axes: Axes, names: Sequence[str], unit: str) -> None:
     axes.set_xlabel(unit)
 
 
-def goal(axes: Axes, x: float, text: str) -> None:
-    axes.axvline(x, color=GREY, ls="--", lw=1.2, label=text)
+def goal(axes: Axes, x: float) -> None:
+    axes.axvline(x, color=GREY, ls="--", lw=1.2, label="goal")
 
 
 def legend(figure: Figure, axes: Axes, columns: int = 3) -> None:
     entries = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    figure.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=columns,
-                  frameon=False)  # fmt: skip
+    figure.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=columns)
 
 
 def panels(heights: Sequence[int]) -> tuple[Figure, list[Axes]]:
@@ -99,8 +94,8 @@ def ranges(axes: Axes, rows: Rows, low: str, high: str, unit: str, marks: Marks)
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     named(axes, [r["condition"] for r in rows], unit)
-    for value in dict.fromkeys(r["goal"] for r in rows if r.get("goal")):
-        goal(axes, float(value), "goal")
+    for value in {r["goal"] for r in rows if r.get("goal")}:
+        goal(axes, float(value))
 
 
 def pairs(
@@ -123,13 +118,13 @@ def lab() -> Figure:
     """Right verdicts by kind of study; the number of studies, and how many were wrong."""
     rows = [r for r in read("lab") if r["n"] != "1"]
     figure, (axes,) = panels([len(rows)])
-    for kind, colour in zip(dict.fromkeys(r["hidden"] for r in rows), COLOURS, strict=True):
+    for kind, colour in zip(dict.fromkeys(r["hidden"] for r in rows), COLOURS, strict=False):
         y = [i for i, r in enumerate(rows) if r["hidden"] == kind]
         share(axes, y, [rows[i] for i in y], "right", colour, kind)
-    for y, row in enumerate(rows):
+    for place, row in enumerate(rows):
         most = binomtest(int(row["wrong"]), int(row["n"])).proportion_ci().high
-        axes.text(102, y, f"{row['wrong']} of {row['n']}, < {100 * most:.0f} %", va="center")
-    goal(axes, 90.0, "goal")
+        axes.text(102, place, f"{row['wrong']} of {row['n']}, < {100 * most:.0f} %", va="center")
+    goal(axes, 90.0)
     axes.set_xlim(20, 101)
     named(axes, [r["condition"] for r in rows], "right verdicts, % (95 % interval)")
     axes.text(102, -1, "wrong (95 % bound)", va="center")
@@ -143,13 +138,13 @@ def several(name: str, group: str, rows_of: str, count: str, unit: str) -> Figur
     names = list(dict.fromkeys(r[rows_of] for r in rows))
     groups = list(dict.fromkeys(r[group] for r in rows))
     figure, (axes,) = panels([2 * len(names)])
-    for i, (one, colour) in enumerate(zip(groups, (*COLOURS, GREY), strict=False)):
+    for i, (one, colour) in enumerate(zip(groups, COLOURS, strict=False)):
         of = [r for r in rows if r[group] == one]
         y = [names.index(r[rows_of]) + 0.22 * (i - (len(groups) - 1) / 2) for r in of]
         share(axes, y, of, count, colour, one)
     named(axes, names, f"{unit}, % (95 % interval)")
     if count == "right":
-        goal(axes, 90.0, "goal")
+        goal(axes, 90.0)
     legend(figure, axes, 4)
     return figure
 
@@ -158,7 +153,7 @@ def intervals() -> Figure:
     rows, errors = read("intervals"), read("prediction")
     figure, (axes, below) = panels([len(rows), len(errors)])
     share(axes, range(len(rows)), rows, "inside", BLUE, "inside, 95 % interval")
-    goal(axes, 95.0, "goal")
+    goal(axes, 95.0)
     named(axes, [r["condition"] for r in rows], "95 % intervals that contain the truth, %")
     ranges(below, errors, "median", "largest", "error of position, mm", MARKS)
     legend(figure, axes)
@@ -168,8 +163,8 @@ def intervals() -> Figure:
 def correction() -> Figure:
     rows = [r for r in read("correction") if r["half_mm"] == "2" and "× 2" not in r["condition"]]
     figure, (axes,) = panels([len(rows)])
-    share(axes, np.arange(len(rows)) - 0.15, rows, "inserted_planned", GREY, "as planned")
-    share(axes, np.arange(len(rows)) + 0.15, rows, "inserted_corrected", ORANGE, "corrected")
+    for dy, way, colour in ((-0.15, "planned", GREY), (0.15, "corrected", ORANGE)):
+        share(axes, np.arange(len(rows)) + dy, rows, f"inserted_{way}", colour, way)
     named(axes, [r["condition"].removesuffix(", ± 2 mm") for r in rows],
           "of 20 cables inserted, % (95 % interval); opening ± 2 mm")  # fmt: skip
     legend(figure, axes)
@@ -184,19 +179,12 @@ PLOTS: dict[str, Callable[[], Figure]] = {
     "lab_breadth": lambda: several("lab_breadth", "hidden", "condition", "right", "right verdicts"),
     "learning": lambda: pairs("learning", "before_mm", "after_mm",
                               ("before learning", "after"), "largest error, mm"),
-    "calibration": lambda: pairs("calibration"),
     "export": lambda: pairs("export", "stroke_mm", "most_mm",
                             ("rms over the stroke", "largest"), "difference of the tips, mm"),
-    "plant": lambda: pairs("plant"),
     "fault_trials": lambda: pairs("fault_trials", "stop_median_ms", "stop_largest_ms",
                                   unit="fault to stop, ms"),
-    "waits": lambda: pairs("waits"),
+    **{name: partial(pairs, name) for name in ("calibration", "plant", "waits")},
 }  # fmt: skip
-
-
-def shortened(tag: re.Match[str]) -> str:
-    """A tag whose numbers have two decimals."""
-    return re.sub(r"(\d\.\d\d)\d+", r"\1", tag[0])
 
 
 def draw(folder: Path) -> None:
@@ -206,7 +194,7 @@ def draw(folder: Path) -> None:
         for name, plot in PLOTS.items():
             path = folder / f"{name}.svg"
             plot().savefig(path, metadata={"Date": None}, facecolor="white")
-            path.write_text(TAG.sub(shortened, path.read_text(encoding="utf-8")), encoding="utf-8")
+            path.write_text(DECIMALS.sub("", path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":
