@@ -29,7 +29,7 @@ from cell.web.guard import COOKIE, LOGIN, Guard
 from cell.web.lab_routes import lab_routes
 from cell.web.pages import calibration, history, lab, live, settings
 from cell.web.pages.cycle import build as build_cycle
-from cell.web.theme import CSS, N_
+from cell.web.theme import CSS, MANUAL, N_, manual_page
 from cell.web.timed_http import TimedHttp
 from cell.web.visit import PagesContext, Visit
 from cell.web.wording import languages, preferred, translation
@@ -60,8 +60,6 @@ PAGES: tuple[Page, ...] = (
 )
 
 
-#: Where `make docs-site` and wheels have the manual; nothing is linked without it.
-MANUAL = Path(__file__).parents[1] / "manual"
 _LOG = logging.getLogger(__name__)
 
 _TITLE = "Cable cell"
@@ -114,7 +112,7 @@ def application(room: PagesContext, users: Users, secure: bool) -> FastAPI:
     _cycle_routes(app, room)
     _calibration_routes(app, room)
     lab_routes(app, room)
-    if (MANUAL / "index.html").exists():
+    if manual_page("index.html"):
         app.mount("/manual", StaticFiles(directory=MANUAL, html=True))
     for page in PAGES:
         _page_route(room, page)
@@ -175,8 +173,8 @@ def _framed(visit: Visit, request: Request) -> None:
         theme = {"auto": "dark", "dark": "light"}.get(request.cookies.get("theme", "auto"), "auto")
         words = {"auto": N_("Automatic"), "dark": N_("Dark"), "light": N_("Light")}
         small = "text-white px-2 py-2 text-sm no-underline"
-        if (MANUAL / "index.html").exists():
-            ui.link(t(N_("Manual")), "/manual/", new_tab=True).classes(small)
+        if manual := manual_page("index.html"):
+            ui.link(t(N_("Manual")), manual, new_tab=True).classes(small)
         for name in languages():
             if name != visit.language:
                 ui.link(name.upper(), f"/choose?language={name}").classes(small)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from nicegui import ui
 
@@ -52,6 +53,9 @@ AWAY = StateStyle(N_("No cell runs"), _GREY, "#ffffff")
 #: A cell may be there, and says nothing.
 UNKNOWN = StateStyle(N_("No connection"), _GREY, "#ffffff")
 
+#: Where `make docs-site` and wheels have the manual.
+MANUAL = Path(__file__).parents[1] / "manual"
+
 CSS = """
 .q-btn { text-transform: none; }
 .big-button { min-height: 4.5rem; min-width: 7rem; font-size: 1.35rem; font-weight: 600; }
@@ -90,6 +94,11 @@ header .nicegui-link { color: #ffffff; }
 .body--dark .diff .removed { background: #b3261e66; color: #ffdad6; }
 .q-btn:focus-visible, a:focus-visible { outline: 3px solid #f5b301; outline-offset: 2px; }
 """
+
+
+def manual_page(page: str) -> str:
+    """Address of a page of the manual, e.g. `index.html`; empty if no manual is built here."""
+    return f"/manual/{page}" if (MANUAL / page).exists() else ""
 
 
 def table(

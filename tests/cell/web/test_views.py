@@ -17,6 +17,7 @@ from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING
 from cell.settings import load_settings
 from cell.settings.provenance import line_name
+from cell.web import theme
 from cell.web.pages import history
 from cell.web.theme import AWAY, LOOKS
 from cell.web.views import (
@@ -218,3 +219,12 @@ def test_charts_look_at_one_product_at_a_time(
     alone = settings.model_copy(update={"products": {}})
     assert history.changes_of(ledger, alone, None, str) == ["1 cycles"]
     ledger.close()
+
+
+def test_the_manual_is_linked_where_it_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(theme, "MANUAL", tmp_path)
+    assert theme.manual_page("index.html") == ""
+    (tmp_path / "index.html").touch()
+    assert theme.manual_page("index.html") == "/manual/index.html"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nicegui import run, ui
 
-from cell.cable.effects import library
+from cell.cable.effects import library, unscreened
 from cell.web.heartbeat import on_press
 from cell.web.jobs import JobTask
 from cell.web.lab_views import (
@@ -19,7 +19,7 @@ from cell.web.lab_views import (
     read_result,
 )
 from cell.web.pages.lab.desk import Desk, first_lines, frame, heading, output, printed
-from cell.web.theme import BLUE
+from cell.web.theme import BLUE, manual_page
 
 _PASSED = """
 <q-td :props="props">
@@ -108,6 +108,11 @@ class DiagnosePanel:
             parameters = ui.label("\n".join(parameter_lines(data)))
             parameters.classes("font-mono whitespace-pre-line break-words")
             parameters.props("data-test=parameters")
+            entry = manual_page("reference/effects.html")
+            for effect in (m["effect"] for m in data["missing"]):
+                if entry and effect in library() | unscreened():
+                    words = f"{effect}: {t('law, limits and remedy')}"
+                    ui.link(words, f"{entry}#{effect}", new_tab=True)
             ui.echart(error_steps(data, t)).classes("w-full h-72").props("data-test=falling")
             page = desk.result("diagnosis.html")
             if page is not None:
