@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.cable.effects import library
+from cell.cable.effects import Effect, library, load_effect
 from cell.cli import app
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.results import Diagnosis
 from cell.lab.diagnosis import diagnose
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.folder import read_study
@@ -33,16 +34,35 @@ def test_the_program_makes_a_table_again() -> None:
     assert np.allclose(numbers(text), numbers(stored), rtol=0.0, atol=0.0015)
 
 
-def test_the_second_cable_is_not_explained_by_the_library(tmp_path: Path) -> None:
-    study = tmp_path / "b"
+@pytest.fixture(scope="module")
+def second(tmp_path_factory: pytest.TempPathFactory) -> PreparedStudy:
+    study = tmp_path_factory.mktemp("own") / "b"
     tables = [str(DATA / "cable_b" / f"{m}.csv") for m in ("down", "left")]
     arguments = ["import", *tables, "-o", str(study), *SHEET.split()]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     mapping = study / "import.yaml"
     mapping.write_text(mapping.read_text().replace("constant_rad: 0.0097", "constant_rad: 0.0"))
     assert CliRunner().invoke(app, ["import", str(mapping)]).exit_code == 0
-    prepared = PreparedStudy.of(read_study(study))
+    return PreparedStudy.of(read_study(study))
+
+
+def diagnosed(prepared: PreparedStudy, tried: dict[str, type[Effect]]) -> Diagnosis:
     space = ParameterSpace.of(prepared.study.cable)
-    tried = {name: library()[name] for name in RIVALS}
-    found = diagnose(FitCache.of(SearchSetup(prepared, space, tried))).diagnosis
-    assert found.verdict == "unexplained"
+    return diagnose(FitCache.of(SearchSetup(prepared, space, tried))).diagnosis
+
+
+def test_the_second_cable_is_not_explained_by_the_library(second: PreparedStudy) -> None:
+    assert diagnosed(second, {n: library()[n] for n in RIVALS}).verdict == "unexplained"
+
+
+def test_the_law_on_the_page_explains_the_second_cable(
+    second: PreparedStudy, tmp_path: Path
+) -> None:
+    page = (DATA.parent / "own_measurements.md").read_text(encoding="utf-8")
+    file = tmp_path / "magnet.py"
+    file.write_text(page.partition("```python\n")[2].partition("```")[0])
+    found = diagnosed(second, {"magnet": load_effect(str(file)), "tip_mass": library()["tip_mass"]})
+    assert found.verdict == "missing"
+    (magnet,) = found.missing
+    assert magnet.effect == "magnet"
+    assert magnet.errors.heldout_rms_m == pytest.approx(5e-5, rel=0.05)
