@@ -28,6 +28,11 @@ class Subject:
     is_cycle: bool = False
 
     @property
+    def is_there(self) -> bool:
+        """Whether there is a study, or a mapping of which one can be made."""
+        return any((self.folder / name).exists() for name in (STUDY, MAPPING))
+
+    @property
     def to_import(self) -> bool:
         """Whether there is a proposed mapping only, of which a study is to be made."""
         return not self.is_cycle and not (self.folder / STUDY).exists()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import re
 import signal
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import uvicorn
 from fastapi import FastAPI
@@ -24,7 +26,7 @@ from cell.calibration import assistants
 from cell.files.input_error import InputError
 from cell.plant.users import Role, Users
 from cell.settings import load_settings
-from cell.web import cycle_view, heartbeat
+from cell.web import cycle_view, heartbeat, unsaved
 from cell.web.guard import COOKIE, LOGIN, Guard
 from cell.web.lab_routes import lab_routes
 from cell.web.pages import calibration, history, lab, live, settings
@@ -182,6 +184,7 @@ def _framed(visit: Visit, request: Request) -> None:
         if visit.room.sessions is not None:
             ui.link(f"{t('Log out')} {visit.name}", "/logout").classes(small)
     heartbeat.begin(visit.heartbeats, t)
+    unsaved.begin()
 
 
 def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) -> None:
@@ -234,13 +237,21 @@ def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) 
         return answer
 
     @app.get("/choose")
-    def choose(language: str = "", theme: str = "") -> Response:
-        answer = RedirectResponse("/", 303)
+    def choose(request: Request, language: str = "", theme: str = "") -> Response:
+        answer = RedirectResponse(_came_from(request), 303)
         if language in languages():
             answer.set_cookie("language", language, _YEAR_S, samesite="lax")
         if theme in _THEMES:
             answer.set_cookie("theme", theme, _YEAR_S, samesite="lax")
         return answer
+
+
+def _came_from(request: Request) -> str:
+    """Path of the page of this server whose link was followed; "/" if the browser does not say."""
+    came = urlsplit(request.headers.get("referer", ""))
+    if came.netloc != request.headers.get("host") or not re.match(r"/[\w-]", came.path):
+        return "/"
+    return came.path + (f"?{came.query}" if came.query else "")
 
 
 def _cycle_routes(app: FastAPI, room: PagesContext) -> None:

@@ -242,6 +242,7 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     page.shows("line-model", "air_drag")
     assert load_settings(config).model.effects[0].effect == "air_drag"
     page.click("undo")
+    page.click("undo-yes")
     page.shows("line-model", "0 former models")
     assert config.read_text() == text
     lines = audit_file(tmp_path / "runs").read_text("utf-8").splitlines()
@@ -291,4 +292,5 @@ def test_what_recorded_cycles_lack_is_learned_promoted_and_undone(
     assert prior is not None
     assert dict(zip(prior.names, prior.mean, strict=True)) == pytest.approx(WIND, rel=0.05)
     page.click("undo")
+    page.click("undo-yes")
     page.shows("line-model", "0 former models")

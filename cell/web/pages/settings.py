@@ -16,6 +16,7 @@ from cell.settings.entries import SettingsEntry, SettingsForm
 from cell.settings.promotion import ChangedMeanwhileError, read_exactly, replace_settings, versions
 from cell.web.draft import Draft, differences, value_text
 from cell.web.theme import BLUE
+from cell.web.unsaved import Unsaved
 from cell.web.visit import Visit
 from cell.web.wording import Translate
 
@@ -195,6 +196,7 @@ class _SettingsPage:
     def __init__(self, visit: Visit, draft: Draft) -> None:
         self._visit, self._t, self._draft = visit, visit.t, draft
         self._rows = EntryRows(visit.t, self._entered, self._show_problems)
+        self._unsaved = Unsaved("settings")
         self._shown = 0
         self._found: Sequence[tuple[str, str]] = ()
 
@@ -249,7 +251,9 @@ class _SettingsPage:
         self._state.text = f"{t('Changes')}: {changed}. " + (
             t("The settings are wrong.") if self._found else t("The settings are right.")
         )
-        self._discard.set_enabled(bool(changed or self._draft.unreadable))
+        is_typed = bool(changed or self._draft.unreadable)
+        self._discard.set_enabled(is_typed)
+        self._unsaved.set(is_typed)
 
     def _allowed(self) -> bool:
         if self._visit.has_role(Role.engineer):

@@ -139,6 +139,34 @@ def test_the_server_takes_no_address_from_a_header(
     assert (options["proxy_headers"], options["http"]) == (False, TimedHttp)
 
 
+@pytest.mark.parametrize(
+    "came, back",
+    [
+        (f"{AT}/lab?study=a", "/lab?study=a"),
+        (f"{AT}/settings", "/settings"),
+        ("http://evil.example/settings", "/"),
+        (f"{AT}//evil.example", "/"),
+        ("", "/"),
+    ],
+)
+def test_a_choice_of_language_leads_back_to_its_page(served: Served, came: str, back: str) -> None:
+    """It led to the live page, and what was typed was lost."""
+    headers = {**served.log_in("engineer"), "referer": came}
+    answer = served.web.get("/choose?language=de", headers=headers)
+    assert (answer.status_code, answer.headers["location"]) == (303, back)
+    assert "beforeunload" in served.web.get("/settings", headers=headers).text
+
+
+def test_without_a_study_nothing_is_diagnosed_and_without_a_promotion_nothing_undone(
+    served: Served,
+) -> None:
+    shown = served.web.get("/lab", headers=served.log_in("engineer")).text
+    for button in ("diagnose", "suggest", "fit-own", "infer", "fit"):
+        (props,) = re.findall(rf'"props":(\{{[^}}]*"data-test":"{button}"[^}}]*\}})', shown)
+        assert '"disable":true' in props, button
+    assert "Choose a study first." in shown
+
+
 def test_a_cycle_that_is_not_there_is_not_found(served: Served) -> None:
     assert served.web.get("/cycle/none", headers=served.log_in("watch")).status_code == 404
 

@@ -22,6 +22,7 @@ from cell.web.lab_views import (
     read_result,
     trials_of,
 )
+from cell.web.pages.lab.line import former_models
 from cell.web.pages.lab.own import TEMPLATE, free_name, named
 from cell.web.workspace import Workspace
 
@@ -198,6 +199,27 @@ def test_candidates_stand_side_by_side_with_their_gates(tmp_path: Path) -> None:
     assert rows[0]["a"] == "drag" and rows[0]["broken"].startswith("✗")
     assert rows[2] == {"gate": "enough forecasts", "a": "✓ 5", "b": "✓ 5"}
     assert rows[3] == {"gate": "identifiable", "b": "✗ 1.2"}
+
+
+def test_a_failed_import_is_no_study(tmp_path: Path) -> None:
+    """It was selected all the same, and the page showed that a file of it was not there."""
+    made = Subject("a", tmp_path / "a")
+    assert not made.is_there
+    made.folder.mkdir()
+    (made.folder / "import.txt").write_text("refused")
+    assert not made.is_there
+    (made.folder / "import.yaml").write_text("trials: []")
+    assert made.is_there and made.to_import
+
+
+def test_former_models_are_counted_without_those_undone(tmp_path: Path) -> None:
+    config = tmp_path / "cell.yaml"
+    assert former_models(config) == 0
+    folder = tmp_path / "cell.models"
+    folder.mkdir()
+    for name in ("1.yaml", "2.undone.yaml"):
+        (folder / name).touch()
+    assert former_models(config) == 1
 
 
 def test_a_result_that_is_none_is_not_shown(tmp_path: Path) -> None:

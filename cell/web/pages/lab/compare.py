@@ -10,7 +10,7 @@ from nicegui import run, ui
 from cell.cable.effects import library
 from cell.web.lab_tasks import BASELINE
 from cell.web.lab_views import PLACES, Data, failing_places, model_errors, read_result, trials_of
-from cell.web.pages.lab.desk import Desk, first_lines, frame, heading, output
+from cell.web.pages.lab.desk import Desk, NeedsStudy, first_lines, frame, heading, output
 from cell.web.theme import BLUE, N_
 from cell.web.workspace import is_name
 
@@ -26,6 +26,7 @@ class ModelsPanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
+        self._needs_study = NeedsStudy(desk)
 
     def build(self) -> None:
         """Make the elements."""
@@ -40,6 +41,7 @@ class ModelsPanel:
                 self._line = ui.checkbox(t("Start from the line's model"))
                 button = ui.button(t("Fit"), icon="tune", color=BLUE, on_click=self._fit)
                 button.props("text-color=white data-test=fit")
+                self._needs_study.of(button)
             with ui.card().classes("w-full"):
                 heading(t("Compare models"))
                 self._models = ui.select([], label=t("Models, in order"), multiple=True)
@@ -50,6 +52,7 @@ class ModelsPanel:
         self._desk.listen(self._refresh)
 
     async def _refresh(self) -> None:
+        self._needs_study.refresh()
         self._effects.set_options([*self._desk.own_effects(), *library()], value=self._chosen())
         models = self._desk.models()
         kept = [m for m in self._models.value or [] if m in models]

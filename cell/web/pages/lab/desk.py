@@ -14,6 +14,7 @@ from cell.plant.users import Role
 from cell.web.cycle_view import cycle_folder
 from cell.web.jobs import JobTask
 from cell.web.lab_tasks import PREVIEW, LabTasks, Subject
+from cell.web.theme import N_
 from cell.web.visit import Visit
 from cell.web.workspace import is_name
 
@@ -29,6 +30,7 @@ class Desk:
         self.workspace = self.lab.workspace
         self.tasks = LabTasks(self.workspace, visit.room.config)
         self.subject: Subject | None = None
+        self._made_next = ""
         self.cycles: list[Path] = []
         request = ui.context.client.request
         theme = "" if request is None else request.cookies.get("theme", "")
@@ -43,8 +45,14 @@ class Desk:
 
     async def changed(self) -> None:
         """A study was chosen, or a job has ended."""
+        if self._made_next and (made := self.find(self._made_next)) is not None:
+            self.subject, self._made_next = made, ""
         for listener in self._listeners:
             await listener()
+
+    def choose_when_made(self, name: str) -> None:
+        """Work on the study of this name once a job has made it; one that fails makes none."""
+        self._made_next = name
 
     async def begin(self) -> None:
         """Fill the parts, once the browser is there."""
@@ -61,7 +69,7 @@ class Desk:
 
     async def choose(self, name: str) -> None:
         """Work on the study, or the recorded cycle, of this name."""
-        self.subject = self.find(name)
+        self.subject, self._made_next = self.find(name), ""
         if self.subject is not None:
             ui.navigate.history.replace(f"/lab?study={name}")
         await self.changed()
@@ -70,8 +78,9 @@ class Desk:
         """The study or the cycle of a name; None = there is none."""
         if not is_name(name):
             return None
-        if (self.workspace.studies / name).is_dir():
-            return Subject(name, self.workspace.studies / name)
+        subject = Subject(name, self.workspace.studies / name)
+        if subject.is_there:
+            return subject
         cycle = cycle_folder(self.visit.room.runs, name)
         return None if cycle is None else Subject(name, cycle, True)
 
@@ -143,6 +152,29 @@ class Desk:
     @property
     def _name(self) -> str:
         return "" if self.subject is None else self.subject.name
+
+
+class NeedsStudy:
+    """Buttons that are disabled without a study, and the sentence that says why."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._buttons: list[ui.button] = []
+
+    def of(self, *buttons: ui.button) -> None:
+        """Take these buttons, and put the sentence after them."""
+        self._buttons += buttons
+        self._why = ui.label().classes("quiet").props("data-test=needs-study")
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Bring them up to date."""
+        t, subject = self._desk.t, self._desk.subject
+        is_ready = subject is not None and not subject.to_import
+        why = t(N_("Make the study first.")) if subject else t(N_("Choose a study first."))
+        self._why.text = "" if is_ready else why
+        for button in self._buttons:
+            button.set_enabled(is_ready)
 
 
 def frame(desk: Desk, page: str, title: str, path: Path) -> None:

@@ -18,7 +18,15 @@ from cell.web.lab_views import (
     ranking_rows,
     read_result,
 )
-from cell.web.pages.lab.desk import Desk, first_lines, frame, heading, output, printed
+from cell.web.pages.lab.desk import (
+    Desk,
+    NeedsStudy,
+    first_lines,
+    frame,
+    heading,
+    output,
+    printed,
+)
 from cell.web.theme import BLUE, manual_page
 
 _PASSED = """
@@ -37,6 +45,7 @@ class DiagnosePanel:
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
         self._seen: tuple[object, ...] = ()
+        self._needs_study = NeedsStudy(desk)
 
     def build(self) -> None:
         """Make the elements."""
@@ -50,10 +59,11 @@ class DiagnosePanel:
                 self._known.props("use-chips data-test=known")
             self._line = ui.checkbox(t("Start from the line's model"))
             with ui.row():
-                button = ui.button(t("Diagnose"), icon="troubleshoot", color=BLUE)
-                button.on_click(self._diagnose).props("text-color=white data-test=diagnose")
-                button = ui.button(t("Suggest the next motion"), icon="route")
-                button.on_click(self._suggest).props("outline data-test=suggest")
+                diagnose = ui.button(t("Diagnose"), icon="troubleshoot", color=BLUE)
+                diagnose.on_click(self._diagnose).props("text-color=white data-test=diagnose")
+                suggest = ui.button(t("Suggest the next motion"), icon="route")
+                suggest.on_click(self._suggest).props("outline data-test=suggest")
+                self._needs_study.of(diagnose, suggest)
         self._place = ui.column().classes("w-full gap-4").props("data-test=diagnosis")
         self._desk.listen(self._refresh)
 
@@ -79,6 +89,7 @@ class DiagnosePanel:
         desk.ask(desk.tasks.suggest(desk.subject, *self._names()))
 
     async def _refresh(self) -> None:
+        self._needs_study.refresh()
         own = self._desk.own_effects()
         self._tried.set_options(own, value=[e for e in self._tried.value or [] if e in own])
         all_of_them = [*own, *library()]

@@ -46,8 +46,8 @@ class LinePanel:
             heading(t("The line's model"))
             self._model = ui.label().classes("whitespace-pre-wrap font-mono text-sm break-words")
             self._model.props("data-test=line-model")
-            undo = ui.button(t("Undo the last promotion"), icon="undo", on_click=self._undo)
-            undo.props("outline data-test=undo")
+            self._undo_button = ui.button(t("Undo the last promotion"), icon="undo")
+            self._undo_button.on_click(self._undo).props("outline data-test=undo")
             ui.label(t("A cell that runs uses its model until it is started anew."))
         self._desk.listen(self._refresh)
 
@@ -80,6 +80,7 @@ class LinePanel:
             return
         self._seen = seen
         self._model.text = await run.io_bound(model_text, desk.visit.room.config) or ""
+        self._undo_button.set_enabled(former_models(desk.visit.room.config) > 0)
         found = await run.io_bound(candidate_table, paths, self._t)
         self._place.clear()
         with self._place:
@@ -104,20 +105,33 @@ class LinePanel:
                 button.props(f"data-test=promote-{name}")
 
     async def _promote(self, name: str) -> None:
-        with ui.dialog() as asked, ui.card():
-            ui.label(f"{self._t('Give the line this model?')} {name}")
-            with ui.row():
-                ui.button(self._t("Cancel"), on_click=lambda: asked.submit(False)).props("outline")
-                yes = ui.button(self._t("Promote"), color=BLUE, on_click=lambda: asked.submit(True))
-                yes.props("text-color=white data-test=promote-yes")
-        sure = await asked
-        asked.delete()
+        question = f"{self._t('Give the line this model?')} {name}"
+        sure = await self._confirmed(question, self._t("Promote"), "promote-yes")
         if sure and await self._desk.run_promotion(self._desk.tasks.promote(name)):
             await self._desk.changed()
 
+    async def _confirmed(self, question: str, answer: str, test: str) -> bool:
+        with ui.dialog() as asked, ui.card():
+            ui.label(question)
+            with ui.row():
+                ui.button(self._t("Cancel"), on_click=lambda: asked.submit(False)).props("outline")
+                yes = ui.button(answer, color=BLUE, on_click=lambda: asked.submit(True))
+                yes.props(f"text-color=white data-test={test}")
+        sure = bool(await asked)
+        asked.delete()
+        return sure
+
     async def _undo(self) -> None:
-        if await self._desk.run_promotion(self._desk.tasks.undo()):
+        question = self._t("Give the line its former model again?")
+        sure = await self._confirmed(question, self._t("Undo"), "undo-yes")
+        if sure and await self._desk.run_promotion(self._desk.tasks.undo()):
             await self._desk.changed()
+
+
+def former_models(config: Path) -> int:
+    """How many promotions can be undone."""
+    found = history_of(config.resolve()).glob("*.yaml")
+    return sum(".undone." not in path.name for path in found)
 
 
 def model_text(config: Path) -> str:
@@ -127,9 +141,7 @@ def model_text(config: Path) -> str:
 
     try:
         section = section_of(config, config.read_text(encoding="utf-8"))
-        count = len(
-            [p for p in history_of(config.resolve()).glob("*.yaml") if "undone" not in p.name]
-        )
+        count = former_models(config)
     except (OSError, ValueError, InputError) as error:
         return str(error)
     return f"{section or 'model: {effects: []}'}\n# {count} former models in {history_of(config)}"

@@ -13,8 +13,9 @@ from cell.cable.effects import library
 from cell.plant.users import Role
 from cell.web.lab import CheckedFile
 from cell.web.pages.lab.compare import ComparePanel
-from cell.web.pages.lab.desk import Desk, heading, output
+from cell.web.pages.lab.desk import Desk, NeedsStudy, heading, output
 from cell.web.theme import BLUE
+from cell.web.unsaved import Unsaved
 
 #: A text is checked when nothing was typed for so long, s.
 _PAUSE_S = 0.5
@@ -51,6 +52,9 @@ class OwnEffectPanel:
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
         self._typed = 0
+        self._kept = TEMPLATE
+        self._unsaved = Unsaved("effect")
+        self._needs_study = NeedsStudy(desk)
 
     def build(self) -> None:
         """Make the elements."""
@@ -80,6 +84,7 @@ class OwnEffectPanel:
                 button.on_click(self._fit).props("text-color=white data-test=fit-own")
                 infer = ui.button(t("Infer a law from the error"), icon="psychology")
                 infer.on_click(self._infer).props("outline data-test=infer")
+                self._needs_study.of(button, infer)
             self._inferred = ui.column().classes("w-full")
         self._shown = ComparePanel(self._desk, "own")
         self._desk.listen(self._refresh)
@@ -90,6 +95,7 @@ class OwnEffectPanel:
         names = [*own, *library()]
         kept = [b for b in self._beside.value or [] if b in names]
         self._beside.set_options(names, value=kept)
+        self._needs_study.refresh()
         self._inferred.clear()
         with self._inferred:
             output(self._t("The law that was inferred"), self._desk.result("discover.txt"))
@@ -98,17 +104,18 @@ class OwnEffectPanel:
 
     def _template(self) -> None:
         self._saved.value = None
-        self._editor.value = TEMPLATE
+        self._kept = self._editor.value = TEMPLATE
 
     def _open(self, event: Any) -> None:
         path = self._desk.workspace.effects / f"{event.value}.py"
         if event.value in self._desk.own_effects():
             try:
-                self._editor.value = path.read_text(encoding="utf-8")
+                self._kept = self._editor.value = path.read_text(encoding="utf-8")
             except (OSError, ValueError) as error:
                 self._desk.notify_refusal(str(error))
 
     async def _changed(self) -> None:
+        self._unsaved.set(self._editor.value != self._kept)
         self._typed += 1
         typed = self._typed
         await asyncio.sleep(_PAUSE_S)
@@ -159,6 +166,8 @@ class OwnEffectPanel:
         )
         desk.notify_refusal(refused)
         if not refused:
+            self._kept = text
+            self._unsaved.set(self._editor.value != text)
             beside = [desk.effect_file(str(b)) for b in self._beside.value or [] if b != name]
             desk.ask(desk.tasks.fit_own(desk.subject, name, beside))
             await desk.changed()

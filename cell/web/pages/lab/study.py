@@ -142,7 +142,8 @@ def chooser(desk: Desk) -> None:
     chosen.props("data-test=subject options-dense")
 
     async def refresh() -> None:
-        names = desk.workspace.names(desk.workspace.studies)
+        studies = desk.workspace.names(desk.workspace.studies)
+        names = [name for name in studies if desk.find(name) is not None]
         subject = desk.subject
         if subject is not None and subject.name not in names:
             names.insert(0, subject.name)
@@ -187,6 +188,7 @@ class StudyPanel:
         self._shown.clear()
         if subject is None:
             return
+        self._form.hide_if_made(subject.name)
         with self._shown:
             heading(subject.name)
             if subject.to_import:
@@ -263,6 +265,11 @@ class _ImportForm:
         self._hands.set_options(files, value=[])
         self._place.set_visibility(True)
 
+    def hide_if_made(self, study: str) -> None:
+        """Ask no more about files of which there is a study."""
+        if study == self._upload:
+            self._place.set_visibility(False)
+
     async def _propose(self) -> None:
         desk, hands = self._desk, list(self._hands.value or [])
         files = [f for f in self._files if f not in hands]
@@ -271,9 +278,8 @@ class _ImportForm:
             for key, (entry, size) in self._entries.items()
         }
         task = desk.tasks.propose(self._upload, files, hands, CableEntries(**values))
-        if desk.ask(task):
-            self._place.set_visibility(False)
-            desk.subject = Subject(self._upload, desk.workspace.studies / self._upload)
+        if desk.ask(task):  # the form stays until there is a study: what was stated may be wrong
+            desk.choose_when_made(self._upload)
 
 
 class _Cycles:
@@ -353,4 +359,4 @@ class _Cycles:
         first = desk.cycles[0].name.replace(".", "_")
         name = plain(f"cycles_{first}_{len(desk.cycles)}")
         if desk.ask(desk.tasks.gather(desk.cycles, name)):
-            desk.subject = Subject(name, desk.workspace.studies / name)
+            desk.choose_when_made(name)
