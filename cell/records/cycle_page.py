@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cell.files.figure_style import ADDED, MODEL, QUIET, SEEN, laid_out
 from cell.files.page import PagePicture, Plot, page
+from cell.files.quantity import percent, with_prefix
 from cell.files.table import TableData
 from cell.files.words import counted
 from cell.records.folder import Recorded, pictures_in
@@ -102,7 +103,7 @@ def how_it_ended(record: Recorded) -> tuple[str, bool]:
 def numbers_table(result: Result) -> TableData:
     """What was forecast and measured, with units."""
     rows = [
-        [name, f"{value * size:.4g}", unit]
+        [name, percent(value) if key == "probability" else f"{value * size:.4g}", unit]
         for key, name, unit, size in _NUMBERS
         if (value := getattr(result, key)) is not None
     ]
@@ -217,10 +218,10 @@ def _decision(decision: Mapping[str, Any]) -> TableData:
 
 def parameters_table(model: Mapping[str, Any]) -> TableData:
     """Parameters of the cable, as in `model.json`, with 95 % intervals."""
-    rows = [
-        [p["name"], f"{p['value']:.4g}", f"{p['low']:.4g} … {p['high']:.4g}", p["unit"]]
-        for p in model["parameters"]
-    ]
+    rows = []
+    for p in model["parameters"]:
+        (value, low, high), unit = with_prefix([p["value"], p["low"], p["high"]], p["unit"])
+        rows.append([p["name"], value, f"{low} … {high}", unit])
     return TableData("", ["parameter", "value", "95 %", "unit"], rows, (1, 2))
 
 

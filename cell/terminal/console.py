@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 from rich.text import Text
 
+from cell.files.quantity import percent
 from cell.records.result import AgreementCheck, Outcome, Result
 from cell.run.computer_check import Condition
 from cell.run.machine import MachineEvent
@@ -155,7 +156,7 @@ def results_table(results: Sequence[Result]) -> Table:
             _mm(r.measured_miss_m, "+z.2f"),
             _mm(r.margin_m, "+z.2f"),
             _mm(r.prediction_error_m, ".2f"),
-            "" if r.probability is None else f"{r.probability:.1%}",
+            "" if r.probability is None else f"{percent(r.probability)}%",
         )
     return table
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.files.input_error import InputError
+from cell.files.quantity import with_prefix
 from cell.files.yaml_document import read_yaml
 from cell.web.theme import N_
 from cell.web.wording import Translate
@@ -33,6 +34,29 @@ PLACES = {
     "by_time": ("t_s", "rms_m", 1.0, N_("Time, s")),
     "by_arc_length": ("arc_length_m", "rms_m", 1e3, N_("Arc length, mm")),
     "by_frequency": ("frequency_hz", "residual_m2_per_hz", 1.0, N_("Frequency, Hz")),
+}
+
+
+_STATED = N_("Not tested: the study states its noise, and is tested against that.")
+_SLOW = N_("Not tested: the noise is stated, or the frames do not show slow errors apart from it.")
+_NO_EFFECT = N_("Not tested: no effect was added to the baseline.")
+_OTHER = N_("Not tested: it does not apply to this study and this model.")
+#: Why a check has no result, by its name.
+NOT_APPLICABLE = {
+    "stated_error": N_("Not tested: the study does not state its noise."),
+    "fitted_error": _STATED,
+    "heldout_smooth": _SLOW,
+    "parameter_constancy": _SLOW,
+    "wider_law": N_("Not tested: no effect in the model has a wider law that these trials show."),
+    "residual_level": _STATED,
+    "earlier_model": N_("Not tested: no earlier cable's model is the reference."),
+    "confirmation": _NO_EFFECT,
+    "heldout_insensitive": N_("Not tested: no effect was added, or no trial is held out."),
+    "ties": _NO_EFFECT,
+    "weakly_identified": _NO_EFFECT,
+    "prior_driven": N_("Not tested: no effect was added, or no prior was used."),
+    "possibly_omitted": N_("Not tested: the noise was not measured, or the error is below it."),
+    "noise_unknown": N_("Not tested: an effect was added, or the noise is stated."),
 }
 
 
@@ -151,10 +175,15 @@ def check_rows(diagnosis: Data, t: Translate) -> list[dict[str, str]]:
             "limit": f"{c['unit']} {signs.get(c['passes'], c['passes'])} {c['limit']:g}",
             "result": results[c["passed"]],
             "passed": str(c["passed"]),
-            "said": c["failed"] if c["passed"] is False else "",
+            "said": c["failed"] if c["passed"] is False else _why_none(c, t),
         }
         for c in diagnosis["checks"]
     ]
+
+
+def _why_none(check: Data, t: Translate) -> str:
+    """Why a check has no result; "" = it has one."""
+    return t(NOT_APPLICABLE.get(check["name"], _OTHER)) if check["passed"] is None else ""
 
 
 def ranking_rows(diagnosis: Data) -> list[dict[str, str]]:
@@ -173,10 +202,25 @@ def ranking_rows(diagnosis: Data) -> list[dict[str, str]]:
 def parameter_lines(diagnosis: Data) -> list[str]:
     """Parameters of the effects found, with their 95 % intervals."""
     return [
-        f"{m['effect']}: {name} {p['value']:.4g} ({p['low']:.4g} … {p['high']:.4g}) {p['unit']}"
+        f"{m['effect']}: {_with_interval(name, p)}"
         for m in diagnosis["missing"]
         for name, p in m["parameters"].items()
     ]
+
+
+def fitted_lines(model: Data, effect: str) -> list[str]:
+    """Parameters of an effect of a fitted model, with their 95 % intervals."""
+    return [
+        f"{effect}: {_with_interval(p['name'].removeprefix(f'{effect}.'), p)}"
+        for p in model["parameters"]
+        if p["name"].startswith(f"{effect}.")
+    ]
+
+
+def _with_interval(name: str, found: Data) -> str:
+    values = [found["value"], found["low"], found["high"]]
+    (value, low, high), unit = with_prefix(values, found["unit"])
+    return f"{name} {value} ({low} … {high}) {unit}"
 
 
 def candidate_table(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cell.files.quantity import percent
 from cell.records.ledger.ledger import ListedCycle
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
@@ -169,13 +170,15 @@ def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
         ("predicted_miss_m", N_("Tip predicted"), 1e3, "+z.2f", "mm"),
         ("measured_miss_m", N_("Tip seen"), 1e3, "+z.2f", "mm"),
         ("margin_m", N_("Margin"), 1e3, "+z.2f", "mm"),
-        ("probability", N_("Probability"), 100.0, ".1f", "%"),
     )
-    return {
+    found = {
         heading: f"{result[key] * scale:{form}} {unit}"
         for key, heading, scale, form, unit in named
         if result.get(key) is not None
     }
+    if (probability := result.get("probability")) is not None:
+        found[N_("Probability")] = f"{percent(probability)} %"
+    return found
 
 
 def shift_texts(seen: WatchedState) -> dict[str, str]:

@@ -200,7 +200,7 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     page.click("diagnose")
     page.ended("Diagnose · hidden")
     page.shows("verdict", "Missing")
-    page.shows("parameters", "added_mass: kg_per_m 0.001")
+    page.shows("parameters", "added_mass: kg_per_m 1.")
     diagnosis = json.loads((lab.results("hidden") / "diagnosis.json").read_text())
     found = diagnosis["missing"][0]["parameters"]["kg_per_m"]["value"]
     assert found == pytest.approx(_HIDDEN, rel=0.05)
@@ -215,6 +215,7 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     page.click("fit-own")
     page.ended("Fit the effect · hidden")
     page.shows("shown-own", "falls from")
+    page.shows("fitted-own", "carried: kg_per_m 1.")
     before, after = json.loads((lab.results("hidden") / "own.json").read_text())["models"]
     assert after["heldout_rms_m"] < 0.5 * before["heldout_rms_m"]
 

@@ -266,7 +266,7 @@ def chance_of_spread(evidence: LineEvidence) -> Reading | None:
         may = evidence.rules.alike * (1.0 if logarithmic else size)
         spread = Spread.of(values[:, i], np.hypot(std[:, i], may))
         found = (
-            f"{tried.names[i]} differs by {spread.tau:.2g} beyond a tenth of it: "
+            f"{tried.names[i]} differs by {spread.tau:.2g} beyond a tenth of it, which is allowed: "
             f"Q {spread.q:.1f} of {spread.dof}, p = {spread.p_value:.1g}"
         )
         readings.append(Reading(spread.p_value, found=found))

@@ -62,8 +62,9 @@ def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]
     for i, s in zip(best.firsts, result.spread, strict=True):
         if s.dof > 0:
             lines.append(
-                f"{best.names[i]} differs between cables by {s.tau:.3g} (standard deviation; "
-                f"Cochran's Q {s.q:.1f} of {s.dof}, {_chance(s.p_value)})"
+                f"{best.names[i]} differs between cables by {s.tau:.3g} (standard deviation beyond "
+                f"the uncertainty of each, nothing more allowed; Cochran's Q {s.q:.1f} of {s.dof}, "
+                f"{_chance(s.p_value)})"
             )
     if so_far:
         lines.append("interrupted before the gates; nothing was written")

@@ -64,6 +64,10 @@ def build(visit: Visit, name: str) -> None:
         with ui.row().classes("items-center gap-6"):
             ui.link(visit.t("Back to the history"), "/history")
             ui.link(visit.t("Report for printing"), f"/cycles/{name}/report", new_tab=True)
+            if visit.has_role(Role.engineer):
+                asked = f"/lab?study={name}&tab=diagnose"
+                link = ui.link(visit.t("What does the model lack?"), asked)
+                link.props("data-test=to-diagnosis")
         page = _CyclePage(visit, name)
         ui.timer(0.01, page.fill, once=True)
 

@@ -249,6 +249,15 @@ def test_no_path_leads_out(served: Served, path: str) -> None:
     assert b"outcome" not in answer.content
 
 
+def test_a_cycle_leads_engineers_to_what_the_model_lacks(served: Served) -> None:
+    path = f"/lab?study={served.cycle.name}&tab=diagnose"
+    for role, is_there in (("engineer", True), ("operate", False)):
+        shown = served.web.get(f"/cycle/{served.cycle.name}", headers=served.log_in(role)).text
+        assert (json.dumps(path)[1:-1] in shown.replace("&amp;", "&")) is is_there
+    lab = served.web.get(path, headers=served.log_in("engineer")).text
+    assert re.search(r'"model-value":"diagnose"', lab)
+
+
 def test_a_frame_is_shown_to_who_may_watch(served: Served) -> None:
     path = f"/cycles/{served.cycle.name}/frames/0.jpg"
     assert served.web.get(path, headers=served.log_in("watch")).status_code == 200

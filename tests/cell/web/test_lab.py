@@ -10,14 +10,18 @@ import pytest
 
 from cell.cable.effects.remote import is_confined
 from cell.files.yaml_document import yaml_text
+from cell.lab.verdict.checks import CHECKS
 from cell.web.lab import Lab, named_files
 from cell.web.lab_tasks import CableEntries, LabTasks, Subject
 from cell.web.lab_views import (
+    NOT_APPLICABLE,
     candidate_table,
     check_rows,
     error_steps,
     failing_places,
+    fitted_lines,
     model_errors,
+    parameter_lines,
     ranking_rows,
     read_result,
     trials_of,
@@ -147,9 +151,24 @@ def test_checks_have_statistic_limit_and_result() -> None:
     assert shown == [
         ("0", "effects ≤ 3", "passed", ""),
         ("< 1e-300", "p ≥ 3", "not passed", "Tied."),
-        ("–", "effects ≤ 3", "–", ""),
+        ("–", "effects ≤ 3", "–", "Not tested: no effect was added to the baseline."),
     ]
     assert ranking_rows(DIAGNOSIS)[0]["p"] == "< 1e-300"
+
+
+def test_every_check_without_a_result_says_why() -> None:
+    """Nine of 14 checks said "–"."""
+    assert set(NOT_APPLICABLE) == {check.name for check in CHECKS}
+
+
+def test_parameters_have_prefixes_and_an_own_effect_shows_what_was_fitted() -> None:
+    """A rigidity of 21.7 µN·m² was 2.166e-05; the fitted value of an own effect was not shown."""
+    found = {"name": "carried.kg_per_m", "unit": "kg/m", "value": 1.5e-3, "low": 1e-3, "high": 2e-3}
+    other = {**found, "name": "rigidity_0"}
+    shown = fitted_lines({"parameters": [other, found]}, "carried")
+    assert shown == ["carried: kg_per_m 1.5 (1 … 2) g/m"]
+    missing = [{"effect": "air_drag", "parameters": {"c": found}}]
+    assert parameter_lines({"missing": missing}) == ["air_drag: c 1.5 (1 … 2) g/m"]
 
 
 def trial(name: str, role: str) -> dict[str, object]:

@@ -28,6 +28,7 @@ from cell.web.views import (
     history_row,
     live_view,
     reasons_text,
+    result_figures,
 )
 from cell.web.watching import ShiftFigures, WatchedState, state_after
 from cell.web.wording import translation
@@ -81,7 +82,7 @@ def test_a_cell_that_has_gone_shows_its_newest_cable_and_no_buttons() -> None:
     assert view.result == {
         "Tip predicted": "-1.00 mm",
         "Tip seen": "+0.00 mm",
-        "Probability": "100.0 %",
+        "Probability": "> 99.9 %",
     }
 
 
@@ -193,6 +194,12 @@ def test_a_german_page_says_causes_remedies_and_reasons_in_german() -> None:
     row = history_row(replace(cycle, reason=missed, numbers={"measured_miss_m": 1.5e-3}), t)
     assert (row["outcome"], row["measured"]) == ("verfehlt", "+1,50")
     assert row["why"] == "die Spitze verfehlte das Ziel um 1,20 mm"
+
+
+def test_a_probability_is_100_percent_only_if_it_is() -> None:
+    texts = [result_figures({"probability": p})["Probability"] for p in (1.0, 0.99996, 0.9, 1e-5)]
+    assert texts == ["100.0 %", "> 99.9 %", "90.0 %", "< 0.1 %"]
+    assert translation("de")(texts[1]) == "> 99,9 %"
 
 
 ROOT = Path(__file__).parents[3]

@@ -24,8 +24,10 @@ def build(visit: Visit) -> None:
     """Fill the page."""
     t, desk = visit.t, Desk(visit)
     request = ui.context.client.request
-    asked = request.query_params.get("study", "") if request is not None else ""
-    desk.subject = desk.find(asked) or _newest(desk)
+    given = request.query_params if request is not None else {}
+    tab = given.get("tab", "")
+    opened = tab if tab in {name for name, *_ in _TABS} else "study"
+    desk.subject = desk.find(given.get("study", "")) or _newest(desk)
     with ui.row().classes("items-center w-full gap-4"):
         ui.label(t("Lab")).classes("text-2xl").props("role=heading aria-level=1")
         study.chooser(desk)
@@ -36,7 +38,7 @@ def build(visit: Visit) -> None:
         for name, title, icon, _ in _TABS:
             ui.tab(name, t(title), icon).props(f"data-test=tab-{name}")
     with (
-        ui.tab_panels(tabs, value="study", animated=False)
+        ui.tab_panels(tabs, value=opened, animated=False)
         .classes("w-full bg-transparent")
         .props("keep-alive")
     ):

@@ -12,6 +12,7 @@ from nicegui import run, ui
 from cell.cable.effects import library
 from cell.plant.users import Role
 from cell.web.lab import CheckedFile
+from cell.web.lab_views import fitted_lines, read_result
 from cell.web.pages.lab.compare import ComparePanel
 from cell.web.pages.lab.desk import Desk, NeedsStudy, heading, output
 from cell.web.theme import BLUE
@@ -86,6 +87,8 @@ class OwnEffectPanel:
                 infer.on_click(self._infer).props("outline data-test=infer")
                 self._needs_study.of(button, infer)
             self._inferred = ui.column().classes("w-full")
+        self._fitted = ui.label().classes("font-mono whitespace-pre-line break-words")
+        self._fitted.props("data-test=fitted-own")
         self._shown = ComparePanel(self._desk, "own")
         self._desk.listen(self._refresh)
 
@@ -100,7 +103,19 @@ class OwnEffectPanel:
         with self._inferred:
             output(self._t("The law that was inferred"), self._desk.result("discover.txt"))
         self._editor.theme = self._desk.editor_theme
+        self._fitted.text = "\n".join(await run.io_bound(self._fitted_lines) or ())
         await self._shown.refresh()
+
+    def _fitted_lines(self) -> list[str]:
+        """Parameters of the effect that was fitted last."""
+        desk = self._desk
+        path = desk.result("own.json")
+        compared = None if path is None else read_result(path)
+        if compared is None or desk.subject is None:
+            return []
+        effect = str(compared["models"][-1]["name"])
+        model = read_result(desk.tasks.model(desk.subject, effect))
+        return [] if model is None else fitted_lines(model, effect)
 
     def _template(self) -> None:
         self._saved.value = None
