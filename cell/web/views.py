@@ -80,6 +80,7 @@ class LiveView:
     reason    why the newest cable was rejected or missed
     result    of the newest cycle: heading of a figure → its text
     unknown_s since when nothing is known of the cell, Unix time; None = it says what it does
+    has_planned_time  whether the shift has one, without which there is no OEE
     """
 
     style: StateStyle
@@ -101,6 +102,7 @@ class LiveView:
     note: str
     folder: str
     unknown_s: float | None = None
+    has_planned_time: bool = True
 
 
 def live_view(seen: WatchedState, now_s: float) -> LiveView:
@@ -139,6 +141,7 @@ def live_view(seen: WatchedState, now_s: float) -> LiveView:
             has_cycle=bool(step) and there,
         ),
         shift=shift_texts(seen),
+        has_planned_time=figures is None or figures.is_planned,
         reasons=figures.reasons if figures else (),
         note=seen.note,
         folder=Path(str(last.get("folder", ""))).name,
@@ -182,16 +185,17 @@ def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
 
 
 def shift_texts(seen: WatchedState) -> dict[str, str]:
-    """Yield and OEE of the shift, as texts; a dash where it has no meaning."""
+    """Yield and OEE of the shift, as texts; a dash where it has no meaning.
+
+    Without a planned time there is no availability, and no OEE.
+    """
     shift = seen.figures.shift if seen.figures else None
     if shift is None:
         return {}
-    shares = (
-        (N_("Yield"), shift.quality),
-        (N_("Availability"), shift.availability),
-        (N_("Performance"), shift.performance),
-        (N_("OEE"), shift.oee),
-    )
+    shares = [(N_("Yield"), shift.quality), (N_("Performance"), shift.performance)]
+    if seen.figures is not None and seen.figures.is_planned:
+        shares.insert(1, (N_("Availability"), shift.availability))
+        shares.append((N_("OEE"), shift.oee))
     return {name: "–" if share is None else f"{share:.0%}" for name, share in shares}
 
 

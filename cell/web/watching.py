@@ -38,11 +38,13 @@ class ShiftFigures:
 
     counts   cycles by outcome
     reasons  code of a fault, or "rejected" or "missed"; number of cycles, newest cause; most first
+    is_planned  whether the settings say when shifts begin: else no time was planned for work
     """
 
     counts: dict[str, int]
     shift: Shift | None
     reasons: tuple[tuple[str, int, str], ...]
+    is_planned: bool = True
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,9 @@ def shift_figures(settings: Settings, runs: Path, now: datetime) -> ShiftFigures
             found = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
             told = [*ledger.faults(replace(wanted, fault="")), *ledger.not_inserted(wanted)]
             reasons = tuple(sorted(told, key=lambda reason: -reason[1]))
-            return ShiftFigures(ledger.count(wanted), found[-1] if found else None, reasons)
+            newest = found[-1] if found else None
+            is_planned = "shifts" in given.model_fields_set
+            return ShiftFigures(ledger.count(wanted), newest, reasons, is_planned)
         finally:
             ledger.close()
     except LedgerError as error:

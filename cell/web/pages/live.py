@@ -302,6 +302,10 @@ class _Live:
         with ui.card().classes("w-full"):
             ui.label(t("This shift")).classes("text-xl font-bold")
             counts, shares = _Figures(t), _Figures(t)
+            unplanned = ui.label(
+                t("No OEE: set `ledger.shifts`, the times at which shifts begin, to plan the time.")
+            )
+            unplanned.classes("quiet").props("data-test=unplanned")
         with ui.card().classes("w-full") as card:
             ui.label(t("Reasons")).classes("text-xl font-bold")
             reasons = ui.label().classes("whitespace-pre-line break-words")
@@ -310,6 +314,7 @@ class _Live:
         def update(view: LiveView) -> None:
             counts.show({WORDS.get(k, k): str(n) for k, n in view.counts.items()})
             shares.show(view.shift)
+            unplanned.set_visibility(not view.has_planned_time)
             card.set_visibility(bool(view.reasons))
             reasons.text = reasons_text(view.reasons, t)
 

@@ -116,6 +116,9 @@ def test_figures_of_the_shift_come_from_the_ledger() -> None:
     texts = {"Yield": "75%", "Availability": "50%", "Performance": "80%", "OEE": "30%"}
     assert view.shift == texts
     assert view.reasons == (("arm.limit", 2, "limit"),)
+    unplanned = replace(seen, figures=replace(seen.figures, is_planned=False))
+    assert live_view(unplanned, 0.0).shift == {"Yield": "75%", "Performance": "80%"}
+    assert not live_view(unplanned, 0.0).has_planned_time
     none = replace(shift, cables=0, inserted=0, running_s=0.0)
     seen = WatchedState(figures=ShiftFigures({}, none, ()))
     assert live_view(seen, 0.0).shift["Yield"] == "–"
