@@ -356,6 +356,39 @@ def test_settings_are_written_a_film_is_seen_and_a_camera_calibrated(
     assert serious == []
 
 
+def test_what_is_typed_is_kept_from_a_click_and_buttons_say_what_they_need(
+    browser: Any, started: Started, uncalibrated: Path, tmp_path: Path
+) -> None:
+    """A click on another language led to the live page, and threw away what was typed."""
+    port, page = free_port(), LivePage(browser)
+    at = f"http://127.0.0.1:{port}"
+    started("serve", "-c", uncalibrated, "--runs", tmp_path / "runs", "--port", port)
+    wait_until(lambda: answers(port))
+    asks = """
+        const leave = new Event('beforeunload', {cancelable: true});
+        window.dispatchEvent(leave);
+        return leave.defaultPrevented;
+    """
+    browser.get(f"{at}/settings")
+    page.type("search", "motion.hold_s")
+    assert not browser.execute_script(asks)
+    page.enter_until("motion.hold_s", "0.8", "checked", "Changes: 1. The settings are right.")
+    wait_until(lambda: browser.execute_script(asks))
+    browser.execute_script("unsaved.clear()")
+    browser.find_element("link text", "DE").click()
+    wait_until(lambda: browser.execute_script("return document.documentElement.lang") == "de")
+    assert browser.current_url == f"{at}/settings"
+
+    browser.get(f"{at}/lab?tab=diagnose")
+    wait_until(lambda: page.text("needs-study") == "Wählen Sie zuerst eine Studie.")
+    for name in ("diagnose", "suggest"):
+        (button,) = browser.find_elements("css selector", f"[data-test={name}]")
+        assert button.is_displayed() and not button.is_enabled()
+    browser.get(f"{at}/lab?tab=line")
+    wait_until(lambda: browser.find_elements("css selector", "[data-test=undo][disabled]"))
+    assert faults_of(browser) == []
+
+
 def test_with_users_nothing_is_shown_before_the_login(
     started: Started, config: Path, tmp_path: Path
 ) -> None:
