@@ -121,11 +121,11 @@ class Briskness(Section):
     """How briskly the gripper moves along either axis; no arm of this kind is brisker."""
 
     velocity_m_per_s: Annotated[float, Field(gt=0.0, le=5.0)]
-    """Largest speed."""
+    """Largest speed of the gripping point."""
     acceleration_m_per_s2: Annotated[float, Field(gt=0.0, le=100.0)]
-    """Largest acceleration."""
+    """Largest acceleration of the gripping point."""
     jerk_m_per_s3: Annotated[float, Field(gt=0.0, le=50_000.0)]
-    """Largest jerk."""
+    """Largest jerk of the gripping point."""
 
 
 class StartSettings(Section):

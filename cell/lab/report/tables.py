@@ -206,7 +206,7 @@ def checks_table(checks: Sequence[CheckResult]) -> TableData:
     colours = {"passed": "green", "failed": "red", "–": "dim"}
     note = (
         "The verdict is the worst result of the checks that failed; “–”: the question does not "
-        "apply. `cell help diagnosis` explains each statistic, the manual's reference of checks "
+        "apply. “cell help diagnosis” explains each statistic, the manual's reference of checks "
         "the reason for its limit"
     )
     return TableData("What the verdict rests on", heads, check_rows(checks), (1, 2), note, colours)

@@ -44,7 +44,7 @@ def markers_of(m: Made, count: int = 5, scale: float = 1e3) -> dict[str, np.ndar
 
 
 def hand_of(m: Made) -> dict[str, np.ndarray]:
-    return {f"gripper {a}": m.hand_m[:, k] * 1e3 for k, a in enumerate("xy")}
+    return {f"hand {a}": m.hand_m[:, k] * 1e3 for k, a in enumerate("xy")}
 
 
 def understood(capture: Capture, hand: Capture | None = None) -> Understanding:
@@ -78,7 +78,7 @@ def test_an_angle_is_the_same_however_a_turn_is_counted(
     s = np.clip((T_S - 0.4) / 0.3, 0.0, 1.0)
     angle_rad = noise(5) - 0.5 * turn_rad + turn_rad * s
     m = trial(angle_rad)
-    angles = {"gripper angle [deg]": counted(sign * angle_rad if turn_rad else angle_rad)}
+    angles = {"hand angle [deg]": counted(sign * angle_rad if turn_rad else angle_rad)}
     capture = captured("a.csv", **hand_of(m), **angles, **markers_of(m))
     mapping = understood(capture).mapping
     found = clamp_angle_rad(capture, mapping.hand.angle, mapping.axes)
@@ -165,7 +165,7 @@ def test_of_a_lost_marker_s_value_the_hand_is_left_out_only_where_it_jumps(jumps
     for name in ("tip x", "tip y"):
         columns[name][80:84] = 0.0
     for axis in "xy" if jumps else "":
-        columns[f"gripper {axis}"][200:203] = 0.0
+        columns[f"hand {axis}"][200:203] = 0.0
     capture = captured("a.csv", **columns)
     mapping = understood(capture).mapping
     assert mapping.lost == (0.0,)

@@ -178,7 +178,7 @@ def test_a_unit_is_taken_off_a_name(unit: str, form: str) -> None:
         ("/mocap/tip pose position z", ColumnKind.COORDINATE, "mocap tip", "z"),
         ("pos_y", ColumnKind.COORDINATE, "", "y"),
         ("posx", ColumnKind.COORDINATE, "", "x"),
-        ("Gripper Rotation W", ColumnKind.ANGLE, "hand", "w"),
+        ("Hand Rotation W", ColumnKind.ANGLE, "hand", "w"),
         ("hand_qx", ColumnKind.QUATERNION, "hand", "x"),
         ("clamp_angle_deg", ColumnKind.ANGLE, "clamp", ""),
         ("theta", ColumnKind.ANGLE, "", ""),

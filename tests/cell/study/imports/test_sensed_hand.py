@@ -103,7 +103,7 @@ def test_an_encoder_of_an_axle_is_proposed_and_imported(tmp_path: Path) -> None:
     mapping = folder / "import.yaml"
     said = run(str(mapping), code=2)
     for key in ("axle_m", "radius_m", "radians_per_unit"):
-        assert re.search(rf"import\.yaml:\d+:\d+: gripper\.turns\.{key}: is not known", said), said
+        assert re.search(rf"import\.yaml:\d+:\d+: hand\.turns\.{key}: is not known", said), said
     offset = -2.0 + 22000 * 2 * np.pi / COUNTS
     turns = {"axle_m": list(AXLE_M), "radius_m": RADIUS_M, "radians_per_unit": 2 * np.pi / COUNTS}
     filled(mapping, {f"hand.turns.{k}": v for k, v in turns.items()})
