@@ -31,7 +31,12 @@ def test_every_command_and_option_is_in_the_reference() -> None:
 def test_every_setting_is_in_the_reference_with_its_limits_and_default() -> None:
     text = references.settings()
     assert [e.name for e in entries({}) if f"- `{e.name}`" not in text] == []
-    for wanted in ("`arm.host` (required", "`camera.serial", "`plant.opcua.port`"):
+    for wanted in (
+        "`arm.host` (required",
+        "`camera.serial",
+        "`camera.view.origin_row_px`",
+        "`plant.opcua.port`",
+    ):
         assert wanted in text
     line = next(x for x in text.splitlines() if x.startswith("- `motion.still_s`"))
     assert re.match(r"- `motion.still_s` \(s; > 0, ≤ 30; default `0.2`; e.g. `0.4`\): \w", line)
@@ -44,6 +49,11 @@ def test_every_check_and_public_name_is_in_the_reference() -> None:
     text = references.api()
     assert [name for name in cell.__all__ if f"### {name}\n" not in text] == []
     assert "gravity_m_per_s2: tuple[float, float] = (0.0, -9.81)" in text
+    for wanted in ("Diagnosis", "MissingEffect", "Frame", "DeviceLostError", "PluggedCamera"):
+        assert f"### {wanted}\n" in text
+    assert "#### Camera.frame_rate_hz\n\nFrame rate" in text
+    assert "- `lost_after_s` (default `0.055`): Time" in text
+    assert "0x" not in text
 
 
 def test_every_warning_that_the_lab_gives_is_listed() -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import Enum
+from functools import cached_property
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import typer.core
@@ -15,12 +18,17 @@ from typer.main import get_command
 import cell
 from cell.cli import PANELS, app
 from cell.files.yaml_edit import UNSET, flow
+from cell.identify.identified import Identified
+from cell.lab.data import results
 from cell.lab.data.check import Check
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.line.learning_checks import GATES, LEARNING, LineRules
+from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.doubts import MEANINGS
 from cell.settings.entries import SettingsEntry, entries
+from cell.settings.plugged import PluggedArm, PluggedCamera, PluggedGripper
+from cell.settings.section import Section
 from cell.study.checks import CHECKS as DATA_CHECKS
 from drivers import interfaces
 
@@ -106,6 +114,9 @@ def all_settings() -> Iterator[tuple[str, SettingsEntry]]:
         elif entry.key[1:] == ("kind",):
             for kind in kinds[device]:
                 given = {**data, device[0]: {"kind": kind}}
+                used = [e for e in entries(given) if e.key[:1] == device and e.section]
+                for section in used:
+                    _set(given, section.key, {})
                 inside = (e for e in entries(given) if e.key[:1] == device)
                 yield from ((f"{device[0]}, kind: {kind}", e) for e in inside)
 
@@ -190,31 +201,63 @@ def data_checks() -> str:
 
 
 def api() -> str:
-    """What `import cell` offers, and the interfaces of devices."""
-    parts = ["## Functions and data", *(_described(n, getattr(cell, n)) for n in cell.__all__)]
-    parts.append("## Interfaces of devices")
-    for name in ("Clock", "Arm", "Camera", "Gripper"):
-        parts.append(_described(name, getattr(interfaces, name), "####"))
+    """What `import cell` offers, what its results consist of, and the interfaces of devices."""
+    chapters = {
+        "Functions and data": [getattr(cell, name) for name in cell.__all__],
+        "Parts of results": [FittedModel, Identified, *_classes(results)],
+        "Interfaces of devices": _classes(interfaces),
+        "Settings of a device of another package": [PluggedArm, PluggedCamera, PluggedGripper],
+    }
+    parts = []
+    for title, things in chapters.items():
+        parts += [f"## {title}", *(_described(thing) for thing in things)]
     return "\n\n".join(parts)
 
 
-def _described(name: str, thing: Any, members: str = "") -> str:
-    """Signature and docstring; with `members`, a heading level, of the public methods too."""
+def _classes(module: ModuleType) -> list[type]:
+    """Public classes of a module, in its order."""
+    own = (v for k, v in vars(module).items() if inspect.isclass(v) and not k.startswith("_"))
+    return [thing for thing in own if thing.__module__ == module.__name__]
+
+
+def _described(thing: Any) -> str:
+    """Signature and docstring of a function, or of a class and what it has of this project."""
+    name = thing.__name__
     parts = [f"### {name}", _signature(name, thing), _docstring(thing)]
-    for key, member in vars(thing).items() if members else ():
-        if callable(member) and not key.startswith("_"):
-            parts += [f"{members} {name}.{key}", _signature(key, member), _docstring(member)]
+    if inspect.isclass(thing) and issubclass(thing, Section):
+        rows = (
+            f"- `{key}`{'' if field.is_required() else f' (default `{field.default}`)'}: "
+            + " ".join((field.description or "").split())
+            for key, field in thing.model_fields.items()
+        )
+        parts.append("\n".join(rows))
+    elif inspect.isclass(thing):
+        for key, member in inspect.getmembers_static(thing):
+            read = {property: "fget", cached_property: "func"}.get(type(member), "")
+            function = getattr(member, read) if read else member
+            if not key.startswith("_") and _is_of_this_project(function):
+                sign = "" if read else _signature(key, function)
+                parts += [f"#### {name}.{key}", sign, _docstring(function)]
     return "\n\n".join(part for part in parts if part)
 
 
+def _is_of_this_project(function: Any) -> bool:
+    return inspect.isfunction(function) and function.__module__.startswith(("cell", "drivers"))
+
+
 def _signature(name: str, thing: Any) -> str:
-    if inspect.isclass(thing) and getattr(thing, "_is_protocol", False):
+    if inspect.isclass(thing) and (issubclass(thing, (Enum, Section)) or _is_protocol(thing)):
         return ""
     text = str(inspect.signature(thing)).replace("'", "")
+    text = re.sub(r"<function (\w+) at \w+>", r"\1", text)
     text = re.sub(r"\b(?:[A-Za-z_]\w*\.)+(\w+)", r"\1", text)
     if len(name) + len(text) > 80:
         text = re.sub(r"\((.*)\)( ->.*)?$", lambda m: _broken(m[1]) + (m[2] or ""), text)
     return f"```python\n{name}{text}\n```"
+
+
+def _is_protocol(thing: type) -> bool:
+    return getattr(thing, "_is_protocol", False)
 
 
 def _broken(parameters: str) -> str:
