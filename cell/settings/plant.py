@@ -78,7 +78,7 @@ class Handshake(Section):
     listen: Host = "127.0.0.1"
     """Address at which the Modbus server listens; 0.0.0.0 = all of this computer."""
     port: Annotated[int, Field(ge=1, le=65535)] = 502
-    """TCP port.  502 is that of Modbus, and needs rights of its own below 1024."""
+    """TCP port.  502 is that of Modbus; below 1024 a program needs CAP_NET_BIND_SERVICE."""
     host: Host | None = None
     """Address of the controller that has the inputs and outputs.  Null = that of the arm."""
     silence_s: Annotated[float, Field(ge=0.1, le=60.0)] = 1.0
