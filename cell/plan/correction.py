@@ -15,8 +15,8 @@ from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 
 #: The gripper is led up or down by so much at most, m, in one of these times, s; and by as much
-#: again
-#: after that.  Pairs of heights so far apart, m, are compared, then nearer ones around the best.
+#: again after that.  Pairs of heights so far apart, m, are compared, then nearer ones around the
+#: best.
 MOST_M = 6e-3
 LASTS_S = (0.12, 0.2, 0.3)
 COARSE_M, FINE_M = 1e-3, (5e-4, 2.5e-4)

@@ -157,8 +157,8 @@ def _resting(motion: Motion, t_s: FloatArray) -> Motion:
 
 
 #: By so much at once, m: of the tip that a force bends, and of the gripper.  Which of these fit
-#: best
-#: the frames tell.  The smallest add up to 0.01 mm at the tip in a flight: the engine's own error.
+#: best the frames tell.  The smallest add up to 0.01 mm at the tip in a flight: the engine's own
+#: error.
 FORCES_M = (1e-6, 3e-5, 2e-4, 1e-3)
 GRIPPER_M = (1e-6, 3e-4)
 #: Frames one after the other err alike: of so many one is used, and as many of these tell as much

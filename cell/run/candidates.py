@@ -38,10 +38,9 @@ class Simulated(TypedDict):
 class Executing:
     """How the gripper will be when it is told to insert at a moment.
 
-    The cable still swings from the gripper's motion before; the gripper follows with its known
-    lag, and
-    is seen by the camera at a constant offset from that of the arm.  Time goes on as in the hold,
-    in which the cable was identified: an effect may depend on it.
+    The cable still swings from the gripper's motion before; the gripper follows with its known lag,
+    and is seen by the camera at a constant offset from that of the arm.  Time goes on as in the
+    hold, in which the cable was identified: an effect may depend on it.
 
     begin_s  when it is told, on the clock of the identification
     history  of the gripper until now, counted from then

@@ -30,9 +30,8 @@ class Filming:
     """A motion that is being filmed.
 
     It began at `begin_s`, the gripper rests from `rest_s`, and it is filmed until `end_s`;
-    sightings
-    and pictures are those of the frames so far.  `delay_s` is the least time so far from a frame's
-    exposure until it was taken up, s: one that takes longer has waited.
+    sightings and pictures are those of the frames so far.  `delay_s` is the least time so far from
+    a frame's exposure until it was taken up, s: one that takes longer has waited.
     """
 
     begin_s: float

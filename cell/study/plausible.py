@@ -33,10 +33,9 @@ MOVES = 0.05
 MEDIAN_OF = 5
 FEWEST_STILL = 10
 #: Both ends are held if the farthest marker stays within this share of what the gripper, or the
-#: cable
-#: between, moves: a bead on a thread follows by more, unless it is shaken seven times as fast as it
-#: swings.  What moves must do so by a share of the cable, for what hardly moves shows nothing.  The
-#: marker must be in the outer half, and seen in so many rows.
+#: cable between, moves: a bead on a thread follows by more, unless it is shaken seven times as fast
+#: as it swings.  What moves must do so by a share of the cable, for what hardly moves shows
+#: nothing.  The marker must be in the outer half, and seen in so many rows.
 HELD_STAYS, HELD_MOVES, OUTER, HELD_ROWS = 0.02, 0.1, 0.5, 20
 #: Of the earth.
 GRAVITY_M_PER_S2 = 9.81

@@ -147,8 +147,7 @@ def force_factor(
 
     Twice integrated it is mass times the way of the centre of mass, beside a parabola by weight and
     tare.  That centre is roughly in the middle between the gripper and where a straight cable
-           through
-    the outermost marker would end.
+    through the outermost marker would end.
 
     outermost_m  arc length of that marker
     """
