@@ -50,7 +50,9 @@ InModel = Annotated[
 Tried = Annotated[
     list[str] | None,
     typer.Option(
-        "--try", help="A file.py with an effect of your own: it is tried with those of the library."
+        "--try",
+        help="A file.py with an effect of your own, or an effect that is tried by name only, such "
+        "as plastic_set: it is tried with those of the library.",
     ),
 ]
 Candidates = Annotated[
