@@ -117,8 +117,8 @@ class Offsets(Section):
         return tuple(round(self.first_m + self.step_m * i, 9) for i in range(count))
 
 
-class Briskness(Section):
-    """How briskly the gripper moves along either axis; no arm of this kind is brisker."""
+class KinematicLimits(Section):
+    """Kinematic limits of a movement, along either axis."""
 
     velocity_m_per_s: Annotated[float, Field(gt=0.0, le=5.0)]
     """Largest speed of the gripping point."""
@@ -195,14 +195,14 @@ class MotionSettings(Section):
     """Movement to the left, into the opening."""
     settle_s: Wait = 0.2
     """Film after the insertion, with the gripper at rest."""
-    lowering: Briskness = Briskness(
+    lowering: KinematicLimits = KinematicLimits(
         velocity_m_per_s=0.5, acceleration_m_per_s2=5.0, jerk_m_per_s3=200.0
     )
-    """Brisk, so that the swing is worth filming."""
-    insertion: Briskness = Briskness(
+    """Kinematic limits of the movement that makes the cable swing."""
+    insertion: KinematicLimits = KinematicLimits(
         velocity_m_per_s=0.2, acceleration_m_per_s2=1.0, jerk_m_per_s3=10.0
     )
-    """Gentle, so that neighbouring offsets lead the tip to neighbouring heights."""
+    """Kinematic limits of the insertion; slow, so that neighbouring offsets have similar tips."""
 
     @property
     def longest_hold_s(self) -> float:
@@ -225,8 +225,8 @@ class MotionSettings(Section):
         return StartSettings(window_s=AUTO_WINDOW_S) if isinstance(self.start, str) else self.start
 
 
-class Limits(Briskness):
-    """Beyond these no command is sent, whatever the motion asks for."""
+class Limits(KinematicLimits):
+    """Limits of every motion: a path beyond them is refused before it starts."""
 
     x_m: PlaceRange
     """Least and greatest x of the gripping point."""
@@ -237,7 +237,7 @@ class Limits(Briskness):
 
 
 class Identification(Section):
-    """How this cable's parameters are found."""
+    """How this cable's parameters are estimated."""
 
     method: Literal["map", "paper"] = "map"
     """`map`: all frames together, with covariance.  `paper`: still shape, then swing, iterated."""
@@ -248,7 +248,7 @@ REPEATABILITY_M = 1e-4
 
 
 class ChoiceSettings(Section):
-    """When an offset is good enough to be executed."""
+    """Which offset may be executed."""
 
     min_probability: Fraction = 0.9
     """Smallest probability that the tip passes the opening; below it the cable is rejected."""
@@ -296,7 +296,7 @@ class BatchPrior(Section):
 
 
 class ModelSettings(Section):
-    """What all cables have in common beside the data sheet; empty = the baseline model.
+    """What all cables have in common besides the data sheet; empty = the baseline model.
 
     `cell learn` finds it out and `cell promote` writes it here."""
 
@@ -307,7 +307,7 @@ class ModelSettings(Section):
 
 
 class Promotion(Section):
-    """What becomes of a promoted model that does worse than the one before it."""
+    """What happens to a promoted model that predicts worse than the one before it."""
 
     withdraw: bool = False
     """Whether a promoted model that fits worse is removed without asking, as by `cell promote

@@ -39,7 +39,7 @@ class HiddenCamera(Section):
 
 
 class WorldSettings(Section):
-    """The simulated cables: what the cell must find out and never reads."""
+    """The simulated cables and devices: the truth, which the cell never reads."""
 
     camera: HiddenCamera | None = None
     """null = it stands as `camera.view` says."""

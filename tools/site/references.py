@@ -27,6 +27,7 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.doubts import MEANINGS
 from cell.settings.entries import SettingsEntry, entries
+from cell.settings.model import Settings
 from cell.settings.plugged import PluggedArm, PluggedCamera, PluggedGripper
 from cell.settings.section import Section
 from cell.study.checks import CHECKS as DATA_CHECKS
@@ -95,6 +96,7 @@ def settings() -> str:
         if title != section:
             parts.append(f"\n## {title}\n")
             section = title
+            parts.append(_section_text(entry.key[:1]))
         kind = title.partition("kind: ")[2]
         alike = [e for e in examples if not kind or _at(e, (entry.key[0], "kind")) == kind]
         parts.append(_setting(entry, alike))
@@ -125,6 +127,18 @@ def _set(data: dict[str, Any], key: Sequence[str], value: Any) -> None:
     for name in key[:-1]:
         data = data.setdefault(name, {})
     data[key[-1]] = value
+
+
+def _section_text(key: Sequence[str]) -> str:
+    """What a section is for, and those within it that are not optional, as paragraphs."""
+    whole = Settings.model_json_schema()
+    node = whole["properties"][key[0]]
+    inner = whole["$defs"].get(node.get("$ref", "").rpartition("/")[2], {})
+    lines = [inner.get("description", "").partition("\n\n")[0]]
+    for name, part in inner.get("properties", {}).items():
+        if "$ref" in part and part.get("description"):
+            lines.append(f"`{key[0]}.{name}`: {part['description']}")
+    return "\n\n".join(" ".join(line.split()) for line in lines if line) + "\n"
 
 
 def _setting(entry: SettingsEntry, examples: Sequence[Any]) -> str:
