@@ -73,7 +73,6 @@ PANELS = {
     "Administration": ("help", "user", "actions", "bundle"),
 }
 _FITTING, _LOOKING = ("fit", "compare", "discover"), ("diagnose", "suggest", "power")
-_FITTING, _LOOKING = ("fit", "compare", "discover"), ("diagnose", "suggest", "power")
 #: Spellings of the version before: they work, with a note, until the next one.
 OLD_OPTIONS: dict[str, dict[str, str]] = {
     **{command: {"--out": "--runs"} for command in ("run", "show", "service")},

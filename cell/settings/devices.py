@@ -186,7 +186,7 @@ class SimulatedCamera(_Camera):
     """Standard deviation, grey levels."""
 
 
-class RealCamera(_Camera):
+class RealCameraSettings(_Camera):
     """Settings that every camera has which is really there."""
 
     latency_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
@@ -195,7 +195,7 @@ class RealCamera(_Camera):
     """Time without a picture after which the camera counts as lost and the arm stops."""
 
 
-class OpenCvCameraSettings(RealCamera):
+class OpenCvCameraSettings(RealCameraSettings):
     """Camera of the operating system (UVC), through OpenCV."""
 
     kind: Literal["opencv"]
@@ -209,7 +209,7 @@ class OpenCvCameraSettings(RealCamera):
     """Timestamps of the pictures: the device's, or the time of arrival."""
 
 
-class GenicamCameraSettings(RealCamera):
+class GenicamCameraSettings(RealCameraSettings):
     """Industrial camera through its GenTL producer."""
 
     kind: Literal["genicam"]
@@ -232,7 +232,7 @@ class FilesCameraSettings(_Camera):
 _Force = Annotated[float, Field(ge=0.0, le=1000.0)]
 
 
-class Gripper(Section):
+class GripperSettings(Section):
     """Settings that every gripper has."""
 
     force_n: Annotated[float, Field(gt=0.0, le=235.0)]
@@ -241,13 +241,13 @@ class Gripper(Section):
     """Smallest force that holds the cable, largest that does not crush it."""
 
 
-class SimulatedGripper(Gripper):
+class SimulatedGripper(GripperSettings):
     """Twin of a gripper in the simulated world."""
 
     kind: Literal["sim"]
 
 
-class SerialGripperSettings(Gripper):
+class SerialGripperSettings(GripperSettings):
     """Robotiq-type gripper (2F-85), Modbus RTU on a serial line."""
 
     kind: Literal["serial"]
@@ -265,7 +265,7 @@ class SerialGripperSettings(Gripper):
     stops."""
 
 
-class UrcapGripperSettings(Gripper):
+class UrcapGripperSettings(GripperSettings):
     """Robotiq-type gripper (2F-85) on a UR's tool flange, through Robotiq's URCap."""
 
     kind: Literal["urcap"]

@@ -48,11 +48,11 @@ class PluggedArm(PluggedDevice):
     """How late it follows; measured."""
 
 
-class PluggedCamera(PluggedDevice, devices.RealCamera):
+class PluggedCamera(PluggedDevice, devices.RealCameraSettings):
     """Settings that every camera has."""
 
 
-class PluggedGripper(PluggedDevice, devices.Gripper):
+class PluggedGripper(PluggedDevice, devices.GripperSettings):
     """Settings that every gripper has."""
 
 

@@ -15,7 +15,7 @@ PAGE = (DOCS / "validation.md").read_text(encoding="utf-8")
 #: How and when each row was measured.
 ORIGIN = {"measured_on", "machine", "load", "command"}
 #: Computed by a tool, the same on every computer.
-COMPUTED = {"effect_confusions", "mesh_and_step"}
+COMPUTED = {"effect_confusions"}
 #: A figure, and after it file:condition:column (_ a space, @ a colon; `a/b`: percent of b).
 FIGURE = re.compile(r"([\d.,]+)(?: [^\s<]+)?<!--([a-z_]+):([^:>]+):([a-z_0-9/]+)-->")
 

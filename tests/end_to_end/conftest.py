@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 
 from cell.cli import app
 from cell.plan import correction
-from cell.run import corrector
 from cell.settings import Settings, load_settings
 from cell.wiring.build import cell_with, twin_devices
 from cell.wiring.twins import build_twins
@@ -155,8 +154,6 @@ def hopeless(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
 
         monkeypatch.setattr(correction, "best_tail", lambda *asked: None)
         monkeypatch.setattr(correction, "probability_of_passing", chance)
-        # What follows a stop is tested, not how soon a busy computer decides it.
-        monkeypatch.setattr(corrector, "DEAD_S", (0.04, 0.13))
 
     return until
 

@@ -126,7 +126,7 @@ def test_what_the_arm_refuses_leaves_the_path_as_it_is(
     assert "path not changed" in caplog.text and "followed as it was" in caplog.text
 
 
-def test_what_needs_a_change_that_the_arm_refuses_stops_in_front_of_the_mouth(
+def test_what_needs_a_change_that_the_arm_refuses_stops_in_front_of_the_opening(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At the last decision; a rest within the limits is taken."""
@@ -171,7 +171,7 @@ def test_a_stop_wins_over_a_change(
     assert not it.cell._station.devices.arm.state().moving
 
 
-def test_what_nothing_brings_through_stops_in_front_of_the_mouth(
+def test_what_nothing_brings_through_stops_in_front_of_the_opening(
     live: Live, quick: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The cable is put aside, and the next one is inserted."""

@@ -137,10 +137,10 @@ def advice(
         case "unexplained":
             accepted = tuple(f.effect for f in diagnosis.partial) or accepted
             there = [*known, *accepted]
-            beside = f" in addition to {' and '.join(there)}" if there else ""
+            addition = f" in addition to {' and '.join(there)}" if there else ""
             look = paths.command("discover", there, f"-o {_new_law(there)}.py")
             fall = comparison_steps(paths, accepted, known) if accepted else ()
-            return (*fall, NextStep(f"Search for an unknown law{beside}", look))
+            return (*fall, NextStep(f"Search for an unknown law{addition}", look))
         case _:
             return (NextStep("Measure more. " + motion.why, motion.command),)
 
