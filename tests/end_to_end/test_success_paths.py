@@ -117,7 +117,7 @@ TABLE: dict[str, Run | Served | ByTest] = {
     "suggest": Run("{study} --try tip_mass -o {out}/motion.yaml", "tip_mass", "motion.yaml"),
     "power": Run("{study} --try tip_mass", "tip_mass"),
     "study": Run("{cycle} -o {out}/study", "study", "study/study.yaml"),
-    "look": Run("{study} -o {out}/look.html", "hand", "look.html"),
+    "look": Run("{study} -o {out}/look.html", "pictures of every trial", "look.html"),
     "import": Run(
         "{table} --hand {hand} -o {out}/s --free-length 0.1 --line-density 0.0074 "
         "--width 0.016 --thickness 1e-4",

@@ -199,7 +199,7 @@ def soak(folder: Path, told: Recorded, config: Path, count: int, cycle_s: float)
     cycle_s  a cycle takes, at least: a busy computer takes longer
     """
     line = Line(told, config, folder / "runs", cycle_s)
-    seen: list[tuple[float, int]] = []
+    seen: list[int] = []
     with ExitStack() as stack:
         stack.enter_context(going_on(line.until))
         pages = stack.enter_context(Pages(config, folder / "runs"))
@@ -214,29 +214,27 @@ def soak(folder: Path, told: Recorded, config: Path, count: int, cycle_s: float)
         cpu_s, cycles, notices = pages.cpu_s(), line.cycles, line.notices
         while line.cycles - cycles < count:
             now_s = time.monotonic()
-            seen.append((now_s - begun_s, pages.rss_bytes()))
+            seen.append(pages.rss_bytes())
             if now_s - changed_s > _CHANGE_S:
                 changed_s = now_s
                 next(looks)
             if len(seen) % 15 == 1:
-                print(f"{seen[-1][0]:6.0f} s  {seen[-1][1] / MIB:7.1f} MiB", flush=True)
+                print(f"{now_s - begun_s:6.0f} s  {seen[-1] / MIB:7.1f} MiB", flush=True)
             time.sleep(_LOOK_S)
         cpu_s, lasts_s = pages.cpu_s() - cpu_s, time.monotonic() - begun_s
         cycles, notices = line.cycles - cycles, line.notices - notices
     print(f"{cycles} cycles, {notices} notices in {lasts_s:.0f} s; {cpu_s / lasts_s:.0%} of a core")
-    return told_growth(seen)
+    return report_growth(seen)
 
 
-def told_growth(seen: list[tuple[float, int]]) -> bool:
+def report_growth(seen: list[int]) -> bool:
     """Print how much the memory has grown, and say whether it is little enough.
 
-    seen  times, s, and bytes; the first tenth of the time is left out
+    seen  bytes at equal distances in time; the first tenth is left out
     """
-    end_s = seen[-1][0]
-    kept = [(t, size) for t, size in seen if t >= 0.1 * end_s]
-    first = statistics.median(size for t, size in kept if t <= 0.25 * end_s)
-    last = statistics.median(size for t, size in kept if t >= 0.9 * end_s)
-    most = max(size for _, size in kept)
+    kept = seen[len(seen) // 10 :]
+    few = max(1, len(kept) // 8)
+    first, last, most = statistics.median(kept[:few]), statistics.median(kept[-few:]), max(kept)
     growth = last - first
     print(
         f"{first / MIB:.1f} MiB after the first tenth, {last / MIB:.1f} MiB at the end, at most "

@@ -19,7 +19,7 @@ import pytest
 
 from cell.records.recording import form, writer
 from cell.records.recording.reading import read_recording
-from cell.records.recording.recorder import Recorder
+from cell.records.recording.recorder import IDLE, NORMAL, Recorder
 from cell.records.recording.recover import recover_in_place
 from cell.records.recording.writer import RecordingSession
 from drivers.clock import RealClock
@@ -45,6 +45,12 @@ class SilentArm:
 
     def log(self, start_s, end_s):
         return Trajectory(*np.zeros((4, 0)))
+
+
+@pytest.fixture(autouse=True)
+def busy_computer(monkeypatch):
+    """Beside other tests a process that waits for an idle computer may wait for a minute."""
+    monkeypatch.setattr("cell.records.recording.recorder.IDLE", NORMAL)
 
 
 @pytest.fixture
@@ -74,9 +80,10 @@ def written(recorder):
     ids=["real time", "simulated time"],
 )
 def test_only_in_real_time_does_the_recorder_wait_for_an_idle_computer(
-    patience_s, scheduler, tmp_path
+    patience_s, scheduler, tmp_path, monkeypatch
 ):
     """Beside busy cores a simulated cell waited minutes for its recorder, which gains nobody."""
+    monkeypatch.setattr("cell.records.recording.recorder.IDLE", IDLE)
     recorder = Recorder(SilentArm(), RealClock(), 2**20, patience_s)
     try:
         recorder.begin(tmp_path / form.FILE, {})
