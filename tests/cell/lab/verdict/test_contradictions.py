@@ -27,7 +27,8 @@ from cell.lab.search.fitted_model import model_of_fit
 from cell.lab.strength.compare import compare_model
 from cell.study.data import Markers
 from cell.terminal.fitting import show, text_table
-from tools.studies.contradictions import contradictions
+
+from .contradictions import contradictions
 
 KNOWN = library()
 

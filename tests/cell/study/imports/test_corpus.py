@@ -19,8 +19,9 @@ from cell.study.imports.read import read_capture
 from cell.study.imports.trials import Files, trial_names
 from cell.study.imports.understand import Stated, understand
 from cell.study.imports.write import mapping_text
-from tools.worlds.file_corpus import CORPUS, Entry
-from tools.worlds.known_swing import ARCS_M, LENGTH_M, Swing
+
+from .corpus.entries import CORPUS, Entry
+from .corpus.swing import ARCS_M, LENGTH_M, Swing
 
 #: Of places, angles and times beyond what a file's digits leave open: m, rad, s.
 PLACE_M, ANGLE_RAD, TIME_S = 1e-6, 1e-5, 2e-5

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tools.worlds.known_swing import BEGINS_S, ENDS_S, MARKERS, RATE_HZ, Swing
-from tools.worlds.text_writers import cells, lines, space, turns
+from .swing import BEGINS_S, ENDS_S, MARKERS, RATE_HZ, Swing
+from .text import cells, lines, space, turns
 
 Floats = NDArray[np.float64]
 #: When the measurement began; of a spreadsheet, days since the end of 1899.

@@ -1,6 +1,6 @@
 """A hundred files of thirty programs, each with the study that it must become.
 
-Layouts are those that the programs document; all numbers are of `known_swing`.
+Layouts are those that the programs document; all numbers are of `swing.py`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tools.worlds import binary_writers as binary
-from tools.worlds import log_writers as logs
-from tools.worlds import text_writers as text
-from tools.worlds.known_swing import BACK_M, RATE_HZ, Swing, arm_study, known_study, straight_study
+from . import binary, logs, text
+from .swing import BACK_M, RATE_HZ, Swing, arm_study, known_study, straight_study
 
 #: A file of the markers, or with a file of the gripper.
 Written = Path | tuple[Path, Path]

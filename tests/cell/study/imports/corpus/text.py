@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tools.worlds.known_swing import MARKERS, RATE_HZ, Swing
+from .swing import MARKERS, RATE_HZ, Swing
 
 Floats = NDArray[np.float64]
 #: Points of a file that shows no angle: the gripping point, one behind it, and the markers.

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.worlds.known_swing import MARKERS, RATE_HZ, Swing
-from tools.worlds.log_writers import sheet
-from tools.worlds.text_writers import POINTS, cells, deeplabcut, likelihood, lines, space, turns
+from .logs import sheet
+from .swing import MARKERS, RATE_HZ, Swing
+from .text import POINTS, cells, deeplabcut, likelihood, lines, space, turns
 
 Floats = NDArray[np.float64]
 _BLOCK = 512
