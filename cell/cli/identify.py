@@ -96,7 +96,13 @@ def identify(given: _Identify) -> None:
 
 
 def _one(given: _Identify) -> None:
-    from cell.lab.line.identify_again import Rejected, identify_again, read_recorded
+    from cell.identify.individual import CableRejectedError
+    from cell.lab.line.recordings import (
+        identify_again,
+        options_with,
+        recorded_settings,
+        study_to_identify,
+    )
     from cell.terminal.console import parameters_table
     from cell.terminal.fitting import show as print_parts
 
@@ -106,14 +112,16 @@ def _one(given: _Identify) -> None:
     ):
         if given.workers is not None:
             raise ValueError("--workers is of --all: one cable is identified on this computer")
-        recorded = read_recorded(given.folder, given.config, given.effect or [])
-        study = recorded.study
+        study = study_to_identify(given.folder)
+        settings = given.config or recorded_settings(given.folder)
+        options = options_with(settings, given.effect or [])
         tell_notes(study.notes)
         progress("fitting the model")
-        identified = identify_again(recorded)
-        if isinstance(identified, Rejected):
-            print(f"{given.folder}: cable rejected: {identified.reason}", file=sys.stderr)
-            raise typer.Exit(NOT_ALL_DONE)
+        try:
+            identified = identify_again(study, options)
+        except CableRejectedError as error:
+            print(f"{given.folder}: cable rejected: {error}", file=sys.stderr)
+            raise typer.Exit(NOT_ALL_DONE) from None
     model = identified.to_dict()
     stated = ""
     if study.noise_std_m is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import heapq
 import io
 import json
 import os
@@ -21,8 +20,8 @@ from cell.lab.line.recordings import IdentifiedAgain, Packed, identified_again
 from cell.workers.executor import Executor
 
 COLUMNS = tuple(f.name for f in fields(IdentifiedAgain))
-_WHOLE = ("frames_used", "frames_total")
-_NUMBERS = ("moved_std", "residual_rms_m", "noise_std_m")
+_INTEGERS = ("frames_used", "frames_total")
+_FLOATS = ("moved_std", "residual_rms_m", "noise_std_m")
 
 
 class IdentifiedTable:
@@ -48,13 +47,13 @@ def identified_table(path: Path, *, afresh: bool = False) -> Iterator[Identified
     raises  InputError: the file is another table; OSError
     """
     known: dict[str, IdentifiedAgain] = {}
-    whole = 0
+    complete = 0
     if path.exists() and not afresh:
-        known, whole = _read(path)
-    file = path.open("r+" if whole else "w", encoding="utf-8", newline="")
+        known, complete = _read(path)
+    file = path.open("r+" if complete else "w", encoding="utf-8", newline="")
     try:
-        if whole:
-            file.truncate(whole)
+        if complete:
+            file.truncate(complete)
             file.seek(0, os.SEEK_END)
         else:
             file.write(",".join(COLUMNS) + "\n")
@@ -79,7 +78,7 @@ def rows_of(path: Path) -> Iterator[IdentifiedAgain]:
 
 
 def _read(path: Path) -> tuple[dict[str, IdentifiedAgain], int]:
-    """Rows by recording, and the bytes of whole lines."""
+    """Rows by recording, and the number of bytes in complete lines."""
     content = path.read_bytes()
     if not content:
         return {}, 0
@@ -106,16 +105,16 @@ def _row(path: Path, number: int, line: bytes) -> IdentifiedAgain:
         raise _wrong(path, number, f"is no text: {error}") from error
     if len(cells) != len(COLUMNS):
         raise _wrong(path, number, f"has {len(cells)} cells, must have {len(COLUMNS)}")
-    said: dict[str, Any] = dict(zip(COLUMNS, cells, strict=True))
+    values: dict[str, Any] = dict(zip(COLUMNS, cells, strict=True))
     try:
-        for name in (*_NUMBERS, *_WHOLE):
-            kind = int if name in _WHOLE else float
-            said[name] = kind(said[name]) if said[name] else None
-        numbers = json.loads(said["parameters"] or "null")
-        said["parameters"] = numbers and {name: tuple(v) for name, v in numbers.items()}
+        for name in (*_FLOATS, *_INTEGERS):
+            kind = int if name in _INTEGERS else float
+            values[name] = kind(values[name]) if values[name] else None
+        numbers = json.loads(values["parameters"] or "null")
+        values["parameters"] = numbers and {name: tuple(v) for name, v in numbers.items()}
     except (ValueError, AttributeError, TypeError) as error:
         raise _wrong(path, number, f"is wrong: {error}") from error
-    return IdentifiedAgain(**said)
+    return IdentifiedAgain(**values)
 
 
 def _wrong(path: Path, line: int, what: str) -> InputError:
@@ -144,17 +143,12 @@ class IdentifiedAll:
     outcomes: Counter[str] = field(default_factory=Counter)
     compared: Counter[str] = field(default_factory=Counter)
     unidentified: list[IdentifiedAgain] = field(default_factory=list)
-    _moved: list[tuple[float, str, IdentifiedAgain]] = field(default_factory=list)
+    moved: list[IdentifiedAgain] = field(default_factory=list)
 
     @property
     def done(self) -> int:
         """Recordings with a result."""
         return self.outcomes.total()
-
-    @property
-    def moved(self) -> list[IdentifiedAgain]:
-        """Those that have moved most from what was identified then."""
-        return [row for *_, row in sorted(self._moved, key=lambda m: (-m[0], m[1]))]
 
     def add(self, row: IdentifiedAgain) -> None:
         """Count one more."""
@@ -164,9 +158,10 @@ class IdentifiedAll:
         if row.outcome != "identified" and len(self.unidentified) < _NAMED:
             self.unidentified.append(row)
         if row.moved_std is not None:
-            heapq.heappush(self._moved, (row.moved_std, row.recording, row))
-            if len(self._moved) > _NAMED:
-                heapq.heappop(self._moved)
+            most_first = sorted(
+                [*self.moved, row], key=lambda r: (-(r.moved_std or 0), r.recording)
+            )
+            self.moved = most_first[:_NAMED]
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, format cable-identified/1."""
@@ -210,7 +205,7 @@ def identify_all(
         for recording in recordings:
             packed = pack(recording)
             row = table.known.get(packed.name)
-            if row is not None and not packed.wrong and row.key == packed.key:
+            if row is not None and not packed.error and row.key == packed.key:
                 found.known += 1
                 found.add(row)
                 continue

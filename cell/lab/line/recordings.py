@@ -1,4 +1,4 @@
-"""Recordings of a folder, each read as the bytes that a worker needs to identify its cable."""
+"""Recorded cables identified again from their studies alone: one, or each recording of a folder."""
 
 from __future__ import annotations
 
@@ -10,25 +10,77 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import NormalDist
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Literal
 
 from cell.files.input_error import InputError
 from cell.identify.identified import Identified
-from cell.identify.individual import IdentifyOptions
-from cell.lab.line.identify_again import (
-    RecordedCable,
-    Rejected,
-    identify_again,
-    options_with,
-    study_to_identify,
+from cell.identify.individual import (
+    CableRejectedError,
+    IdentifyOptions,
+    identify,
+    with_effects,
 )
+from cell.lab.data.named_effects import select_effects
 from cell.records.recording.reading import read_recording
 from cell.records.recording.unpack import unpack
+from cell.settings import load_settings
+from cell.settings.translate import identification_of
+from cell.study.clocks import with_pull
+from cell.study.data import Study
+from cell.study.folder import read_study, study_folder
+from cell.study.left_out import without_outliers
 from cell.workers.identity import code_hash
 
 _RECORDING = ".mcap"
 #: Digits of a hash that tell a year's recordings apart.
 _DIGITS = 16
+
+
+def study_to_identify(folder: Path) -> Study:
+    """The study of a cycle's folder, or any study, as a cable is identified from it.
+
+    raises  InputError: it cannot be read, or no trial is to be fitted
+    """
+    study = read_study(study_folder(folder))
+    if study_folder(folder) == folder:  # what the cell filmed is judged across the cable alone
+        study = without_outliers(study)
+    if not study.role("fit"):
+        message = "no trial has `role: fit`; mark the one to identify the cable from"
+        raise InputError.at(folder, message, key="trials")
+    try:
+        return with_pull(study)
+    except ValueError as error:
+        raise InputError.at(folder, str(error), key="gravity_m_per_s2") from error
+
+
+def options_with(settings: Path | None, effects: Sequence[str]) -> IdentifyOptions:
+    """How a cable is identified by settings, with more effects in the model, by name or file.
+
+    settings  None = the baseline
+    raises    InputError; ValueError as `select_effects`
+    """
+    in_model = select_effects(effects).in_model
+    options = IdentifyOptions()
+    if settings is not None:
+        options = identification_of(load_settings(settings))
+    return with_effects(options, in_model)
+
+
+def recorded_settings(folder: Path) -> Path | None:
+    """Where the settings of a cycle are; None if the folder is not that of a cycle."""
+    return folder / "settings.yaml" if (folder / "state.json").exists() else None
+
+
+def identify_again(study: Study, options: IdentifyOptions) -> Identified:
+    """The cable as its first trial with the role `fit` shows it.  Raises CableRejectedError."""
+    return identify(
+        study.role("fit")[0],
+        study.arc_length_m,
+        study.cable,
+        gravity_m_per_s2=study.gravity_m_per_s2,
+        pull_m_per_s2=study.pull_m_per_s2,
+        options=options,
+    )
 
 
 @dataclass(frozen=True)
@@ -39,16 +91,16 @@ class Packed:
     key      hash of all that its result depends on, the program's code included
     files    of its study: path below the cycle's folder, or the study's, and content
     options  of its identification
-    then     content of model.json; None = there was no model
-    wrong    why it cannot be identified; empty = it can be tried
+    model    content of the cycle's model.json; None = there was none
+    error    why it cannot be identified; empty = it can be tried
     """
 
     name: str
     key: str = ""
     files: tuple[tuple[str, bytes], ...] = ()
     options: IdentifyOptions = IdentifyOptions()  # noqa: RUF009
-    then: bytes | None = None
-    wrong: str = ""
+    model: bytes | None = None
+    error: str = ""
 
 
 def recordings_in(folder: Path) -> list[Path]:
@@ -77,17 +129,18 @@ def _recordings(folder: Path) -> Iterator[Path]:
 def packer(folder: Path, config: Path | None, effects: Sequence[str]) -> Callable[[Path], Packed]:
     """What reads a recording below a folder.
 
-    config, effects   as of `identify_again.read_recorded`; these are read at once
-    raises  InputError, ValueError: of these two
+    config   settings for all; None = as recorded with each cycle, or the baseline
+    effects  part of the model too, by name or file
+    raises   InputError, ValueError: of these two, which are read at once
     """
-    given = options_with(config, effects)
+    default = options_with(config, effects)
     known: dict[bytes, IdentifyOptions] = {}
 
     def options_of(cycle: Path) -> IdentifyOptions:
         """Read once for all recordings with the same settings."""
-        settings = cycle / "settings.yaml"
-        if config is not None or not ((cycle / "state.json").exists() and settings.exists()):
-            return given
+        settings = recorded_settings(cycle)
+        if config is not None or settings is None or not settings.exists():
+            return default
         text = settings.read_bytes()
         if text not in known:
             known.clear()  # those of a line change seldom
@@ -103,7 +156,7 @@ def packer(folder: Path, config: Path | None, effects: Sequence[str]) -> Callabl
                 cycle = unpack(read_recording(recording), Path(unpacked))
                 return _packed(name, cycle, options_of)
         except (ValueError, OSError) as error:  # InputError, EffectError among them
-            return Packed(name, wrong=str(error))
+            return Packed(name, error=str(error))
 
     return pack
 
@@ -117,18 +170,18 @@ def _packed(name: str, folder: Path, options_of: Callable[[Path], IdentifyOption
         and ((folder / "study.yaml").exists() or (folder / "study") in path.parents)
     ]
     options = options_of(folder)
-    model = folder / "model.json"
-    then = model.read_bytes() if model.exists() else None
-    return Packed(name, _key(files, options, then), tuple(files), options, then)
+    file = folder / "model.json"
+    model = file.read_bytes() if file.exists() else None
+    return Packed(name, _key(files, options, model), tuple(files), options, model)
 
 
-def _key(files: Sequence[tuple[str, bytes]], options: IdentifyOptions, then: bytes | None) -> str:
+def _key(files: Sequence[tuple[str, bytes]], options: IdentifyOptions, model: bytes | None) -> str:
     """Hash of what a result depends on."""
     effects = options.kind.effects
     plain = replace(options, kind=replace(options.kind, effects=()))
     own = [(e.name, "" if e.file is None else e.file.sha256) for e in effects]
     digest = hashlib.sha256(f"{code_hash()}\0{plain}\0{own}".encode())
-    for path, content in [*files, ("model.json", then or b"")]:
+    for path, content in [*files, ("model.json", model or b"")]:
         digest.update(f"{path}\0{len(content)}\0".encode())
         digest.update(content)
     return digest.hexdigest()[:_DIGITS]
@@ -170,10 +223,11 @@ class IdentifiedAgain:
 
 def identified_again(recording: Packed) -> IdentifiedAgain:
     """The cable of a recording, identified from its study alone."""
-    if recording.wrong:
-        return IdentifiedAgain(recording.name, recording.key, "failed", why=recording.wrong)
-    then = _then(recording.then)
-    without: Compared = "nothing" if then is None else "lost"
+    row = IdentifiedAgain(recording.name, recording.key, "failed")
+    if recording.error:
+        return replace(row, why=recording.error)
+    then = _parameters_of(recording.model)
+    row = replace(row, compared="nothing" if then is None else "lost")
     with TemporaryDirectory() as place:
         folder = Path(place) / "cycle"
         for path, content in recording.files:
@@ -181,42 +235,34 @@ def identified_again(recording: Packed) -> IdentifiedAgain:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content)
         try:
-            study = study_to_identify(folder)
-            found = identify_again(RecordedCable(folder, study, recording.options))
+            identified = identify_again(study_to_identify(folder), recording.options)
+        except CableRejectedError as error:
+            return replace(row, outcome="rejected", why=str(error))
         except (InputError, ValueError) as error:
-            why = str(error).replace(str(folder), recording.name)
-            return IdentifiedAgain(recording.name, recording.key, "failed", without, why=why)
-    if isinstance(found, Rejected):
-        key = recording.key
-        return IdentifiedAgain(recording.name, key, "rejected", without, why=found.reason)
-    return _row(recording, found, then)
-
-
-def _row(recording: Packed, found: Identified, then: Mapping[str, Any] | None) -> IdentifiedAgain:
-    now = {p["name"]: (p["value"], p["low"], p["high"]) for p in found.to_dict()["parameters"]}
+            return replace(row, why=str(error).replace(str(folder), recording.name))
+    now = {p["name"]: (p["value"], p["low"], p["high"]) for p in identified.to_dict()["parameters"]}
     compared, moved, moved_std = _compared(now, then)
-    return IdentifiedAgain(
-        recording.name,
-        recording.key,
-        "identified",
-        compared,
-        moved,
-        moved_std,
-        found.residual_rms_m,
-        found.noise.std_m,
-        found.frames_used,
-        found.frames_total,
-        now,
+    return replace(
+        row,
+        outcome="identified",
+        compared=compared,
+        moved=moved,
+        moved_std=moved_std,
+        residual_rms_m=identified.residual_rms_m,
+        noise_std_m=identified.noise.std_m,
+        frames_used=identified.frames_used,
+        frames_total=identified.frames_total,
+        parameters=now,
     )
 
 
-def _then(content: bytes | None) -> Mapping[str, tuple[float, float, float]] | None:
-    """Parameters of model.json; None = there was none, or it cannot be read."""
+def _parameters_of(model: bytes | None) -> Mapping[str, tuple[float, float, float]] | None:
+    """Parameters in the content of model.json; None = there was none, or it cannot be read."""
     try:
-        said = json.loads(content or b"null")
-        return None if said is None else {
+        content = json.loads(model or b"null")
+        return None if content is None else {
             p["name"]: (float(p["value"]), float(p["low"]), float(p["high"]))
-            for p in said["parameters"]
+            for p in content["parameters"]
         }  # fmt: skip
     except (ValueError, KeyError, TypeError):
         return None

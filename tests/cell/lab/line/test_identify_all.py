@@ -14,14 +14,16 @@ from typer.testing import CliRunner
 
 from cell.cli import app
 from cell.files.input_error import InputError
-from cell.lab.line.identify_again import (
-    RecordedCable,
+from cell.lab.line.identify_all import IdentifiedTable, identified_table, identify_all, rows_of
+from cell.lab.line.recordings import (
+    IdentifiedAgain,
+    identified_again,
     identify_again,
     options_with,
+    packer,
+    recordings_in,
     study_to_identify,
 )
-from cell.lab.line.identify_all import IdentifiedTable, identified_table, identify_all, rows_of
-from cell.lab.line.recordings import IdentifiedAgain, identified_again, packer, recordings_in
 from cell.study.folder import write_study
 from cell.workers.here import LocalCores, OneAfterAnother
 
@@ -78,9 +80,7 @@ def test_values_are_those_of_a_single_identification(runs, table, expected):
     table.write_bytes(expected)
     first, second, _ = rows_of(table)
     folder = runs / first.recording
-    found = identify_again(
-        RecordedCable(folder, study_to_identify(folder), options_with(None, [])),
-    )
+    found = identify_again(study_to_identify(folder), options_with(None, []))
     values = [value for value, _, _ in first.parameters.values()]
     assert values == pytest.approx(list(found.values), rel=1e-6)
     assert second.outcome == "failed"
