@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from cell.files.atomic import write_atomic
+from cell.files.plain import plain
 from cell.files.yaml_document import yaml_text
 from cell.identify.model_class import source_of
 from cell.lab.data.check import CheckOutcome
@@ -84,10 +84,7 @@ def best_judged(
     )
     simpler, without = best_judged(simpler, settings, judgement.paired)
     pairs = zip(without.paired, judgement.paired, strict=True)
-    gained = [
-        replace(after, present_m=before.candidate_m, present_rms_m=before.candidate_rms_m)
-        for before, after in pairs
-    ]
+    gained = [replace(after, present=before.candidate) for before, after in pairs]
     evidence = LineEvidence(result, gained)
     rules = evidence.rules
     helps = len(gained) >= rules.fewest and forecast_better(evidence).value <= rules.significance
@@ -129,13 +126,13 @@ def write_candidate(
         "model": section(result, present).model_dump(mode="json", exclude_defaults=True),
         "tied": list(result.tied),
         "verdict": learning_verdict(result, found),
-        "checks": [_plain(vars(answer.result)) for answer in found],
+        "checks": [plain(vars(answer.result)) for answer in found],
         "gates": [
-            {"gate": g.name, "passed": g.passed, "found": g.found, **_plain(vars(g.result))}
+            {"gate": g.name, "passed": g.passed, "found": g.found, **plain(vars(g.result))}
             for g in judgement.gates
         ],
-        "forecasts": [_plain(asdict(f)) for f in judgement.paired],
-        "votes": [_plain(asdict(v)) for v in result.cycle_evidence],
+        "forecasts": [pair.to_json() for pair in judgement.paired],
+        "votes": [plain(vars(v)) for v in result.cycle_evidence],
         "left_out": [*result.cables_left_out, *result.left_out],
         "lines": list(lines),
         "cycles": [str(c.folder.resolve()) for c in result.cycles],
@@ -153,38 +150,32 @@ def section(result: LearningResult, present: ModelSettings) -> ModelSettings:
     tried, fit = result.best, result.best.fit
     covariance = fit.covariance + np.diag(result.between)
     natural = fit.natural()[fit.common]
-    plain = present.model_dump(mode="json")
+    content = present.model_dump(mode="json")
     for effect in tried.effects:
         known = [n.partition(".")[2] for n in tried.names if n.startswith(f"{effect.name}.")]
         entry: dict[str, Any] = {"effect": source_of(effect)}
         if effect.file is not None:
             entry["sha256"] = effect.file.sha256
         entry["parameters"] = dict.fromkeys(known, "prior")
-        plain["effects"].append(entry)
+        content["effects"].append(entry)
     if len(tried.names) == 1:
         logarithmic = bool(fit.space.logarithmic[fit.common[0]])
         std = float(np.sqrt(covariance[0, 0])) * (float(natural[0]) if logarithmic else 1.0)
         name = tried.names[0].partition(".")[2]
         known_as = {"fixed": _digits(natural[0]), "std": _digits(std)}
-        plain["effects"][-1]["parameters"] = {name: known_as}
+        content["effects"][-1]["parameters"] = {name: known_as}
     else:
-        old = plain["prior"] or {"names": [], "mean": [], "covariance": []}
+        old = content["prior"] or {"names": [], "mean": [], "covariance": []}
         k = len(old["names"])
         joint = block_diag(np.array(old["covariance"]).reshape(k, k), covariance)
-        plain["prior"] = {
+        content["prior"] = {
             "names": [*old["names"], *tried.names],
             "mean": [*old["mean"], *(_digits(v) for v in natural)],
             "covariance": [[_digits(v) for v in row] for row in joint],
         }
-    return ModelSettings.model_validate(plain)
+    return ModelSettings.model_validate(content)
 
 
 def _digits(value: float) -> float:
     """Six digits: more are not known, and fewer could make a covariance none."""
     return float(f"{float(value):.6g}")
-
-
-def _plain(data: dict[str, Any]) -> dict[str, Any]:
-    return {
-        k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in data.items()
-    }

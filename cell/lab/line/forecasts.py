@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -15,6 +15,7 @@ from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable
 from cell.cable.solver import DivergedError
 from cell.cable.statics import UnsettledError
+from cell.files.plain import plain
 from cell.identify.individual import CableRejectedError, IdentifyOptions, identify
 from cell.identify.model_class import ModelClass
 from cell.identify.noise import rms
@@ -31,31 +32,56 @@ FIRST_SHARE = 0.6
 
 
 @dataclass(frozen=True)
+class TipForecast:
+    """Errors of the tip as one model forecasts it; `inf` without a forecast, nan if unseen.
+
+    error_m  largest in the destination, of the rest of a hold in all frames; beyond how far along
+             the cable its end is seen in all pictures
+    rms_m    in all frames, of which noise makes less
+    cpu_s    of the computer, for the identification
+    above_m  height of the tip in the opening above its forecast; nan = it was not executed, or did
+             not come there
+    """
+
+    error_m: float
+    rms_m: float
+    cpu_s: float
+    above_m: float = float("nan")
+
+
+@dataclass(frozen=True)
 class ForecastPair:
     """One recorded motion, forecast by both models from what was seen of that cable before.
 
-    of       an execution, forecast from that cycle's own hold; of a cable that was rejected the
-             rest of the hold, forecast from its first frames
-
-    present_m, candidate_m   largest error of the tip in the destination, beyond how far along the
-                             cable its end is seen in all pictures; the candidate's effects are
-                             those that the other cables show
-    present_s, candidate_s   of the computer, for the identification
-    present_rms_m, candidate_rms_m   of the tip in all frames, of which noise makes less
-    present_above_m, candidate_above_m   height of the tip in the opening above its forecast; nan =
-                                         it was not executed, or did not come there
+    candidate  its effects are those that the other cables show
+    of         an execution, forecast from that cycle's own hold; of a cable that was rejected the
+               rest of the hold, forecast from its first frames
     """
 
     cycle: str
-    present_m: float
-    candidate_m: float
-    present_s: float
-    candidate_s: float
-    present_rms_m: float
-    candidate_rms_m: float
+    present: TipForecast
+    candidate: TipForecast
     of: Literal["execution", "rest of the hold"] = "execution"
-    present_above_m: float = float("nan")
-    candidate_above_m: float = float("nan")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; null where there is no error."""
+        before, after = self.present, self.candidate
+        return dict(
+            plain(
+                {
+                    "cycle": self.cycle,
+                    "present_m": before.error_m,
+                    "candidate_m": after.error_m,
+                    "present_s": before.cpu_s,
+                    "candidate_s": after.cpu_s,
+                    "present_rms_m": before.rms_m,
+                    "candidate_rms_m": after.rms_m,
+                    "of": self.of,
+                    "present_above_m": before.above_m,
+                    "candidate_above_m": after.above_m,
+                }
+            )
+        )
 
 
 def forecasts(
@@ -70,12 +96,7 @@ def forecasts(
     known  as in `judge`
     """
     assert result.best is not None
-    at_present = {
-        pair.cycle: _Forecast(
-            pair.present_m, pair.present_rms_m, pair.present_s, pair.present_above_m
-        )
-        for pair in known
-    }
+    at_present = {pair.cycle: pair.present for pair in known}
     found = []
     for i, cycle in enumerate(result.cycles):
         if cycle.held is None:
@@ -83,23 +104,11 @@ def forecasts(
         kind = with_effect(options.kind, result.best, result.best.fit.without(i), result)
         before = at_present.get(cycle.name) or _forecast(cycle, cable, options, destination)
         after = _forecast(cycle, cable, replace(options, kind=kind), destination)
+        executed = cycle.executed is not None
         of: Literal["execution", "rest of the hold"] = (
-            "rest of the hold" if cycle.executed is None else "execution"
+            "execution" if executed else "rest of the hold"
         )
-        found.append(
-            ForecastPair(
-                cycle.name,
-                before.largest_m,
-                after.largest_m,
-                before.spent_s,
-                after.spent_s,
-                before.rms_m,
-                after.rms_m,
-                of,
-                before.above_m,
-                after.above_m,
-            )
-        )
+        found.append(ForecastPair(cycle.name, before, after, of))
     return found
 
 
@@ -120,35 +129,22 @@ def with_effect(
     )
 
 
-class _Forecast(NamedTuple):
-    """Errors of the tip, `inf` if there is no forecast, nan if it is not seen; and the CPU time.
-
-    largest_m  in the destination, or in the rest of the hold; rms_m in all frames
-    above_m    see `ForecastPair`
-    """
-
-    largest_m: float
-    rms_m: float
-    spent_s: float
-    above_m: float = float("nan")
-
-
 def _forecast(
     cycle: RecordedCycle, cable: Cable, options: IdentifyOptions, destination: Destination
-) -> _Forecast:
+) -> TipForecast:
     """What a model forecasts of a cycle, against what was seen."""
     assert cycle.held is not None
-    begun_s = time.process_time()
+    start_s = time.process_time()
     first, later = cycle.held, cycle.executed
     if later is None:
         first, later = _parted(cycle.held)
     markers = later.markers
     try:
-        found = identify(first, cycle.study.arc_length_m, cable, options=options)
-        spent_s = time.process_time() - begun_s
+        identified = identify(first, cycle.study.arc_length_m, cable, options=options)
+        cpu_s = time.process_time() - start_s
         held, tip = (
             simulate(
-                found.model,
+                identified.model,
                 trial.grip,
                 trial.markers.t_s,
                 cycle.study.arc_length_m[:1],
@@ -157,16 +153,16 @@ def _forecast(
             for trial in (first, later)
         )
     except (CableRejectedError, DivergedError, UnsettledError):
-        return _Forecast(np.inf, np.inf, time.process_time() - begun_s)
+        return TipForecast(np.inf, np.inf, time.process_time() - start_s)
     seen = markers.xy_m[:, 0] - _seen_beyond_m(first, held) * along_end(later)
     away_m = np.linalg.norm(seen - tip, axis=1)
     rms_m = rms(away_m)
     if cycle.executed is None:
         largest_m = float(np.nanmax(away_m)) if np.isfinite(rms_m) else rms_m
-        return _Forecast(largest_m, rms_m, spent_s)
+        return TipForecast(largest_m, rms_m, cpu_s)
     passage = measured_passage(destination, markers.t_s, seen, markers.t_s, tip)
     above_m = passage.miss_m - height_at_opening_m(destination, tip)
-    return _Forecast(passage.error_m, rms_m, spent_s, above_m)
+    return TipForecast(passage.error_m, rms_m, cpu_s, above_m)
 
 
 def _seen_beyond_m(held: Trial, tip: FloatArray) -> float:

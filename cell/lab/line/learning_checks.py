@@ -20,7 +20,6 @@ from cell.lab.data.noise_model import KNOWN_WITHIN
 from cell.lab.data.results import Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.shared import SharedFit, Spread
-from cell.lab.line import learning_checks as questions
 from cell.lab.line.effect_fit import EffectFit
 from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.learn import CHANCE, LearningResult, ends_seen_beyond
@@ -89,14 +88,16 @@ class LineEvidence:
     @property
     def differing(self) -> list[ForecastPair]:
         """The forecasts by which the models differ: none where neither has one."""
-        return [f for f in self.paired if np.isfinite([f.present_m, f.candidate_m]).any()]
+        return [
+            f for f in self.paired if np.isfinite([f.present.error_m, f.candidate.error_m]).any()
+        ]
 
     @property
     def errors_m(self) -> tuple[FloatArray, FloatArray]:
         """(differing,) of the tip in the destination, of the present model and the candidate."""
         return (
-            np.array([f.present_m for f in self.differing]),
-            np.array([f.candidate_m for f in self.differing]),
+            np.array([f.present.error_m for f in self.differing]),
+            np.array([f.candidate.error_m for f in self.differing]),
         )
 
 
@@ -150,7 +151,7 @@ def forecast_better(evidence: LineEvidence) -> Reading:
     rules = evidence.rules
     before, after = evidence.errors_m
     path_before, path_after = np.array(
-        [(f.present_rms_m, f.candidate_rms_m) for f in evidence.differing]
+        [(f.present.rms_m, f.candidate.rms_m) for f in evidence.differing]
     ).T
     rms = [float(np.sqrt(np.mean(v**2))) for v in (before, after)]
     if len(before) >= RANKED_FROM:
@@ -279,7 +280,7 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
         "fitted_error",
         "Is the error on all cables that of noise?",
         "error / noise",
-        questions.error_ratio,
+        error_ratio,
         "<=",
         "error_over_noise",
         "unexplained",
@@ -290,7 +291,7 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
         "ends_beyond",
         "Are the cables' ends seen where the model has them?",
         "standard deviations",
-        questions.ends_beyond,
+        ends_beyond,
         "<=",
         "chance",
         "unexplained",
@@ -301,7 +302,7 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
         "ties",
         "How many effects explain as much?",
         "effects",
-        questions.most_tied,
+        most_tied,
         "<=",
         "most_named",
         "cannot_tell",
@@ -312,7 +313,7 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
         "noise_unknown",
         "Is the noise known well enough?",
         "mean square ratio",
-        questions.noise_range,
+        noise_range,
         "<",
         "noise_known_within",
         "cannot_tell",
@@ -340,7 +341,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "enough forecasts",
         "How many forecasts judge the candidate?",
         "forecasts",
-        questions.forecast_count,
+        forecast_count,
         ">=",
         "fewest",
         "refused",
@@ -351,7 +352,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "forecasts unseen cables better",
         "Are unseen cables forecast better?",
         "p",
-        questions.chance_of_gain,
+        chance_of_gain,
         "<=",
         "significance",
         "refused",
@@ -362,7 +363,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "worst case no worse",
         "By how much is the worst forecast worse?",
         "m",
-        questions.worst_change,
+        worst_change,
         "<=",
         "repeatability_m",
         "refused",
@@ -373,7 +374,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "as many would have passed",
         "How many forecasts leave the opening?",
         "forecasts",
-        questions.lost_passages,
+        lost_passages,
         "<=",
         "lost_passages",
         "refused",
@@ -384,7 +385,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "inside physical bounds",
         "How many parameters are at a bound?",
         "parameters",
-        questions.at_bound,
+        at_bound,
         "<=",
         "at_bound",
         "refused",
@@ -395,7 +396,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "identifiable",
         "How clear is each effect?",
         "standard deviations",
-        questions.least_stds,
+        least_stds,
         ">=",
         "identifiable",
         "refused",
@@ -406,7 +407,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "whichever cable is left out",
         "By what factor does it change without one cable?",
         "factor",
-        questions.most_changed,
+        most_changed,
         "<",
         "stays_within",
         "refused",
@@ -417,7 +418,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "all cables have it alike",
         "Do all cables have the effect alike?",
         "p",
-        questions.chance_of_spread,
+        chance_of_spread,
         ">=",
         "heterogeneous",
         "refused",

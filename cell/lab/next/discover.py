@@ -13,6 +13,7 @@ import numpy as np
 from cell.cable.effects import Effect, library, load_effect, unscreened
 from cell.cable.effects.base import Parameter
 from cell.files.atomic import write_atomic
+from cell.lab.data.results import Interval
 from cell.lab.data.thresholds import Rules
 from cell.lab.diagnosis import diagnose
 from cell.lab.next.terms import NAMESPACE, Term, admissible
@@ -74,17 +75,6 @@ def _at(number: Parameter, values: Mapping[str, float]) -> Parameter:
 
 
 @dataclass(frozen=True)
-class LawParameter:
-    """A number of the discovered law, with its 95 % interval."""
-
-    name: str
-    value: float
-    low: float
-    high: float
-    unit: str
-
-
-@dataclass(frozen=True)
 class Discovery:
     """A law that was found, and what it does to the error on held-out trials (else fitted ones).
 
@@ -97,7 +87,7 @@ class Discovery:
     """
 
     effect: str
-    parameters: tuple[LawParameter, ...]
+    parameters: Mapping[str, Interval]
     laws: tuple[str, ...]
     noise_m: float
     before_m: float
@@ -125,10 +115,7 @@ class Discovery:
             "accepted": self.confirmed,
             "complete": self.complete,
             "laws": list(self.laws),
-            "parameters": {
-                p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit}
-                for p in self.parameters
-            },
+            "parameters": {name: vars(interval) for name, interval in self.parameters.items()},
             "noise_m": self.noise_m,
             "baseline_rms_m": self.before_m,
             "rms_m": self.after_m,
@@ -179,10 +166,7 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
     return Discovery(
         effect=name,
         source=source,
-        parameters=tuple(
-            LawParameter(n, i.value, i.low, i.high, i.unit)
-            for n, i in estimate.intervals(effect).items()
-        ),
+        parameters=estimate.intervals(effect),
         laws=tuple(t.law for t in kept),
         noise_m=joined.prepared.noise_model.noise.std_m,
         before_m=_error(base),

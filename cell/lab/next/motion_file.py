@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cell.cable.geometry import Motion
 from cell.files.input_error import InputError, Problem
@@ -15,26 +15,22 @@ from cell.files.yaml_document import Document, read_yaml, validate
 from cell.lab.next.suggestion import RATE_HZ
 from cell.plan.measuring import Measuring, Move, least_duration_s, measuring_path
 from cell.settings import Settings
+from cell.settings.section import Angle, Finite, Section
 from cell.settings.translate import arm_limits_of, pose_from_home
 from drivers.interfaces import Pose
 
 #: A pose may exceed its limit by so much, m or rad: a file has its numbers in micrometres.
 ROUNDING = 1e-6
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Duration = Annotated[float, Field(gt=0.0, le=60.0, allow_inf_nan=False)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
-
-
-class MotionPose(_Section):
+class MotionPose(Section):
     """Pose of the gripper: x and y from the cell's home; the clamp angle itself, 0 = level."""
 
     x_m: Finite
     y_m: Finite
-    angle_rad: Annotated[float, Field(ge=-np.pi, le=np.pi)]
+    angle_rad: Angle
 
     @property
     def place(self) -> tuple[float, float, float]:
@@ -48,7 +44,7 @@ class MotionMove(MotionPose):
     duration_s: Duration
 
 
-class MotionFile(_Section):
+class MotionFile(Section):
     """A measuring motion as a file: `cell suggest` writes it, `cell run --motion` executes it."""
 
     format: Literal["cell-motion/1"]

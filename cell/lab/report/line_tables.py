@@ -131,7 +131,7 @@ def common_error_line(paired: Sequence[ForecastPair]) -> str:
 
     Empty if they are too few to tell.
     """
-    pairs = np.array([(f.present_above_m, f.candidate_above_m) for f in paired]).reshape(-1, 2)
+    pairs = np.array([(f.present.above_m, f.candidate.above_m) for f in paired]).reshape(-1, 2)
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
     if len(pairs) < FEWEST:
         return ""

@@ -172,8 +172,8 @@ def describe_effects(library: Mapping[str, type[Effect]]) -> list[dict[str, Any]
 def discovery_table(discovery: Discovery) -> TableData:
     """Numbers of the law."""
     rows = [
-        [p.name, digits(p.value, 4), digits(p.low, 4), digits(p.high, 4), p.unit]
-        for p in discovery.parameters
+        [name, digits(p.value, 4), digits(p.low, 4), digits(p.high, 4), p.unit]
+        for name, p in discovery.parameters.items()
     ]
     return TableData("Discovered law", _INTERVAL_HEADS, rows, (1, 2, 3))
 

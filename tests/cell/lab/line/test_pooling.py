@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cell.lab.fit.shared import Spread
 from cell.lab.line.together import pool
 
 
@@ -44,3 +45,22 @@ def test_the_mean_lies_between_the_values(pairs: list[tuple[float, float]]) -> N
     found = pool(values, std)
     assert values.min() - 1e-9 <= found.mean <= values.max() + 1e-9
     assert found.reach > 0.0
+
+
+def test_the_spread_between_cables_is_that_of_restricted_maximum_likelihood() -> None:
+    """Against a direct search for the maximum; the data are of unequal precision."""
+    values = np.array([1.8, 2.3, 2.0, 2.9, 1.5])
+    std = np.array([0.1, 0.2, 0.15, 0.3, 0.1])
+    found = Spread.of(values, std)
+
+    def log_likelihood(tau: float) -> float:
+        w = 1.0 / (std**2 + tau**2)
+        mean = np.average(values, weights=w)
+        return float(
+            0.5 * np.sum(np.log(w)) - 0.5 * np.log(w.sum()) - 0.5 * np.sum(w * (values - mean) ** 2)
+        )
+
+    grid = np.linspace(0.0, 2.0, 20_001)
+    assert found.tau == pytest.approx(grid[np.argmax([log_likelihood(t) for t in grid])], abs=2e-4)
+    assert found.p_value < 0.01
+    assert Spread.of(np.array([2.0, 2.01]), np.array([0.1, 0.1])).tau == 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cell.lab.line.forecasts import ForecastPair
+from cell.lab.line.forecasts import ForecastPair, TipForecast
 from cell.lab.report.line_tables import common_error_line
 from cell.records.mean_error import FEWEST
 
@@ -12,7 +12,7 @@ from cell.records.mean_error import FEWEST
 def pairs(present_mm: float, candidate_mm: float, count: int = 6) -> list[ForecastPair]:
     noise_mm = 0.05 * np.random.default_rng(1).standard_normal((count, 2))
     return [
-        ForecastPair(str(i), 1e-4, 1e-5, 1.0, 1.0, 1e-4, 1e-5, "execution", *above_m)
+        ForecastPair(str(i), *(TipForecast(1e-4, 1e-4, 1.0, m) for m in above_m))
         for i, above_m in enumerate(1e-3 * (noise_mm + np.array([present_mm, candidate_mm])))
     ]
 
@@ -28,7 +28,8 @@ def test_both_means_are_said_with_their_intervals() -> None:
 
 
 def test_holds_without_an_execution_do_not_count() -> None:
-    nothing = ForecastPair("h", 1e-4, 1e-5, 1.0, 1.0, 1e-4, 1e-5, "rest of the hold")
+    hold = TipForecast(1e-4, 1e-4, 1.0)
+    nothing = ForecastPair("h", hold, hold, "rest of the hold")
     assert "of 6 executions" in common_error_line([*pairs(0.1, 0.0), nothing, nothing])
     assert common_error_line([nothing] * 9) == ""
     assert common_error_line(pairs(0.6, 0.0, FEWEST - 1)) == ""

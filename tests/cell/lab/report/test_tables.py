@@ -157,7 +157,7 @@ def test_the_ends_of_a_narrow_range_are_told_apart(low, high, shown):
 def test_what_a_law_leaves_is_called_noise_only_if_it_is(
     after_m: float, complete: bool, left: str
 ) -> None:
-    law = Discovery("hb", (), (), 5e-5, 4.5e-3, after_m, True, complete, "")
+    law = Discovery("hb", {}, (), 5e-5, 4.5e-3, after_m, True, complete, "")
     assert discovery_sentence(law).endswith(left)
 
 
