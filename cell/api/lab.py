@@ -30,10 +30,10 @@ from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.asked import select_asked
 from cell.lab.next.study_power import power_of
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.baseline import SearchSetup
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.search.outliers import without_outliers
-from cell.lab.search.setup import fit_cache_of, read_kind, read_prior
+from cell.lab.search.setup import fit_cache_of, read_kind, read_prior, without_outliers
 from cell.lab.strength.compare import Comparison, compare_model, model_names
 from cell.lab.strength.kept_model import identified
 from cell.lab.strength.trial_agreement import agreement

@@ -19,6 +19,17 @@ TIME_BINS = 24
 MAX_FREQUENCIES = 200
 
 
+def rms_by_time(t_s: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Middle (spans,) of up to `TIME_BINS` equal spans of time, and rms (spans,) of the residual.
+
+    residual  (times, …), nan where nothing was measured
+    """
+    edges = np.linspace(t_s[0], t_s[-1], min(TIME_BINS, len(t_s)) + 1)
+    spans = np.clip(np.searchsorted(edges, t_s, "right") - 1, 0, len(edges) - 2)
+    sizes = [rms(residual[spans == i]) for i in range(len(edges) - 1)]
+    return 0.5 * (edges[1:] + edges[:-1]), np.array(sizes)
+
+
 @dataclass(frozen=True)
 class PowerSpectrum:
     """Residual and noise power per coordinate, m²/Hz, at `frequency_hz`."""

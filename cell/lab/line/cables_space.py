@@ -28,7 +28,8 @@ from cell.lab.line.effect_fit import (
     LearningBudget,
     is_tied,
 )
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.baseline import SearchSetup
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import holm_among

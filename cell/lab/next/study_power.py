@@ -26,7 +26,8 @@ from cell.lab.next.decisions import Chances
 from cell.lab.next.forecast import POWER, PowerForecast, forecast
 from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.next.linear_study import LinearStudy
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.baseline import SearchSetup
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.doubts import no_model_doubt
 from cell.study.independence import Independence
 from cell.workers.executor import Executor

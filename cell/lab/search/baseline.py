@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,11 +21,37 @@ from cell.lab.fit.remainder import with_noise_given
 from cell.lab.fit.sensitivity import is_shape
 from cell.lab.fit.starts import MOST_GUESSES, cold_start
 from cell.lab.search.extension import TEMPER
-from cell.lab.search.fitted_model import POLISH, REFIT, error_text
+from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, error_text
 from cell.lab.search.screen import screen
 
 #: Above this χ² per value the baseline cannot fit, and a tempered fit is a better place to start.
 MISFIT = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class SearchSetup:
+    """What a search for effects starts from; `FitCache.of` fits its baseline.
+
+    prepared         the study with the noise that its frames at rest show
+    space            parameters of the baseline, with those of its effects
+    library          effects that may be added, by name
+    prior_q          (p,) coordinates of an earlier individual's model; None = there is none
+    start_q          (p,) where the baseline's fit starts; None = a start is searched
+    unknown_effects  effects of `space` without start values: they are added one by one, as if the
+                     model lacked them, where a fit from their typical size leaves more than noise
+    reference        model given which noise and mesh error were re-estimated; None = they were not
+    earlier          models of an earlier search by their effects: where fits start
+    """
+
+    prepared: PreparedStudy
+    space: ParameterSpace
+    library: Mapping[str, type[Effect]]
+    progress: Progress = no_progress
+    prior_q: FloatArray | None = None
+    start_q: FloatArray | None = None
+    unknown_effects: tuple[type[Effect], ...] = ()
+    reference: FittedModel | None = None
+    earlier: Mapping[frozenset[str], FittedModel] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,34 +71,22 @@ class BaselineFit:
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """What the baseline is, and how it is fitted.
+    """How the baseline of a search is fitted.
 
-    others      effects of the library that it lacks
-    start       where its fit begins; None = it is looked for
-    from_prior  an earlier individual's model is known, so that no other shapes are tried
-    added       its fit from where a search comes that adds effects of which nothing is known; None
-                if there are none
-    noise_is_final  noise and the mesh's error are known already, given a model that was found
+    by_adding  its fit from where a search ends that adds effects of which nothing is known; None
+               if there are none
     """
 
-    space: ParameterSpace
-    others: Sequence[type[Effect]]
-    start: FloatArray | None = None
-    from_prior: bool = False
-    added: Callable[[PreparedStudy], Fit | None] | None = None
-    noise_is_final: bool = False
-    progress: Progress = no_progress
+    setup: SearchSetup
+    by_adding: Callable[[PreparedStudy], Fit | None] | None = None
 
-    def fitted_to(self, prepared: PreparedStudy) -> BaselineFit:
-        """The baseline of a study.
-
-        raises  UnsimulatedError
-        """
-        space = self.space
+    def fitted(self) -> BaselineFit:
+        """The baseline with noise and mesh error estimated given it.  Raises UnsimulatedError."""
+        prepared, space, progress = self.setup.prepared, self.setup.space, self.setup.progress
         names = ", ".join(e.name for e in space.effects) or "no effects"
-        self.progress(f"looking where to begin with {names}", 0, 3)
+        progress(f"looking where to begin with {names}", 0, 3)
         start = self._start(prepared)
-        self.progress(f"fitting the model with {names}", 1, 3)
+        progress(f"fitting the model with {names}", 1, 3)
         fit = fit_model(prepared, space, start, options=POLISH)
         gained = with_gain_of(prepared, fit)
         if gained is not prepared:
@@ -83,26 +97,25 @@ class Baseline:
             fit = fit_model(judged, space, start, options=POLISH)
         found = self._with_noise_and_mesh_error(BaselineFit(judged, fit))
         error = error_text(found.prepared, found.fit.rms_m)
-        self.progress(f"weighing the model with {names}, {error}", 2, 3)
+        progress(f"weighing the model with {names}, {error}", 2, 3)
         count = found.prepared.count(fit_trials(found.prepared))
         errs = found.fit.rms_m > ERRS * found.prepared.expected_m("fit")
-        far = found.fit.chi2 > MISFIT * count or (self.added is not None and errs)
+        far = found.fit.chi2 > MISFIT * count or (self.by_adding is not None and errs)
         if far and prepared.work.affords(f"other starts of the model with {names}"):
             best = self._from_other_starts(found, start, count)
-            if self.added is not None and best.fit is not found.fit:
-                best = self._with_noise_and_mesh_error(
-                    best
-                )  # another model, beside which noise shows
+            if self.by_adding is not None and best.fit is not found.fit:
+                # another model, given which noise shows
+                best = self._with_noise_and_mesh_error(best)
             found = best
         prepared, fit = with_slope_solver(found.prepared, found.fit)
         return replace(found, prepared=prepared, fit=fit)
 
     def _start(self, prepared: PreparedStudy) -> FloatArray:
         """Where the first fit begins."""
-        if self.start is not None:
-            return self.start
-        start = cold_start(prepared, self.space)
-        if self.from_prior:
+        if self.setup.start_q is not None:
+            return self.setup.start_q
+        start = cold_start(prepared, self.setup.space)
+        if self.setup.prior_q is not None:  # no other shapes than the earlier individual's
             return start
         return self._of_likeliest_shape(prepared, self._scanned(prepared, start))
 
@@ -113,13 +126,15 @@ class Baseline:
         does not has others.
         As it was where it cannot be simulated once more.
         """
-        if self.noise_is_final:
+        if self.setup.reference is not None:
             return found
-        fit, prepared = found.fit, with_noise_given(found.prepared, found.fit, self.others)
+        space, library = self.setup.space, self.setup.library
+        others = [e for name, e in library.items() if name not in {x.name for x in space.effects}]
+        fit, prepared = found.fit, with_noise_given(found.prepared, found.fit, others)
         if fit.rms_m <= ERRS * prepared.expected_m("fit"):
             prepared = corrected(prepared, fit)
         try:
-            again = fit_model(prepared, self.space, fit.q, fit.initial_states, options=POLISH)
+            again = fit_model(prepared, space, fit.q, fit.initial_states, options=POLISH)
         except UNSIMULATED:
             return found
         return replace(found, prepared=prepared, fit=again)
@@ -131,19 +146,19 @@ class Baseline:
         """
         fits, prepared = [found.fit], found.prepared
         scale = TEMPER * float(np.sqrt(found.fit.chi2 / count))
-        added = None if self.added is None else self.added(prepared)
+        added = None if self.by_adding is None else self.by_adding(prepared)
         if added is not None:
             fits = sorted([found.fit, added], key=lambda f: f.objective)
-        tempered = fit_model(prepared, self.space, start, residual_scale=scale, options=REFIT)
+        tempered = fit_model(prepared, self.setup.space, start, residual_scale=scale, options=REFIT)
         if not fits[0].solution.converged:
             with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
-                fits.append(fit_model(prepared, self.space, tempered.q, options=POLISH))
+                fits.append(fit_model(prepared, self.setup.space, tempered.q, options=POLISH))
         best, *others = sorted(fits, key=lambda f: f.objective)
         return BaselineFit(prepared, best, tempered, others[0] if others else None)
 
     def _scanned(self, prepared: PreparedStudy, start: FloatArray) -> FloatArray:
         """A start with effects that a fit finds from near only as the screen without them says."""
-        space = self.space
+        space = self.setup.space
         narrow = [e for e in space.effects if any(p.scan for p in e.parameters)]
         if not narrow:
             return start
@@ -160,7 +175,7 @@ class Baseline:
 
     def _of_likeliest_shape(self, prepared: PreparedStudy, start: FloatArray) -> FloatArray:
         """Where first refits end from a start, and from it with effects of other shapes."""
-        space, starts = self.space, [start]
+        space, starts = self.setup.space, [start]
         for effect in space.effects:
             index = {
                 p: space.names.index(name)

@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from cell.lab.data.thresholds import Rules
-from cell.lab.search.fit_cache import FitCache, SearchSetup, StudySpace, noise_reestimated
+from cell.lab.search.baseline import SearchSetup
+from cell.lab.search.fit_cache import FitCache, StudySpace, noise_reestimated
 from cell.lab.search.fitted_model import FittedModel, is_below_stated
 from cell.lab.search.residual_summary import removed_share, residual_summary
 from cell.lab.search.rivals import added_effect
@@ -135,11 +136,6 @@ class SearchResult:
     model: FittedModel
     all_tried: bool
     refined: SearchSetup | None
-
-    @property
-    def is_base(self) -> bool:
-        """Whether no effect was accepted."""
-        return self.model is self.fits.base
 
 
 def search_effects(fits: FitCache, rules: Rules) -> SearchResult:

@@ -15,17 +15,16 @@ from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy
 from cell.lab.data.whitening import arcs_are_uncertain
-from cell.lab.data.work import Progress, Work, no_progress
+from cell.lab.data.work import Progress, Work
 from cell.lab.fit.corrections import corrected, gain_is_uncertain, moved_m, moves_parameters
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
 from cell.lab.fit.heldout import heldout_log_lr
 from cell.lab.fit.remainder import with_noise_given
 from cell.lab.fit.starts import cold_start, taken_from
 from cell.lab.fit.systematic_error import GripperLogError, gripper_log_error
-from cell.lab.search.baseline import Baseline
-from cell.lab.search.extension import Extension, by_effect, continued
+from cell.lab.search.baseline import Baseline, SearchSetup
+from cell.lab.search.extension import Extension, Refits, continued
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, Gain, gained, model_of_fit
-from cell.lab.search.refits import Refits
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import levels
 
@@ -34,32 +33,6 @@ LIKELIER = 0.1
 #: p-value of the screen above which a smooth effect is not refitted given a model that explains
 #: the study. Measured on 61 studies: of 326 such refits none had p below 0.02.
 BY_CHANCE = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class SearchSetup:
-    """What a search for effects starts from; `FitCache.of` fits its baseline.
-
-    prepared         the study with the noise that its frames at rest show
-    space            parameters of the baseline, with those of its effects
-    library          effects that may be added, by name
-    prior_q          (p,) coordinates of an earlier individual's model; None = there is none
-    start_q          (p,) where the baseline's fit starts; None = a start is searched
-    unknown_effects  effects of `space` without start values: they are added one by one, as if the
-                     model lacked them, where a fit from their typical size leaves more than noise
-    reference        model given which noise and mesh error were re-estimated; None = they were not
-    earlier          models of an earlier search by their effects: where fits start
-    """
-
-    prepared: PreparedStudy
-    space: ParameterSpace
-    library: Mapping[str, type[Effect]]
-    progress: Progress = no_progress
-    prior_q: FloatArray | None = None
-    start_q: FloatArray | None = None
-    unknown_effects: tuple[type[Effect], ...] = ()
-    reference: FittedModel | None = None
-    earlier: Mapping[frozenset[str], FittedModel] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -96,16 +69,8 @@ class FitCache:
 
         raises  UnsimulatedError, WorkStoppedError
         """
-        known = {e.name for e in setup.space.effects}
-        baseline = Baseline(
-            setup.space,
-            [e for name, e in setup.library.items() if name not in known],
-            setup.start_q,
-            setup.prior_q is not None,
-            partial(_fit_by_adding, setup) if setup.unknown_effects else None,
-            setup.reference is not None,
-            setup.progress,
-        ).fitted_to(setup.prepared)
+        by_adding = partial(_fit_by_adding, setup) if setup.unknown_effects else None
+        baseline = Baseline(setup, by_adding).fitted()
         prepared = baseline.prepared
         base = model_of_fit(prepared, setup.space.effects, baseline.fit)
         models = {base.names: base}
@@ -227,7 +192,9 @@ class FitCache:
         """
         memory = self._memory
         unknown = [e for e in effects if frozenset({*base.names, e.name}) not in self.setup.earlier]
-        screens = by_effect([*self.screened(base), *_screened_from_other_fits(self, base, unknown)])
+        screens: dict[str, list[ScreenedEffect]] = {}
+        for one in (*self.screened(base), *_screened_from_other_fits(self, base, unknown)):
+            screens.setdefault(one.effect.name, []).append(one)
         offered = (*self.library.values(), *base.effects, *effects)
         return Refits(
             _extension(self, base),

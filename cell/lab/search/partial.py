@@ -20,9 +20,10 @@ from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.plausibility import is_hopeless
 from cell.lab.fit.starts import taken_from
-from cell.lab.search.fit_cache import FitCache, SearchSetup, StudySpace, with_lower_baseline
+from cell.lab.search.baseline import SearchSetup
+from cell.lab.search.extension import POLISHED
+from cell.lab.search.fit_cache import FitCache, StudySpace, with_lower_baseline
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.search.refits import POLISHED
 from cell.lab.search.residual_summary import (
     removed_share,
     residual_summary,
@@ -171,8 +172,8 @@ def _significant_steps(
 def p_value_of(fits: FitCache, small: FittedModel, large: FittedModel, library: int) -> float:
     """Of the last effect of `large`, for all of the library: by the fit, and by what both leave."""
     by_fit = fits.gain(small, large).p_value
-    by_left = chance_of(fits, small, large)
-    return min(1.0, max(by_fit, by_left) * max(1, library - len(small.effects)))
+    by_residual = chance_of(fits, small, large)
+    return min(1.0, max(by_fit, by_residual) * max(1, library - len(small.effects)))
 
 
 def _finished(

@@ -11,7 +11,7 @@ from cell.cable.arrays import FloatArray
 from cell.identify.noise import rms
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.data.results import Peak
-from cell.lab.fit.series import TIME_BINS, spectrum
+from cell.lab.fit.series import rms_by_time, spectrum
 from cell.lab.search.fitted_model import FittedModel, residuals_m
 from cell.study.data import Study
 
@@ -125,13 +125,10 @@ def peak(prepared: PreparedStudy, candidate: FittedModel) -> Peak:
     trial = max(errors, key=lambda name: _size(errors[name]))
     times = next(t.markers.t_s for t in study.trials if t.name == trial)
     error = errors[trial]
-    edges = np.linspace(times[0], times[-1], min(TIME_BINS, len(times)) + 1)
-    bins = np.clip(np.searchsorted(edges, times, "right") - 1, 0, len(edges) - 2)
-    by_time = [rms(error[bins == b]) for b in range(len(edges) - 1)]
-    latest = int(np.nanargmax(np.nan_to_num(by_time)))
+    middle_s, by_time = rms_by_time(times, error)
     return Peak(
         trial,
-        float(0.5 * (edges[latest] + edges[latest + 1])),
+        float(middle_s[np.nanargmax(np.nan_to_num(by_time))]),
         _place(study, errors),
         _frequency(prepared, times, error),
     )

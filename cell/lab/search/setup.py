@@ -1,10 +1,18 @@
-"""The set-up of a command: the fits of its study, with earlier models if there are any."""
+"""The set-up of a command: the fits of its study, with earlier models if there are any.
+
+What the motion hides of outliers from a look at the measurements alone, in few frames a second or
+in little noise, shows in what a fitted model leaves of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from cell.cable.arrays import FloatArray
 from cell.cable.effects import Effect
 from cell.cable.geometry import Cable
 from cell.identify.identified import Identified
@@ -12,12 +20,19 @@ from cell.identify.model_class import ModelClass
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.named_effects import EffectSelection, select_effects
-from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.data.work import DIAGNOSIS, Progress, Work, no_progress
 from cell.lab.fit.fitting import pinned, space_with
 from cell.lab.fit.individual_model import check_same_kind, misfit, prior_space, read_model
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.baseline import SearchSetup
+from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import residuals_m
 from cell.study.data import Study
+from cell.study.left_out import without_samples
+from cell.study.wrong_samples import outlier_distances
+
+#: An outlier that is left out shows others, which the fit had followed.
+_MOST_ROUNDS = 3
 
 
 def fit_cache_of(
@@ -42,18 +57,18 @@ def fit_cache_of(
         path, model = prior
         check_same_kind(path, model, study.cable)
         space = prior_space(study, model)
-        seen: Noise | None = None  # of a model that was never compared with a measurement
+        noise: Noise | None = None  # of a model that was never compared with a measurement
         if model.frames_used:
-            seen = misfit(model, _least_rms_m(study, space, model, selection.candidates, work))
-        prepared = PreparedStudy.of(study, misfit=seen, work=work)
-    sought = tuple(e for e in selection.in_model if e not in space.effects)
+            noise = misfit(model, _least_rms_m(study, space, model, selection.candidates, work))
+        prepared = PreparedStudy.of(study, misfit=noise, work=work)
+    unknown = tuple(e for e in selection.in_model if e not in space.effects)
     level_mm = prepared.noise_model.noise.std_m * 1e3
     work.known = f"no model is fitted yet; noise of study {study.name}: {level_mm:.3g} mm"
-    full = space_with(space, [*space.effects, *sought])
+    full = space_with(space, [*space.effects, *unknown])
     prior_q = None if prior is None else full.mean
     return FitCache.of(
         SearchSetup(
-            prepared, full, selection.candidates, progress, prior_q=prior_q, unknown_effects=sought
+            prepared, full, selection.candidates, progress, prior_q=prior_q, unknown_effects=unknown
         )
     )
 
@@ -118,3 +133,37 @@ def read_models(paths: Sequence[Path], cable: Cable, own: Sequence[str]) -> list
                 f"fit a model with it: cell fit STUDY --with {name} -o model.json"
             )
     return models
+
+
+def without_outliers(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
+    """The fits of a study without its outliers from the baseline, and a note on each of these.
+
+    A trial that the model cannot simulate is kept as it is.
+    raises  InputError: too many samples of a marker are outliers
+    """
+    notes: tuple[str, ...] = ()
+    for _ in range(_MOST_ROUNDS):
+        distances, study = _outliers(fits), as_measured(fits.prepared)
+        if not any(np.isfinite(d).any() for d in distances):
+            break
+        cleaner = without_samples(study, distances)
+        notes = (*notes, *cleaner.notes[len(study.notes) :])
+        former = fits.prepared
+        noise = None if former.noise_is_measured else former.noise
+        prepared = PreparedStudy.of(cleaner, misfit=noise, solver=former.solver, work=former.work)
+        fits = FitCache.of(replace(fits.setup, prepared=prepared))
+    return fits, notes
+
+
+def _outliers(fits: FitCache) -> list[FloatArray]:
+    """Of every trial (times, channels) how far outliers are away, m; nan for all other samples."""
+    prepared, found = fits.prepared, []
+    residuals = residuals_m(prepared, fits.base)
+    for trial, joined in zip(prepared.unjoined.trials, prepared.study.trials, strict=True):
+        markers, residual = trial.markers, residuals.get(trial.name)
+        if residual is None or not np.isfinite(residual).any():
+            found.append(np.full((len(markers.t_s), markers.xy_m[0].size), np.nan))
+            continue
+        errors = prepared.of_markers(joined, residual.reshape(joined.markers.xy_m.shape))
+        found.append(outlier_distances(markers.t_s, errors.reshape(len(markers.t_s), -1)))
+    return found

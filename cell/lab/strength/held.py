@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -28,7 +29,6 @@ class HeldEffect:
     """An effect given a fitted model, one amplitude and all its shape held.
 
     amplitude  number of the parameter that is held; other amplitudes are free
-    space      of the model with the effect
 
     Changes are whitened, of the fit trials, the prior's rows included.
     """
@@ -37,15 +37,20 @@ class HeldEffect:
     fit: Fit
     effect: type[Effect]
     amplitude: int
-    space: ParameterSpace
 
-    @staticmethod
-    def given_fit(
-        prepared: PreparedStudy, fit: Fit, effect: type[Effect], amplitude: int
-    ) -> HeldEffect:
-        """An effect given a fit to the `fit` trials."""
-        space = space_with(fit.space, (*fit.space.effects, effect))
-        return HeldEffect(prepared, fit, effect, amplitude, space)
+    @cached_property
+    def space(self) -> ParameterSpace:
+        """Parameters of the model with the effect."""
+        return space_with(self.fit.space, (*self.fit.space.effects, self.effect))
+
+    @cached_property
+    def _held(self) -> list[int]:
+        """Which of these are held."""
+        return [
+            self.space.names.index(f"{self.effect.name}.{p.name}")
+            for i, p in enumerate(self.effect.parameters)
+            if i == self.amplitude or not p.amplitude
+        ]
 
     def answer(self, active: ActiveEffect, change: FloatArray, others: FloatArray) -> FloatArray:
         """(p + unknowns of initial states,) where everything else goes, were it linear.
@@ -70,10 +75,7 @@ class HeldEffect:
         if near is None:
             return np.concatenate([q, self.fit.solution.q[len(self.fit.q) :]])
         moved = near.copy()
-        for i, x in enumerate(self.effect.parameters):
-            if i == self.amplitude or not x.amplitude:
-                k = self.space.names.index(f"{self.effect.name}.{x.name}")
-                moved[k] = q[k]
+        moved[self._held] = q[self._held]
         return moved
 
     def refitted(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -82,10 +84,7 @@ class HeldEffect:
         raises  UnsimulatedError: it cannot be simulated there
         """
         low, high = self.space.low.copy(), self.space.high.copy()
-        for i, x in enumerate(self.effect.parameters):
-            if i == self.amplitude or not x.amplitude:
-                k = self.space.names.index(f"{self.effect.name}.{x.name}")
-                low[k] = high[k] = q[k]
+        low[self._held] = high[self._held] = q[self._held]
         space = replace(self.space, low=low, high=high)
         fit = fit_model(
             self.prepared, space, q[: len(space.names)], self.fit.initial_states, options=_REFIT

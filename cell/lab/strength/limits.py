@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,7 +55,8 @@ class Side:
     std     of the amplitude
     values  of the effect's parameters: the guess of its shape that puts the end farthest out
     rows    (n, values) slopes of its other amplitudes; others: basis of what they can imitate
-    change  of what is seen, by the effect so strong; settled: more simulations tell no more
+    change  of what is seen, by the effect so strong; converged: further simulations change
+            nothing; seen: there is an end within the bounds
     first   the end by slopes at none of the effect
     tried   (ln size, ln of how many times farther out it then seemed to be) so far
     """
@@ -316,65 +317,47 @@ def limits(
     none: no limit is below what the study can show (a power-constrained limit).
     """
     progress("how strong other effects could be")
-    common = _Common.of(whole)
+    prepared, fit, mesh = whole.prepared, whole.fit, whole.systematic_error.mesh
+    whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
+    nuisance = nuisance_of(fit).moved(mesh)
+    inflation = variance_inflation(nuisance.residual[: len(mesh)], whiteners, len(fit.q))
     done = itertools.count(1)
 
     def of_some(some: Sequence[type[Effect]]) -> tuple[Limit, ...]:
-        return _limits_of(common, some)
+        return _limits_of(whole, nuisance, inflation, some)
+
+    def none(_: Sequence[type[Effect]]) -> tuple[Limit, ...]:
+        return ()
 
     # some effects take far longer than others
     count = min(len(effects), PER_CORE * threads()) if threads() > 1 else 1
     jobs = [effects[i::count] for i in range(count)]
-    with side_by_side(whole.prepared.work, [of_some], common.effects(effects), len(jobs)) as pool:
+    known_effects = (*fit.space.effects, *effects)
+    with side_by_side(prepared.work, [of_some], known_effects, len(jobs)) as pool:
         found = pool.map(
             of_some,
             jobs,
-            _left_out,
+            none,
             lambda *_: progress("how strong other effects could be", next(done), len(jobs)),
         )
     by_effect = itertools.groupby(itertools.chain(*found), key=lambda limit: limit.effect)
     known = {name: tuple(of_it) for name, of_it in by_effect}
     for effect in effects:
         if effect.name not in known:
-            whole.prepared.work.leave_out(f"the limit of {effect.name}")
+            prepared.work.leave_out(f"the limit of {effect.name}")
     return tuple(limit for effect in effects for limit in known.get(effect.name, ()))
 
 
-def _left_out(some: Sequence[type[Effect]]) -> tuple[Limit, ...]:
-    """Limits of effects for which the work does not suffice."""
-    return ()
-
-
-@dataclass(frozen=True, eq=False)
-class _Common:
-    """What the limits of all effects have in common.
+def _limits_of(
+    whole: AllTrialsFit, nuisance: Nuisance, inflation: float, effects: Sequence[type[Effect]]
+) -> tuple[Limit, ...]:
+    """Limits of some effects, simulated together on one core.
 
     inflation  by which what the model leaves beyond noise widens variances
     """
-
-    whole: AllTrialsFit
-    nuisance: Nuisance
-    inflation: float
-
-    @staticmethod
-    def of(whole: AllTrialsFit) -> _Common:
-        prepared, fit, errs = whole.prepared, whole.fit, whole.systematic_error
-        whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
-        nuisance = nuisance_of(fit).moved(errs.mesh)
-        residual = nuisance.residual[: len(errs.mesh)]
-        return _Common(whole, nuisance, variance_inflation(residual, whiteners, len(fit.q)))
-
-    def effects(self, more: Iterable[type[Effect]]) -> tuple[type[Effect], ...]:
-        """Those of the fitted model and more."""
-        return (*self.whole.fit.space.effects, *more)
-
-
-def _limits_of(common: _Common, effects: Sequence[type[Effect]]) -> tuple[Limit, ...]:
-    """Limits of some effects, simulated together on one core."""
-    whole = common.whole
     prepared, fit = whole.prepared.on_one_core(), whole.fit
     found = [
-        LimitSearch(slopes, j, common.nuisance, whole.systematic_error, common.inflation)
+        LimitSearch(slopes, j, nuisance, whole.systematic_error, inflation)
         for slopes in replace(whole, prepared=prepared).sensitivities(effects)
         for j in range(slopes.rows.shape[1])
     ]
@@ -386,7 +369,7 @@ def _limits_of(common: _Common, effects: Sequence[type[Effect]]) -> tuple[Limit,
         for (search, side), change in zip(sides, moved, strict=True):
             search.simulated(side, change)
     answered = [
-        (search, side, HeldEffect.given_fit(prepared, fit, search.effect, search.which))
+        (search, side, HeldEffect(prepared, fit, search.effect, search.which))
         for search in found
         for side in search.open_sides()
         if not search.exact(side)

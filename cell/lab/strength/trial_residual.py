@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,10 @@ from cell.identify.noise import Noise, rms, still_frames
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.series import (
     LAGS,
-    TIME_BINS,
     PowerSpectrum,
     correlation,
     ljung_box,
+    rms_by_time,
     smoothed,
     spectrum,
 )
@@ -80,14 +80,11 @@ def trial_residual(
     white        (times, markers, 2) whitened residual, nan where not seen
     """
     t_s = trial.markers.t_s
-    edges = np.linspace(t_s[0], t_s[-1], min(TIME_BINS, len(t_s)) + 1)
-    bins = np.clip(np.searchsorted(edges, t_s, "right") - 1, 0, len(edges) - 2)
-    by_time = [rms(residual[bins == b]) for b in range(len(edges) - 1)]
     names = phase_of(trial)
     return TrialResidual(
         trial=trial.name,
         rms_m=rms(residual),
-        by_time=ResidualProfile(0.5 * (edges[1:] + edges[:-1]), np.array(by_time)),
+        by_time=ResidualProfile(*rms_by_time(t_s, residual)),
         by_arc_length=ResidualProfile(
             arc_length_m, np.array([rms(residual[:, m]) for m in range(residual.shape[1])])
         ),
@@ -100,20 +97,9 @@ def trial_residual(
 
 def unsimulated_trial(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> TrialResidual:
     """Of a trial that the model cannot be simulated in: an infinite error, and no place for it."""
-    t_s, markers = trial.markers.t_s, len(arc_length_m)
-    blank = spectrum(t_s, np.full((len(t_s), markers, 2), np.nan), noise)
-    bins = min(TIME_BINS, len(t_s))
-    edges = np.linspace(t_s[0], t_s[-1], bins + 1)
-    return TrialResidual(
-        trial=trial.name,
-        rms_m=float("inf"),
-        by_time=ResidualProfile(0.5 * (edges[1:] + edges[:-1]), np.full(bins, np.nan)),
-        by_arc_length=ResidualProfile(arc_length_m, np.full(markers, np.nan)),
-        by_phase=dict.fromkeys(PHASES, float("nan")),
-        spectrum=blank,
-        whiteness_p_value=float("nan"),
-        correlations=(),
-    )
+    nothing = np.full((len(trial.markers.t_s), len(arc_length_m), 2), np.nan)
+    found = trial_residual(trial, nothing, nothing, nothing, arc_length_m, noise)
+    return replace(found, rms_m=float("inf"), correlations=())
 
 
 def displacement(seen: FloatArray, model: FloatArray) -> FloatArray:

@@ -12,7 +12,8 @@ from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import space_with
-from cell.lab.search.fit_cache import FitCache, SearchSetup, StudySpace
+from cell.lab.search.baseline import SearchSetup
+from cell.lab.search.fit_cache import FitCache, StudySpace
 from cell.lab.search.fitted_model import FittedModel, error_over_noise
 from cell.lab.search.rivals import close_rivals
 from cell.lab.search.stepwise import levels

@@ -1,6 +1,6 @@
 """Studies of a world finer than the model: 60 segments, half the step, coloured noise."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import simulate_each
-from cell.cable.effects import ActiveEffect, library
+from cell.cable.effects import ActiveEffect, Effect, library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
+from cell.identify.parameters import ParameterSpace
 from cell.lab.data import named_effects, prepared, work
+from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Markers, Study, Trial
 from tools.worlds.made_studies import Step
 
@@ -107,6 +109,13 @@ def make_study() -> MakeStudy:
         return Study("made", CABLE, arcs, tuple(trials))
 
     return make
+
+
+def fits_of(study: Study, effects: Iterable[str | type[Effect]] = ()) -> FitCache:
+    """The baseline of a study, fitted; a search may add these effects, named or given."""
+    chosen = [library()[e] if isinstance(e, str) else e for e in effects]
+    ready, space = prepared.PreparedStudy.of(study), ParameterSpace.of(study.cable)
+    return FitCache.of(SearchSetup(ready, space, {e.name: e for e in chosen}))
 
 
 #: Alike, unlike and not smooth.

@@ -6,11 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from cell.cable.effects import library
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.linear_study import LinearStudy
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from tests.cell.lab.conftest import fits_of
 
 #: Few effects, so that a diagnosis is quick: alike, unlike and not smooth.
 NAMES = ("air_drag", "linear_air_drag", "tip_mass", "natural_curvature", "grip_angle")
@@ -23,10 +20,7 @@ def fitted(make_study):
     lost[40:44, 2] = float("nan")
     first = replace(study.trials[0], markers=replace(study.trials[0].markers, xy_m=lost))
     study = replace(study, trials=(first, *study.trials[1:]))
-    effects = {name: library()[name] for name in NAMES}
-    return FitCache.of(
-        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
-    )
+    return fits_of(study, NAMES)
 
 
 @pytest.fixture(scope="session")

@@ -8,10 +8,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from cell.cable.effects import library
 from cell.cli import app
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.asked import select_asked
 from cell.lab.next.forecast import forecast
 from cell.lab.next.linear_study import LinearStudy
@@ -19,9 +16,10 @@ from cell.lab.next.motion_file import hand_motion
 from cell.lab.next.planned import with_motions
 from cell.lab.next.suggest import showing_motion, split_effects
 from cell.lab.next.suggestion import Suggestion, write_motion
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.fit_cache import FitCache
 from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study
+from tests.cell.lab.conftest import fits_of
 
 FAKE = Path(__file__).parents[4] / "config" / "fake.yaml"
 NAMES = ("draught", "grip_angle", "tip_mass")
@@ -31,11 +29,7 @@ AROUND = Surroundings(angle_rad=(-0.1, 0.1))
 
 @pytest.fixture(scope="module")
 def fits(make_study) -> FitCache:
-    study = make_study(seed=21)
-    effects = {name: library()[name] for name in NAMES}
-    return FitCache.of(
-        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), effects)
-    )
+    return fits_of(make_study(seed=21), NAMES)
 
 
 @pytest.fixture(scope="module")

@@ -30,12 +30,12 @@ from cell.lab.next.suggest import (
     whitener_of_planned,
 )
 from cell.lab.next.suggestion import Option, Stroke, Suggestion, strokes, write_motion
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings
 from cell.settings.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m
 from cell.settings.translate import cable_of
 from drivers.guard import ArmLimits, check_path
+from tests.cell.lab.conftest import fits_of
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study
 
@@ -58,11 +58,9 @@ def test_strokes_keep_the_limits():
 @pytest.fixture(scope="module")
 def tied(make_study):
     """Fits and examination of a study that hardly tells added mass from natural curvature."""
-    known = library()
-    study = make_study([known["added_mass"].active(kg_per_m=3e-4)], seed=3)
+    study = make_study([library()["added_mass"].active(kg_per_m=3e-4)], seed=3)
     study = replace(study, trials=tuple(t for t in study.trials if t.name != "up"))
-    rivals = {n: known[n] for n in ("added_mass", "natural_curvature")}
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals))
+    fits = fits_of(study, ["added_mass", "natural_curvature"])
     return fits, diagnose(fits)
 
 
@@ -167,9 +165,7 @@ def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(t
 
 
 def test_a_complete_model_leaves_nothing_to_tell(make_study):
-    study = make_study(seed=5)
-    rivals = {n: library()[n] for n in ("tip_mass", "grip_angle")}
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), rivals))
+    fits = fits_of(make_study(seed=5), ["tip_mass", "grip_angle"])
     with pytest.raises(ValueError, match="nothing to tell apart"):
         suggest_motion(diagnose(fits), Surroundings())
 

@@ -6,8 +6,6 @@ from types import SimpleNamespace
 import pytest
 
 from cell.cable.effects import library
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.data.work import Work
 from cell.lab.diagnosis import diagnose
@@ -18,6 +16,7 @@ from cell.lab.search.partial import largest_step
 from cell.lab.search.residual_summary import ResidualSummary, log_variance_ratio
 from cell.lab.verdict import conclusion, ties
 from cell.lab.verdict.ties import tied_so_far
+from tests.cell.lab.conftest import fits_of
 
 KNOWN = library()
 
@@ -36,11 +35,7 @@ def partly(make_study):
         KNOWN["camera_scale"].active(factor=1.01),
     ]
     study = make_study(hidden, seed=31, hold_s=0.8)
-    names = ("camera_latency", "robot_lag", "tip_mass")
-    space = ParameterSpace.of(study.cable)
-    return diagnose(
-        FitCache.of(SearchSetup(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
-    )
+    return diagnose(fits_of(study, ["camera_latency", "robot_lag", "tip_mass"]))
 
 
 def test_an_effect_found_first_keeps_its_ties_when_a_second_is_in(partly):

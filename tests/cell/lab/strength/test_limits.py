@@ -9,27 +9,23 @@ import pytest
 
 from cell.cable.effects import library
 from cell.cable.solver import Solver
-from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured, with_noise_model
 from cell.lab.data.results import to_json
 from cell.lab.diagnosis import diagnose, with_limits
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import extended, fit_model, space_with
 from cell.lab.report.tables import limits_table
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.limits import LimitSearch, limits
 from cell.study.data import Markers
-from tests.cell.lab.conftest import LONG, STROKES
+from tests.cell.lab.conftest import LONG, STROKES, fits_of
 from tools.worlds import made_studies
 
 KNOWN = library()
 
 
 def baseline(study):
-    prepared = PreparedStudy.of(all_fitted(study))
-    fits = FitCache.of(SearchSetup(prepared, ParameterSpace.of(study.cable), {}))
-    fit = fits.base.fit
-    return fits.prepared, fit
+    fits = fits_of(all_fitted(study))
+    return fits.prepared, fits.base.fit
 
 
 @pytest.fixture(scope="module")
@@ -142,10 +138,7 @@ def test_where_trials_disagree_on_an_effect_its_limits_are_wider(make_study):
 
 def test_a_diagnosis_tells_them_for_what_is_neither_named_nor_tied(make_study):
     study = make_study([KNOWN["tip_mass"].active(mass_kg=3e-5)], seed=8)
-    names = ("tip_mass", "air_drag", "camera_scale")
-    space = ParameterSpace.of(study.cable)
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
-    examination = with_limits(diagnose(fits))
+    examination = with_limits(diagnose(fits_of(study, ["tip_mass", "air_drag", "camera_scale"])))
     found = examination.diagnosis
     assert [f.effect for f in found.missing] == ["tip_mass"]
     assert [limit.effect for limit in found.limits] == ["air_drag", "camera_scale"]
