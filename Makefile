@@ -110,7 +110,7 @@ studies: $(VENV)/.dev   ## verdicts on 900 studies with a known answer (hours; a
 	$(BIN)/python -m tools.studies.diagnosis_study $(or $(ARGS),studies.csv --made complete=100 one=100 pair=27 unknown=34 --breadth complete=300 one=200 outside=100 --rigs all=60)
 
 checks: $(VENV)/.dev   ## what each check of the verdict is worth: 411 studies, 40 min
-	$(BIN)/python -m tools.studies.ablation_study $(or $(ARGS),checks.csv --breadth complete=200 one=100 outside=50 --made pair=27 unknown=34)
+	$(BIN)/python -m tools.studies.diagnosis_study --checks $(or $(ARGS),checks.csv --first 2000 --seed 2 --breadth complete=200 one=100 outside=50 --made pair=27 unknown=34)
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
 	$(BIN)/python -m tools.faults.fault_trials --patience-s 0.15 $(or $(ARGS),-o docs/measured/fault_trials.csv)

@@ -4,6 +4,7 @@
     python -m tools.studies.diagnosis_study FILE.csv --breadth complete=300 one=200 outside=100
     python -m tools.studies.diagnosis_study FILE.csv --rigs all=60 [--practice …] [--real]
     python -m tools.studies.diagnosis_study FILE.csv --table [--before EARLIER.csv]
+                                            [--checks [--limit CHECK=VALUE …]]
 
 Sources, each with kinds and how many of them:
 
@@ -20,26 +21,25 @@ Sources, each with kinds and how many of them:
 
 Each study is a row of the file as soon as it is judged; rows that are there are kept, so that a
 stopped study goes on.  Only effects that a test which knows the truth would see count as seen
-(power 0.8, `known_truth.py`).  A study that the lab refuses with an error is `refused`.  Ends with
+(power 0.8, `known_truth.py`).  With --checks the table also says what each check of the verdict is
+worth (`check_ablation.py`).  A study that the lab refuses with an error is `refused`.  Ends with
 1 if anything is claimed that is not there.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 import resource
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy import stats
-from scipy.optimize import linear_sum_assignment
 
 from cell.api.lab import diagnosed, examined, set_up
 from cell.cable.solver import DivergedError
@@ -47,139 +47,38 @@ from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.results import MissingEffect
-from tools.worlds.cases import (
-    BREADTH,
-    MADE,
-    MUJOCO,
-    RIGS,
-    SHARED,
-    Case,
-    Made,
-    made,
-)
-from tools.worlds.known_truth import (
-    SHOWS,
-    class_of,
-)
+from tools.studies import check_ablation
+from tools.studies.answers import Row
+from tools.studies.rows import added_rows, read_rows
+from tools.worlds.cases import BREADTH, MADE, MUJOCO, RIGS, SHARED, Case, Made, made
 
 
-@dataclass(frozen=True)
-class Row:
-    """A study and what was said of it.
-
-    named, partial  effects joined by "+", ties by "|"; also of `cannot_tell`, which claims nothing
-    noise_ratio     estimated over true noise; error_ratio: baseline's larger error over true noise
-    knots           of EI(s)
-    values          of the named effects' parameters
-    cpu_s           of the diagnosis with its report's comparison, forks included
-    """
-
-    source: str
-    kind: str
-    number: str
-    hidden: str
-    unsaid: str
-    power: float
-    verdict: str
-    named: str = ""
-    partial: str = ""
-    warnings: str = ""
-    noise_ratio: float = float("nan")
-    error_ratio: float = float("nan")
-    simulated_s: float = 0.0
-    cpu_s: float = 0.0
-    refused: str = ""
-    conditions: str = "{}"
-    values: str = "{}"
-    knots: str = ""
-
-    @property
-    def seen(self) -> bool:
-        return self.power >= SHOWS
-
-    @property
-    def right(self) -> bool:
-        if self.kind == "prior":
-            return not (self.verdict == "complete" and self.error_ratio > 3.0) and not self.wrong
-        nameless = self.kind in ("unknown", "outside", "mixed") or self.hidden.startswith("x_")
-        if nameless and self.verdict == "unexplained":
-            return True
-        if not self.hidden:
-            return self.verdict == "complete"
-        named = self.kind not in ("unknown", "outside") and self.names_all(self.named)
-        return named and self.verdict == "missing"
-
-    @property
-    def wrong(self) -> bool:
-        """Whether something is claimed that is not there, or complete called what is not."""
-        claimed = self.verdict == "missing" and self.names_other(self.named)
-        return claimed or (self.source == "rigs" and self.false_complete)
-
-    @property
-    def false_complete(self) -> bool:
-        return self.verdict == "complete" and bool(self.hidden)
-
-    @property
-    def right_in_part(self) -> bool:
-        """Whether what explains most is there, the hidden effects among it."""
-        named = {n for names in _sets(self.partial) for n in names}
-        there = all(class_of([h]) & named for h in self._hidden)
-        return bool(self.partial) and there and not self.names_other(self.partial)
-
-    def names_all(self, text: str) -> bool:
-        """Whether all that is hidden is named, and nothing that is not there."""
-        named, there = _sets(text), [*self._hidden, *_split(self.unsaid)]
-        worth = [1.0 + (h in self._hidden) for h in there]
-        gain = [
-            [w * bool(class_of([h]) & n) for n in named] for h, w in zip(there, worth, strict=True)
-        ]
-        pairs = zip(*linear_sum_assignment(gain, maximize=True), strict=True) if named else ()
-        matched = [there[i] for i, j in pairs if gain[i][j]]
-        return {*self._hidden} <= {*matched} and len(matched) == len(named)
-
-    def names_other(self, text: str) -> bool:
-        """Whether a class of tied effects holds nothing that is there."""
-        there = class_of([*self._hidden, *_split(self.unsaid)])
-        return any(not names & there for names in _sets(text))
-
-    @property
-    def _hidden(self) -> list[str]:
-        return _split(self.hidden)
-
-
-def _split(text: str) -> list[str]:
-    return [n for n in text.split("+") if n]
-
-
-def _sets(text: str) -> list[frozenset[str]]:
-    return [frozenset(n.split("|")) for n in _split(text)]
-
-
-def judged(case: Case) -> Row:
+def judged(case: Case, checks: bool) -> Row:
     """Make a study and diagnose it; a crash is an outcome, and counts."""
     blank = Row(case.source, case.kind, case.number, "", "", 0.0, "not made")
     try:
         with made(case) as there:
-            return _said(case, there)
+            return _diagnosed(case, there, checks)
     except (DivergedError, UnsettledError) as error:
         return replace(blank, refused=_short(error))
     except Exception as error:
         return replace(blank, verdict="crash", refused=f"{type(error).__name__}: {_short(error)}")
 
 
-def _said(case: Case, there: Made) -> Row:
+def _diagnosed(case: Case, there: Made, checks: bool) -> Row:
     names, unsaid = "+".join(there.hidden), "+".join(there.unsaid)
     row = Row(case.source, case.kind, case.number, names, unsaid, round(there.power, 3), "refused")
     row = replace(row, conditions=json.dumps(there.conditions))
     before_s = cpu_s()
     try:
         fits = set_up(there.folder, there.selection, there.prior)
-        found = diagnosed(examined(fits), there.folder).diagnosis
+        examination = examined(fits)
+        found = diagnosed(examination, there.folder).diagnosis
     except (InputError, NoiseUnknownError) as error:
         return replace(row, refused=_short(error, there.folder), cpu_s=round(cpu_s() - before_s, 2))
     noise_m = found.noise_m if np.isnan(there.noise_m) else there.noise_m
     errors = [found.baseline.fit_rms_m, found.baseline.heldout_rms_m]
-    return replace(
+    row = replace(
         row,
         verdict=found.verdict,
         named=_joined(found.missing),
@@ -191,6 +90,13 @@ def _said(case: Case, there: Made) -> Row:
         cpu_s=round(cpu_s() - before_s, 2),
         values=json.dumps(_values(found.missing)),
         knots=str(found.knots),
+    )
+    if not checks:
+        return row
+    return replace(
+        row,
+        statistics=json.dumps(check_ablation.check_values(examination)),
+        strategies=json.dumps(check_ablation.named_by(examination)),
     )
 
 
@@ -237,37 +143,24 @@ def cases(given: argparse.Namespace) -> list[Case]:
     return found
 
 
-def run(file: Path, wanted: Sequence[Case], workers: int) -> None:
-    """Judge what the file lacks."""
-    done = {(r.source, r.kind, r.number) for r in read(file)} if file.exists() else set()
+def run(file: Path, wanted: Sequence[Case], workers: int, checks: bool = False) -> None:
+    """Diagnose the studies that the file lacks."""
+    done = {(r.source, r.kind, r.number) for r in read_rows(file, Row)}
     todo = [c for c in wanted if (c.source, c.kind, c.number) not in done]
-    with file.open("a", newline="", encoding="utf-8") as out:
-        writer = csv.DictWriter(out, [f.name for f in fields(Row)])
-        if out.tell() == 0:
-            writer.writeheader()
-        for count, row in enumerate(_rows(todo, workers), 1):
-            writer.writerow(asdict(row))
-            out.flush()
-            print(f"{count:4d} of {len(todo)}  {row.source} {row.kind} {row.number} "
-                  f"{row.hidden or 'nothing'}: {row.verdict} {row.named} {row.warnings} "
-                  f"{row.refused} ({row.cpu_s:.0f} s)", flush=True)  # fmt: skip
+    for count, row in enumerate(added_rows(file, Row, _rows(todo, workers, checks)), 1):
+        print(f"{count:4d} of {len(todo)}  {row.source} {row.kind} {row.number} "
+              f"{row.hidden or 'nothing'}: {row.verdict} {row.named} {row.warnings} "
+              f"{row.refused} ({row.cpu_s:.0f} s)", flush=True)  # fmt: skip
 
 
-def _rows(todo: Sequence[Case], workers: int) -> Iterator[Row]:
+def _rows(todo: Sequence[Case], workers: int, checks: bool) -> Iterator[Row]:
     """As they are known; with one worker in this process, so that CPU seconds are its own."""
     if workers == 1:
-        yield from map(judged, todo)
+        yield from (judged(case, checks) for case in todo)
         return
     with ProcessPoolExecutor(workers) as pool:
-        for future in as_completed([pool.submit(judged, case) for case in todo]):
+        for future in as_completed([pool.submit(judged, case, checks) for case in todo]):
             yield future.result()
-
-
-def read(file: Path) -> list[Row]:
-    """Rows of a file."""
-    kinds = {f.name: float if f.type == "float" else str for f in fields(Row)}
-    with file.open(newline="", encoding="utf-8") as lines:
-        return [Row(**{k: kinds[k](v) for k, v in line.items()}) for line in csv.DictReader(lines)]
 
 
 #: Conditions of breadth studies by which their rows are counted: name, and what is asked.
@@ -381,12 +274,18 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--table", action="store_true", help="of the file as it is")
     parser.add_argument("--before", type=Path, help="an earlier file: verdicts that differ")
+    parser.add_argument("--checks", action="store_true", help="what each check is worth, too")
+    parser.add_argument("--limit", nargs="*", default=[], metavar="CHECK=VALUE")
     given = parser.parse_args()
     if not given.table:
-        run(given.file, cases(given), given.workers)
-    rows = read(given.file)
-    for line in table(rows, read(given.before) if given.before else ()):
+        run(given.file, cases(given), given.workers, given.checks)
+    rows = read_rows(given.file, Row)
+    for line in table(rows, read_rows(given.before, Row) if given.before else ()):
         print(line)
+    if given.checks:
+        limits = {name: float(value) for name, _, value in (v.partition("=") for v in given.limit)}
+        with_values = [r for r in rows if r.statistics != "{}" or r.verdict == "refused"]
+        print("", *check_ablation.table(with_values, limits), sep="\n")
     return 1 if any(r.wrong or r.verdict == "crash" for r in rows) else 0
 
 

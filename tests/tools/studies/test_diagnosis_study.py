@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import csv
+import json
 import subprocess
 import sys
-from dataclasses import asdict, fields
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from cell.lab.verdict.checks import CHECKS
 from tools.studies import diagnosis_study
-from tools.studies.diagnosis_study import Row, counts
+from tools.studies.answers import Row
+from tools.studies.check_ablation import answer, table, verdict_of
+from tools.studies.diagnosis_study import counts
+from tools.studies.rows import added_rows, read_rows
 from tools.worlds.cases import Case
 
 ROOT = Path(__file__).parents[3]
@@ -68,20 +72,14 @@ def test_only_what_can_be_seen_is_counted():
     assert (found["studies"], found["seen"], found["right"]) == (2, 1, 1)
 
 
-def test_a_study_that_was_stopped_goes_on_and_its_table_names_what_changed(tmp_path, capsys):
+def test_a_study_that_was_stopped_goes_on_and_its_table_names_what_changed(tmp_path):
     file, before = tmp_path / "now.csv", tmp_path / "before.csv"
     for path, verdict in ((file, "complete"), (before, "unexplained")):
-        with path.open("w", newline="") as out:
-            writer = csv.DictWriter(out, [f.name for f in fields(Row)])
-            writer.writeheader()
-            writer.writerow(asdict(row("complete", verdict)))
-    case = Case("made", "complete", "0")
-    diagnosis_study.run(file, [case], 1)
-    assert len(diagnosis_study.read(file)) == 1
-    told = "\n".join(
-        diagnosis_study.table(diagnosis_study.read(file), diagnosis_study.read(before))
-    )
-    assert "made complete 0 (): unexplained" in told
+        list(added_rows(path, Row, [row("complete", verdict)]))
+    diagnosis_study.run(file, [Case("made", "complete", "0")], 1)
+    (now,) = read_rows(file, Row)
+    lines = "\n".join(diagnosis_study.table([now], read_rows(before, Row)))
+    assert "made complete 0 (): unexplained" in lines
 
 
 def test_a_study_is_made_diagnosed_and_counted_by_the_command(tmp_path):
@@ -90,3 +88,55 @@ def test_a_study_is_made_diagnosed_and_counted_by_the_command(tmp_path):
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "| made complete | 1 | 1 | 1 | 0 |" in done.stdout
+
+
+def ended(**statistics: float) -> Row:
+    """A row of a study whose search ended at the effect that is hidden."""
+    return Row("made", "one", "0", "tip_mass", "", 1.0, "missing", "tip_mass",
+               statistics=json.dumps(statistics), strategies='{"search": "tip_mass"}')  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("statistics", "without", "limits", "verdict"),
+    [
+        ({}, "", {}, "missing"),
+        ({"ties": 5.0}, "", {}, "cannot_tell"),
+        ({"ties": 5.0, "fitted_error": 1.2}, "", {}, "unexplained"),
+        ({"ties": 5.0, "fitted_error": 1.2}, "fitted_error", {}, "cannot_tell"),
+        ({"ties": 5.0}, "", {"ties": 6.0}, "missing"),
+    ],
+)
+def test_a_verdict_is_the_worst_of_the_statistics_that_fail(statistics, without, limits, verdict):
+    assert verdict_of(ended(**statistics), without, limits) == verdict
+
+
+@pytest.mark.parametrize(
+    ("kind", "hidden", "verdict", "named", "expected"),
+    [
+        ("complete", "", "complete", "", "right"),
+        ("complete", "", "unexplained", "", "wrong"),
+        ("complete", "", "cannot_tell", "draught", "no answer"),
+        ("complete", "", "refused", "", "no answer"),
+        ("one", "tip_mass", "missing", "air_drag|tip_mass", "right"),
+        ("one", "tip_mass", "missing", "air_drag", "wrong"),
+        ("one", "tip_mass", "complete", "", "wrong"),
+        ("one", "tip_mass", "unexplained", "", "no answer"),
+        ("pair", "tip_mass+air_drag", "missing", "tip_mass", "no answer"),
+        ("pair", "tip_mass+air_drag", "missing", "tip_mass+air_drag", "right"),
+        ("outside", "jet", "missing", "draught", "wrong"),
+        ("outside", "jet", "unexplained", "", "right"),
+    ],
+)
+def test_an_answer_is_right_wrong_or_none(kind, hidden, verdict, named, expected):
+    assert answer(row(kind, hidden=hidden), verdict, named) == expected
+
+
+def test_the_table_of_checks_has_a_line_for_each_and_for_each_limit():
+    failed = ended(ties=5.0)
+    plain = {"search": "tip_mass", "bic": "tip_mass", "heldout": "", "score": "air_drag"}
+    lines = list(table([replace(failed, strategies=json.dumps(plain))], {"ties": 6.0}))
+    cells = {line.split(" | ")[0].removeprefix("| "): line.split(" | ")[1:] for line in lines}
+    assert {c.name for c in CHECKS} < set(cells)
+    assert cells["– (all checks)"][0] == "0 / 0 of 1"
+    assert cells["ties"][0] == cells["ties 6"][0] == cells["plain: bic"][0] == "1 / 0 of 1"
+    assert cells["plain: heldout"][0] == cells["plain: score"][0] == "0 / 1 of 1"

@@ -1,0 +1,128 @@
+"""What every check of a verdict is worth: the verdicts of studies with each check left out.
+
+Of each study all checks are computed for the model that the search ended at, whatever failed
+before.  So the verdict without a check, or with another limit, follows from the kept statistics.
+Next to the lab stand plain strategies that a user might try instead: the smallest BIC of the models
+fitted, the smallest held-out error, and the largest score of an effect alone (Holm, 1 %).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from cell.lab.data.check import COMPARE, CheckOutcome, worst_verdict
+from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.fit.fitting import fit_trials
+from cell.lab.fit.score_test import holm
+from cell.lab.search.fitted_model import FittedModel
+from cell.lab.verdict.checks import CHECKS
+from cell.lab.verdict.conclusion import Examination
+from cell.lab.verdict.evidence import Evidence
+from cell.lab.verdict.ties import with_ties
+from tools.studies.answers import Row
+
+PLAIN = ("bic", "heldout", "score")
+
+
+def check_values(examination: Examination) -> dict[str, float]:
+    """The statistic of every check that has one, for the model that the search ended at."""
+    evidence = _evidence(examination)
+    readings = {check.name: check.evaluate(evidence).reading for check in CHECKS}
+    return {name: float(r.value) for name, r in readings.items() if r is not None}
+
+
+def named_by(examination: Examination) -> dict[str, str]:
+    """Effects, joined by "+" and ties by "|", that the search and each plain strategy name."""
+    evidence, fits = _evidence(examination), examination.fits
+    base, known = fits.base, fits.known()
+    values = fits.prepared.count(fit_trials(fits.prepared))
+
+    def bic(model: FittedModel) -> float:
+        return model.fit.objective + len(model.fit.q) * float(np.log(values))
+
+    def error(model: FittedModel) -> float:
+        return model.heldout.rms_m if model.heldout else model.fit.rms_m
+
+    def added(model: FittedModel) -> str:
+        return "+".join(sorted(model.names - base.names))
+
+    screened = fits.screened(base)
+    significant = screened and holm([s.score.p_value for s in screened])[0]
+    best = screened[0].effect.name if screened and significant < DEFAULT_RULES.significance else ""
+    ended = "+".join("|".join((e.name, *evidence.tied.get(e.name, ()))) for e in evidence.added)
+    plain = (added(min(known, key=bic)), added(min(known, key=error)), best)
+    return {"search": ended, **dict(zip(PLAIN, plain, strict=True))}
+
+
+def _evidence(examination: Examination) -> Evidence:
+    return with_ties(Evidence(examination.fits, examination.accepted, DEFAULT_RULES))
+
+
+def verdict_of(row: Row, without: str = "", limits: Mapping[str, float] | None = None) -> str:
+    """Verdict that follows from a row's statistics, without a check or with other limits."""
+    if row.verdict in ("refused", "crash", "not made"):
+        return row.verdict
+    values, outcomes = json.loads(row.statistics), []
+    for check in CHECKS:
+        if check.name == without:
+            continue
+        value = values.get(check.name, np.nan)
+        limit = (limits or {}).get(check.name, getattr(DEFAULT_RULES, check.limit))
+        passed = None if np.isnan(value) else bool(COMPARE[check.passes](value, limit))
+        outcomes.append(CheckOutcome(check, None, passed))
+    return worst_verdict(outcomes, is_base=not json.loads(row.strategies)["search"])
+
+
+def answer(row: Row, verdict: str, named: str) -> str:
+    """`right`, `wrong` (something is claimed that is not so) or `no answer`."""
+    claim = replace(row, verdict=verdict, named=named)
+    if claim.right:
+        return "right"
+    false_alarm = verdict == "unexplained" and not row.hidden
+    return "wrong" if claim.wrong or claim.false_complete or false_alarm else "no answer"
+
+
+def table(rows: Sequence[Row], limits: Mapping[str, float]) -> Iterator[str]:
+    """Lines in Markdown: answers by kind with every check, without each, and of plain strategies.
+
+    limits  other limits of checks, by name; a line each
+    """
+    counted = [r for r in rows if r.seen and r.verdict not in ("crash", "not made")]
+    kinds = list(dict.fromkeys(r.kind for r in counted))
+
+    def with_checks(row: Row, without: str = "", other: Mapping[str, float] | None = None) -> str:
+        if row.verdict == "refused":
+            return "no answer"
+        named = json.loads(row.strategies)["search"]
+        return answer(row, verdict_of(row, without, other), named)
+
+    def by_plain(row: Row, strategy: str) -> str:
+        if row.verdict == "refused":
+            return "no answer"
+        named = json.loads(row.strategies)[strategy]
+        return answer(row, "missing" if named else "complete", named)
+
+    def line(name: str, answer_to: Callable[[Row], str]) -> str:
+        each = {k: [answer_to(r) for r in counted if r.kind == k] for k in kinds}
+        cells = [f"{a.count('right')} / {a.count('wrong')} of {len(a)}" for a in each.values()]
+        both = [(answer_to(r), with_checks(r)) for r in counted]
+        better = sum(a == "right" and b != "right" for a, b in both)
+        worse = sum(a != "right" and b == "right" for a, b in both)
+        p = stats.binomtest(better, better + worse).pvalue if better + worse else 1.0
+        return f"| {name} | " + " | ".join(cells) + f" | +{better} −{worse} | {p:.2g} |"
+
+    yield "right / wrong of all, by kind; what changes in right answers; McNemar's p\n"
+    yield "| without | " + " | ".join(kinds) + " | changed | p |"
+    yield "|---" * (len(kinds) + 3) + "|"
+    yield line("– (all checks)", with_checks)
+    for check in CHECKS:
+        yield line(check.name, lambda r, name=check.name: with_checks(r, name))
+    for name, limit in limits.items():
+        yield line(f"{name} {limit:g}", lambda r, o={name: limit}: with_checks(r, other=o))
+    for strategy in PLAIN:
+        yield line(f"plain: {strategy}", lambda r, s=strategy: by_plain(r, s))

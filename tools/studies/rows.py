@@ -1,0 +1,45 @@
+"""Rows of results: dataclasses in a CSV file, to which a stopped study goes on adding."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator
+from dataclasses import Field, asdict, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+RowT = TypeVar("RowT")
+_KINDS = {"int": int, "float": float, "str": str}
+
+
+def read_rows(file: Path, kind: type[RowT]) -> list[RowT]:
+    """Rows of a file, whose fields are numbers and text; none if there is no file."""
+    if not file.exists():
+        return []
+    with file.open(newline="", encoding="utf-8") as lines:
+        return [
+            kind(
+                **{
+                    f.name: _KINDS[str(f.type)](line[f.name])
+                    for f in _fields(kind)
+                    if f.name in line  # one that is not there came later, and has a default
+                }
+            )
+            for line in csv.DictReader(lines)
+        ]
+
+
+def added_rows(file: Path, kind: type[RowT], rows: Iterable[RowT]) -> Iterator[RowT]:
+    """The rows as they come, each added to the end of a file at once."""
+    with file.open("a", newline="", encoding="utf-8") as out:
+        writer = csv.DictWriter(out, [f.name for f in _fields(kind)], lineterminator="\n")
+        if out.tell() == 0:
+            writer.writeheader()
+        for row in rows:
+            writer.writerow(asdict(row))  # type: ignore[call-overload]
+            out.flush()
+            yield row
+
+
+def _fields(kind: Any) -> tuple[Field[Any], ...]:
+    return fields(kind)
