@@ -27,7 +27,7 @@ from cell.cable.effects.base import after_number
 from cell.cable.geometry import Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.files.figure_style import ADDED, BETWEEN, MODEL
-from tools.worlds.paper_world import CABLE
+from tools.worlds.made_studies import CABLE
 
 FloatArray = NDArray[np.float64]
 NODES_M = node_arc_lengths(CABLE.free_length_m, 21)[::-1]

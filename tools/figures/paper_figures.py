@@ -22,14 +22,13 @@ from cell.cable.dynamics import simulate
 from cell.cable.geometry import node_arc_lengths
 from cell.cable.model import CableModel
 from cell.plan.destination import Destination
+from tools.worlds.made_studies import CABLE, WORLD
 from tools.worlds.paper_world import (
-    CABLE,
     MODEL,
     NODES_M,
     NOISE_M,
     STILL_S,
     TIP_M,
-    WORLD,
     best_uniform,
     guided,
     hold,

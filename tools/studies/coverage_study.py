@@ -22,39 +22,23 @@ from scipy.stats import binomtest
 from calib.plane import PlaneView
 from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
-from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.geometry import Motion, node_arc_lengths
 from cell.cable.model import CableModel
-from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.individual import IdentifyOptions, hold_trial, identify
-from cell.plan.paths import MotionLimits, executed_motion, identification_path
 from cell.study.data import Trial
 from cell.vision.detect import VisionOptions, detect_all
-from drivers.interfaces import Image, Pose
+from drivers.interfaces import Image
 from drivers.sim.render import Rates, RenderOptions, render
+from tools.worlds.fast_truth import Bias, Errors, gripper_seen, pictured
+from tools.worlds.made_studies import CABLE, FRAME_S, WORLD, logged
+from tools.worlds.paper_world import NODES_M, hold
 
-CABLE = Cable(free_length_m=0.1, line_density_kg_per_m=0.0074, width_m=0.016, thickness_m=0.0001)
-WORLD = Solver(segments=60, step_s=5e-4)
-FRAME_S = 0.005
-STILL_S = 0.2
 VIEW = PlaneView.from_scale(2e-4, 800.0, 300.0)
 #: Where EI(s) is asked for: every fifth of a segment where the still cable bends by more than
 #: this share of its largest curvature.
 BENDS = 0.2
 PLACES_M = np.linspace(0.0, 0.1, 51)
-
-
-@dataclass(frozen=True)
-class Errors:
-    """What measuring adds.  Standard deviations; the constant ones are drawn once per cable."""
-
-    node_m: float = 5e-5
-    colour: float = 0.3
-    across_m: float = 4e-6
-    end_m: float = 1e-4
-    log_m: float = 1e-5
-    grip_m: float = 1e-5
-    angle_rad: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -82,37 +66,14 @@ def random_cable(rng: np.random.Generator) -> CableModel:
     return CableModel(CABLE, rigidity, rng.uniform(0.88, 1.12), float(viscosity))
 
 
-def hold() -> Motion:
-    """The gripper's true motion: 50 mm down with a lag, then held."""
-    path = identification_path(Pose(0.0, 0.0, 0.0), 0.05, MotionLimits(), 500.0)
-    late = executed_motion(path, 0.03)
-    t = np.arange(0.0, STILL_S + late.t_s[-1], 0.002)
-    poses = (late.x_m, late.y_m, late.angle_rad)
-    return Motion(t, *(np.interp(t - STILL_S, late.t_s, v) for v in poses))
-
-
 def measured(model: CableModel, motion: Motion, errors: Errors, rng: np.random.Generator) -> Trial:
     """What the cell would see and log of a cable's hold."""
     t_s = np.arange(0.001, motion.t_s[-1], FRAME_S)
-    nodes = simulate(model, motion, t_s, node_arc_lengths(0.1), solver=WORLD)[0]
-    along = np.gradient(nodes, axis=1)
-    along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    nodes = simulate(model, motion, t_s, NODES_M, solver=WORLD)[0]
     # the end is seen too far or too short, which shifts all nodes of equal arc length
-    stretch = errors.end_m * rng.normal() * node_arc_lengths(0.1) / 0.1
-    nodes = nodes - stretch[:, None] * along
-    nodes = nodes + (errors.across_m * rng.normal(size=11))[:, None] * across
-    noise = rng.normal(size=nodes.shape)
-    for i in range(1, len(noise)):
-        noise[i] = errors.colour * noise[i - 1] + np.sqrt(1.0 - errors.colour**2) * noise[i]
-    seen = np.stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)], axis=-1)
-    return hold_trial(
-        logged(motion, errors, rng),
-        t_s,
-        nodes + errors.node_m * noise,
-        seen + errors.grip_m * rng.normal(size=seen.shape),
-        errors.angle_rad * rng.normal(size=len(t_s)),
-    )
+    seen_m = pictured(nodes, Bias.drawn(rng, errors, len(NODES_M)), errors, rng)
+    log = logged(rng, motion, errors.log_m)
+    return hold_trial(log, t_s, seen_m, *gripper_seen(motion, t_s, errors, rng))
 
 
 def photographed(
@@ -144,18 +105,12 @@ def photographed(
 
     sightings = list(detect_all(frames(), VIEW, VisionOptions(free_length_m=0.1)))
     return hold_trial(
-        logged(motion, errors, rng),
+        logged(rng, motion, errors.log_m),
         t_s,
         np.array([s.nodes_m for s in sightings]),
         np.array([s.grip_m for s in sightings]),
         np.array([s.clamp_angle_rad for s in sightings]),
     )
-
-
-def logged(motion: Motion, errors: Errors, rng: np.random.Generator) -> Motion:
-    """The arm's log of a motion."""
-    xy = [v + errors.log_m * rng.normal(size=len(v)) for v in (motion.x_m, motion.y_m)]
-    return Motion(motion.t_s, *xy, motion.angle_rad)
 
 
 def judge(model: CableModel, found: Identified, motion: Motion) -> Outcome:
@@ -194,7 +149,7 @@ def study(
         rng = np.random.default_rng([seed, i])
         model = random_cable(rng)
         trial = look(model, motion, errors, rng)
-        found = identify(trial, node_arc_lengths(0.1), CABLE, options=options)
+        found = identify(trial, NODES_M, CABLE, options=options)
         outcomes.append(judge(model, found, motion))
     return outcomes
 

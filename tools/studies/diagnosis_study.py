@@ -31,7 +31,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -47,6 +46,7 @@ from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.results import MissingEffect
+from tools.cpu_time import cpu_s
 from tools.studies import check_ablation
 from tools.studies.answers import Row
 from tools.studies.rows import added_rows, read_rows
@@ -112,12 +112,6 @@ def _joined(effects: Sequence[MissingEffect]) -> str:
 
 def _short(error: Exception, folder: Path | str = "") -> str:
     return str(error).replace(str(folder) or "\0", "").replace("\n", " ")[:200]
-
-
-def cpu_s() -> float:
-    """Seconds of CPU of this process and of the forks that have ended."""
-    of = [resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(u.ru_utime + u.ru_stime for u in of)
 
 
 def cases(given: argparse.Namespace) -> list[Case]:

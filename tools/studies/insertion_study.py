@@ -20,10 +20,10 @@ A world is an effect that the model does not know, so many times as strong as is
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections import Counter
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +35,11 @@ from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
 from cell.wiring.build import cell_task
 from cell.wiring.twins import hidden_cable
+from tools.studies.rows import added_rows
 from tools.worlds.fast_cell import CONFIG, fast_cycle, typical, with_opening, with_world
 from tools.worlds.fast_flight import Flown
 from tools.worlds.fast_truth import true_hold
-from tools.worlds.puff import Puff
+from tools.worlds.outside_laws import Puff
 
 PACES = (1.15, 1.3, 1.5, 1.8)
 WAYS = {
@@ -179,18 +180,12 @@ def main() -> int:
     parser.add_argument("--worlds", nargs="+", choices=worlds, default=["complete"])
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
     given = parser.parse_args()
-    settings, rows = load_settings(given.config), []
-    with given.file.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Row)])
-        writer.writeheader()
-        for world in given.worlds:
-            for half_mm in given.half_mm:
-                for cable in range(1, given.cables + 1):
-                    for way in given.ways:
-                        rows.append(tried(settings, world, half_mm, way, given.seed, cable))
-                        writer.writerow(asdict(rows[-1]))
-                        file.flush()
-            print(table([r for r in rows if r.world == world]), flush=True)
+    settings = load_settings(given.config)
+    given.file.unlink(missing_ok=True)
+    for world in given.worlds:
+        each = product(given.half_mm, range(1, given.cables + 1), given.ways)
+        made = (tried(settings, world, h, way, given.seed, cable) for h, cable, way in each)
+        print(table(list(added_rows(given.file, Row, made))), flush=True)
     return 0
 
 

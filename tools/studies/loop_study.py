@@ -6,23 +6,26 @@ model before and once with the one promoted.  The same cables in a world without
 how well a complete model forecasts.  `none` is such a world: nothing may be promoted there.  A law
 that the library does not have (`outside_laws`; `outside` = the first ten, `later` = the others) is
 looked for as `cell learn --laws` does, and so in every world with `--laws`.
-`python -m tools.studies.loop_study [--effects air_drag air_drag+tip_mass none …] [--sizes 0.5 1 2]
-[--cables 6] [--seed 300] [--worlds 1] [--laws] [--json F]`
+With `--pictures` cables are filmed, and `cell run`, `cell learn` and `cell promote` do all of it.
+
+    python -m tools.studies.loop_study [--effects air_drag air_drag+tip_mass none …]
+        [--sizes 0.5 1 2] [--cables 6] [--seed 300] [--worlds 1] [--laws] [--json F] [--pictures]
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from cell.cable.effects import ActiveEffect, library
 from cell.lab.data.cycles import RecordedCycle
@@ -41,16 +44,19 @@ from cell.settings.surroundings import Surroundings
 from cell.study.data import Study
 from cell.wiring.build import cell_task
 from cell.wiring.twins import hidden_cable
-from tools.studies.coverage_study import Errors
+from tools.cpu_time import cpu_s
+from tools.studies.learn import CYCLE_S, LEARNING_S, PROMOTING_S, Commands, learned_from
 from tools.worlds.fast_cell import (
     CONFIG,
     INSERTABLE_M,
     FastCycle,
+    best_margin_m,
     fast_cycle,
     fast_measured,
     typical,
     with_world,
 )
+from tools.worlds.fast_truth import Errors
 from tools.worlds.outside_laws import LATER, LAWS
 
 #: Of a sharp camera, assumed: nodes at the bound that vision holds across the cable, the
@@ -161,7 +167,7 @@ def world(
     after, before, complete = None, as_found, as_found
     promoted = result.best is not None and judgement.fit_for_line
     if parts or promoted:
-        complete = _complete(settings, task, seed, cables)
+        complete = _complete(seed, cables, lambda: run(settings, task, seed, later, ()))
         before = run(settings, task, seed, later, there) if parts else complete
     if promoted:
         new = settings.model_copy(update={"model": section(result, settings.model)})
@@ -229,20 +235,13 @@ def _said() -> Callable[[str], None]:
     return said
 
 
-def cpu_s() -> float:
-    """CPU time of this process and of the copies of it that have ended."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(u.ru_utime + u.ru_stime for u in used)
-
-
 _COMPLETE: dict[tuple[int, int], Cables] = {}
 
 
-def _complete(settings: Settings, task: Task, seed: int, cables: int) -> Cables:
+def _complete(seed: int, cables: int, made: Callable[[], Cables]) -> Cables:
     """The cables that come later, in a world without an effect: the same for every effect."""
     if (seed, cables) not in _COMPLETE:
-        later = range(cables + 1, 2 * cables + 1)
-        _COMPLETE[seed, cables] = run(settings, task, seed, later, ())
+        _COMPLETE[seed, cables] = made()
     return _COMPLETE[seed, cables]
 
 
@@ -286,6 +285,81 @@ def run(
     begun_s = time.process_time()
     cycles = cycles_of(settings, task, seed, numbers, there)
     return Cables.of(cycles, time.process_time() - begun_s)
+
+
+# --- through rendered pictures, by the commands of a person ---------------------------------------
+
+
+def world_of_pictures(folder: Path, effect: str, size: float, cables: int, seed: int) -> World:
+    """One world from the first cable to the last; its commands' output goes to a log."""
+    folder.mkdir()
+    parts = [] if effect == "none" else effect.split("+")
+    config = _config(folder, "cell", {name: typical(library()[name], size) for name in parts})
+    with (folder / "log.txt").open("w") as log:
+        usual_s = (cables * CYCLE_S, cables * LEARNING_S, PROMOTING_S, cables * CYCLE_S)
+        commands = Commands(usual_s, log=log)
+        before = _run_cell(commands, config, folder / "before", seed, cables)
+        begun_s = cpu_s()
+        code = learned_from(commands, folder, config)
+        spent_s, file = cpu_s() - begun_s, folder / "candidate.yaml"
+        candidate = yaml.safe_load(file.read_text("utf-8")) if file.exists() else {}
+        promoted = code == 0 and bool(candidate)
+        if promoted:
+            commands.run("promote", file, "--config", config)
+
+        def without_effect() -> Cables:
+            plain = _config(folder, "complete", {})
+            return _run_cell(commands, plain, folder / "complete", seed + 1, cables)
+
+        complete = _complete(seed, cables, without_effect)
+        after = None
+        if promoted:
+            after = _run_cell(commands, config, folder / "after", seed + 1, cables)
+    return World(
+        effect,
+        size,
+        seed,
+        tuple(e["effect"] for e in candidate.get("model", {}).get("effects", ())),
+        tuple(candidate.get("tied", ())),
+        len(list((folder / "candidate.measured").glob("*/state.json"))),
+        promoted,
+        tuple(f"{g['gate']} ({g['found']})" for g in candidate.get("gates", ()) if not g["passed"]),
+        before,
+        after,
+        complete,
+        spent_s,
+    )
+
+
+def _config(folder: Path, name: str, hidden: Mapping[str, Mapping[str, float]]) -> Path:
+    text, empty = CONFIG.read_text("utf-8"), "effects: {}  "
+    assert empty in text
+    text = f"recording: null  # films of all worlds are 40 GB, and nothing here needs them\n{text}"
+    path = folder / f"{name}.yaml"
+    path.write_text(text.replace(empty, f"effects: {json.dumps(hidden)}  "), "utf-8")
+    return path
+
+
+def _run_cell(commands: Commands, config: Path, out: Path, seed: int, cables: int) -> Cables:
+    """Outcome of the cables of a seed; forecast errors as the cell measures them."""
+    begun_s = cpu_s()
+    words = ("--config", config, "--cycles", cables, "--seed", seed, "--out", out)
+    commands.also_run(cables * CYCLE_S, "run", *words)
+    spent_s = cpu_s() - begun_s
+    results = [json.loads(f.read_text("utf-8")) for f in sorted(out.glob("*/result.json"))]
+    settings = load_settings(config)
+    could = [r for r in results if best_margin_m(settings, seed, r["cycle"]) > INSERTABLE_M]
+    errors = [r["prediction_error_m"] for r in results if r["prediction_error_m"] is not None]
+    return Cables(
+        len(could),
+        sum(r["outcome"] == "inserted" for r in could),
+        sum(r["outcome"] == "missed" for r in results),
+        float(np.sqrt(np.mean(np.square(errors)))) if errors else float("inf"),
+        spent_s / cables,
+    )
+
+
+# --- all of it ------------------------------------------------------------------------------------
 
 
 def summary(worlds: Sequence[World]) -> list[str]:
@@ -332,28 +406,34 @@ def _three_times_lower(title: str, worlds: Sequence[World]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pictures", action="store_true", help="rendered ones, not nodes")
     parser.add_argument("--effects", nargs="*", default=["none", *library()])
-    parser.add_argument("--sizes", nargs="*", type=float, default=[0.5, 1.0, 2.0])
+    parser.add_argument("--sizes", nargs="*", type=float, help="times the typical strength")
     parser.add_argument("--cables", type=int, default=6)
-    parser.add_argument("--seed", type=int, default=300)
+    parser.add_argument("--seed", type=int)
     parser.add_argument("--worlds", type=int, default=1, help="of each effect and size")
-    parser.add_argument("--laws", action="store_true", help="tried in every world")
+    parser.add_argument("--laws", action="store_true", help="tried in every world of nodes")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    settings = load_settings(CONFIG)
+    sizes = options.sizes or ([1.0] if options.pictures else [0.5, 1.0, 2.0])
+    first = (2200 if options.pictures else 300) if options.seed is None else options.seed
+    settings, folder = load_settings(CONFIG), Path(tempfile.mkdtemp(prefix="loop-study-"))
     task, worlds = cell_task(settings), []
     several = {"outside": tuple(n for n in LAWS if n not in LATER), "later": LATER}
-    for effect in [f for e in options.effects for f in several.get(e, (e,))]:
-        for size in options.sizes if effect != "none" else [0.0]:
-            for i in range(options.worlds):
-                seed = options.seed + i
-                worlds.append(
-                    world(settings, task, effect, size, options.cables, seed, options.laws)
-                )
-                print(worlds[-1].line(), flush=True)
-                if options.json:
-                    options.json.write_text(json.dumps([asdict(w) for w in worlds], indent=1))
+    effects = [f for e in options.effects for f in several.get(e, (e,))]
+    each = [(e, s) for e in effects for s in (sizes if e != "none" else [0.0])]
+    for (effect, size), seed in product(each, range(first, first + options.worlds)):
+        begun_s, among = cpu_s(), (effect, size, options.cables, seed)
+        if options.pictures:
+            worlds.append(world_of_pictures(folder / f"{effect}-{size:g}-{seed}", *among))
+        else:
+            worlds.append(world(settings, task, *among, options.laws))
+        print(f"{worlds[-1].line()}, all {cpu_s() - begun_s:.0f} s", flush=True)
+        if options.json:
+            options.json.write_text(json.dumps([asdict(w) for w in worlds], indent=1))
     print("\n".join(summary(worlds)))
+    if options.pictures:
+        print(f"records: {folder}")
 
 
 if __name__ == "__main__":

@@ -12,11 +12,10 @@ with 95 %, so that the forecasts spread.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scipy.stats import binomtest
@@ -30,6 +29,7 @@ from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.study_power import recover
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Study
+from tools.studies.rows import added_rows, read_rows
 from tools.worlds.made_studies import make_study
 
 #: Trials of `made_studies.STROKES` by their numbers.
@@ -126,44 +126,20 @@ def one(case: int, before: Row | None, copies: int) -> Row:
     )
 
 
-def read_rows(path: Path) -> dict[int, Row]:
-    """Rows by case, of a file that is there."""
-    if not path.exists():
-        return {}
-    kinds = {f.name: {"int": int, "float": float, "str": str}[str(f.type)] for f in fields(Row)}
-    with path.open(newline="", encoding="utf-8") as file:
-        found = [Row(**{k: kinds[k](v) for k, v in line.items()}) for line in csv.DictReader(file)]
-    return {row.case: row for row in found}
-
-
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """All of them."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Row)], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file", type=Path)
     parser.add_argument("--rounds", type=int, default=4)
     parser.add_argument("--copies", type=int, default=10)
     parser.add_argument("--case", type=int, nargs="*", default=range(len(CASES)))
     parser.add_argument("--alone", action="store_true", help="one core")
-    given = parser.parse_args(arguments)
-    rows = read_rows(given.file)
-    if given.alone:
-        with one_core():
-            return _rounds(given, rows)
-    return _rounds(given, rows)
-
-
-def _rounds(given: argparse.Namespace, rows: dict[int, Row]) -> int:
-    for _ in range(given.rounds):
-        for case in given.case:
+    given = parser.parse_args()
+    rows = {row.case: row for row in read_rows(given.file, Row)}
+    with one_core() if given.alone else nullcontext():
+        for case in [*given.case] * given.rounds:
             rows[case] = one(case, rows.get(case), given.copies)
-            write_rows(given.file, [rows[k] for k in sorted(rows)])
+            given.file.unlink(missing_ok=True)
+            list(added_rows(given.file, Row, (rows[k] for k in sorted(rows))))
             print(rows[case].words, flush=True)
     count = sum(r.copies for r in rows.values())
     expected = sum(r.forecast * r.copies for r in rows.values()) / max(count, 1)

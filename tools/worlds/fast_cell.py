@@ -1,7 +1,7 @@
 """A cell without pictures: nodes with noise instead, everything else as `cell run` does it.
 
 A cable takes a third of a second instead of several, so that thousands can be tried.  The world is
-finer than the model, and its noise is what `coverage_study` found vision to have.
+finer than the model, and its noise is what vision has.
 """
 
 from __future__ import annotations
@@ -30,14 +30,12 @@ from cell.settings import Settings
 from cell.study.data import Trial
 from cell.wiring.build import cell_task
 from cell.wiring.twins import hidden_cable
-from tools.studies.coverage_study import Errors
 from tools.worlds.fast_flight import Flown, Look, View, inserted
 from tools.worlds.fast_truth import (
     RATE_HZ,
-    WORLD,
     Bias,
+    Errors,
     filmed_of,
-    logged,
     moved_until,
     seen_execution,
     seen_hold,
@@ -45,6 +43,7 @@ from tools.worlds.fast_truth import (
     truths,
     until,
 )
+from tools.worlds.made_studies import WORLD, logged
 
 #: A cable counts as one that a perfect model could insert if its best offset passes by this, m:
 #: three times what arm and camera repeat to.
@@ -134,7 +133,7 @@ def fast_cycle(
     down = true_hold(task, lag_s)
     t_s = np.arange(0.001, float(down.t_s[-1]), 1.0 / frame_hz)
     bias = Bias.drawn(rng, errors, len(task.arc_length_m))
-    hand = logged(down, errors, rng)
+    hand = logged(rng, down, errors.log_m)
     held = seen_hold(task, hidden, down, t_s, hand, bias, errors, rng)
     end_s = _end_of_hold_s(task, timing, held)
     held, down = until(held, end_s), moved_until(down, end_s)
@@ -286,6 +285,6 @@ def fast_measured(
     rng = np.random.default_rng([seed, number, 2])
     t_s = np.arange(0.001, float(motion.t_s[-1]), 1.0 / settings.camera.frame_rate_hz)
     bias = Bias.drawn(rng, errors, len(task.arc_length_m))
-    hand = logged(motion, errors, rng)
+    hand = logged(rng, motion, errors.log_m)
     trial = seen_hold(task, hidden, motion, t_s, hand, bias, errors, rng)
     return replace(trial, name="stroke")

@@ -16,8 +16,8 @@ from cell.plan.response import expected_nodes
 from cell.run.candidates import Executing
 from cell.run.station import Task, Timing
 from drivers.interfaces import Trajectory
-from tools.studies.coverage_study import Errors
-from tools.worlds.fast_truth import WORLD, Bias, pictured, whole_motion
+from tools.worlds.fast_truth import Bias, Errors, pictured, whole_motion
+from tools.worlds.made_studies import WORLD
 
 
 @dataclass(frozen=True)

@@ -11,17 +11,28 @@ from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
-from cell.cable.solver import Solver
 from cell.identify.individual import hold_trial
 from cell.plan.paths import executed_motion, identification_path, insertion_path
 from cell.run.findings import FilmedMotion
 from cell.run.station import Task
 from cell.study.data import Markers, Trial
 from drivers.interfaces import Trajectory
-from tools.studies.coverage_study import Errors
+from tools.worlds.made_studies import WORLD, coloured, logged
 
-WORLD = Solver(segments=60, step_s=5e-4)
 RATE_HZ = 500.0
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What measuring adds.  Standard deviations; the constant ones are drawn once per cable."""
+
+    node_m: float = 5e-5
+    colour: float = 0.3
+    across_m: float = 4e-6
+    end_m: float = 1e-4
+    log_m: float = 1e-5
+    grip_m: float = 1e-5
+    angle_rad: float = 1e-4
 
 
 def whole_motion(
@@ -99,10 +110,14 @@ def true_hold(task: Task, lag_s: float) -> Motion:
         duration_s=task.lower_s,
         hold_s=task.hold_s,
     )
-    late = executed_motion(path, lag_s)
-    t = np.arange(0.0, task.still_s + float(late.t_s[-1]), 1.0 / RATE_HZ)
-    poses = (late.x_m, late.y_m, late.angle_rad)
-    return Motion(t, *(np.interp(t - task.still_s, late.t_s, v) for v in poses))
+    return after_rest(executed_motion(path, lag_s), task.still_s)
+
+
+def after_rest(motion: Motion, still_s: float) -> Motion:
+    """The motion with so long a rest before it, from time 0."""
+    t_s = np.arange(0.0, still_s + float(motion.t_s[-1]), 1.0 / RATE_HZ)
+    poses = (motion.x_m, motion.y_m, motion.angle_rad)
+    return Motion(t_s, *(np.interp(t_s - still_s, motion.t_s, v) for v in poses))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,16 +137,8 @@ def pictured(nodes: FloatArray, bias: Bias, errors: Errors, rng: np.random.Gener
     along = np.gradient(nodes, axis=1)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    noise = rng.normal(size=nodes.shape)
-    for i in range(1, len(noise)):
-        noise[i] = errors.colour * noise[i - 1] + np.sqrt(1.0 - errors.colour**2) * noise[i]
     shifted = nodes - bias.stretch[:, None] * along + bias.across_m[:, None] * across
-    return np.asarray(shifted + errors.node_m * noise)
-
-
-def logged(motion: Motion, errors: Errors, rng: np.random.Generator) -> Motion:
-    xy = [v + errors.log_m * rng.normal(size=len(v)) for v in (motion.x_m, motion.y_m)]
-    return Motion(motion.t_s, *xy, motion.angle_rad)
+    return np.asarray(shifted + errors.node_m * coloured(rng, nodes.shape, errors.colour))
 
 
 def seen_hold(
@@ -145,14 +152,17 @@ def seen_hold(
     rng: np.random.Generator,
 ) -> Trial:
     nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]
+    seen_m = pictured(nodes, bias, errors, rng)
+    return hold_trial(hand, t_s, seen_m, *gripper_seen(motion, t_s, errors, rng))
+
+
+def gripper_seen(
+    motion: Motion, t_s: FloatArray, errors: Errors, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """(frames, 2) gripping points and (frames,) clamp angles relative to the log, as seen."""
     seen = np.stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)], axis=-1)
-    return hold_trial(
-        hand,
-        t_s,
-        pictured(nodes, bias, errors, rng),
-        seen + errors.grip_m * rng.normal(size=seen.shape),
-        errors.angle_rad * rng.normal(size=len(t_s)),
-    )
+    grip_m = seen + errors.grip_m * rng.normal(size=seen.shape)
+    return grip_m, errors.angle_rad * rng.normal(size=len(t_s))
 
 
 def seen_execution(
@@ -169,7 +179,7 @@ def seen_execution(
     period_s = float(np.median(np.diff(held.markers.t_s)))
     t_s = np.arange(start_s + 0.001, float(motion.t_s[-1]), period_s)
     nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]
-    log = logged(motion, errors, rng)
+    log = logged(rng, motion, errors.log_m)
     later = log.t_s > held.grip.t_s[-1]
     shift = [getattr(held.grip, n)[0] - getattr(motion, n)[0] for n in ("x_m", "y_m", "angle_rad")]
     grip = [np.concatenate([held.grip.t_s, log.t_s[later]])]

@@ -9,7 +9,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
-from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.geometry import Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
@@ -19,9 +19,10 @@ from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, identification_path, insertion_path
 from cell.study.data import Markers, Trial
 from drivers.interfaces import Pose
+from tools.worlds.fast_truth import after_rest
+from tools.worlds.made_studies import CABLE, WORLD, logged
 
-CABLE = Cable(free_length_m=0.1, line_density_kg_per_m=0.0074, width_m=0.016, thickness_m=0.0001)
-WORLD, MODEL = Solver(segments=60, step_s=5e-4), Solver()
+MODEL = Solver()
 LIMITS = MotionLimits()
 INSERTION = MotionLimits(0.25, 1.5, 25.0)
 NODES_M = node_arc_lengths(0.1)
@@ -58,18 +59,11 @@ def trio() -> tuple[int, int, int]:
     return order[0], order[3], order[-1]
 
 
-def still_then(path_motion: Motion) -> Motion:
-    """A motion with `STILL_S` of rest before it, from time 0."""
-    t = np.arange(0.0, STILL_S + path_motion.t_s[-1], 0.002)
-    poses = (path_motion.x_m, path_motion.y_m, path_motion.angle_rad)
-    return Motion(t, *(np.interp(t - STILL_S, path_motion.t_s, v) for v in poses))
-
-
 @cache
 def hold() -> Motion:
     """50 mm down, then held for a second."""
     path = identification_path(Pose(0.0, 0.0), LOWER_M, LIMITS, 500.0)
-    return still_then(executed_motion(path, LAG_S))
+    return after_rest(executed_motion(path, LAG_S), STILL_S)
 
 
 @cache
@@ -99,9 +93,7 @@ def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArr
 def identified(index: int) -> tuple[Identified, Measured]:
     """A cable's model from its hold, and what was seen of that."""
     seen = measure(individuals()[index], hold(), index, NODES_M)
-    rng = np.random.default_rng([index, 1])
-    xy = [v + rng.normal(0.0, 1e-5, len(v)) for v in (hold().x_m, hold().y_m)]
-    log = Motion(hold().t_s, *xy, hold().angle_rad)
+    log = logged(np.random.default_rng([index, 1]), hold(), 1e-5)
     trial = Trial("identify", "fit", "equilibrium", log, Markers(seen.t_s, seen.xy_m))
     return identify(trial, NODES_M, CABLE), seen
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from cell.identify.individual import IdentifyOptions
-from tools.studies.coverage_study import Errors, photographed, study
+from tools.studies.coverage_study import photographed, study
+from tools.worlds.fast_truth import Errors
 
 
 def test_intervals_cover_and_errors_are_small() -> None:

@@ -67,9 +67,9 @@ from cell.settings.translate import identification_of
 from cell.study.data import Markers, Study
 from cell.study.folder import write_study
 from cell.wiring.build import cell_task
-from tools.studies.coverage_study import Errors
 from tools.studies.loop_study import SEEN, cycles_of, recorded_cycle
 from tools.worlds.fast_cell import fast_cycle, with_world
+from tools.worlds.fast_truth import Errors
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study
 
