@@ -237,20 +237,6 @@ def servo_loop() -> None:
     report("age of the oldest command, ms", found.percentile_ms(100.0), "<=", 10.0)
 
 
-def recording() -> None:
-    from tools.bench import bench_recording
-
-    print("\nhow long after a film its recording is on the disk")
-    bench_recording.main([])
-
-
-def ledger() -> None:
-    from tools.bench import bench_ledger
-
-    print("\nquestions to a ledger of few and of many cycles")
-    bench_ledger.main([])
-
-
 _MISSED: list[str] = []
 
 
@@ -271,8 +257,6 @@ def main() -> int:
         "start": start_up,
         "wait": waiting,
         "servo": servo_loop,
-        "recording": recording,
-        "ledger": ledger,
     }
     parser.add_argument("part", nargs="*", choices=[[], *parts], help="default: all")
     chosen = parser.parse_args().part or list(parts)

@@ -15,8 +15,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -42,6 +40,7 @@ from cell.wiring.build import real_devices
 from cell.wiring.emulated import EmulatedCell
 from drivers.interfaces import Arm, Camera, DeviceError, TooLateError, Trajectory
 from tools.plant.around import Plant, published
+from tools.processes import busy_cores
 
 CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
@@ -252,15 +251,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--burn", type=int, default=0, help="processes that keep a core busy")
     given = parser.parse_args()
-    burning = [
-        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(given.burn)
-    ]
-    try:
+    with busy_cores(given.burn):
         paired(given.pairs, given.seconds, given.what)
-    finally:
-        for process in burning:
-            process.kill()
-            process.wait()
 
 
 if __name__ == "__main__":

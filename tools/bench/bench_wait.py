@@ -49,6 +49,7 @@ from drivers.interfaces import Camera, Frame
 from drivers.priority import take_precedence
 from drivers.sim.clock import SimClock
 from tools.plant.around import Plant
+from tools.processes import busy_cores, family
 from tools.worlds.fast_cell import with_opening
 
 #: No gripper shall hold a cable longer for want of a decision.
@@ -207,19 +208,7 @@ def cycle_of(cell: Cell, number: int) -> Result:
 
 def cpu_s() -> float:
     """CPU time of this process and its children so far, s."""
-    return sum(cpu_of(pid) for pid in processes())
-
-
-def processes() -> dict[int, str]:
-    """Numbers and command lines of this process and its children."""
-    pids = [os.getpid()]
-    for task in Path("/proc/self/task").iterdir():  # any thread may have started some
-        pids += [int(pid) for pid in (task / "children").read_text().split()]
-    found = {}
-    for pid in pids:
-        with suppress(OSError):  # it has ended
-            found[pid] = Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
-    return found
+    return sum(cpu_of(pid) for pid in family(os.getpid()))
 
 
 def cpu_of(pid: int) -> float:
@@ -237,12 +226,6 @@ def spent(began: dict[str, tuple[float, float]], step: str, until: str) -> tuple
         return np.nan, np.nan
     (t0, cpu0), (t1, cpu1) = began[step], began[until]
     return t1 - t0, cpu1 - cpu0
-
-
-def burn() -> None:
-    """Keep a core busy."""
-    while True:
-        pass
 
 
 def waits(
@@ -275,10 +258,7 @@ def waits(
     recorder = Recorder(twins.camera, twins.world.clock)
     found = []
     with ExitStack() as stack:
-        for _ in range(burners):
-            burner = context.Process(target=burn, daemon=True)
-            burner.start()
-            stack.callback(burner.terminate)
+        stack.enter_context(busy_cores(burners))
         stack.callback(child.join)
         stack.callback(here.close)
         runs = stack.enter_context(tempfile.TemporaryDirectory())

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.wiring.emulated import EmulatedCell
+from tools.processes import family
 
 STILL_S = 0.2
 
@@ -46,7 +47,7 @@ def kill_somebody(
             moving = bool(speed > 0.02)
             time.sleep(0.004)
         time.sleep(delay_s)
-        children = _children(cell.pid)
+        children = _arm_processes(cell.pid)
         state = emulated.controller.request("state")
         pids = [cell.pid] if victim == "cell" else children
         pids = [*children, cell.pid] if victim == "both" else pids
@@ -63,15 +64,11 @@ def kill_somebody(
         cell.wait()
 
 
-def _children(pid: int) -> list[int]:
+def _arm_processes(pid: int) -> list[int]:
+    """The processes of the arm's client that a cell has started."""
     found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                stat = (entry / "stat").read_text().rsplit(")", 1)[1].split()
-                command = (entry / "cmdline").read_text()
-            except OSError:
-                continue
-            if int(stat[1]) == pid and "ur_child" in command:
-                found.append(int(entry.name))
+    for child in family(pid)[1:]:
+        with contextlib.suppress(OSError):  # it has ended
+            if "ur_child" in Path(f"/proc/{child}/cmdline").read_text():
+                found.append(child)
     return found

@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +33,7 @@ from tools.faults.scripted_plc import (
     Plc,
     places,
 )
+from tools.processes import free_port, listens, running, wait_until
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: A person aborts every so many-th cycle, while the cable is lowered.
@@ -142,24 +140,6 @@ class Follower:
                 self.is_idle.set()
 
 
-@contextmanager
-def running(*words: str, **options: Any) -> Iterator[subprocess.Popen[str]]:
-    """A Python module as a process, ended like a service."""
-    process = subprocess.Popen([sys.executable, "-m", *words], text=True, **options)
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGTERM)
-        if process.wait(60.0) != 0:
-            raise RuntimeError(f"{words[:2]} ended with {process.returncode}")
-
-
-def free_port() -> int:
-    with socket.socket() as bound:
-        bound.bind(("127.0.0.1", 0))
-        return int(bound.getsockname()[1])
-
-
 def trial(carrier: str, cycles: int, host: str, folder: Path) -> Findings:
     """So many cycles over one carrier, in a folder of its own."""
     controller = carrier == "controller"
@@ -176,17 +156,15 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> Findings:
         stack.enter_context(EmulatedController(host) if controller else nullcontext())
         if controller:
             Plc(ControllerWire(host)).say()  # the PLC has power: a stop would stop
-        quiet = {"stdout": subprocess.DEVNULL}
         run = ("cell", "run", *given, "--cycles", "forever", "--runs", str(runs))
-        stack.enter_context(running(*run, **quiet))
+        stack.enter_context(running(*run, log=folder / "cell.log"))
         client = Client(runs).connect(wait_s=_BEGIN_S)
         follower = Follower(client)
         assert follower.is_idle.wait(_BEGIN_S), "the cell is not ready"
-        log = stack.enter_context((folder / "handshake.log").open("w"))
         serve = ("cell", "-v", "handshake", *given, "--runs", str(runs))
-        stack.enter_context(running(*serve, stderr=log))
+        stack.enter_context(running(*serve, log=folder / "handshake.log"))
         if not controller:
-            _wait_for_port(port)
+            wait_until(lambda: listens(port))
         place = f"controller:{host}" if controller else f"modbus:{port}"
         plc = [sys.executable, "-m", "tools.faults.scripted_plc", place, str(cycles)]
         done = subprocess.run(plc, stdout=subprocess.PIPE, text=True)
@@ -197,18 +175,6 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> Findings:
         if done.returncode != 0:
             found = Findings(**{**vars(found), "wrong": (*found.wrong, "the PLC gave up")})
     return found
-
-
-def _wait_for_port(port: int) -> None:
-    until_s = time.monotonic() + _BEGIN_S
-    while True:
-        try:
-            socket.create_connection(("127.0.0.1", port), 1.0).close()
-            return
-        except OSError:
-            if time.monotonic() > until_s:
-                raise
-            time.sleep(0.1)
 
 
 def main() -> int:

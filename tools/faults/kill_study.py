@@ -11,7 +11,6 @@ compared with that.
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import mmap
 import os
@@ -23,9 +22,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.reader import make_reader
@@ -35,6 +34,8 @@ from cell.records.past_cycles import UNFINISHED
 from cell.records.recording import form
 from cell.records.recording.reading import Recording, read_recording
 from cell.records.recording.recover import being_written, recover_in_place, torn_recordings
+from tools.processes import family
+from tools.studies.rows import added_rows
 
 ROOT = Path(__file__).parents[2]
 #: So much may be lost, s.
@@ -122,7 +123,7 @@ def kill_once(
             _wait(child, lambda: any('"grasp"' in f.read_text() for f in runs.glob("*/state.json")))
             time.sleep(after_s)
             memory = mmap.mmap(shared.fileno(), 16)
-            ids = [child.pid, *(_children(child.pid) if both else ())]
+            ids = family(child.pid) if both else [child.pid]
             now_s, frame_s = struct.unpack("<dd", memory[:16])
             for process in ids:
                 os.kill(process, signal.SIGKILL)
@@ -188,15 +189,6 @@ def _known_until_s(recording: Recording) -> float:
     return (last_ns - int(recording.started[form.EPOCH])) / 1e9
 
 
-def _children(process: int) -> list[int]:
-    """Processes that a process has started, and those that they have."""
-    found = []
-    for file in Path(f"/proc/{process}/task").glob("*/children"):
-        for child in map(int, file.read_text().split()):
-            found += [child, *_children(child)]
-    return found
-
-
 def _wait(child: subprocess.Popen[bytes], there: Callable[[], bool], seconds: float = 60.0) -> None:
     end_s = time.monotonic() + seconds
     while not there():
@@ -234,22 +226,19 @@ def main() -> None:
     parser.add_argument("--speed", type=float, default=0.5, help="of the simulated world")
     parser.add_argument("--longest-s", type=float, default=14.0, help="after the first grasp")
     given = parser.parse_args()
-    rng = random.Random(given.seed)
-    kills: list[Kill] = []
-    with given.file.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Kill)])
-        writer.writeheader()
+    draw = random.Random(given.seed)
+    given.file.unlink(missing_ok=True)
+
+    def made() -> Iterator[Kill]:
         for number in range(given.kills):
             with tempfile.TemporaryDirectory() as folder:
-                after_s, both = rng.uniform(0.0, given.longest_s), number % 2 == 1
-                kills.append(
-                    kill_once(
-                        given.config, Path(folder) / "runs", number, after_s, both, given.speed
-                    )
-                )
-            writer.writerow(asdict(kills[-1]))
-            file.flush()
-            print(kills[-1], flush=True)
+                after_s, runs = draw.uniform(0.0, given.longest_s), Path(folder) / "runs"
+                yield kill_once(given.config, runs, number, after_s, number % 2 == 1, given.speed)
+
+    kills = []
+    for kill in added_rows(given.file, Kill, made()):
+        kills.append(kill)
+        print(kill, flush=True)
     print(table(kills))
 
 

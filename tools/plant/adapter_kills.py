@@ -12,12 +12,10 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -31,6 +29,7 @@ from cell.run.machine import MachineEvent
 from cell.run.plans import INSERTING
 from tools.plant.around import ADAPTERS, Plant
 from tools.plant.viewer import Viewer
+from tools.processes import running
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: Cycles beyond the kills: not every cycle has every step.
@@ -66,20 +65,10 @@ def quick(config: Path) -> Path:
     return config
 
 
-@contextmanager
-def service(config: Path, runs: Path, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+def service(config: Path, runs: Path, log: Path) -> AbstractContextManager[object]:
     """A cell that waits for starts."""
-    command = [sys.executable, "-m", "cell", "run", "-c", str(config), "--cycles", "forever"]
-    log.parent.mkdir(parents=True, exist_ok=True)
-    with log.open("ab") as said:
-        process = subprocess.Popen([*command, "--runs", str(runs)], stdout=said, stderr=said)
-    try:
-        yield process
-        process.terminate()
-        process.wait(60.0)
-    finally:
-        process.kill()
-        process.wait()
+    words = ("run", "-c", str(config), "--cycles", "forever", "--runs", str(runs))
+    return running("cell", *words, log=log)
 
 
 def made(

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import getpass
 import shutil
-import socket
-import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO
 
 import yaml
 
@@ -21,65 +18,13 @@ from cell.plant.children import command_of
 from cell.plant.link import Link
 from cell.plant.messages import CommandReply, MessageKind, Request, Status
 from cell.run.machine import CellState
+from tools.processes import Program, free_port, listens, wait_until
 
 #: All that there is; `serve` are the pages.
 ADAPTERS = ("opcua", "mqtt", "handshake", "serve")
 NAME = "Cell"
-#: Within so long a program of the plant is there, s.
-_BEGIN_S = 120.0
 #: A step of the cycle that `published` makes up, s.
 _STEP_S = 0.25
-
-
-def free_port() -> int:
-    """A port of loopback that nobody listens at now."""
-    with socket.socket() as bound:
-        bound.bind(("127.0.0.1", 0))
-        return int(bound.getsockname()[1])
-
-
-class Program:
-    """A process whose lines are read as they come."""
-
-    def __init__(self, command: Sequence[str]) -> None:
-        self.command = command
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
-        )
-        self.lines: list[str] = []
-        assert self.process.stdout is not None
-        self._reading = threading.Thread(
-            target=self._read, args=(self.process.stdout,), daemon=True
-        )
-        self._reading.start()
-
-    def _read(self, stream: IO[str]) -> None:
-        with stream:
-            self.lines.extend(iter(stream.readline, ""))
-
-    def until(self, text: str) -> None:
-        """Wait until it has said this.  Raises RuntimeError: it has ended, or did not in time."""
-        wait_until(lambda: any(text in line for line in self.lines), self)
-
-    def end(self) -> None:
-        """Kill it."""
-        self.process.kill()
-        self.process.wait()
-        self._reading.join()
-
-
-def wait_until(reached: Callable[[], bool], program: Program | None = None) -> None:
-    """Wait for a condition.  Raises RuntimeError: a program has ended, or it takes too long."""
-    until_s = time.monotonic() + _BEGIN_S
-    while not reached():
-        ended = program is not None and program.process.poll() is not None
-        if ended or time.monotonic() > until_s:
-            raise RuntimeError(
-                "the plant does not begin"
-                if program is None
-                else f"{' '.join(program.command)}: {''.join(program.lines)}"
-            )
-        time.sleep(0.02)
 
 
 class Plant:
@@ -174,12 +119,6 @@ class Plant:
         broker = Program(["nice", "-n", "19", program, "-c", str(said)])
         wait_until(lambda: listens(self.ports["mqtt"]), broker)
         return broker
-
-
-def listens(port: int) -> bool:
-    """Whether somebody listens at a port of loopback."""
-    with socket.socket() as tried:
-        return tried.connect_ex(("127.0.0.1", port)) == 0
 
 
 @contextmanager

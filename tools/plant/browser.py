@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.computer.watched import cpu_s
-from tools.plant.around import Program, free_port, listens, wait_until
+from tools.processes import Program, family, free_port, listens, wait_until
 
 _FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
@@ -101,18 +101,6 @@ class Browser:
             if time.monotonic() > until_s:
                 raise RuntimeError(f"{self.driver.current_url}: {self.text('body')[:500]}")
             time.sleep(0.01)
-
-
-def family(process: int) -> list[int]:
-    """A process and all that it has begun, as Linux says."""
-    found = [process]
-    for parent in found:
-        for file in Path(f"/proc/{parent}/task").glob("*/children"):
-            try:
-                found += map(int, file.read_text().split())
-            except OSError:
-                continue
-    return found
 
 
 def _rss_bytes(process: int) -> int:

@@ -19,7 +19,7 @@ from urllib.request import urlopen
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from tools.plant.around import wait_until
+from tools.processes import wait_until
 
 #: After a server that is not there it is looked for again, s; so long it may take to answer, s.
 _AGAIN_S, _ANSWER_S = 0.5, 30.0

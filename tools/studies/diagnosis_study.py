@@ -46,7 +46,7 @@ from cell.cable.statics import UnsettledError
 from cell.files.input_error import InputError
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.results import MissingEffect
-from tools.cpu_time import cpu_s
+from tools.processes import own_cpu_s
 from tools.studies import check_ablation
 from tools.studies.answers import Row
 from tools.studies.rows import added_rows, read_rows
@@ -69,13 +69,15 @@ def _diagnosed(case: Case, there: Made, checks: bool) -> Row:
     names, unsaid = "+".join(there.hidden), "+".join(there.unsaid)
     row = Row(case.source, case.kind, case.number, names, unsaid, round(there.power, 3), "refused")
     row = replace(row, conditions=json.dumps(there.conditions))
-    before_s = cpu_s()
+    before_s = own_cpu_s()
     try:
         fits = set_up(there.folder, there.selection, there.prior)
         examination = examined(fits)
         found = diagnosed(examination, there.folder).diagnosis
     except (InputError, NoiseUnknownError) as error:
-        return replace(row, refused=_short(error, there.folder), cpu_s=round(cpu_s() - before_s, 2))
+        return replace(
+            row, refused=_short(error, there.folder), cpu_s=round(own_cpu_s() - before_s, 2)
+        )
     noise_m = found.noise_m if np.isnan(there.noise_m) else there.noise_m
     errors = [found.baseline.fit_rms_m, found.baseline.heldout_rms_m]
     row = replace(
@@ -87,7 +89,7 @@ def _diagnosed(case: Case, there: Made, checks: bool) -> Row:
         noise_ratio=round(found.noise_m / noise_m, 3),
         error_ratio=round(float(np.nanmax(errors)) / noise_m, 3),
         simulated_s=round(fits.work.simulated_s),
-        cpu_s=round(cpu_s() - before_s, 2),
+        cpu_s=round(own_cpu_s() - before_s, 2),
         values=json.dumps(_values(found.missing)),
         knots=str(found.knots),
     )

@@ -44,7 +44,7 @@ from cell.settings.surroundings import Surroundings
 from cell.study.data import Study
 from cell.wiring.build import cell_task
 from cell.wiring.twins import hidden_cable
-from tools.cpu_time import cpu_s
+from tools.processes import own_cpu_s
 from tools.studies.learn import CYCLE_S, LEARNING_S, PROMOTING_S, Commands, learned_from
 from tools.worlds.fast_cell import (
     CONFIG,
@@ -160,10 +160,10 @@ def world(
     cycles = cycles_of(settings, task, seed, first, there)
     as_found = Cables.of(cycles, time.process_time() - begun_s)
     recorded = [recorded_cycle(task, k, c) for k, c in zip(first, cycles, strict=True)]
-    begun_s = cpu_s()
+    begun_s = own_cpu_s()
     result, asked = _learned(settings, task, recorded, seed, there, laws)
     result, judgement = best_judged(result, settings)
-    spent_s = cpu_s() - begun_s
+    spent_s = own_cpu_s() - begun_s
     after, before, complete = None, as_found, as_found
     promoted = result.best is not None and judgement.fit_for_line
     if parts or promoted:
@@ -227,10 +227,10 @@ def _learned(
 
 def _said() -> Callable[[str], None]:
     """Says what is being done, and how much CPU time has gone by, beside the table."""
-    begun_s = cpu_s()
+    begun_s = own_cpu_s()
 
     def said(text: str, done: int = 0, total: int = 0) -> None:
-        print(f"  {cpu_s() - begun_s:6.1f} s  {text}", file=sys.stderr, flush=True)
+        print(f"  {own_cpu_s() - begun_s:6.1f} s  {text}", file=sys.stderr, flush=True)
 
     return said
 
@@ -299,9 +299,9 @@ def world_of_pictures(folder: Path, effect: str, size: float, cables: int, seed:
         usual_s = (cables * CYCLE_S, cables * LEARNING_S, PROMOTING_S, cables * CYCLE_S)
         commands = Commands(usual_s, log=log)
         before = _run_cell(commands, config, folder / "before", seed, cables)
-        begun_s = cpu_s()
+        begun_s = own_cpu_s()
         code = learned_from(commands, folder, config)
-        spent_s, file = cpu_s() - begun_s, folder / "candidate.yaml"
+        spent_s, file = own_cpu_s() - begun_s, folder / "candidate.yaml"
         candidate = yaml.safe_load(file.read_text("utf-8")) if file.exists() else {}
         promoted = code == 0 and bool(candidate)
         if promoted:
@@ -342,10 +342,10 @@ def _config(folder: Path, name: str, hidden: Mapping[str, Mapping[str, float]]) 
 
 def _run_cell(commands: Commands, config: Path, out: Path, seed: int, cables: int) -> Cables:
     """Outcome of the cables of a seed; forecast errors as the cell measures them."""
-    begun_s = cpu_s()
+    begun_s = own_cpu_s()
     words = ("--config", config, "--cycles", cables, "--seed", seed, "--out", out)
     commands.also_run(cables * CYCLE_S, "run", *words)
-    spent_s = cpu_s() - begun_s
+    spent_s = own_cpu_s() - begun_s
     results = [json.loads(f.read_text("utf-8")) for f in sorted(out.glob("*/result.json"))]
     settings = load_settings(config)
     could = [r for r in results if best_margin_m(settings, seed, r["cycle"]) > INSERTABLE_M]
@@ -423,12 +423,12 @@ def main() -> None:
     effects = [f for e in options.effects for f in several.get(e, (e,))]
     each = [(e, s) for e in effects for s in (sizes if e != "none" else [0.0])]
     for (effect, size), seed in product(each, range(first, first + options.worlds)):
-        begun_s, among = cpu_s(), (effect, size, options.cables, seed)
+        begun_s, among = own_cpu_s(), (effect, size, options.cables, seed)
         if options.pictures:
             worlds.append(world_of_pictures(folder / f"{effect}-{size:g}-{seed}", *among))
         else:
             worlds.append(world(settings, task, *among, options.laws))
-        print(f"{worlds[-1].line()}, all {cpu_s() - begun_s:.0f} s", flush=True)
+        print(f"{worlds[-1].line()}, all {own_cpu_s() - begun_s:.0f} s", flush=True)
         if options.json:
             options.json.write_text(json.dumps([asdict(w) for w in worlds], indent=1))
     print("\n".join(summary(worlds)))

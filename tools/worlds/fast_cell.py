@@ -30,7 +30,7 @@ from cell.settings import Settings
 from cell.study.data import Trial
 from cell.wiring.build import cell_task
 from cell.wiring.twins import hidden_cable
-from tools.worlds.fast_flight import Flown, Look, View, inserted
+from tools.worlds.fast_flight import Flown, View, inserted
 from tools.worlds.fast_truth import (
     RATE_HZ,
     Bias,
@@ -74,7 +74,6 @@ class FastCycle:
     tails: tuple[Tail, ...] = ()
     true_miss_m: float = np.nan
     stopped: bool = False
-    looks: tuple[Look, ...] = ()
 
     @property
     def outcome(self) -> str:
@@ -190,12 +189,12 @@ def _in_truth(
     task: Task,
     at_s: FloatArray,
     tip_m: FloatArray,
-    foretold_s: FloatArray,
-    foretold_m: FloatArray,
+    predicted_s: FloatArray,
+    predicted_m: FloatArray,
 ) -> FastCycle:
-    """The cycle with the true tip's margin and miss, and how far it was foretold wrongly."""
-    foretold = np.column_stack([np.interp(at_s, foretold_s, foretold_m[:, k]) for k in (0, 1)])
-    clean = measured_passage(task.destination, at_s, tip_m, at_s, foretold)
+    """The cycle with the true tip's margin and miss, and its largest forecast error."""
+    predicted = np.column_stack([np.interp(at_s, predicted_s, predicted_m[:, k]) for k in (0, 1)])
+    clean = measured_passage(task.destination, at_s, tip_m, at_s, predicted)
     return replace(
         cycle,
         true_margin_m=float(task.destination.margin_m(tip_m[None])[0]),
@@ -230,7 +229,7 @@ def _flown(
     at_tip = np.array([task.cable.free_length_m])
     tip_m = simulate(view.hidden, done.motion, view.start_s + at_s, at_tip, solver=WORLD)[0, :, 0]
     cycle = _in_truth(cycle, task, at_s, tip_m, ahead.t_s, done.tip_m)
-    cycle = replace(cycle, tails=done.tails, stopped=done.stopped, looks=done.looks)
+    cycle = replace(cycle, tails=done.tails, stopped=done.stopped)
     return cycle, done.motion
 
 

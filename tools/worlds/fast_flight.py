@@ -39,11 +39,6 @@ class Flown:
     lost: float = 0.0
     latency_s: float = 0.0
 
-    @property
-    def seeing(self) -> Flown:
-        """The same with feedback."""
-        return replace(self, feedback=True)
-
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -77,7 +72,7 @@ class View:
     def nodes_m(
         self, motion: Motion, t_s: FloatArray, flown: Flown, rng: np.random.Generator
     ) -> FloatArray:
-        """(frames, nodes, 2) as seen, from when the gripper is told to move."""
+        """(frames, nodes, 2) as seen, from when the gripper is commanded to move."""
         at_s = self.start_s + t_s - flown.latency_s
         nodes = simulate(self.hidden, motion, at_s, self.task.arc_length_m, solver=WORLD)[0]
         seen = pictured(nodes, self.bias, self.errors, rng)
@@ -86,36 +81,18 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """What a decision was made from.
-
-    flight   the cable's answers, changes of the path that were told before included
-    t_s      (frames,) of the frames so far, from when the gripper was told to move
-    nodes_m  (frames, nodes, 2) as seen
-    motion   the gripper's true one, if nothing is changed from here on
-    """
-
-    flight: Flight
-    t_s: FloatArray
-    nodes_m: FloatArray
-    motion: Motion
-
-
-@dataclass(frozen=True, eq=False)
 class Inserted:
     """What became of an insertion.
 
     motion   true, of the gripper
-    tails    changes that were told
+    tails    changes of the path that were commanded
     tip_m    (T, 2) as last predicted, at the times of the answers
-    looks    one per decision
     stopped  whether the gripper was stopped in front of the opening, which is not simulated
     """
 
     motion: Motion
     tails: tuple[Tail, ...]
     tip_m: FloatArray
-    looks: tuple[Look, ...] = ()
     stopped: bool = False
 
 
@@ -130,13 +107,11 @@ def inserted(
         t_s = np.arange(0.001, decide_s - flown.late_s, 0.005)
         seen_m = view.nodes_m(done.motion, t_s, flown, rng)
         decision = flight.decide(t_s, seen_m, decide_s + flown.dead_s)
-        looks = (*done.looks, Look(flight, t_s, seen_m, done.motion))
-        done = replace(done, looks=looks)
         if decision.tail is not None:
             path = decision.tail.of(path)
             flight = flight.expecting(view.expected_nodes(path, flight.response.t_s))
             tails = (*done.tails, decision.tail)
-            done = Inserted(view.motion(path, flown), tails, decision.tail.tip_m, looks)
+            done = Inserted(view.motion(path, flown), tails, decision.tail.tip_m)
         elif decision.hopeless and not left:
             done = replace(done, stopped=True)
     return done

@@ -1,7 +1,7 @@
 """Studies made by MuJoCo: the lab against physics that none of the project's own code computes.
 
 The cable is a chain of 50 rigid links with springs and dampers between them.  The gripper's
-acceleration enters as gravity and its velocity as wind, which is exact as long as it does not turn.
+acceleration enters as gravity, which is exact as long as it does not turn.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from scipy.interpolate import CubicSpline
 
 LENGTH_M, DENSITY_KG_PER_M, WIDTH_M, THICKNESS_M = 0.1, 0.0074, 0.016, 0.0001
 GRAVITY_M_PER_S2 = 9.81
-AIR_KG_PER_M3 = 1.2
 LINKS = 50
 #: MuJoCo integrates to first order: two steps, extrapolated.
 STEP_S = 2e-4
@@ -24,11 +23,8 @@ STILL_S, HOLD_S, GRIP_S, FRAME_S = 0.2, 0.9, 0.002, 0.005
 #: Times at which the chain is kept, between which it is interpolated.
 KEPT_S = 0.002
 MARKERS = 11
-#: Stiff enough that a joint rests while the moment is below its friction loss.
-FRICTION = 'solreffriction="-1 -20000" solimpfriction="0.9999 0.9999 0.001"'
 #: The magnet's pull is finite at its pole.
 MAGNET_RADIUS_M = 0.01
-IMAGE_CENTRE_M = np.array([-0.05, -0.03])
 
 
 @dataclass(frozen=True)
@@ -54,27 +50,18 @@ STROKES = (
 
 @dataclass(frozen=True)
 class Hidden:
-    """What is true of a cable and its surroundings; everything off by default.  SI units."""
+    """What is true of a cable beyond the basic model; everything off by default.  SI units.
 
-    air_drag: float = 0.0
-    linear_air_drag: float = 0.0
-    added_mass: float = 0.0
-    draught: tuple[float, float] = (0.0, 0.0)
-    stress_relaxation: tuple[float, float] = (0.0, 0.15)
+    point_mass          mass, and its place as a share of the free length
+    grip_compliance     rad per N·m
+    bending_hysteresis  moment and the curvature over which it turns round
+    magnet              pull, N·m, which falls with the square of the distance; place of the pole
+    """
+
     bending_hysteresis: tuple[float, float] = (0.0, 1.2)
-    dry_friction: float = 0.0
-    natural_curvature: tuple[float, float] = (0.0, 0.0)
     tip_mass: float = 0.0
     point_mass: tuple[float, float] = (0.0, 0.5)
-    grip_angle: float = 0.0
     grip_compliance: float = 0.0
-    grip_slip: float = 0.0
-    camera_latency: float = 0.0
-    robot_lag: float = 0.0
-    robot_ringing: tuple[float, float, float] = (0.0, 12.0, 0.05)
-    camera_scale: float = 1.0
-    camera_roll: float = 0.0
-    rolling_shutter: float = 0.0
     magnet: tuple[float, float, float] = (0.0, -0.1, -0.15)
 
 
@@ -99,39 +86,13 @@ class Specimen:
         return self.rigidity_n_m2 * along * np.where(share > place, factor, 1.0)
 
 
-#: One of each that MuJoCo can make, at the size of a practice study; names as in the library.
-CASES: dict[str, Hidden] = {
-    "none": Hidden(),
-    "air_drag": Hidden(air_drag=2.0),
-    "linear_air_drag": Hidden(linear_air_drag=0.005),
-    "added_mass": Hidden(added_mass=3e-4),
-    "draught": Hidden(air_drag=2.0, draught=(0.15, 0.1)),
-    "stress_relaxation": Hidden(stress_relaxation=(0.15, 0.16)),
-    "bending_hysteresis": Hidden(bending_hysteresis=(4e-6, 1.2)),
-    "dry_friction": Hidden(dry_friction=4e-6),
-    "natural_curvature": Hidden(natural_curvature=(0.6, 5.0)),
-    "tip_mass": Hidden(tip_mass=3e-5),
-    "point_mass": Hidden(point_mass=(1e-4, 0.5)),
-    "grip_angle": Hidden(grip_angle=0.03),
-    "grip_compliance": Hidden(grip_compliance=120.0),
-    "grip_slip": Hidden(grip_slip=0.001),
-    "camera_latency": Hidden(camera_latency=0.005),
-    "robot_lag": Hidden(robot_lag=0.008),
-    "robot_ringing": Hidden(robot_ringing=(4e-4, 12.0, 0.05)),
-    "camera_scale": Hidden(camera_scale=1.01),
-    "camera_roll": Hidden(camera_roll=0.015),
-    "rolling_shutter": Hidden(rolling_shutter=0.06),
-}
-
-
 class Chain:
     """MuJoCo's chain of one specimen, clamped at an angle in the frame of the gripper."""
 
     def __init__(self, specimen: Specimen, angle_rad: float, step_s: float, links: int) -> None:
         hidden = specimen.hidden
         self.hidden, self.step_s = hidden, step_s
-        self.length_m = LENGTH_M + hidden.grip_slip
-        self.angle_rad = angle_rad + hidden.grip_angle
+        self.length_m, self.angle_rad = LENGTH_M, angle_rad
         link = self.length_m / links
         self.soft = hidden.grip_compliance > 0.0
         # A stub of half a link is clamped; joints are half-way between the nodes, as the last
@@ -143,31 +104,23 @@ class Chain:
         if self.soft:
             stiffness[0] = 1.0 / hidden.grip_compliance
             damping[0] = 0.01 * stiffness[0]
-        curvature, gradient = hidden.natural_curvature
-        rest = (curvature + gradient * (self.joint_m - LENGTH_M / 2)) * link
-        rest[: int(self.soft)] = 0.0
-        self.bends = np.arange(len(self.joint_m)) >= int(self.soft)
-        self.link_m, self.stiffness, self.rest = link, stiffness, rest
+        self.link_m, self.stiffness = link, stiffness
         self.mass_kg = DENSITY_KG_PER_M * self.size_m
         self.model = mujoco.MjModel.from_xml_string(self._xml(damping))
         self.data = mujoco.MjData(self.model)
-        self.flow = np.zeros(len(stiffness))
         self.friction = np.zeros(len(stiffness))
 
     def _xml(self, damping: np.ndarray) -> str:
         hidden, opened = self.hidden, ""
-        weight = 1.0 + hidden.added_mass / DENSITY_KG_PER_M
         places = np.concatenate([[self.joint_m[0]], np.diff(self.joint_m)])
         mass, share = hidden.point_mass
         body = int(np.searchsorted(self.joint_m, share * self.length_m)) - 1
         for i, (place, size) in enumerate(zip(places, self.size_m, strict=True)):
-            loss = hidden.dry_friction if self.bends[i] else 0.0
             opened += (
                 f'<body pos="{-place} 0 0"><joint type="hinge" axis="0 -1 0" '
-                f'stiffness="{self.stiffness[i]}" damping="{damping[i]}" '
-                f'springref="{self.rest[i]}" frictionloss="{loss}" {FRICTION}/>'
+                f'stiffness="{self.stiffness[i]}" damping="{damping[i]}"/>'
                 f'<geom type="box" size="{size / 2} {WIDTH_M / 2} {THICKNESS_M / 2}" '
-                f'pos="{-size / 2} 0 0" mass="{self.mass_kg[i] * weight}"/>'
+                f'pos="{-size / 2} 0 0" mass="{self.mass_kg[i]}"/>'
             )
             if mass and i == body:
                 along = self.joint_m[i] - share * self.length_m
@@ -179,73 +132,49 @@ class Chain:
                 f'mass="{hidden.tip_mass}"/></body>'
             )
         half = self.angle_rad / 2
-        # The inertia-box fluid of MuJoCo has a drag coefficient of 1.
         return (
             f'<mujoco><compiler angle="radian"/>'
-            f'<option integrator="implicitfast" timestep="{self.step_s}" '
-            f'density="{AIR_KG_PER_M3 * hidden.air_drag}" viscosity="0">'
+            f'<option integrator="implicitfast" timestep="{self.step_s}">'
             f'<flag contact="disable"/></option>'
             f'<worldbody><body quat="{np.cos(half)} 0 {-np.sin(half)} 0">'
             f"{opened}{'</body>' * len(places)}</body></worldbody></mujoco>"
         )
 
-    def surroundings(self, velocity: np.ndarray, acceleration: np.ndarray) -> None:
-        """Gravity and wind as felt in the gripper's frame."""
-        option, wind = self.model.opt, self.hidden.draught
-        option.gravity[:] = (-acceleration[0], 0.0, -GRAVITY_M_PER_S2 - acceleration[1])
-        option.wind[:] = (wind[0] - velocity[0], 0.0, wind[1] - velocity[1])
+    def accelerate(self, acceleration: np.ndarray) -> None:
+        """Gravity as felt in the gripper's frame."""
+        self.model.opt.gravity[:] = (-acceleration[0], 0.0, -GRAVITY_M_PER_S2 - acceleration[1])
 
-    def apply(self, hand_velocity: np.ndarray, hand_place: np.ndarray) -> None:
-        """Forces of which MuJoCo has none of its own: memory in bending, drag, weight, magnet."""
+    def apply(self, hand_place: np.ndarray) -> None:
+        """Forces of which MuJoCo has none of its own: hysteresis in bending, the magnet."""
         hidden, data = self.hidden, self.data
         data.qfrc_applied[:] = 0.0
-        curvature, rate = data.qpos / self.link_m, data.qvel / self.link_m
-        fraction, time_s = hidden.stress_relaxation
-        if fraction:
-            lag = curvature - self.flow
-            data.qfrc_applied[:] -= fraction * self.stiffness * self.link_m * lag
-            self.flow += self.step_s * lag / time_s
         moment, scale = hidden.bending_hysteresis
         if moment:
+            rate = data.qvel / self.link_m
             data.qfrc_applied[:] -= moment * self.friction
             self.friction += self.step_s * (rate - self.friction * np.abs(rate)) / scale
         pull, *pole = hidden.magnet
-        if hidden.linear_air_drag or hidden.added_mass or pull:
-            force = np.zeros((len(self.size_m), 2))
-            if hidden.linear_air_drag:
-                angle = self.angle_rad + np.cumsum(data.qpos)
-                spin = np.cumsum(data.qvel)
-                normal = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-                ends = np.cumsum((spin * self._spans())[:, None] * normal, axis=0)
-                start = np.vstack([np.zeros(2), ends[:-1]])
-                speed = start + (0.5 * spin * self.size_m)[:, None] * normal + hand_velocity
-                across = np.sum(speed * normal, axis=1) * hidden.linear_air_drag * self.size_m
-                force -= across[:, None] * normal
-            force[:, 1] += hidden.added_mass * self.size_m * GRAVITY_M_PER_S2
+        if pull:
             first = self.model.nbody - len(self.size_m) - bool(hidden.tip_mass)
-            if pull:
-                centre = data.xipos[first : first + len(self.size_m)][:, [0, 2]] + hand_place
-                way = np.array(pole) - centre
-                square = np.sum(way**2, axis=1)
-                size = pull * self.size_m / ((square + MAGNET_RADIUS_M**2) * np.sqrt(square))
-                force += size[:, None] * way
+            centre = data.xipos[first : first + len(self.size_m)][:, [0, 2]] + hand_place
+            way = np.array(pole) - centre
+            square = np.sum(way**2, axis=1)
+            size = pull * self.size_m / ((square + MAGNET_RADIUS_M**2) * np.sqrt(square))
+            force = size[:, None] * way
             data.xfrc_applied[first : first + len(self.size_m), 0] = force[:, 0]
             data.xfrc_applied[first : first + len(self.size_m), 2] = force[:, 1]
-
-    def _spans(self) -> np.ndarray:
-        return np.append(np.diff(self.joint_m), self.size_m[-1])
 
     def settle(self) -> None:
         """Equilibrium by Newton's method on MuJoCo's own forces, from the straight cable."""
         data, model, nv = self.data, self.model, self.model.nv
-        self.surroundings(np.zeros(2), np.zeros(2))
-        still = replace(self.hidden, stress_relaxation=(0.0, 1.0), bending_hysteresis=(0.0, 1.0))
-        full, self.hidden = self.hidden, replace(still, linear_air_drag=0.0)
+        self.accelerate(np.zeros(2))
+        full = self.hidden
+        self.hidden = replace(full, bending_hysteresis=(0.0, 1.0))
 
         def force(q: np.ndarray) -> np.ndarray:
             data.qpos[:], data.qvel[:] = q, 0.0
             mujoco.mj_kinematics(model, data)
-            self.apply(np.zeros(2), np.zeros(2))
+            self.apply(np.zeros(2))
             mujoco.mj_forward(model, data)
             weight = np.zeros(nv)
             for i in np.flatnonzero(data.xfrc_applied.any(axis=1)):
@@ -254,7 +183,7 @@ class Chain:
                 )
             return np.asarray(data.qfrc_passive - data.qfrc_bias + weight)
 
-        q = self.rest.copy()
+        q = np.zeros(nv)
         for share in (0.25, 0.5, 0.75, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0):
             here = force(q)
             nudge = 1e-6
@@ -264,7 +193,6 @@ class Chain:
             raise RuntimeError("the chain does not settle")
         self.hidden = full
         data.qpos[:], data.qvel[:] = q, 0.0
-        self.flow[:] = q / self.link_m
 
     def swing(self, hand: Hand, end_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Times and joint angles (times, joints) from rest until `end_s`."""
@@ -272,14 +200,13 @@ class Chain:
         every = round(KEPT_S / self.step_s)
         steps = every * round(end_s / KEPT_S)
         edges = self.step_s * np.arange(steps + 1)
-        velocity = hand.velocity(0.5 * (edges[1:] + edges[:-1]))
         place = hand.place(edges)
         # mean acceleration over each step, so that the gripper ends where it should
         acceleration = np.diff(hand.velocity(edges), axis=0) / self.step_s
         kept = [self.data.qpos.copy()]
         for k in range(steps):
-            self.surroundings(velocity[k], acceleration[k])
-            self.apply(velocity[k], place[k])
+            self.accelerate(acceleration[k])
+            self.apply(place[k])
             mujoco.mj_step(self.model, self.data)
             if (k + 1) % every == 0:
                 kept.append(self.data.qpos.copy())
@@ -302,21 +229,15 @@ class Chain:
 
 @dataclass(frozen=True)
 class Hand:
-    """Where the gripper truly is."""
+    """Where the gripper is."""
 
     stroke: Stroke
-    hidden: Hidden
 
     def place(self, t_s: np.ndarray) -> np.ndarray:
         """(times, 2) from its start, m."""
-        way = np.array(self.stroke.way_m)
-        u = np.clip((t_s - self.hidden.robot_lag - STILL_S) / self.stroke.seconds, 0.0, 1.0)
+        u = np.clip((t_s - STILL_S) / self.stroke.seconds, 0.0, 1.0)
         done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-        amplitude, frequency_hz, damping = self.hidden.robot_ringing
-        since = np.maximum(t_s - STILL_S - self.stroke.seconds, 0.0)
-        omega = 2.0 * np.pi * frequency_hz
-        ring = amplitude * np.exp(-damping * omega * since) * np.sin(omega * since)
-        return done[:, None] * way + ring[:, None] * way / np.linalg.norm(way)
+        return np.asarray(done[:, None] * np.array(self.stroke.way_m))
 
     def velocity(self, t_s: np.ndarray) -> np.ndarray:
         """(times, 2), m/s."""
@@ -326,25 +247,13 @@ class Hand:
 def seen(
     specimen: Specimen, stroke: Stroke, t_s: np.ndarray, links: int = LINKS, step_s: float = STEP_S
 ) -> np.ndarray:
-    """(times, markers, 2) where a perfect camera, but for hidden faults, sees the markers, m."""
-    hidden = specimen.hidden
-    hand = Hand(stroke, hidden)
-    end_s = float(t_s[-1]) + 0.03
+    """(times, markers, 2) where a perfect camera sees the markers, m."""
+    hand, end_s = Hand(stroke), float(t_s[-1]) + 0.03
     chains = [Chain(specimen, stroke.angle_rad, step, links) for step in (step_s, step_s / 2)]
     (times, coarse), (_, fine) = (c.swing(hand, end_s) for c in chains)
     share = np.linspace(1.0, 0.0, MARKERS)
     points = chains[0].points(2.0 * fine - coarse, share) + hand.place(times)[:, None]
-    path = CubicSpline(times, points, axis=0)
-    shown = path(np.maximum(t_s - hidden.camera_latency, 0.0))
-    if hidden.rolling_shutter:
-        for _ in range(5):
-            late = hidden.rolling_shutter * (IMAGE_CENTRE_M[1] - shown[..., 1])
-            shown = np.stack(
-                [path(np.clip(t_s + late[:, m], 0.0, times[-1]))[:, m] for m in range(MARKERS)], 1
-            )
-    c, s = np.cos(hidden.camera_roll), np.sin(hidden.camera_roll)
-    turned = (shown - IMAGE_CENTRE_M) @ np.array([[c, s], [-s, c]])
-    return np.asarray(IMAGE_CENTRE_M + hidden.camera_scale * turned)
+    return np.asarray(CubicSpline(times, points, axis=0)(t_s))
 
 
 def write_study(
@@ -368,7 +277,7 @@ def write_study(
         for k in range(1, len(noise)):
             noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * noise[k]
         logged = np.arange(0.0, end_s, GRIP_S)
-        place = Hand(stroke, Hidden()).place(logged)
+        place = Hand(stroke).place(logged)
         grip = np.column_stack([logged, place, np.full(len(logged), stroke.angle_rad)])
         (folder / stroke.name).mkdir(parents=True, exist_ok=True)
         marks = ",".join(f"x{i}_m,y{i}_m" for i in range(MARKERS))

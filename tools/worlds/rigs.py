@@ -166,14 +166,6 @@ class Rig:
             return 1.0
         return min(1.0, ERRING_SHAPES / len(self.arc_length_m)) / self.updates
 
-    @property
-    def words(self) -> str:
-        """Its cable, features and how trials begin."""
-        said = [f"{a.effect.name} known" for a in self.known]
-        said += [f"{a.effect.name} unsaid" for a in self.unsaid]
-        start = [] if self.start == "at rest" else [self.start]
-        return ", ".join([f"{self.cable.free_length_m:.2f} m", *self.features, *said, *start])
-
 
 def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> Study:
     """The study of a rig with an effect hidden; `quiet`: nothing is wrong with its measurements."""

@@ -32,7 +32,7 @@ CABLES = {
 def table(cable: Specimen, stroke: Stroke, rng: np.random.Generator) -> str:
     """Rows of time, gripper and markers in mm, separated by semicolons, with decimal commas."""
     t_s = np.arange(round(LASTS_S * RATE_HZ)) / RATE_HZ
-    gripper = Hand(stroke, Hidden()).place(t_s)
+    gripper = Hand(stroke).place(t_s)
     gripper += rng.normal(0.0, GRIPPER_NOISE_M, gripper.shape)
     markers = seen(cable, stroke, t_s)[:, list(SHOWN.values())]
     markers += rng.normal(0.0, MARKER_NOISE_M, markers.shape)

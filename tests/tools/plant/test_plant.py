@@ -9,9 +9,10 @@ import pytest
 
 from cell.plant.client import Client
 from tools.plant.adapter_kills import CONFIG, STEPS, Made, assigned
-from tools.plant.around import ADAPTERS, Plant, published, wait_until
+from tools.plant.around import ADAPTERS, Plant, published
 from tools.plant.pages_soak import MIB, report_growth
 from tools.plant.viewer import Viewer
+from tools.processes import wait_until
 
 
 def made(*steps: str, **result: object) -> Made:

@@ -51,7 +51,7 @@ def test_both_engines_move_the_same_cable_alike(peer):
     t_s = np.arange(0.0, 1.0, 0.01)
     theirs = peer.seen(cable, stroke, t_s)
     log = np.arange(0.0, 1.1, 0.002)
-    x, y = peer.Hand(stroke, peer.Hidden()).place(log).T
+    x, y = peer.Hand(stroke).place(log).T
     model = CableModel(
         Cable(peer.LENGTH_M, peer.DENSITY_KG_PER_M, peer.WIDTH_M, peer.THICKNESS_M),
         cable.rigidity(np.linspace(0.0, 1.0, 15)),

@@ -1,0 +1,124 @@
+"""Processes that a study starts: their output, their ports, their end, and what they cost."""
+
+from __future__ import annotations
+
+import resource
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+#: Within so long a program is there, s: on a new computer it compiles.
+_BEGIN_S = 180.0
+
+
+def free_port() -> int:
+    """A port of loopback that nobody listens at now."""
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        return int(bound.getsockname()[1])
+
+
+class Program:
+    """A process whose lines are read as they come."""
+
+    def __init__(self, command: Sequence[str]) -> None:
+        self.command = command
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+        )
+        self.lines: list[str] = []
+        assert self.process.stdout is not None
+        self._reading = threading.Thread(
+            target=self._read, args=(self.process.stdout,), daemon=True
+        )
+        self._reading.start()
+
+    def _read(self, stream: IO[str]) -> None:
+        with stream:
+            self.lines.extend(iter(stream.readline, ""))
+
+    def until(self, text: str) -> None:
+        """Wait until it has said this.  Raises RuntimeError: it has ended, or did not in time."""
+        wait_until(lambda: any(text in line for line in self.lines), self)
+
+    def end(self) -> None:
+        """Kill it."""
+        self.process.kill()
+        self.process.wait()
+        self._reading.join()
+
+
+def wait_until(reached: Callable[[], bool], program: Program | None = None) -> None:
+    """Wait for a condition.  Raises RuntimeError: a program has ended, or it takes too long."""
+    until_s = time.monotonic() + _BEGIN_S
+    while not reached():
+        ended = program is not None and program.process.poll() is not None
+        if ended or time.monotonic() > until_s:
+            raise RuntimeError(
+                "the plant does not begin"
+                if program is None
+                else f"{' '.join(program.command)}: {''.join(program.lines)}"
+            )
+        time.sleep(0.02)
+
+
+def listens(port: int) -> bool:
+    """Whether somebody listens at a port of loopback."""
+    with socket.socket() as tried:
+        return tried.connect_ex(("127.0.0.1", port)) == 0
+
+
+@contextmanager
+def running(*words: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A Python module as a process, ended as a service is; its output goes to a file.
+
+    raises  RuntimeError: it ends with an error
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("ab") as output:
+        process = subprocess.Popen([sys.executable, "-m", *words], stdout=output, stderr=output)
+    try:
+        yield process
+        process.terminate()
+        if process.wait(60.0) != 0:
+            raise RuntimeError(f"{words[:2]} ended with {process.returncode}; see {log}")
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextmanager
+def busy_cores(count: int) -> Iterator[None]:
+    """So many processes that each keep a core busy."""
+    command = [sys.executable, "-c", "while True: pass"]
+    busy = [subprocess.Popen(command) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def family(process: int) -> list[int]:
+    """A process and all that it has started, as Linux says."""
+    found = [process]
+    for parent in found:
+        for file in Path(f"/proc/{parent}/task").glob("*/children"):
+            try:
+                found += map(int, file.read_text().split())
+            except OSError:  # it has ended
+                continue
+    return found
+
+
+def own_cpu_s() -> float:
+    """CPU time of this process and of those that it started and that have ended, s."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(u.ru_utime + u.ru_stime for u in used)
