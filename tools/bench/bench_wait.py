@@ -23,6 +23,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -318,10 +319,6 @@ def summary(found: list[Wait]) -> str:
     return "\n".join(lines)
 
 
-def _median(found: list[Wait], of: str) -> float:
-    return float(np.nanmedian([getattr(w, of) for w in found]))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cycles", type=int, default=30)
@@ -339,38 +336,37 @@ def main() -> None:
         "--half-mm", type=float, default=5.0, help="half the opening's height of --freely, mm"
     )
     options = parser.parse_args()
-    asked = options.cycles, options.seed, options.burn
-    settings = load_settings(CONFIG)
-    base = waits(*asked, settings.model_copy(update={"recording": None}))
-    print(summary(base))
-    silent = settings.model_copy(update={"recording": None})
+    common = options.cycles, options.seed, options.burn
+    shipped = load_settings(CONFIG)
+    silent = shipped.model_copy(update={"recording": None})
     start = StartSettings(window_s=options.freely or 0.0)
     freely = silent.model_copy(update={"motion": silent.motion.model_copy(update={"start": start})})
     freely = with_opening(freely, options.half_mm)
-    for name, changed in (
-        *([("recorded", settings)] if options.recorded else []),
-        *([("freely", freely)] if options.freely else []),
-    ):
-        print(name, flush=True)
-        found = waits(*asked, changed)
-        print(summary(found))
-        for of in ("wait_s", "after_cpu_s", "hold_cpu"):
-            then, now = (np.nanmedian([getattr(w, of) for w in ws]) for ws in (base, found))
-            print(f"  {name}: median {of} {now / then:.2f} × without", flush=True)
-    if options.plant or options.pages:
-        print("with a plant around", flush=True)
-        with tempfile.TemporaryDirectory() as folder:
-            found = waits(*asked, silent, plant=Path(folder), pages=options.pages)
-        print(summary(found))
-        for of in ("wait_s", "after_cpu_s", "hold_cpu"):
-            ratios = [getattr(n, of) / getattr(t, of) for t, n in zip(base, found, strict=True)]
-            low, middle, high = np.nanquantile(ratios, [0.25, 0.5, 0.75])
-            medians = _median(found, of) / _median(base, of)
-            print(
-                f"  plant: {of} of the same cycle {middle:.2f} × without, half of them {low:.2f} "
-                f"to {high:.2f}; medians {medians:.2f} ×",
-                flush=True,
-            )
+    around = options.plant or options.pages
+    base = waits(*common, silent)
+    print(summary(base))
+    with tempfile.TemporaryDirectory() as folder:
+        for name, wanted, settings, plant in (
+            ("recorded", options.recorded, shipped, None),
+            ("freely", options.freely, freely, None),
+            ("with a plant around", around, silent, Path(folder)),
+        ):
+            if wanted:
+                print(name, flush=True)
+                found = waits(*common, settings, plant=plant, pages=options.pages)
+                print(summary(found), *compared(name, base, found), sep="\n", flush=True)
+
+
+def compared(name: str, base: list[Wait], found: list[Wait]) -> Iterator[str]:
+    """Ratios of what was measured with something and without it, cycle by cycle and of medians."""
+    for of in ("wait_s", "after_cpu_s", "hold_cpu"):
+        without, with_it = (np.array([getattr(w, of) for w in ws]) for ws in (base, found))
+        low, middle, high = np.nanquantile(with_it / without, [0.25, 0.5, 0.75])
+        medians = np.nanmedian(with_it) / np.nanmedian(without)
+        yield (
+            f"  {name}: {of} of the same cycle {middle:.2f} × without, half of them {low:.2f} "
+            f"to {high:.2f}; medians {medians:.2f} ×"
+        )
 
 
 if __name__ == "__main__":

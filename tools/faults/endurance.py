@@ -16,6 +16,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import linregress
 
 from cell.records.result import Outcome
 from cell.settings import load_settings
@@ -46,27 +47,20 @@ def held_by(pid: int) -> ResourceUse:
     return ResourceUse(int(status["VmRSS"].split()[0]), int(status["Threads"]), handles)
 
 
-def slopes(rows: list[ResourceUse]) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) growth per cycle after the first tenth, and its standard error."""
-    values = np.array([astuple(r) for r in rows[len(rows) // 10 :]], dtype=float)
-    number = np.arange(len(values)) - 0.5 * (len(values) - 1)
-    spread = float(number @ number)
-    slope = number @ (values - values.mean(axis=0)) / spread
-    left = values - values.mean(axis=0) - number[:, None] * slope
-    return slope, np.sqrt((left**2).sum(axis=0) / max(1, len(values) - 2) / spread)
-
-
 def report(name: str, rows: list[ResourceUse]) -> bool:
-    slope, error = slopes(rows)
-    first, last = rows[len(rows) // 10], rows[-1]
-    flat = True
-    for what, unit, k in (("memory", "KiB", 0), ("threads", "", 1), ("handles", "", 2)):
-        grown = 500.0 * (slope[k] - 2.0 * error[k])
-        holds = grown <= FLAT[k]
+    """Print the growth per cycle after the first tenth, and whether it counts as none."""
+    kept, flat = rows[len(rows) // 10 :], True
+    if len(kept) < 3:  # too few for a slope
+        return True
+    columns = zip(*map(astuple, kept), strict=True)
+    for what, unit, most, values in zip(("memory", "threads", "handles"), ("KiB", "", ""), FLAT,
+                                        columns, strict=True):  # fmt: skip
+        fit = linregress(np.arange(len(values)), values)
+        holds = 500.0 * (fit.slope - 2.0 * fit.stderr) <= most
         flat &= bool(holds)
         print(
-            f"  {name:6s} {what:8s} {astuple(first)[k]:8d} → {astuple(last)[k]:8d} {unit:4s} "
-            f"slope {slope[k]:+.4f} ± {2.0 * error[k]:.4f} per cycle  "
+            f"  {name:6s} {what:8s} {values[0]:8d} → {values[-1]:8d} {unit:4s} "
+            f"slope {fit.slope:+.4f} ± {2.0 * fit.stderr:.4f} per cycle  "
             f"{'flat' if holds else 'GROWS'}"
         )
     return flat

@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from cell.wiring.emulated import EmulatedCell
@@ -40,12 +40,57 @@ class Kind:
     drops_cable: bool = False
 
 
+@dataclass
+class Trial:
+    """A fault in a step, and what came of it.
+
+    reaction_s  from the fault, or from the beginning of the step that needs the device, until the
+                arm was commanded to stop; None = there was nothing to stop
+    moved_on_s  from the same moment until the emulated arm stood still
+    wrong       one sentence for each thing that may not be; empty = passed
+    """
+
+    kind: Kind
+    step: str
+    given_s: float | None = None
+    held_before: bool = False
+    noticed: str = ""
+    reaction_s: float | None = None
+    moved_on_s: float = 0.0
+    attempts: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind.device}: {self.kind.fault} in {self.step}"
+
+    def begin(self) -> None:
+        self.given_s, self.reaction_s, self.wrong, self.noticed = None, None, [], ""
+        self.moved_on_s, self.attempts = 0.0, self.attempts + 1
+
+    def kept(self) -> dict[str, Any]:
+        names = ("noticed", "reaction_s", "moved_on_s", "attempts", "wrong")
+        return {name: getattr(self, name) for name in names}
+
+
 def _camera(**faults: Any) -> Act:
     return lambda victim: setattr(victim.emulated.camera, "faults", StreamFaults(**faults))
 
 
 def _gripper(**faults: Any) -> Act:
     return lambda victim: setattr(victim.emulated.gripper, "faults", RobotiqFaults(**faults))
+
+
+def _unplug(victim: Victim) -> None:
+    victim.emulated.gripper.unplug()
+
+
+def _plug(victim: Victim) -> None:
+    victim.emulated.gripper.plug()
+
+
+def _cable(there: bool) -> Act:
+    return lambda victim: victim.emulated.gripper.lay_out(there)
 
 
 def _arm(op: str, **arguments: Any) -> Act:
@@ -89,28 +134,11 @@ KINDS = (
     Kind("camera", "freezes", _camera(frozen=True), _camera()),
     Kind("camera", "answers garbage", _camera(garbage=True), _camera(), True),
     Kind("camera", "power cycle", _camera_off_and_on, _later),
-    Kind(
-        "gripper",
-        "refuses to connect",
-        lambda victim: victim.emulated.gripper.unplug(),
-        lambda victim: victim.emulated.gripper.plug(),
-        True,
-    ),
-    Kind(
-        "gripper",
-        "unplugged",
-        lambda victim: victim.emulated.gripper.unplug(),
-        lambda victim: victim.emulated.gripper.plug(),
-    ),
+    Kind("gripper", "refuses to connect", _unplug, _plug, True),
+    Kind("gripper", "unplugged", _unplug, _plug),
     Kind("gripper", "falls silent", _gripper(silent=True), _gripper(), True),
     Kind("gripper", "answers garbage", _gripper(garbage=True), _gripper(), True),
     Kind("gripper", "bad checksums", _gripper(bad_crc=True), _gripper(), True),
     Kind("gripper", "power cycle", _gripper_off_and_on, _later),
-    Kind(
-        "gripper",
-        "cable lost",
-        lambda victim: victim.emulated.gripper.lay_out(False),
-        lambda victim: victim.emulated.gripper.lay_out(True),
-        drops_cable=True,
-    ),
+    Kind("gripper", "cable lost", _cable(False), _cable(True), drops_cable=True),
 )

@@ -22,9 +22,8 @@ import tempfile
 import threading
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -45,14 +44,12 @@ from drivers.interfaces import Trajectory
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions
 from tools.faults.fault_kills import STILL_S, Kill, kill_somebody
-from tools.faults.fault_kinds import KINDS, Kind, Victim
+from tools.faults.fault_kinds import KINDS, Trial, Victim
 from tools.faults.fault_table import (
-    Row,
     csv_text,
     failures,
-    load_average,
     markdown,
-    percentile,
+    stop_percentiles_ms,
     summary,
     table,
 )
@@ -70,33 +67,6 @@ SHIPPED_S = SerialGripperOptions("").reply_s
 MOVING = ("lower", "execute", "go_home")
 #: Steps at whose end a cable is held if it was at their beginning.
 HOLDING = tuple(step.name for step in INSERTING.steps if step.holding)
-
-
-@dataclass
-class Trial:
-    """A fault in a step, and what came of it."""
-
-    kind: Kind
-    step: str
-    given_s: float | None = None
-    held_before: bool = False
-    noticed: str = ""
-    reaction_s: float | None = None
-    moved_on_s: float = 0.0
-    attempts: int = 0
-    wrong: list[str] = field(default_factory=list)
-
-    @property
-    def name(self) -> str:
-        return f"{self.kind.device}: {self.kind.fault} in {self.step}"
-
-    def begin(self) -> None:
-        self.given_s, self.reaction_s, self.wrong, self.noticed = None, None, [], ""
-        self.moved_on_s, self.attempts = 0.0, self.attempts + 1
-
-    def kept(self) -> dict[str, Any]:
-        names = ("noticed", "reaction_s", "moved_on_s", "attempts", "wrong")
-        return {name: getattr(self, name) for name in names}
 
 
 def all_trials() -> list[Trial]:
@@ -286,24 +256,6 @@ def small_change(
 # --- all of it ------------------------------------------------------------------------------------
 
 
-def rows(trials: list[Trial]) -> list[Row]:
-    """What came of the trials that were made."""
-    return [
-        Row(
-            t.kind.device,
-            t.kind.fault,
-            t.step,
-            t.noticed,
-            float("nan") if t.reaction_s is None else 1e3 * t.reaction_s,
-            1e3 * t.moved_on_s,
-            t.attempts,
-            "; ".join(t.wrong),
-        )
-        for t in trials
-        if t.attempts
-    ]
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=[], help="words that a trial's name contains")
@@ -323,11 +275,8 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, help=f"e.g. {TABLE.relative_to(ROOT)}")
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # children end, too
-    chosen = [
-        t
-        for t in all_trials()
-        if not arguments.only or any(word in t.name for word in arguments.only)
-    ]
+    only = arguments.only or [""]
+    chosen = [t for t in all_trials() if any(word in t.name for word in only)]
     kills: list[Kill] = []
     if arguments.keep is not None and arguments.keep.exists():
         known = json.loads(arguments.keep.read_text(encoding="utf-8"))
@@ -372,14 +321,13 @@ def main() -> int:
                 victim = ("cell", "child", "both")[number % 3]
                 kills.append(kill_somebody(emulated, config, folder / "runs", victim, rng))
                 print(kills[-1], flush=True)
-    made = rows(chosen)
-    said = [*summary(made, kills), load_average()]
+    made = [t for t in chosen if t.attempts]
     lines = table(made, kills, arguments.bar_ms)
-    print("\n".join([*said, "", markdown(lines), "", *failures(made)]))
+    print("\n".join([*summary(made, kills), "", markdown(lines), "", *failures(made)]))
     if arguments.output is not None:
         words = ["python", "-m", "tools.faults.fault_trials", *sys.argv[1:]]
         arguments.output.write_text(csv_text(lines, " ".join(words)), encoding="utf-8")
-    slow = percentile([r.stop_ms for r in made], 99.0) > arguments.bar_ms
+    slow = stop_percentiles_ms(made, 99.0)[0] > arguments.bar_ms
     moved = any(k.moved_on_s > STILL_S for k in kills)
     return int(any(t.wrong for t in chosen) or slow or moved)
 

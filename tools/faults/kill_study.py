@@ -11,7 +11,6 @@ compared with that.
 from __future__ import annotations
 
 import argparse
-import math
 import mmap
 import os
 import random
@@ -27,6 +26,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from mcap.reader import make_reader
 
 from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
@@ -199,18 +199,16 @@ def _wait(child: subprocess.Popen[bytes], there: Callable[[], bool], seconds: fl
 
 def table(kills: list[Kill]) -> str:
     """What was lost at most, in words."""
-    poses_ms = sorted(1e3 * k.poses_lost_s for k in kills)
-    frames_ms = sorted(1e3 * k.frames_lost_s for k in kills if math.isfinite(k.frames_lost_s))
     lines = [f"{len(kills)} kills, {sum(k.both for k in kills)} of them with the recorder"]
-    for what, lost_ms in (("poses", poses_ms), ("frames", frames_ms)):
-        within = sum(lost <= MOST_LOST_S * 1e3 for lost in lost_ms)
-        lines.append(
-            f"{what}: {within} of {len(lost_ms)} up to {MOST_LOST_S * 1e3:.0f} ms before"
-            + (f"; median {lost_ms[len(lost_ms) // 2]:.0f} ms, largest {lost_ms[-1]:.0f} ms"
-               if lost_ms else "")
-        )  # fmt: skip
-    false = sum(k.listed_wrong for k in kills)
-    listed = sum(k.listed for k in kills)
+    for what in ("poses", "frames"):
+        lost_ms = 1e3 * np.array([getattr(k, f"{what}_lost_s") for k in kills])
+        lost_ms = lost_ms[np.isfinite(lost_ms)]
+        line = f"{what}: {np.sum(lost_ms <= 1e3 * MOST_LOST_S)} of {len(lost_ms)} up to "
+        line += f"{MOST_LOST_S * 1e3:.0f} ms before"
+        if len(lost_ms):
+            line += f"; median {np.median(lost_ms):.0f} ms, largest {lost_ms.max():.0f} ms"
+        lines.append(line)
+    false, listed = sum(k.listed_wrong for k in kills), sum(k.listed for k in kills)
     lines.append(f"ledger: sound every time; {listed} cycles, {false} called finished that are not")
     wrong = sum(k.finished_cycles != k.results for k in kills)
     lines.append(f"listed as finished without a result, or the other way round: {wrong}")

@@ -22,6 +22,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,6 +63,7 @@ LEVEL_RAD = 0.002
 THREADS_M = (-0.14, 0.0)
 ARM_M = 1e-5
 MAP_M = 8e-6  # of the map with which a grip is measured, at the picture's corners, along each axis
+PEERS = {"park": cv2.CALIB_HAND_EYE_PARK, "daniilidis": cv2.CALIB_HAND_EYE_DANIILIDIS}
 GRIP = ("x_mm", "y_mm", "angle_deg", "length_mm")
 SPHERE_95 = 1.61  # 95 % of a ball's normal law, in standard deviations over three axes together
 
@@ -154,10 +156,7 @@ def measured(seed: int) -> dict[str, float]:
     row |= {"map_95": 1e3 * float(bound.max()), "map_inside": float(np.mean(off <= bound))}
     row |= plane_errors(fit, setup)
     row["held_out_rms"] = 1e3 * rms(np.linalg.norm(fit.held_out_m, axis=1))
-    for name, method in (
-        ("park", cv2.CALIB_HAND_EYE_PARK),
-        ("daniilidis", cv2.CALIB_HAND_EYE_DANIILIDIS),
-    ):
+    for name, method in PEERS.items():
         peer = opencv_view(views, shown, setup, method)
         away = np.linalg.norm(peer.to_plane(grid) - setup.view.to_plane(grid), axis=-1)
         row |= {f"{name}_rms": 1e3 * rms(away), f"{name}_max": 1e3 * float(np.nanmax(away))}
@@ -172,8 +171,8 @@ def timed(seed: int) -> dict[str, float]:
     rate_hz, frames_hz = rng.choice([125.0, 500.0]), rng.uniform(60.0, 200.0)
     latency_s, lag_s = rng.uniform(0.0, 0.5), rng.uniform(0.005, 0.1)
     path = timing_path(settings, pose_of(settings.motion.home), rate_hz)
-    told = Trajectory(path.t_s + 0.4, path.x_m, path.y_m, path.angle_rad)
-    true = servo_response(told, lag_s)
+    commanded = Trajectory(path.t_s + 0.4, path.x_m, path.y_m, path.angle_rad)
+    true = servo_response(commanded, lag_s)
     t_s = np.arange(0.0, true.t_s[-1] + 0.2, 1.0 / rate_hz)
     arm_m, mark_m = rng.uniform(2e-6, 3e-5), rng.uniform(1e-6, 1e-5)
     x, y = (np.interp(t_s, true.t_s, v) for v in (true.x_m, true.y_m))
@@ -184,7 +183,7 @@ def timed(seed: int) -> dict[str, float]:
     wrong = np.eye(2) + rng.normal(0.0, 3e-4, (2, 2))
     seen_m = seen_m @ wrong + rng.normal(0.0, mark_m, seen_m.shape)
     latency = camera_latency(exposed_s + latency_s, seen_m, hand)
-    lag = arm_lag(told, hand)
+    lag = arm_lag(commanded, hand)
     return {
         "seed": float(seed),
         "latency_ms": 1e3 * abs(latency.value_s - latency_s),
@@ -291,18 +290,33 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))
 
 
+#: What is measured, by the option: its function, and of each quantity the columns of its error and
+#: of its 95 % bound.
+MODES = {
+    "map": (
+        measured,
+        (("map_rms", ""), ("map_max", ""), ("origin", "origin_95"), ("turn_deg", "turn_95_deg"),
+         ("roll_deg", "roll_95_deg"), ("held_out_rms", "")),
+    ),
+    "time": (timed, (("latency_ms", "latency_95_ms"), ("lag_ms", "lag_95_ms"))),
+    "grip": (gripped, tuple((name, f"{name}_95") for name in GRIP)),
+}  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--setups", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--time", action="store_true", help="latency and lag instead of the map")
-    parser.add_argument("--grip", action="store_true", help="how the jaws hold a cable instead")
+    for name, explained in (("time", "latency and lag"), ("grip", "how the jaws hold a cable")):
+        parser.add_argument(f"--{name}", action="store_const", const=name, dest="mode",
+                            default="map", help=f"{explained} instead of the map")  # fmt: skip
     parser.add_argument("-o", "--out", type=Path, default=Path("calibration_study.csv"))
     options = parser.parse_args()
+    measure, quantities = MODES[options.mode]
     rows: list[dict[str, float]] = []
     for seed in range(options.first, options.first + options.setups):
         try:
-            rows.append((timed if options.time else gripped if options.grip else measured)(seed))
+            rows.append(measure(seed))
         except CalibrationError as error:
             print(f"{seed}: refused: {error}", flush=True)
             continue
@@ -311,48 +325,29 @@ def main() -> None:
             writer = csv.DictWriter(file, list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)
-    (time_summary if options.time else grip_summary if options.grip else summary)(
-        rows, options.setups
-    )
+    print(f"\n{len(rows)} of {options.setups} set-ups calibrated; error, mm, degrees or ms")
+    if rows:
+        print("\n".join(summary({name: np.array([r[name] for r in rows]) for name in rows[0]},
+                                quantities)))  # fmt: skip
 
 
-def time_summary(rows: list[dict[str, float]], asked: int) -> None:
-    print(
-        f"\n{len(rows)} of {asked} cells; error, median and largest, ms; inside its 95 % interval"
-    )
-    for name in ("latency", "lag"):
-        off, bound = (np.array([row[f"{name}{end}"] for row in rows]) for end in ("_ms", "_95_ms"))
-        print(f"  {name:8} {np.median(off):.4f} {off.max():.4f}   {np.mean(off <= bound):.2f}")
-
-
-def grip_summary(rows: list[dict[str, float]], asked: int) -> None:
-    print(
-        f"\n{len(rows)} of {asked} set-ups; error: median, rms, largest; inside its 95 % interval"
-    )
-    for name in GRIP:
-        off, half = (np.array([row[f"{name}{end}"] for row in rows]) for end in ("", "_95"))
-        print(
-            f"  {name:10} {np.median(off):.4f} {rms(off):.4f} {off.max():.4f}   "
-            f"{np.mean(off <= half):.2f}, half width {np.median(half):.4f}"
-        )
-
-
-def summary(rows: list[dict[str, float]], asked: int) -> None:
-    table = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    print(f"\n{len(rows)} of {asked} set-ups calibrated; median, largest:")
-    for name in ("map_rms", "map_max", "origin", "turn_deg", "roll_deg", "held_out_rms"):
-        print(f"  {name:14} {np.median(table[name]):.4f} {table[name].max():.4f}")
-    print("share of set-ups whose true error is inside the 95 % bound:")
-    print(f"  map, points    {table['map_inside'].mean():.3f}")
-    for name, bound in (("origin", "origin_95"), ("turn_deg", "turn_95_deg"),
-                        ("roll_deg", "roll_95_deg")):  # fmt: skip
-        print(f"  {name:14} {np.mean(table[name] <= table[bound]):.3f}")
-    for peer in ("park", "daniilidis"):
-        better = np.mean(table["map_rms"] < table[f"{peer}_rms"])
-        print(
-            f"OpenCV, {peer}: rms {np.median(table[f'{peer}_rms']):.4f} mm in the median, "
-            f"ours lower in {better:.0%}"
-        )
+def summary(
+    columns: dict[str, np.ndarray], quantities: tuple[tuple[str, str], ...]
+) -> Iterator[str]:
+    """Lines of errors, and how often they are inside their bounds; of a map also the peers'."""
+    for name, bound in quantities:
+        off = columns[name]
+        line = f"  {name:14} median {np.median(off):.4f} rms {rms(off):.4f} largest {off.max():.4f}"
+        if bound:
+            inside, half = np.mean(off <= columns[bound]), np.median(columns[bound])
+            line += f"; inside its 95 % bound {inside:.3f}, bound {half:.4f}"
+        yield line
+    if "map_inside" in columns:
+        yield f"  points of the map inside their 95 % bound {columns['map_inside'].mean():.3f}"
+        for peer in PEERS:
+            error, better = columns[f"{peer}_rms"], columns["map_rms"] < columns[f"{peer}_rms"]
+            yield (f"OpenCV, {peer}: rms {np.median(error):.4f} mm in the median, "
+                   f"ours lower in {np.mean(better):.0%}")  # fmt: skip
 
 
 if __name__ == "__main__":
