@@ -3,10 +3,9 @@
 The shipped emulated cell: real RTDE client, rendered pictures of a swinging cable as a stream, and
 the cable looked for in each of them by the process that also commands the arm.
 
-    python -m tools.bench.bench_servo --pairs 4 [--what revised] [--seconds 15] [--burn 1]
+    python -m tools.bench.bench_servo --pairs 4 [--what plant] [--seconds 15] [--burn 1]
 
-With --pairs it is measured without and with a recording, in turn; with `--what revised` without and
-with a path that is changed ten times per second while it is followed.  With `--plant` it is without
+With --pairs it is measured without and with a recording, in turn.  With `--plant` it is without
 and with a plant around: OPC UA with five clients that subscribe every 100 ms, MQTT with a broker,
 and a link that tells them what a cell would; `--what pages` adds the pages, which five look at.
 """
@@ -16,7 +15,6 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
-import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -27,7 +25,6 @@ import yaml
 
 from calib.plane import PlaneView
 from cell.computer.abilities import StallProbe, Stalls
-from cell.plan.correction import Tail
 from cell.records.recording import form
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
@@ -38,7 +35,7 @@ from cell.vision.detect import VisionOptions, detect
 from cell.vision.sighting import Sighting
 from cell.wiring.build import real_devices
 from cell.wiring.emulated import EmulatedCell
-from drivers.interfaces import Arm, Camera, DeviceError, TooLateError, Trajectory
+from drivers.interfaces import Camera, DeviceError, Trajectory
 from tools.plant.around import Plant, published
 from tools.processes import busy_cores
 
@@ -48,8 +45,6 @@ PORTION = 300  # frames recorded at a time
 #: Adapters of `--what plant`, and those of `--what pages`, with five who look at the live page.
 PLANT, PAGES = ("opcua", "mqtt"), ("opcua", "mqtt", "serve")
 STROKE_M, SWING_S = 0.03, 1.5
-#: A path is changed so often, so long ahead, s, by so much, m.
-REVISED_EVERY_S, REVISED_AHEAD_S, RISE_M = 0.1, 0.06, 3e-4
 
 
 @dataclass(frozen=True)
@@ -57,7 +52,6 @@ class Servo:
     """Times between two commands as the controller got them, s, and frames seen meanwhile.
 
     cpu_s     of this process: arm, camera and vision
-    revised   changes of the path that the arm took
     troubles  what the camera said when it could not keep up; it was connected again
     stalls    of this computer in the same time
     """
@@ -69,7 +63,6 @@ class Servo:
     cpu_s: float
     troubles: tuple[str, ...]
     stalls: Stalls
-    revised: int = 0
 
     def percentile_ms(self, q: float) -> float:
         return 1e3 * float(np.percentile(self.gaps_s, q))
@@ -82,30 +75,6 @@ def up_and_down(seconds: float, rate_hz: float) -> Trajectory:
     fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade * fade)
     y_m = -0.5 * STROKE_M * (1.0 - np.cos(2.0 * np.pi * t_s / SWING_S)) * fade
     return Trajectory(t_s, 0.0 * t_s, y_m, 0.0 * t_s)
-
-
-class _Reviser(threading.Thread):
-    """Changes a path again and again while it is followed."""
-
-    def __init__(self, arm: Arm, path: Trajectory, begin_s: float) -> None:
-        super().__init__(daemon=True)
-        self._arm, self._path, self._begin_s = arm, path, begin_s
-        self.taken = 0
-
-    def run(self) -> None:
-        end_s = self._begin_s + float(self._path.t_s[-1]) - 0.5
-        rise_m = RISE_M
-        while (now_s := time.monotonic()) < end_s:
-            from_s = now_s - self._begin_s + REVISED_AHEAD_S
-            tail = Tail(from_s, rise_m, 0.0, 0.2, 1.0, 0.0, 1.0, np.zeros((1, 2)))
-            path = tail.of(self._path)
-            try:
-                self._arm.revise(path, self._begin_s + from_s)
-            except TooLateError:
-                pass
-            else:
-                self._path, rise_m, self.taken = path, -rise_m, self.taken + 1
-            time.sleep(REVISED_EVERY_S)
 
 
 class _Watcher:
@@ -146,7 +115,6 @@ def servo(
     seconds: float,
     *,
     recorded: bool = False,
-    revised: bool = False,
     plant: bool = False,
     pages: bool = False,
 ) -> Servo:
@@ -191,9 +159,6 @@ def servo(
             others_s = {} if beside is None else beside.cpu_s()
             path, begin_s = up_and_down(seconds, devices.arm.rate_hz), time.monotonic() + 0.1
             devices.arm.follow(path, begin_s)
-            reviser = _Reviser(devices.arm, path, begin_s)
-            if revised:
-                reviser.start()
             watcher.watch(time.monotonic() + seconds)
             cpu_s = time.process_time() - cpu_s
             stalls = probe.take()
@@ -207,7 +172,7 @@ def servo(
             devices.gripper.close()
     troubles = tuple(watcher.troubles)
     seen = watcher.frames, watcher.unseen
-    return Servo(gaps_s, *seen, seconds, cpu_s, troubles, stalls, reviser.taken)
+    return Servo(gaps_s, *seen, seconds, cpu_s, troubles, stalls)
 
 
 def summary(found: Servo) -> str:
@@ -220,7 +185,7 @@ def summary(found: Servo) -> str:
         f"p99.9 {found.percentile_ms(99.9):.2f}, longest {found.percentile_ms(100.0):.2f}; "
         f"{np.mean(gaps_s > 0.0025):.3%} above 2.5 ms\n"
         f"  CPU time of arm, camera and vision: {found.cpu_s / found.seconds:.0%} of a core\n"
-        f"  {found.revised} changes of the path; {found.stalls}{troubles}"
+        f"  {found.stalls}{troubles}"
     )
 
 
@@ -245,7 +210,7 @@ def paired(pairs: int, seconds: float, what: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--pairs", type=int, default=4)
-    kinds = ("recorded", "revised", "plant", "pages")
+    kinds = ("recorded", "plant", "pages")
     parser.add_argument("--what", choices=kinds, default="recorded")
     parser.add_argument("--plant", action="store_const", const="plant", dest="what")
     parser.add_argument("--seconds", type=float, default=15.0)

@@ -10,7 +10,10 @@ Bendable Cables for Their Insertion".  Drawings without data (1, 4) are left out
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -18,9 +21,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
-from cell.cable.geometry import node_arc_lengths
+from cell.cable.geometry import Motion, node_arc_lengths
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.plan.destination import Destination
 from tools.worlds.made_studies import CABLE, WORLD
 from tools.worlds.paper_world import (
@@ -40,17 +45,34 @@ from tools.worlds.paper_world import (
     trio,
 )
 
-SEEN, PREDICTED, SIMPLER, HAND = "#1f4e9c", "#d1495b", "#2e8b57", "#555555"
+SEEN, PREDICTED, SIMPLER, GRIPPER = "#1f4e9c", "#d1495b", "#2e8b57", "#555555"
 THREE = ("#1f4e9c", "#d1495b", "#2e8b57")
+
+
+#: Arc lengths at which shapes are drawn, m.
+DENSE_M = node_arc_lengths(0.1, 101)
+
+
+def drawing(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> Any:
+    """A figure of so many inches, and its axes."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, **options)
+
+
+def still_shape(model: CableModel, solver: Solver, arcs_m: FloatArray = DENSE_M) -> FloatArray:
+    """(points, 2) of the cable that hangs at rest, m."""
+    return simulate(model, hold(), np.zeros(1), arcs_m, solver=solver)[0, 0]
+
+
+def tip_path(model: CableModel, motion: Motion, t_s: FloatArray) -> FloatArray:
+    """(times, 2) of the tip as the model predicts it, m."""
+    return simulate(model, motion, t_s, TIP_M, solver=MODEL)[0, :, 0]
 
 
 def figure_2() -> Figure:
     """Still shapes of eight cables, and the nodes of three of them."""
-    figure = Figure(figsize=(9.0, 2.9), layout="constrained")
-    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-    t_s = np.zeros(1)
-    dense = node_arc_lengths(0.1, 101)
-    shapes = [simulate(m, hold(), t_s, dense, solver=WORLD)[0, 0] for m in individuals()]
+    figure, (left, right) = drawing(9.0, 2.9, 1, 2, sharex=True, sharey=True)
+    shapes = [still_shape(m, WORLD) for m in individuals()]
     for shape in shapes:
         left.plot(*(shape.T * 1e3), color=SEEN, lw=1.2)
     tips = np.array([s[0] for s in shapes])
@@ -69,13 +91,13 @@ def figure_2() -> Figure:
 def figure_3() -> Figure:
     """The swing of a tip while the gripper goes 50 mm down."""
     _, seen = identified(4)
-    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    figure, both = drawing(9.0, 3.4, 1, 2)
     for axes, c, name, which in zip(
-        figure.subplots(1, 2), (0, 1), "xy", ("(a) horizontal", "(b) vertical"), strict=True
+        both, (0, 1), "xy", ("(a) horizontal", "(b) vertical"), strict=True
     ):
         hand = (hold().x_m, hold().y_m)[c]
         axes.plot(seen.t_s, seen.xy_m[:, 0, c] * 1e3, color=SEEN, label="tip, seen")
-        axes.plot(hold().t_s, hand * 1e3, "--", color=HAND, label="gripping point")
+        axes.plot(hold().t_s, hand * 1e3, "--", color=GRIPPER, label="gripping point")
         axes.set(title=which, xlabel="time [s]", ylabel=f"{name} [mm]")
         axes.legend()
     return figure
@@ -86,23 +108,21 @@ def figure_5() -> Figure:
     found, seen = identified(5)
     nodes = seen.xy_m[seen.t_s < STILL_S - 0.01].mean(0)
     uniform = best_uniform(nodes)
-    figure = Figure(figsize=(9.0, 3.0), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(5, 4))
+    figure, (left, right) = drawing(9.0, 3.0, 1, 2, width_ratios=(5, 4))
     left.plot(*(nodes.T * 1e3), "o", color=SEEN, ms=5, label="seen, mean of the still frames")
-    dense = node_arc_lengths(0.1, 101)
     for model, colour, name in (
         (uniform, SIMPLER, "uniform EI, best"),
         (found.model, PREDICTED, "non-uniform EI(s), identified"),
     ):
-        shape = simulate(model, hold(), np.zeros(1), dense, solver=MODEL)[0, 0]
-        left.plot(*(shape.T * 1e3), color=colour, lw=1, label=name)
-        at_nodes = simulate(model, hold(), np.zeros(1), NODES_M, solver=MODEL)[0, 0]
-        error = np.linalg.norm(nodes - at_nodes, axis=1)
+        left.plot(*(still_shape(model, MODEL).T * 1e3), color=colour, lw=1, label=name)
+        error = np.linalg.norm(nodes - still_shape(model, MODEL, NODES_M), axis=1)
         right.plot(NODES_M * 1e3, error * 1e3, "o-", color=colour, ms=4, label=name)
     left.set_title("still shape")
     plane(left)
     left.legend()
-    right.axhline(1e3 * NOISE_M / np.sqrt(38), color=HAND, lw=0.8, ls=":", label="noise of a mean")
+    right.axhline(
+        1e3 * NOISE_M / np.sqrt(38), color=GRIPPER, lw=0.8, ls=":", label="noise of a mean"
+    )
     right.set(title="distance from the nodes seen", xlabel="arc length [mm]", ylabel="[mm]")
     right.legend()
     return figure
@@ -114,14 +134,13 @@ def figure_6() -> Figure:
     found, seen = identified(index)
     k = found.space.knots
     linear = same_shape(found.model, 1.0)
-    figure = Figure(figsize=(9.0, 5.2), layout="constrained")
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    figure, (top, bottom) = drawing(9.0, 5.2, 2, 1, sharex=True, height_ratios=(2, 1))
     top.plot(seen.t_s, seen.xy_m[:, 0, 1] * 1e3, color=SEEN, lw=2.5, alpha=0.5, label="tip, seen")
     for model, colour, name in (
         (linear, SIMPLER, "linear, N = 1"),
         (found.model, PREDICTED, f"nonlinear, N = {found.values[k]:.3f}"),
     ):
-        tip = simulate(model, hold(), seen.t_s, TIP_M, solver=MODEL)[0, :, 0]
+        tip = tip_path(model, hold(), seen.t_s)
         error = np.linalg.norm(seen.xy_m[:, 0] - tip, axis=1)
         top.plot(seen.t_s, tip[:, 1] * 1e3, color=colour, lw=1.2, label=name)
         rms = np.sqrt(np.mean(error**2)) * 1e3
@@ -140,15 +159,14 @@ def figure_7() -> Figure:
     found, _ = identified(4)
     base = found.model
     t_s = np.arange(0.0, hold().t_s[-1], 0.002)
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
+    figure, (left, right) = drawing(9.0, 3.6, 1, 2, sharey=True)
     for exponent in (0.8, 1.0, 1.2):
-        tip = simulate(same_shape(base, exponent), hold(), t_s, TIP_M, solver=MODEL)[0, :, 0]
+        tip = tip_path(same_shape(base, exponent), hold(), t_s)
         left.plot(t_s, tip[:, 1] * 1e3, label=f"N = {exponent}")
     for factor in (0.3, 1.0, 3.0):
         viscosity = base.viscosity_n_m2_s * factor
         model = CableModel(CABLE, base.rigidity_n_m2, base.exponent, viscosity)
-        tip = simulate(model, hold(), t_s, TIP_M, solver=MODEL)[0, :, 0]
+        tip = tip_path(model, hold(), t_s)
         right.plot(t_s, tip[:, 1] * 1e3, label=f"C = {viscosity * 1e7:.1f}e-7 N·m²·s")
     left.set(title="(a) the exponent sets the frequency", xlabel="time [s]", ylabel="y [mm]")
     right.set(title="(b) viscosity sets the damping", xlabel="time [s]")
@@ -163,10 +181,9 @@ def figure_8_to_12(offset_m: float) -> Figure:
     found, _ = identified(index)
     motion = insertion(offset_m)
     seen = measure(individuals()[index], motion, 100 + round(offset_m * 1e3), TIP_M)
-    tip = simulate(found.model, motion, seen.t_s, TIP_M, solver=MODEL)[0, :, 0]
+    tip = tip_path(found.model, motion, seen.t_s)
     error = np.linalg.norm(seen.xy_m[:, 0] - tip, axis=1)
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = drawing(9.0, 3.6, 1, 2)
     for c, name in enumerate("xy"):
         left.plot(seen.t_s, seen.xy_m[:, 0, c] * 1e3, color=SEEN, lw=3, alpha=0.4)
         left.plot(seen.t_s, tip[:, c] * 1e3, color=PREDICTED, lw=1)
@@ -177,7 +194,7 @@ def figure_8_to_12(offset_m: float) -> Figure:
     left.set(title=f"(a) tip, down {offset_m * 1e3:.0f} mm then 50 mm left", xlabel="time [s]",
              ylabel="[mm]")  # fmt: skip
     left.legend(loc="lower left")
-    right.plot(seen.t_s, error * 1e3, color=HAND, lw=1)
+    right.plot(seen.t_s, error * 1e3, color=GRIPPER, lw=1)
     right.axhline(
         np.sqrt(np.pi / 2) * NOISE_M * 1e3, color=SEEN, ls=":", label="mean of noise alone"
     )
@@ -190,12 +207,9 @@ def figure_8_to_12(offset_m: float) -> Figure:
 
 def figure_13() -> Figure:
     """The three cables that are guided."""
-    figure = Figure(figsize=(5.0, 3.6), layout="constrained")
-    axes = figure.subplots()
-    dense = node_arc_lengths(0.1, 101)
+    figure, axes = drawing(5.0, 3.6)
     for index, colour in zip(trio(), THREE, strict=True):
-        shape = simulate(individuals()[index], hold(), np.zeros(1), dense, solver=WORLD)[0, 0]
-        axes.plot(*(shape.T * 1e3), color=colour, lw=1)
+        axes.plot(*(still_shape(individuals()[index], WORLD).T * 1e3), color=colour, lw=1)
         nodes = identified(index)[1].xy_m[0]
         axes.plot(*(nodes.T * 1e3), "o", color=colour, ms=4, label=f"cable {index + 1}")
     plane(axes)
@@ -206,26 +220,20 @@ def figure_13() -> Figure:
 
 def figure_14() -> Figure:
     """Tips of three cables on their chosen motions, and around the destination."""
-    hole, choices = guided()
-    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-    for axes, near in zip(figure.subplots(1, 2), (False, True), strict=True):
+    opening, choices = guided()
+    figure, both = drawing(9.0, 4.0, 1, 2)
+    for axes, near in zip(both, (False, True), strict=True):
         for (index, choice), colour in zip(choices.items(), THREE, strict=True):
             motion = insertion(choice.best.offset_m)
             seen = measure(individuals()[index], motion, 200 + index, TIP_M)
-            axes.plot(
-                *(seen.xy_m[:, 0].T * 1e3),
-                ".-",
-                color=colour,
-                ms=3,
-                lw=0.6,
-                label=f"cable {index + 1}: offset {choice.best.offset_m * 1e3:.0f} mm",
-            )
+            label = f"cable {index + 1}: offset {choice.best.offset_m * 1e3:.0f} mm"
+            axes.plot(*(seen.xy_m[:, 0].T * 1e3), ".-", color=colour, ms=3, lw=0.6, label=label)
             axes.plot(*(choice.tip_m.T * 1e3), color=colour, lw=1.5, alpha=0.5)
-        mark(axes, hole)
+        mark(axes, opening)
         plane(axes)
         if near:
-            axes.set_xlim(hole.x_min_m * 1e3 - 5, hole.x_max_m * 1e3 + 12)
-            axes.set_ylim(hole.y_min_m * 1e3 - 5, hole.y_max_m * 1e3 + 5)
+            axes.set_xlim(opening.x_min_m * 1e3 - 5, opening.x_max_m * 1e3 + 12)
+            axes.set_ylim(opening.y_min_m * 1e3 - 5, opening.y_max_m * 1e3 + 5)
             axes.locator_params(nbins=5)
     figure.axes[0].set_title("(a) tips; dots seen, lines forecast")
     figure.axes[0].legend()
@@ -235,18 +243,16 @@ def figure_14() -> Figure:
 
 def figure_15() -> Figure:
     """Tip and gripper of each guided cable."""
-    hole, choices = guided()
-    figure = Figure(figsize=(9.0, 2.6), layout="constrained")
-    for axes, (index, choice), colour in zip(
-        figure.subplots(1, 3, sharex=True, sharey=True), choices.items(), THREE, strict=True
-    ):
+    opening, choices = guided()
+    figure, all_axes = drawing(9.0, 2.6, 1, 3, sharex=True, sharey=True)
+    for axes, (index, choice), colour in zip(all_axes, choices.items(), THREE, strict=True):
         motion = insertion(choice.best.offset_m)
         seen = measure(individuals()[index], motion, 200 + index, node_arc_lengths(0.1, 41))
         for k in range(0, len(seen.t_s), 20):
-            axes.plot(*(seen.xy_m[k].T * 1e3), color=HAND, lw=0.4)
+            axes.plot(*(seen.xy_m[k].T * 1e3), color=GRIPPER, lw=0.4)
         axes.plot(*(seen.xy_m[:, 0].T * 1e3), color=colour, label="tip")
-        axes.plot(motion.x_m * 1e3, motion.y_m * 1e3, "--", color=HAND, label="hand")
-        mark(axes, hole)
+        axes.plot(motion.x_m * 1e3, motion.y_m * 1e3, "--", color=GRIPPER, label="gripper")
+        mark(axes, opening)
         plane(axes)
         axes.set_title(f"cable {index + 1}: {choice.best.offset_m * 1e3:.0f} mm down")
     figure.axes[0].legend(loc="upper left")
@@ -256,9 +262,12 @@ def figure_15() -> Figure:
 # --- what they share ----------------------------------------------------------------------------
 
 
-def mark(axes: Axes, hole: Destination) -> None:
-    corner = (hole.x_min_m * 1e3, hole.y_min_m * 1e3)
-    width, height = (hole.x_max_m - hole.x_min_m) * 1e3, (hole.y_max_m - hole.y_min_m) * 1e3
+def mark(axes: Axes, opening: Destination) -> None:
+    corner = (opening.x_min_m * 1e3, opening.y_min_m * 1e3)
+    width, height = (
+        (opening.x_max_m - opening.x_min_m) * 1e3,
+        (opening.y_max_m - opening.y_min_m) * 1e3,
+    )
     axes.add_patch(Rectangle(corner, width, height, fc="#ffe9a8", ec="#b8860b", zorder=0))
 
 
@@ -276,27 +285,23 @@ def main() -> None:
     out: Path = given.out
     out.mkdir(parents=True, exist_ok=True)
     mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
-    drawn = {
+    drawn: dict[str, Callable[[], Figure]] = {
         "02_still_shapes": figure_2,
         "03_swing": figure_3,
         "05_uniform_or_not": figure_5,
         "06_linear_or_not": figure_6,
         "07_exponent_and_viscosity": figure_7,
+        **{f"{8 + k:02d}_offset_{10 * k}_mm": partial(figure_8_to_12, 0.01 * k) for k in range(5)},
         "13_three_cables": figure_13,
         "14_guided_tips": figure_14,
         "15_guided_motions": figure_15,
     }
     for name, draw in drawn.items():
-        if given.only and name not in given.only:
-            continue
-        draw().savefig(out / f"fig{name}.png", dpi=110)
-        print(out / f"fig{name}.png")
+        if not given.only or name in given.only:
+            draw().savefig(out / f"fig{name}.png", dpi=110)
+            print(out / f"fig{name}.png")
     if given.only:
         return
-    for number, offset_m in zip(range(8, 13), (0.0, 0.01, 0.02, 0.03, 0.04), strict=True):
-        path = out / f"fig{number:02d}_offset_{offset_m * 1e3:.0f}_mm.png"
-        figure_8_to_12(offset_m).savefig(path, dpi=110)
-        print(path)
     for index, choice in guided()[1].items():
         best = choice.best
         print(

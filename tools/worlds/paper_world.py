@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -73,44 +72,33 @@ def insertion(offset_m: float) -> Motion:
     return executed_motion(path, LAG_S, settle_s=0.3)
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Markers of one motion in the world, as measured."""
-
-    t_s: FloatArray
-    xy_m: FloatArray
-
-
-def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArray) -> Measured:
+def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArray) -> Markers:
     """What a camera at 200 frames/s sees of it, with noise."""
     t_s = np.arange(0.001, motion.t_s[-1], 0.005)
     clean = simulate(model, motion, t_s, arc_length_m, solver=WORLD)[0]
     noise = np.random.default_rng(seed).normal(0.0, NOISE_M, clean.shape)
-    return Measured(t_s, clean + noise)
+    return Markers(t_s, clean + noise)
 
 
 @cache
-def identified(index: int) -> tuple[Identified, Measured]:
+def identified(index: int) -> tuple[Identified, Markers]:
     """A cable's model from its hold, and what was seen of that."""
     seen = measure(individuals()[index], hold(), index, NODES_M)
     log = logged(np.random.default_rng([index, 1]), hold(), 1e-5)
-    trial = Trial("identify", "fit", "equilibrium", log, Markers(seen.t_s, seen.xy_m))
+    trial = Trial("identify", "fit", "equilibrium", log, seen)
     return identify(trial, NODES_M, CABLE), seen
-
-
-# --- the figures --------------------------------------------------------------------------------
 
 
 @cache
 def guided() -> tuple[Destination, dict[int, Choice]]:
     """One destination for three cables, and what is chosen for each."""
-    hole = Destination(x_min_m=-0.132, x_max_m=-0.128, y_min_m=-0.108, y_max_m=-0.102)
+    opening = Destination(x_min_m=-0.132, x_max_m=-0.128, y_min_m=-0.108, y_max_m=-0.102)
     motions = [insertion(float(offset)) for offset in OFFSETS_M]
     choices = {}
     for index in trio():
         found, _ = identified(index)
-        choices[index] = choose(forecast(found, OFFSETS_M, motions), found, hole)
-    return hole, choices
+        choices[index] = choose(forecast(found, OFFSETS_M, motions), found, opening)
+    return opening, choices
 
 
 def best_uniform(nodes_m: FloatArray) -> CableModel:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from .swing import BEGINS_S, ENDS_S, MARKERS, RATE_HZ, Swing
+from .swing import BEGINS_S, ENDS_S, MARKERS, Swing
 from .text import cells, lines, space, turns
 
 Floats = NDArray[np.float64]
@@ -26,13 +26,11 @@ _WORDS = {
 }
 
 
-def sheet(
-    s: Swing, *, language: str = "en", shift_mm: float = 0.0, angle_unit: str = "°"
-) -> tuple[list[str], Floats]:
+def sheet(s: Swing, *, language: str = "en", shift_mm: float = 0.0) -> tuple[list[str], Floats]:
     """Names and (rows, columns) of a table in s, mm and degrees."""
     time, gripper, angle, _ = _WORDS[language]
     names = [f"{time} [s]", f"{gripper} X [mm]", f"{gripper} Y [mm]"]
-    names += [f"{n} {a} [mm]" for n in MARKERS for a in "XY"] + [f"{angle} [{angle_unit}]"]
+    names += [f"{n} {a} [mm]" for n in MARKERS for a in "XY"] + [f"{angle} [°]"]
     places = np.hstack([s.gripper_m, s.markers_m.reshape(len(s.t_s), -1)]) * 1e3 + shift_mm
     return names, np.column_stack([s.t_s, places, np.degrees(s.angle_rad)])
 
@@ -49,13 +47,12 @@ def moments(s: Swing, form: str) -> list[str]:
         return [f"{a:%H:%M:%S}.{a.microsecond // 1000:03d}" for a in at]
     if form == "coarse":
         return [f"{a:%d.%m.%Y %H:%M:%S}" for a in at]
-    pattern = {"iso": "%Y-%m-%d %H:%M:%S.", "de": "%d.%m.%Y %H:%M:%S,", "fr": "%d/%m/%Y %H:%M:%S,"}
-    return [f"{a:{pattern[form]}}{a.microsecond // 1000:03d}" for a in at]
+    return [f"{a:%d.%m.%Y %H:%M:%S},{a.microsecond // 1000:03d}" for a in at]
 
 
 def excel(
     s: Swing, folder: Path, *, language: str, thousands: str = "", times: str = "seconds",
-    encoding: str = "utf-8-sig", angle_unit: str = "°", codes: bool = False,
+    encoding: str = "utf-8-sig", codes: bool = False,
 ) -> Path:  # fmt: skip
     """A spreadsheet saved as CSV under one language's settings.
 
@@ -64,9 +61,7 @@ def excel(
     codes      what is not seen is the spreadsheet's code of an error, not an empty cell
     """
     separator, mark = (",", ".") if language == "en" else (";", ",")
-    names, values = sheet(
-        s, language=language, shift_mm=5000.0 if thousands else 0.0, angle_unit=angle_unit
-    )
+    names, values = sheet(s, language=language, shift_mm=5000.0 if thousands else 0.0)
     rows = cells(values, 7 if thousands == "" else 6, _WORDS[language][3] if codes else "", mark)
     if thousands:
         rows = [[_grouped(c, thousands, mark) for c in row] for row in rows]
@@ -110,15 +105,11 @@ def workbook(s: Swing, folder: Path, *, dates: bool = False, title: bool = False
     return file
 
 
-def plain(
-    s: Swing, folder: Path, *, style: str, with_gripper: bool = True, three: bool = False
-) -> Path:
+def plain(s: Swing, folder: Path, *, style: str) -> Path:
     """A table of a script: `pandas`, `r`, `labview`, `arduino`, `gnuplot` or `matlab`."""
     names, values = sheet(s)
     names = [n.replace("[", "(").replace("]", ")").replace("°", "deg") for n in names]
     rows = cells(values, 7, "NA" if style == "r" else "NaN" if style == "matlab" else "")
-    if not with_gripper:
-        return markers_file(s, folder, three=three)
     file = folder / f"{s.name}.{ {'labview': 'lvm', 'gnuplot': 'dat'}.get(style, 'csv') }"
     if style == "pandas":
         rows = [[str(k), *row] for k, row in enumerate(rows)]
@@ -147,22 +138,12 @@ def plain(
     return file
 
 
-def markers_file(
-    s: Swing, folder: Path, *, three: bool = False, with_gripper: bool = False
-) -> Path:
-    """Markers only: of a camera in mm, or of a laboratory whose z is up."""
-    if three:
-        places = space(s, up=2, right=0)
-        chosen = np.hstack([places[n] for n in MARKERS])
-        titles = [f"{n}_{a}_mm" for n in MARKERS for a in "xyz"]
-    else:
-        chosen = s.markers_m.reshape(len(s.t_s), -1) * 1e3
-        titles = [f"{n}_{a}_mm" for n in MARKERS for a in "xy"]
-    if with_gripper:
-        chosen = np.hstack([chosen, s.gripper_m * 1e3])
-        titles += ["gripper_x_mm", "gripper_y_mm"]
+def markers_file(s: Swing, folder: Path) -> Path:
+    """Markers only, of a camera, in mm."""
+    titles = [f"{n}_{a}_mm" for n in MARKERS for a in "xy"]
+    values = np.column_stack([s.t_s, s.markers_m.reshape(len(s.t_s), -1) * 1e3])
     file = folder / f"{s.name}.csv"
-    file.write_text(lines([["t_s", *titles], *cells(np.column_stack([s.t_s, chosen]), 6)]))
+    file.write_text(lines([["t_s", *titles], *cells(values, 6)]))
     return file
 
 
@@ -170,7 +151,7 @@ def markers_file(
 _DOWN = Rotation.from_rotvec([0.0, np.pi, 0.0])
 
 
-def _poses(s: Swing, in_base: bool) -> tuple[Floats, Rotation]:
+def _poses(s: Swing, in_base: bool = True) -> tuple[Floats, Rotation]:
     """(T, 3) TCP of an arm whose z is up, m, and its turn; else in the markers' frame."""
     offset = BASE_M if in_base else (0.0, 0.0)
     place = np.column_stack(
@@ -179,17 +160,14 @@ def _poses(s: Swing, in_base: bool) -> tuple[Floats, Rotation]:
     return place, turns(s, (0.0, -1.0, 0.0))
 
 
-def ur(
-    s: Swing, folder: Path, *, separator: str = " ", in_base: bool = True, started_s: float = 0.0,
-    joints: bool = True,
-) -> tuple[Path, Path]:  # fmt: skip
+def ur(s: Swing, folder: Path, *, separator: str = " ", in_base: bool = True) -> tuple[Path, Path]:
     """Universal Robots' record of RTDE: metres and a rotation vector of a tool that points down."""
     place, turn = _poses(s, in_base)
     vectors = (turn * _DOWN).as_rotvec()
-    titles = ["timestamp", *[f"actual_q_{i}" for i in range(6)] * joints]
+    titles = ["timestamp", *[f"actual_q_{i}" for i in range(6)]]
     titles += [f"actual_TCP_pose_{i}" for i in range(6)]
-    angles = np.tile([0.1, -1.2, 1.4, -1.7, -1.5, 0.2], (len(s.t_s), 1))[:, : 6 * joints]
-    values = np.column_stack([s.t_s + started_s, angles, place, vectors])
+    angles = np.tile([0.1, -1.2, 1.4, -1.7, -1.5, 0.2], (len(s.t_s), 1))
+    values = np.column_stack([s.t_s, angles, place, vectors])
     file = folder / f"{s.name}_record.csv"
     file.write_text(lines([titles, *cells(values, 9)], separator))
     return markers_file(s, folder), file
@@ -202,11 +180,9 @@ def _robot(s: Swing, folder: Path, titles: Sequence[str], values: Floats, separa
     return markers_file(s, folder), file
 
 
-def kuka(
-    s: Swing, folder: Path, *, german: bool = False, in_base: bool = True
-) -> tuple[Path, Path]:
+def kuka(s: Swing, folder: Path, *, german: bool = False) -> tuple[Path, Path]:
     """KUKA's trace of $POS_ACT: mm, and degrees about z, y and x."""
-    place, turn = _poses(s, in_base)
+    place, turn = _poses(s)
     angles = turn.as_euler("ZYX", degrees=True)
     titles = ["Zeit [s]" if german else "Time [s]"]
     titles += [f"$POS_ACT.{a} [mm]" for a in "XYZ"] + [f"$POS_ACT.{a} [°]" for a in "ABC"]
@@ -214,27 +190,27 @@ def kuka(
     return _robot(s, folder, titles, values, ";", "," if german else ".")
 
 
-def abb(s: Swing, folder: Path, *, in_base: bool = True) -> tuple[Path, Path]:
+def abb(s: Swing, folder: Path) -> tuple[Path, Path]:
     """ABB's robtarget: mm, and a quaternion q1 … q4 that begins with its real part."""
-    place, turn = _poses(s, in_base)
+    place, turn = _poses(s)
     x, y, z, w = turn.as_quat().T
     titles = ["time_s", "tcp_x_mm", "tcp_y_mm", "tcp_z_mm", "q1", "q2", "q3", "q4"]
     values = np.column_stack([s.t_s, place * 1e3, w, x, y, z])
     return _robot(s, folder, titles, values, ",")
 
 
-def fanuc(s: Swing, folder: Path, *, in_base: bool = True) -> tuple[Path, Path]:
+def fanuc(s: Swing, folder: Path) -> tuple[Path, Path]:
     """Fanuc's position registers: mm, and degrees W, P, R about x, y and z."""
-    place, turn = _poses(s, in_base)
+    place, turn = _poses(s)
     angles = turn.as_euler("xyz", degrees=True)
     titles = ["Time(ms)", "X", "Y", "Z", "W", "P", "R"]
     values = np.column_stack([s.t_s * 1e3, place * 1e3, angles])
     return _robot(s, folder, titles, values, ",")
 
 
-def franka(s: Swing, folder: Path, *, in_base: bool = True) -> tuple[Path, Path]:
+def franka(s: Swing, folder: Path) -> tuple[Path, Path]:
     """Franka's O_T_EE: 16 numbers of a pose, columns one after the other, metres."""
-    place, turn = _poses(s, in_base)
+    place, turn = _poses(s)
     pose = np.tile(np.eye(4), (len(s.t_s), 1, 1))
     pose[:, :3, :3], pose[:, :3, 3] = turn.as_matrix(), place
     titles = ["time", *(f"O_T_EE[{i}]" for i in range(16))]
@@ -242,12 +218,9 @@ def franka(s: Swing, folder: Path, *, in_base: bool = True) -> tuple[Path, Path]
     return _robot(s, folder, titles, values, ",")
 
 
-def planar_log(
-    s: Swing, folder: Path, *, unit: str = "", angle: str = "tcp_rz", unit_m: float = 1.0,
-    rate_hz: float = RATE_HZ,
-) -> tuple[Path, Path]:  # fmt: skip
+def planar_log(s: Swing, folder: Path, *, unit: str = "", unit_m: float = 1.0) -> tuple[Path, Path]:
     """A script's log of an arm in the markers' plane and frame, radians, beside camera's mm."""
-    titles = ["timestamp", f"tcp_x{unit}", f"tcp_y{unit}", angle]
+    titles = ["timestamp", f"tcp_x{unit}", f"tcp_y{unit}", "tcp_rz"]
     return _robot(
         s, folder, titles, np.column_stack([s.t_s, s.gripper_m / unit_m, s.angle_rad]), ","
     )

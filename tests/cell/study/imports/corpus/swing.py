@@ -45,14 +45,6 @@ class Swing:
         markers_m[100:108, -1] = np.nan
         return replace(self, markers_m=markers_m)
 
-    def every(self, step: int) -> Swing:
-        """Each so manyth row."""
-        rows = slice(None, None, step)
-        return replace(
-            self, t_s=self.t_s[rows], gripper_m=self.gripper_m[rows],
-            angle_rad=self.angle_rad[rows], markers_m=self.markers_m[rows],
-        )  # fmt: skip
-
 
 def stroke(t_s: NDArray[np.float64]) -> NDArray[np.float64]:
     """Share of the gripper's way from 0 to 1, of least jerk."""

@@ -384,7 +384,7 @@ def sleap(s: Swing, folder: Path, *, track: str = "") -> Path:
     return file
 
 
-def phasespace(s: Swing, folder: Path, *, lost: float = 0.0) -> Path:
+def phasespace(s: Swing, folder: Path) -> Path:
     """PhaseSpace: id, condition and place of every marker; a condition of −1 means not seen."""
     places = space(s, up=1, right=0)
     titles = ["frame", "time"]
@@ -392,7 +392,7 @@ def phasespace(s: Swing, folder: Path, *, lost: float = 0.0) -> Path:
     blocks = []
     for name in POINTS:
         condition = np.where(np.isnan(places[name][:, :1]), -1.0, 4.2)
-        blocks += [condition, np.nan_to_num(places[name], nan=lost)]
+        blocks += [condition, np.nan_to_num(places[name])]
     values = np.hstack(blocks)
     rows = [
         [str(k), f"{t:.6f}", *row]
