@@ -24,7 +24,7 @@ from cell.cable.solver import one_core
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.asked import select_asked
-from cell.lab.next.forecast import forecast, resized
+from cell.lab.next.forecast import forecast
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.study_power import recover
 from cell.lab.search.fit_cache import FitCache, SearchSetup
@@ -106,7 +106,7 @@ def one(case: int, before: Row | None, copies: int) -> Row:
         size = asked.parameter.default + share * (smallest - asked.parameter.default)
     else:
         size = before.size
-    chances = forecast(fits, resized(asked, size), linear).chances
+    chances = forecast(fits, replace(asked, size=size), linear).chances
     assert chances is not None
     noise = fits.prepared.noise_model.noise
     row = before or Row(
