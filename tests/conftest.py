@@ -48,7 +48,7 @@ settings.load_profile("untimed")
 @pytest.fixture(autouse=True)
 def no_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy computer a command takes more than the ten seconds after which it speaks."""
-    monkeypatch.setattr("cell.terminal.progress.EVERY_S", 1e6)
+    monkeypatch.setattr("cell.cli.progress.EVERY_S", 1e6)
 
 
 @pytest.fixture(autouse=True)

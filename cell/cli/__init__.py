@@ -18,8 +18,6 @@ import typer
 import typer.core
 
 from cell.cli import (
-    acknowledge,
-    actions,
     bundle,
     calibrate,
     emulate,
@@ -41,14 +39,13 @@ from cell.cli import (
     run,
     serve,
     settings,
-    store,
     studies,
     users,
 )
+from cell.cli.logs import about, to_file, to_terminal
 from cell.cli.shared import BAD_INPUT
 from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
-from cell.terminal.logs import about, to_file, to_terminal
 
 #: Commands that run a user's own effects; another process watches that they end.
 WATCHED = (
@@ -173,8 +170,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(run, emulate, plant, settings, records, identify, ledger, acknowledge, actions, bundle),
-    *(recordings, store, fit, lab, power, studies, imports, export, line, mqtt, handshake, help),
+    *(run, emulate, plant, settings, records, identify, ledger, bundle),
+    *(recordings, fit, lab, power, studies, imports, export, line, mqtt, handshake, help),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)

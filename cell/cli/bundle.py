@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.arguments import records_folder
-from cell.cli.ledger import open_ledger
+from cell.cli.ledger import faults_json, open_ledger
+from cell.cli.output import print_json
 from cell.cli.shared import AsJson, Force, MaybeConfig, group, refusing, working
-from cell.cli.streams import emit
 from cell.files.words import counted
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def bundle(
     if as_json:
         data: dict[str, Any] = {"file": str(target), "bytes": size, "files": dict(done.files)}
         data |= {"left_out": dict(done.left_out), "secrets_removed_from": list(done.cleaned)}
-        emit(json.dumps(data, indent=2, ensure_ascii=False))
+        print_json(data)
         return
     print(f"{target}: {counted(len(done.files), 'file')}, {size / 1e6:.1f} MB")
     for name in done.cleaned:
@@ -99,8 +99,8 @@ def bundle(
 
 
 def _of_program(unreadable: str) -> Iterator[Item]:
+    from cell.cli.logs import about
     from cell.records.bundle import Item, packages
-    from cell.terminal.logs import about
 
     lines = [about(), f"{os.cpu_count()} cores"]
     with suppress(OSError):
@@ -161,7 +161,7 @@ def _of_ledger(runs: Path, settings: Settings | None) -> Iterator[Item]:
         yield Item("ledger/errors.txt", f"{error}\n")
     else:
         yield Item("ledger/cycles.csv", csv_text(listed))
-        counted = [{"code": code, "cycles": n, "newest_cause": cause} for code, n, cause in faults]
-        yield Item("ledger/faults.json", json.dumps(counted, indent=2, ensure_ascii=False))
+        text = json.dumps(faults_json(faults), indent=2, ensure_ascii=False)
+        yield Item("ledger/faults.json", text)
     for file in sorted(outbox_of(runs).glob("*")):
         yield Item(f"ledger/outbox/{file.name}", file)

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.output import print_result
+from cell.cli.output import print_json
 from cell.cli.shared import (
     ALL_DONE,
     NOT_ALL_DONE,
-    STDOUT,
     Config,
     MaybeConfig,
     OfProduct,
@@ -157,7 +156,9 @@ def check(
     """
     with _workshop(config, seed, as_json, gripped=False, dialogue=dialogue) as work:
         found = work.check()
-        if print_result(vars(found), STDOUT if as_json else None):
+        if as_json:
+            print_json(vars(found))
+        else:
             print(found.sentence + ("" if found.command is None else f"; run `{found.command}`"))
         raise typer.Exit(ALL_DONE if found.good else NOT_ALL_DONE)
 
@@ -212,9 +213,10 @@ def _part(
 
 
 def _end(work: CalibrationJob, as_json: bool) -> None:
-    if print_result(work.summary(), STDOUT if as_json else None):
-        for line in work.lines():
-            print(line)
+    if as_json:
+        print_json(work.summary())
+    else:
+        print("\n".join(work.lines()))
     wrong = work.shortcomings()
     for line in wrong:
         print(line, file=sys.stderr)
@@ -238,10 +240,10 @@ def _workshop(
     """
     from cell.calibration.assistants import write_coverage
     from cell.calibration.work import BrokenOffError, CalibrationJob
+    from cell.cli.logs import to_file
     from cell.files.input_error import InputError
     from cell.settings import load_settings
     from cell.settings.loading import load_product
-    from cell.terminal.logs import to_file
 
     progress = working("calibrate")
 

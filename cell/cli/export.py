@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import folder_of, maybe_folder_of, taking
-from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
+from cell.cli.output import Json, JsonCommand, deliver_result
+from cell.cli.printing import show
 from cell.cli.shared import (
     BAD_INPUT,
     NOT_ALL_DONE,
@@ -20,7 +21,6 @@ from cell.cli.shared import (
     Force,
     group,
     refusing,
-    show,
     tell_notes,
     working,
 )
@@ -134,11 +134,7 @@ def _describe(identified: Identified, options: ExportOptions) -> None:
     from cell.exchange.description import description
 
     data = description(identified, options.samples)
-
-    def printed() -> None:
-        print_result(data, options.as_json)
-
-    deliver(printed, *json_files(data, options.out, options.as_json))
+    deliver_result(data, (options.out, options.as_json), tuple)
     if options.as_json != STDOUT:
         show(f"written to {options.out}: {data['format']}")
 
@@ -161,16 +157,10 @@ def _to_mujoco(identified: Identified, options: ExportOptions) -> None:
         except LanesError as error:
             message = f"cannot be simulated: {error}; fit the model again"
             raise InputError.at(model, message) from error
-    data = done.to_json()
-
-    def printed() -> None:
-        if print_result(data, options.as_json):
-            show(*export_parts(done))
-
     written = [
         (file, partial(write_atomic, content=text)) for file, text in zip(files, texts, strict=True)
     ]
-    deliver(printed, *written, *json_files(data, options.as_json))
+    deliver_result(done.to_json(), [options.as_json], lambda: export_parts(done), *written)
     if options.as_json != STDOUT:
         more = f", and {counted(len(drawn), 'sample')} to {files[1]} …" if drawn else ""
         show(f"written to {files[0]}{more}")

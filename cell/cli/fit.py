@@ -12,8 +12,8 @@ import typer
 
 from cell.cli.arguments import maybe_folder_of, taking
 from cell.cli.lab import InModel, LineModel, PriorFile
-from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import answering, group, refusing, show, tell_notes, working
+from cell.cli.output import Json, JsonCommand, deliver_result
+from cell.cli.shared import answering, group, refusing, tell_notes, working
 
 if TYPE_CHECKING:
     from cell.lab.strength.profiles import ParameterProfile
@@ -104,15 +104,9 @@ def _fit_to_chain(options: FitCommandOptions, chain: Path) -> None:
         found = model_from_mujoco(chain)
     tell_notes(found.notes)
     data = found.model.to_dict()
-
-    def printed() -> None:
-        if print_result(data, options.out, options.as_json):
-            show(
-                model_table(found.model),
-                "Nothing was measured: the intervals are those of a weak prior.",
-            )
-
-    deliver(printed, *json_files(data, options.out, options.as_json))
+    note = "Nothing was measured: the intervals are those of a weak prior."
+    places = options.out, options.as_json
+    deliver_result(data, places, lambda: (model_table(found.model), note))
 
 
 def _fit_to_study(options: FitCommandOptions, study: Path) -> None:
@@ -144,16 +138,13 @@ def _fit_to_study(options: FitCommandOptions, study: Path) -> None:
     if profile is not None:
         written["profiles"] = [p.to_json() for p in found]
 
-    def printed() -> None:
-        if print_result(written, out, as_json):
-            show(*result.parts(), *said)
-
     def page(path: Path) -> None:
         from cell.files.page import write_page
         from cell.lab.report.report import profile_page
 
         write_page(profile_page(result.prepared.study.name, found), path)
 
-    deliver(printed, *json_files(written, out, as_json), (profile if found else None, page))
+    files = ((profile if found else None, page),)
+    deliver_result(written, (out, as_json), lambda: (*result.parts(), *said), *files)
     if interrupted:
         raise typer.Exit(interrupted.code)

@@ -41,10 +41,10 @@ def handshake(
     be listened at, or another program sets the controller's outputs.  A controller that does not
     answer is waited for.
     """
+    from cell.cli.logs import warnings_to_terminal
     from cell.plant.handshake.adapter import HandshakeAdapter
     from cell.plant.handshake.carrier import CarrierError
     from cell.plant.wire import LinkError
-    from cell.terminal.logs import warnings_to_terminal
 
     warnings_to_terminal()
     with refusing():

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import Workers, folder_of, taking, workers
-from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
+from cell.cli.output import Json, JsonCommand, deliver_result
 from cell.cli.shared import (
     NOT_ALL_DONE,
     Force,
     group,
     refusing,
-    show,
     stoppable,
     tell_notes,
     working,
@@ -96,6 +95,7 @@ def identify(given: _Identify) -> None:
 
 
 def _one(given: _Identify) -> None:
+    from cell.cli.cycle_tables import parameters_table
     from cell.identify.individual import CableRejectedError
     from cell.lab.line.recordings import (
         identify_again,
@@ -103,8 +103,6 @@ def _one(given: _Identify) -> None:
         recorded_settings,
         study_to_identify,
     )
-    from cell.terminal.console import parameters_table
-    from cell.terminal.fitting import show as print_parts
 
     with (
         refusing(given.out, given.as_json, force=given.force),
@@ -126,20 +124,13 @@ def _one(given: _Identify) -> None:
     stated = ""
     if study.noise_std_m is not None:
         stated = f" (stated error of the measurement: {study.noise_std_m * 1e3:.3f} mm)"
-
-    def printed() -> None:
-        from rich.console import Console
-
-        if not print_result(model, given.out, given.as_json):
-            return
-        print_parts(Console(), parameters_table(model))
-        print(
-            f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, camera noise at rest "
-            f"{identified.noise.std_m * 1e3:.3f} mm{stated}, {identified.frames_used} of "
-            f"{identified.frames_total} frames"
-        )
-
-    deliver(printed, *json_files(model, given.out, given.as_json))
+    errors = (
+        f"residual {identified.residual_rms_m * 1e3:.3f} mm rms, camera noise at rest "
+        f"{identified.noise.std_m * 1e3:.3f} mm{stated}, {identified.frames_used} of "
+        f"{identified.frames_total} frames"
+    )
+    places = given.out, given.as_json
+    deliver_result(model, places, lambda: (parameters_table(model), errors))
 
 
 def _all(given: _Identify) -> None:
@@ -169,12 +160,8 @@ def _all(given: _Identify) -> None:
             except WorkStoppedError:
                 pass
     data = {**found.to_json(), "table": str(given.csv)}
-
-    def printed() -> None:
-        if print_result(data, given.out, given.as_json):
-            show(*identified_parts(found, given.csv))
-
-    deliver(printed, *json_files(data, given.out, given.as_json))
+    places = given.out, given.as_json
+    deliver_result(data, places, lambda: identified_parts(found, given.csv))
     if interrupted:
         print(
             f"{_residual_text(found)}; the same command goes on with {given.csv}", file=sys.stderr

@@ -5,95 +5,24 @@ from __future__ import annotations
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from cell.cli.arguments import folder_in, taking
-from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, refusing, show, tell_notes, working
+from cell.cli.output import Json, JsonCommand, deliver_result
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, group, refusing, tell_notes, working
+from cell.files.atomic import write_atomic
 from cell.files.overwriting import check_new_study, check_output
 from cell.files.words import counted
 
-
-@dataclass(frozen=True)
-class RecordedImport:
-    """Films or recordings, and where their study is to be.
-
-    gripper           of a film: CSV of the gripper, t_s, x_m, y_m, angle_rad
-    config         of a film: settings of the cell that filmed it
-    rate_hz        of a film: frames a second; None = as it says
-    first_frame_s  of a film: when it begins on the gripper's clock
-    """
-
-    files: tuple[Path, ...]
-    out: Path
-    hand: Path | None
-    config: Path | None
-    rate_hz: float | None
-    first_frame_s: float
-    force: bool
-    as_json: Path | None
-
-
-def film_study(given: RecordedImport) -> NoReturn:
-    """A video of a cable becomes a recording, by the cell's own vision, and that a study."""
-    from cell.settings import load_settings
-    from cell.wiring.filmed import read_film, record_film
-
-    with refusing(), working("import") as progress:
-        if len(given.files) > 1 or given.config is None or given.hand is None:
-            raise ValueError(
-                "a video needs --config and --hand: how the camera sees, and where the gripper "
-                "was; "
-                "give one video at a time"
-            )
-        check_new_study(given.out, force=given.force)
-        film = given.files[0]
-        settings = load_settings(given.config)
-        read = read_film(film, given.hand, given.rate_hz, given.first_frame_s)
-        given.out.mkdir(parents=True, exist_ok=True)
-        recording = given.out / f"{film.stem}.mcap"
-        check_output(recording, force=given.force)
-        record_film(
-            read,
-            settings,
-            given.config,
-            recording,
-            lambda number, step: progress(step.replace("_", " ")),
-        )
-    recordings_study(given, [recording])
-
-
-def recordings_study(given: RecordedImport, recordings: list[Path]) -> NoReturn:
-    """Recordings of this program need no mapping."""
-    from cell.lab.data.merge_studies import merge_into
-
-    with refusing(), working("import"), ExitStack() as stack:
-        check_new_study(given.out, force=given.force)
-        folders = [folder_in(stack.enter_context, recording) for recording in recordings]
-        study, left_out = merge_into(given.out, folders)
-    notes = [*study.notes, *(f"left out: {line}" for line in left_out)]
-    trials = [{"name": t.name, "role": t.role, "start": t.start} for t in study.trials]
-    data = {"format": "cable-imported/1", "study": str(given.out), "trials": trials, "notes": notes}
-
-    def printed() -> None:
-        if print_result(data, given.as_json):
-            tell_notes(notes)
-            trials_said = counted(len(study.trials), "trial")
-            print(f"{given.out}: {trials_said} of {counted(len(recordings), 'recording')}")
-
-    deliver(printed, *json_files(data, given.as_json))
-    raise typer.Exit(ALL_DONE)
-
-
 if TYPE_CHECKING:
+    from cell.cli.progress import ProgressLine
     from cell.lab.report.look_page import StudyOverview
-    from cell.study.imports.capture import Finding
     from cell.study.imports.trials import Files
     from cell.study.imports.understand import Understanding
-    from cell.terminal.progress import ProgressLine
 
 app = group()
 
@@ -180,28 +109,76 @@ def import_(options: ImportOptions) -> None:
     if options.files[0].suffix.lower() in (".yaml", ".yml"):
         _write(options)
     elif options.files[0].suffix.lower() in _VIDEOS or options.files[0].is_dir():
-        with refusing():
-            recorded = _recorded(options)
-        film_study(recorded)
+        _import_film(options)
     else:
         _propose(options)
 
 
-def _recorded(options: ImportOptions) -> RecordedImport:
-    hands = options.hand or []
-    return RecordedImport(
-        tuple(options.files),
-        _folder(options),
-        hands[0] if hands else None,
-        options.config,
-        options.rate,
-        options.first_frame_s,
-        options.force,
-        options.as_json,
-    )
+def _import_film(options: ImportOptions) -> NoReturn:
+    """A video of a cable becomes a recording, by the cell's own vision, and that a study."""
+    from cell.settings import load_settings
+    from cell.wiring.filmed import read_film, record_film
+
+    with refusing(), working("import") as progress:
+        out = _folder(options)
+        if len(options.files) > 1 or options.config is None or not options.hand:
+            raise ValueError(
+                "a video needs --config and --hand: how the camera sees, and where the gripper "
+                "was; "
+                "give one video at a time"
+            )
+        check_new_study(out, force=options.force)
+        film = options.files[0]
+        settings = load_settings(options.config)
+        read = read_film(film, options.hand[0], options.rate, options.first_frame_s)
+        out.mkdir(parents=True, exist_ok=True)
+        recording = out / f"{film.stem}.mcap"
+        check_output(recording, force=options.force)
+        record_film(
+            read,
+            settings,
+            options.config,
+            recording,
+            lambda number, step: progress(step.replace("_", " ")),
+        )
+    _import_recordings(options, [recording])
+
+
+def _import_recordings(options: ImportOptions, recordings: list[Path]) -> NoReturn:
+    """Recordings of this program need no mapping."""
+    from cell.lab.data.merge_studies import merge_into
+
+    with refusing(), working("import"), ExitStack() as stack:
+        out = _folder(options)
+        check_new_study(out, force=options.force)
+        folders = [folder_in(stack.enter_context, recording) for recording in recordings]
+        study, left_out = merge_into(out, folders)
+    notes = [*study.notes, *(f"left out: {line}" for line in left_out)]
+    trials = [{"name": t.name, "role": t.role, "start": t.start} for t in study.trials]
+    said = f"{counted(len(trials), 'trial')} of {counted(len(recordings), 'recording')}"
+    _deliver_imported(options, out, trials, notes, [f"{out}: {said}"])
+
+
+def _deliver_imported(
+    options: ImportOptions,
+    out: Path,
+    trials: list[dict[str, Any]],
+    notes: list[str],
+    lines: list[str],
+) -> NoReturn:
+    """Print what was imported, and end."""
+
+    def parts() -> list[str]:
+        tell_notes(notes)
+        return lines
+
+    data = {"format": "cable-imported/1", "study": str(out), "trials": trials, "notes": notes}
+    deliver_result(data, [options.as_json], parts)
+    raise typer.Exit(ALL_DONE)
 
 
 def _propose(options: ImportOptions) -> NoReturn:
+    from cell.files.page import write_page
     from cell.lab.report.look_page import look_page, preview_of
     from cell.records.recording.form import BEGUN
     from cell.study.imports.mapping import FILE
@@ -217,7 +194,7 @@ def _propose(options: ImportOptions) -> NoReturn:
                 f"{own[0]}: is a recording of `cell run`; import these apart from others"
             )
         if own:
-            recordings_study(_recorded(options), own)
+            _import_recordings(options, own)
         check_new_study(out, force=options.force)
         if mapping_file.exists() and not options.force:
             raise ValueError(
@@ -229,26 +206,26 @@ def _propose(options: ImportOptions) -> NoReturn:
         look = preview_of(files, understood, mapping_file)
         command = f"cell import {mapping_file}"
         text = mapping_text(understood.mapping, understood.findings, command)
-    data = _proposal_json(understood.findings, look, mapping_file, preview, command)
-
-    def printed() -> None:
-        if print_result(data, options.as_json):
-            show(
-                *_proposal_lines(look),
-                f"{preview}: look at it",
-                f"{mapping_file}: check and edit it, then: {command}",
-            )
-
-    from functools import partial
-
-    from cell.files.atomic import write_atomic
-    from cell.files.page import write_page
-
-    deliver(
-        printed,
+    data = {
+        "format": "cable-proposal/1",
+        "mapping": str(mapping_file),
+        "preview": str(preview),
+        "findings": [f.to_json() for f in understood.findings],
+        "wrong": list(look.wrong),
+        "odd": list(look.odd),
+        "trials": [f.to_json() for f in look.facts],
+        "next": command,
+    }
+    next_lines = (
+        f"{preview}: look at it",
+        f"{mapping_file}: check and edit it, then: {command}",
+    )
+    deliver_result(
+        data,
+        [options.as_json],
+        lambda: (*_proposal_lines(look), *next_lines),
         (mapping_file, lambda path: write_atomic(path, text)),
         (preview, partial(write_page, look_page(look))),
-        *json_files(data, options.as_json),
     )
     if options.look:
         typer.launch(str(preview))
@@ -307,21 +284,6 @@ def _relative(file: Path, folder: Path) -> str:
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 
-def _proposal_json(
-    findings: tuple[Finding, ...], look: StudyOverview, mapping: Path, preview: Path, command: str
-) -> dict[str, Any]:
-    return {
-        "format": "cable-proposal/1",
-        "mapping": str(mapping),
-        "preview": str(preview),
-        "findings": [f.to_json() for f in findings],
-        "wrong": list(look.wrong),
-        "odd": list(look.odd),
-        "trials": [f.to_json() for f in look.facts],
-        "next": command,
-    }
-
-
 def _proposal_lines(look: StudyOverview) -> list[str]:
     """What was understood, the most certain first, and what is odd or wrong."""
     groups = dict(list(look.says.items())[::-1]) | {"Odd:": look.odd, "To be mended:": look.wrong}
@@ -355,17 +317,10 @@ def _write(options: ImportOptions) -> NoReturn:
         {"name": t.name, "role": t.role, "start": t.start, "frames": len(t.markers.t_s)}
         for t in study.trials
     ]
-    data = {"format": "cable-imported/1", "study": str(folder), "trials": trials, "notes": notes}
-
-    def printed() -> None:
-        if print_result(data, options.as_json):
-            tell_notes(notes)
-            frames = sum(len(t.markers.t_s) for t in study.trials)
-            print(
-                f"{folder}: {counted(len(study.trials), 'trial')}, {counted(frames, 'frame')}, "
-                "verified by reading back"
-            )
-            print(f"look at it: cell look {folder}; then: cell diagnose {folder}")
-
-    deliver(printed, *json_files(data, options.as_json))
-    raise typer.Exit(ALL_DONE)
+    frames = sum(len(t.markers.t_s) for t in study.trials)
+    said = f"{counted(len(trials), 'trial')}, {counted(frames, 'frame')}"
+    lines = [
+        f"{folder}: {said}, verified by reading back",
+        f"look at it: cell look {folder}; then: cell diagnose {folder}",
+    ]
+    _deliver_imported(options, folder, trials, notes, lines)

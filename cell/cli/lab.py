@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import Workers, folder_of, folders_of, taking, workers
-from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
+from cell.cli.output import Json, JsonCommand, deliver_result
+from cell.cli.printing import show
 from cell.cli.shared import (
     NOT_ALL_DONE,
     STDOUT,
@@ -20,7 +21,6 @@ from cell.cli.shared import (
     answering,
     group,
     refusing,
-    show,
     stoppable,
     tell_notes,
     working,
@@ -148,11 +148,6 @@ def compare(
                 tell_notes([f"{name} and what follows is not compared: {ENDED[bool(interrupted)]}"])
                 break
         result = CompareResult(tuple(comparisons))
-    data = result.to_json()
-
-    def printed() -> None:
-        if print_result(data, *results or []):
-            show(*result.parts())
 
     def page(path: Path) -> None:
         from cell.files.page import write_page
@@ -163,7 +158,8 @@ def compare(
     def tables(folder: Path) -> None:
         result.write_residuals(folder)
 
-    deliver(printed, *json_files(data, *results or []), (report, page), (residuals, tables))
+    files = (report, page), (residuals, tables)
+    deliver_result(result.to_json(), results or [], result.parts, *files)
     if interrupted:
         raise typer.Exit(interrupted.code)
 
@@ -258,13 +254,12 @@ def diagnose(given: _Diagnose) -> None:
                 _print_early(said)
             progress("comparing the models with the trials")
             result = diagnosed(examination, study, every_step=given.report is not None)
-        data = result.to_json()
-
-        def printed() -> None:
-            if print_result(data, *results):
-                show(*(part for part in result.parts() if part != said))
-
-        deliver(printed, *json_files(data, *results), (given.report, result.write_report))
+        deliver_result(
+            result.to_json(),
+            results,
+            lambda: (part for part in result.parts() if part != said),
+            (given.report, result.write_report),
+        )
     if interrupted:
         raise typer.Exit(interrupted.code)
 
@@ -291,13 +286,8 @@ def _diagnose_jointly(given: _Diagnose) -> None:
             result = found_together(
                 given.studies, selection, given.config, progress, tell_notes, rules, executor
             )
-    data = result.to_json()
-
-    def printed() -> None:
-        if print_result(data, *given.results or []):
-            show(*result.parts())
-
-    deliver(printed, *json_files(data, *given.results or []), (given.report, result.write_report))
+    report = given.report, result.write_report
+    deliver_result(result.to_json(), given.results or [], result.parts, report)
 
 
 @app.command(cls=JsonCommand)
@@ -331,12 +321,7 @@ def effects(
         tell_notes(left_out)
         library = select_effects([], [*(effect or []), *good]).candidates
         described = {"format": "cable-effects/1", "effects": describe_effects(library)}
-
-    def printed() -> None:
-        if print_result(described, *results or []):
-            show(effects_table(library))
-
-    deliver(printed, *json_files(described, *results or []))
+    deliver_result(described, results or [], lambda: [effects_table(library)])
     if left_out:
         raise typer.Exit(NOT_ALL_DONE)
 
@@ -379,13 +364,12 @@ def discover(
     todo = after_discovery(
         discovery.effect, discovery.complete, paths, tuple(e.name for e in known)
     )
-    data = discovery.to_json()
-
-    def printed() -> None:
-        if print_result(data, as_json):
-            show(discovery_table(discovery), discovery_sentence(discovery))
-
-    deliver(printed, (out, discovery.write), *json_files(data, as_json))
+    deliver_result(
+        discovery.to_json(),
+        [as_json],
+        lambda: (discovery_table(discovery), discovery_sentence(discovery)),
+        (out, discovery.write),
+    )
     if as_json != STDOUT:
         show(f"written to {out}", steps_text(todo))
     if interrupted:
@@ -462,12 +446,7 @@ def suggest(given: _Suggest) -> None:
         result = SuggestResult(found)
         if interrupted:
             tell_notes(["interrupted: the result is the best of the motions evaluated so far"])
-    data = result.to_json()
-
-    def printed() -> None:
-        if print_result(data, given.as_json):
-            show(*result.parts())
-
-    deliver(printed, (given.out, result.write), *json_files(data, given.as_json))
+    motion = given.out, result.write
+    deliver_result(result.to_json(), [given.as_json], result.parts, motion)
     if interrupted:
         raise typer.Exit(interrupted.code)

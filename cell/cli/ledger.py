@@ -1,8 +1,7 @@
-"""The command about the ledger of cycles: history."""
+"""Commands about the ledger of cycles: history, acknowledge, actions."""
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -16,15 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.arguments import taking
-from cell.cli.output import Delivery, deliver
-from cell.cli.shared import AsJson, Force, MaybeConfig, group, refusing
+from cell.cli.output import Delivery, deliver, print_json
+from cell.cli.printing import show
+from cell.cli.shared import AsJson, Force, MaybeConfig, group, refusing, user_name
 from cell.cli.streams import emit
 from cell.files.words import counted
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from cell.records.ledger.ledger import Ledger, LedgerQuery
+    from cell.cli.cycle_tables import Part
+    from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
     from cell.settings.model import Settings
 
 app = group()
@@ -130,8 +129,10 @@ def history(options: HistoryOptions) -> None:
 
     Exit codes: 0; 2 if the ledger cannot be read or an option is wrong.
     """
+    from cell.settings import load_settings
+
     with refusing(options.csv, options.parquet, force=options.force), ledger_errors():
-        settings = None if options.config is None else _settings(options.config)
+        settings = None if options.config is None else load_settings(options.config)
         if options.faults and options.oee:
             raise ValueError("--faults and --oee are two answers; give one of them")
         now = datetime.now(UTC)
@@ -142,22 +143,12 @@ def history(options: HistoryOptions) -> None:
             exported = _exports(ledger, wanted, options)
 
     def printed() -> None:
-        from rich.console import Console
-
-        from cell.terminal.fitting import show
-
         if options.as_json:
-            emit(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
+            print_json(data)
         else:
-            show(Console(), *taken, *parts)
+            show(*taken, *parts)
 
     deliver(printed, *exported)
-
-
-def _settings(config: Path) -> Settings:
-    from cell.settings import load_settings
-
-    return load_settings(config)
 
 
 def _answer(
@@ -166,25 +157,29 @@ def _answer(
     options: HistoryOptions,
     settings: Settings | None,
     now: datetime,
-) -> tuple[Any, Sequence[RenderableType]]:
+) -> tuple[Any, Sequence[Part]]:
     """What is asked for, as plain data and as tables."""
-    from cell.terminal.past import cycles_parts, faults_parts, shifts_parts
+    from cell.cli.cycle_tables import cycles_parts, faults_parts, shifts_parts
 
     if options.faults:
-        counted = ledger.faults(wanted)
-        data = [{"code": code, "cycles": n, "newest_cause": cause} for code, n, cause in counted]
-        return data, faults_parts(counted)
+        counts = ledger.faults(wanted)
+        return faults_json(counts), faults_parts(counts)
     if options.oee:
         from cell.records.ledger.effectiveness import shifts
         from cell.settings.records import LedgerSettings as Section
 
         given = (None if settings is None else settings.ledger) or Section()
         begins = [time.fromisoformat(t) for t in given.shifts]
-        found = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
-        return [s.to_json() for s in found], shifts_parts(found)
+        listed_shifts = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
+        return [s.to_json() for s in listed_shifts], shifts_parts(listed_shifts)
     most = options.most if options.as_json else options.most or _SHOWN
     listed = ledger.listed(wanted, most, estimates=options.as_json)
     return [c.to_json() for c in listed], cycles_parts(listed, ledger.count(wanted))
+
+
+def faults_json(counts: Sequence[tuple[str, int, str]]) -> list[dict[str, Any]]:
+    """Faults as counted by `Ledger.faults`, as plain data."""
+    return [{"code": code, "cycles": n, "newest_cause": cause} for code, n, cause in counts]
 
 
 @contextmanager
@@ -295,6 +290,7 @@ def _checked_outcome(outcome: str) -> str:
 def _import_cycles(ledger: Ledger, folder: Path, settings: Settings | None) -> str:
     """Take in the cycles of a folder; what is said of it."""
     from cell.records.ledger.entry import entry_of_folder
+    from cell.records.ledger.ledger import LedgerQuery
     from cell.settings.provenance import line_name
 
     if not folder.is_dir():
@@ -303,7 +299,7 @@ def _import_cycles(ledger: Ledger, folder: Path, settings: Settings | None) -> s
             "wrote to"
         )
     line = line_name(settings)
-    known = {f"{c.line}/{c.folder.name}" for c in ledger.listed(_everything(line))}
+    known = {f"{c.line}/{c.folder.name}" for c in ledger.listed(LedgerQuery(line=line))}
     entries = [e for f in sorted(folder.iterdir()) if (e := entry_of_folder(f, line)) is not None]
     new = [e for e in entries if e.uid not in known]
     ledger.write(new, of_now=False)
@@ -311,12 +307,6 @@ def _import_cycles(ledger: Ledger, folder: Path, settings: Settings | None) -> s
         f"{folder}: {len(new)} of {counted(len(entries), 'cycle')} "
         f"{'is' if len(new) == 1 else 'are'} new to the ledger"
     )
-
-
-def _everything(line: str) -> LedgerQuery:
-    from cell.records.ledger.ledger import LedgerQuery
-
-    return LedgerQuery(line=line)
 
 
 def _exports(ledger: Ledger, wanted: LedgerQuery, options: HistoryOptions) -> list[Delivery]:
@@ -330,3 +320,111 @@ def _exports(ledger: Ledger, wanted: LedgerQuery, options: HistoryOptions) -> li
     listed = ledger.listed(wanted, options.most, estimates=True)
     csv, parquet = partial(write_csv, listed), partial(write_parquet, listed)
     return [(options.csv, csv), (options.parquet, parquet)]
+
+
+def _ended_by_fault(faults: Sequence[ListedCycle], folder: Path) -> ListedCycle:
+    """The cycle of a folder, or that of its name: records may be on other computers.
+
+    raises  ValueError: there is none; or several lines have one of this name
+    """
+    named = [c for c in faults if c.folder.name == folder.name]
+    found = [c for c in named if c.folder.resolve() == folder] or named
+    if not found:
+        raise ValueError(f"{folder.name}: no cycle of this name was ended by a fault")
+    if len(found) > 1:
+        lines = " and of ".join(c.line for c in found)
+        raise ValueError(f"{folder.name}: is a cycle of {lines}; say which line with --config")
+    return found[0]
+
+
+@app.command()
+def acknowledge(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Folders of failed cycles; default: the newest failed cycle."),
+    ] = None,
+    *,
+    by: Annotated[str | None, typer.Option(help="Who; default: who is logged in.")] = None,
+    note: Annotated[str, typer.Option(help="What was found, what was done.")] = "",
+    everything: Annotated[
+        bool, typer.Option("--all", help="All faults that nobody has acknowledged.")
+    ] = False,
+    config: MaybeConfig = None,
+    ledger: LedgerPlace = None,
+    as_json: AsJson = False,
+) -> None:
+    """Acknowledge that a fault was looked at: who, when, and what was done about it.
+
+    It is kept in the ledger beside the fault, and in the cycle's folder; `cell history --open`
+    lists faults that nobody has acknowledged.  An acknowledgement moves nothing: after a fault the
+    next `cell run` begins anew.
+
+    Exit codes: 0; 2 if there is no such fault, or the ledger cannot be used.
+    """
+    from cell.records.folder import acknowledge_record
+    from cell.records.ledger.entry import Acknowledgement
+    from cell.records.ledger.ledger import LedgerQuery
+    from cell.settings import load_settings
+    from cell.settings.provenance import line_name
+
+    with refusing(), ledger_errors():
+        if everything and folders:
+            raise ValueError("give folders or --all, not both")
+        settings = None if config is None else load_settings(config)
+        line = None if settings is None else line_name(settings)
+        said = Acknowledgement(datetime.now(UTC), by or user_name(), note)
+        with open_ledger(settings, ledger, create=True, must_exist=True) as listed:
+            wanted = LedgerQuery(line=line, fault="", acknowledged=None if folders else False)
+            faults = listed.listed(wanted)
+            chosen = faults if everything else faults[-1:]
+            if folders:
+                each = [_ended_by_fault(faults, folder.resolve()) for folder in folders]
+                chosen = list({c.uid: c for c in each}.values())
+            if not chosen:
+                raise ValueError("no fault is open: every one was acknowledged, or there was none")
+            for cycle in chosen:
+                if cycle.folder.is_dir():  # records of other computers, and removed ones, are not
+                    acknowledge_record(cycle.folder, said.by, note)
+            listed.acknowledge(chosen, said)
+    data = [
+        {"folder": str(c.folder), "fault": c.fault.code, "cause": c.fault.cause, **said.to_json()}
+        for c in chosen
+        if c.fault is not None
+    ]
+    if as_json:
+        print_json(data)
+        return
+    for one in data:
+        print(f"acknowledged by {said.by}: {one['fault']}: {one['cause']}: {one['folder']}")
+
+
+@app.command()
+def actions(
+    *,
+    config: MaybeConfig = None,
+    ledger: LedgerPlace = None,
+    since: Since = None,
+    most: Annotated[int, typer.Option("-n", "--most", min=1, help="The newest N.")] = 50,
+    as_json: AsJson = False,
+) -> None:
+    """List what people have done at the pages: when, who, what, done or refused.
+
+    `cell serve` takes them into the ledger from its log beside the records.
+
+    Exit codes: 0; 2 if the ledger cannot be read.
+    """
+    from cell.records.ledger.actions import listed_actions
+    from cell.settings import load_settings
+
+    with refusing(), ledger_errors():
+        place: str | Path = ledger or "runs"
+        if ledger is None and config is not None:
+            given = load_settings(config).ledger
+            place = (given.url if given is not None else None) or place
+        found = listed_actions(place, parse_time(since, datetime.now(UTC), "--since"), most)
+    if as_json:
+        print_json([a.to_json() for a in found])
+        return
+    for a in found:
+        done = "" if a.done else "  refused"
+        emit(f"{a.at:%Y-%m-%d %H:%M:%S}  {a.by}  {a.action}{done}  {a.note}".rstrip())

@@ -17,6 +17,7 @@ import typer
 from cell.cli.arguments import Workers, folder_in, taking, workers
 from cell.cli.ledger import LedgerPlace, Since, listed_cycles
 from cell.cli.output import Delivery, deliver
+from cell.cli.printing import show
 from cell.cli.shared import (
     ALL_DONE,
     NOT_ALL_DONE,
@@ -26,7 +27,6 @@ from cell.cli.shared import (
     answering,
     group,
     refusing,
-    show,
     working,
 )
 
@@ -140,10 +140,7 @@ def _delivered(
     config, out = options.config, options.out
 
     def printed() -> None:
-        for part in learned.parts():
-            print(part) if isinstance(part, str) else show(part)
-        for line in more:
-            print(line)
+        show(*learned.parts(), *more)
 
     if learned.learned.best is None:
         deliver(printed)

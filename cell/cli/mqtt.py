@@ -45,9 +45,9 @@ def mqtt(
 
     Exit codes: 0 if it was ended by Ctrl-C or SIGTERM; 2 if the settings are wrong.
     """
+    from cell.cli.logs import warnings_to_terminal
     from cell.plant.mqtt.outbox import MqttOutbox, OutboxError, outbox_of
     from cell.plant.wire import LinkError
-    from cell.terminal.logs import warnings_to_terminal
 
     if schema:
         from cell.plant.mqtt.plain_json import schema as of_messages

@@ -52,8 +52,8 @@ def opcua(
         raise typer.Exit(BAD_INPUT)
     try:
         settings = _settings(config)
+        from cell.cli.logs import to_file, warnings_to_terminal
         from cell.plant.opcua.server import serve
-        from cell.terminal.logs import to_file, warnings_to_terminal
 
         warnings_to_terminal()
 

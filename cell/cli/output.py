@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,9 +12,11 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from cell.cli.printing import show
 from cell.cli.shared import NOT_ALL_DONE, STDOUT, answering, unhindered
 from cell.cli.streams import OutputClosedError, emit
 from cell.files.rescue import write_or_rescue
+from cell.files.table import TableData
 
 Json = Annotated[
     Path | None,
@@ -57,12 +59,9 @@ class JsonCommand(TyperCommand):
         return given
 
 
-def print_result(data: dict[str, Any], *places: Path | None) -> bool:
-    """Print a result as JSON if that is asked for; returns whether tables are wanted instead."""
-    if STDOUT not in places:
-        return True
+def print_json(data: Any) -> None:
+    """Print plain data as JSON.  Raises OutputClosedError."""
     emit(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
-    return False
 
 
 #: A file, and what writes it to wherever it is told.
@@ -103,8 +102,23 @@ def deliver(printed: Callable[[], None], *files: Delivery) -> None:
         raise typer.Exit(NOT_ALL_DONE)
 
 
-def json_files(data: dict[str, Any], *places: Path | None) -> list[Delivery]:
-    """A result as JSON in each file given."""
+def deliver_result(
+    data: dict[str, Any],
+    places: Sequence[Path | None],
+    parts: Callable[[], Iterable[str | TableData]],
+    *files: Delivery,
+) -> None:
+    """Print a result, write it as JSON, and write its other files; see `deliver`.
+
+    places  where the JSON goes; if it goes to the standard output, `parts` are not printed
+    parts   gives the texts and tables for people
+    """
     from cell.lab.data.results import write_json
 
-    return [(place, partial(write_json, data)) for place in places]
+    def printed() -> None:
+        if STDOUT in places:
+            print_json(data)
+        else:
+            show(*parts())
+
+    deliver(printed, *((place, partial(write_json, data)) for place in places), *files)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import json
 import sys
 from pathlib import Path
@@ -11,7 +10,17 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from cell.cli.arguments import records_folder
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, AsJson, Config, MaybeConfig, group, refuse
+from cell.cli.output import print_json
+from cell.cli.shared import (
+    ALL_DONE,
+    NOT_ALL_DONE,
+    AsJson,
+    Config,
+    MaybeConfig,
+    group,
+    refuse,
+    user_name,
+)
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:
@@ -72,7 +81,7 @@ def status(
     except KeyboardInterrupt:
         raise typer.Exit(ALL_DONE) from None
     if as_json:
-        emit(json.dumps(to_json(now), indent=2, ensure_ascii=False))
+        print_json(to_json(now))
     else:
         emit("\n".join(_lines(now)))
     needs_person = now.fault is not None or now.state.value in ("stopped", "aborted")
@@ -130,7 +139,7 @@ def send(
     try:
         if line is not None:
             _check_line(line, client.status(), runs)
-        answer = client.send(Request(event, by or _user(), note, part, product))
+        answer = client.send(Request(event, by or user_name(), note, part, product))
     except LinkError as error:
         _no_cell(error)
     if as_json:
@@ -163,7 +172,7 @@ def service(
     except InputError as error:
         refuse(error)
     try:
-        emit(unit_of(config.resolve(), out.resolve(), Path.cwd(), user or _user()))
+        emit(unit_of(config.resolve(), out.resolve(), Path.cwd(), user or user_name()))
     except ValueError as error:
         refuse(error)
 
@@ -191,14 +200,6 @@ def _check_line(line: str | None, now: Status, runs: Path) -> None:
                 "the cell that you mean, or its settings"
             )
         )
-
-
-def _user() -> str:
-    """Who is logged in; a service may have no name."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return "somebody"
 
 
 def _what_follows(state: CellState, event: MachineEvent | None) -> str:

@@ -10,8 +10,8 @@ import typer
 
 from cell.cli.arguments import Workers, taking, workers
 from cell.cli.lab import InModel, LineModel, Results, StudyFolder
-from cell.cli.output import JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import Force, group, refusing, show, stoppable, tell_notes, working
+from cell.cli.output import JsonCommand, deliver_result
+from cell.cli.shared import Force, group, refusing, stoppable, tell_notes, working
 
 app = group()
 
@@ -81,12 +81,6 @@ def power(given: _Power) -> None:
                     fits, asked, given.verify or 0, progress=progress, executor=executor
                 )
     result = PowerResult(found)
-    data = result.to_json()
-
-    def printed() -> None:
-        if print_result(data, *given.results or []):
-            show(*result.parts())
-
-    deliver(printed, *json_files(data, *given.results or []))
+    deliver_result(result.to_json(), given.results or [], result.parts)
     if interrupted:
         raise typer.Exit(interrupted.code)

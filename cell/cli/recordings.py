@@ -1,8 +1,10 @@
-"""Commands about recordings: replay, recover."""
+"""Commands about recordings: replay, recover; and about their store: upload, fetch."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,15 +13,14 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from cell.cli.arguments import taking
-from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Force, group, refusing, working
+from cell.cli.output import Json, JsonCommand, deliver_result
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Force, group, refusing, working
 from cell.files.rescue import why_not_written
 from cell.files.words import counted
 
 if TYPE_CHECKING:
+    from cell.files.table import TableData
     from cell.records.recording.recover import Recovered
-    from cell.records.result import Result
-    from cell.wiring.replay import Replayed
 
 app = group()
 
@@ -104,6 +105,7 @@ def replay(options: ReplayOptions) -> None:
     """
     if options.imported:
         _import(options)
+    from cell.cli.cycle_tables import replayed_parts
     from cell.records.recording.reading import read_recording
     from cell.wiring.replay import replay as replay_cycle
 
@@ -118,17 +120,18 @@ def replay(options: ReplayOptions) -> None:
             Path(folder) if options.as_cell is None else options.as_cell,
             lambda number, step: progress(step.replace("_", " ")),
         )
-    data = replayed.to_json()
 
-    def printed() -> None:
-        if print_result(data, options.as_json):
-            _show_replayed(replayed, kept=options.as_cell is not None)
+    def parts() -> Iterator[str | TableData]:
+        yield from replayed_parts(replayed, most=_MOST_PRINTED)
+        if options.as_cell is not None:
+            yield f"replayed in {replayed.result.folder}"
 
-    deliver(printed, *json_files(data, options.as_json))
+    deliver_result(replayed.to_json(), [options.as_json], parts)
     raise typer.Exit(NOT_ALL_DONE if replayed.differences else ALL_DONE)
 
 
 def _import(options: ReplayOptions) -> NoReturn:
+    from cell.cli.cycle_tables import imported_parts
     from cell.records.result import Outcome
     from cell.settings import load_settings
     from cell.wiring.filmed import read_film, record_film
@@ -151,34 +154,9 @@ def _import(options: ReplayOptions) -> NoReturn:
             lambda number, step: progress(step.replace("_", " ")),
         )
     data = {"recording": str(target), "result": result.to_json()}
-
-    def printed() -> None:
-        if print_result(data, options.as_json):
-            _show_imported(result, target)
-
-    deliver(printed, *json_files(data, options.as_json))
+    next_line = f"{target}: replay it, or give it to the lab, as `cell diagnose {target}`"
+    deliver_result(data, [options.as_json], lambda: (*imported_parts(result), next_line))
     raise typer.Exit(ALL_DONE if result.outcome is Outcome.MEASURED else NOT_ALL_DONE)
-
-
-def _show_imported(result: Result, target: Path) -> None:
-    from rich.console import Console
-
-    from cell.terminal.fitting import show
-    from cell.terminal.replayed import imported_parts
-
-    show(Console(), *imported_parts(result))
-    print(f"{target}: replay it, or give it to the lab, as `cell diagnose {target}`")
-
-
-def _show_replayed(replayed: Replayed, *, kept: bool) -> None:
-    from rich.console import Console
-
-    from cell.terminal.fitting import show
-    from cell.terminal.replayed import replayed_parts
-
-    show(Console(), *replayed_parts(replayed, most=_MOST_PRINTED))
-    if kept:
-        print(f"replayed in {replayed.result.folder}")
 
 
 @app.command(cls=JsonCommand)
@@ -222,17 +200,10 @@ def recover(
             except OSError as error:
                 failed.append(why_not_written(error))
     data = {"recovered": [r.to_json() for r in done], "failed": failed}
-
-    def printed() -> None:
-        if print_result(data, as_json):
-            for recovered in done:
-                print(_recovered_text(recovered))
-            if not done and not failed:
-                print("no torn recording was found")
-
     for text in failed:
         print(text, file=sys.stderr)
-    deliver(printed, *json_files(data, as_json))
+    none = [] if done or failed else ["no torn recording was found"]
+    deliver_result(data, [as_json], lambda: (*map(_recovered_text, done), *none))
     raise typer.Exit(NOT_ALL_DONE if failed else ALL_DONE)
 
 
@@ -247,3 +218,85 @@ def _recovered_text(recovered: Recovered) -> str:
     if recovered.damaged_bytes:
         text += f"; {recovered.damaged_bytes} bytes are damaged: {recovered.source} is kept"
     return text
+
+
+@app.command()
+def upload(
+    runs: Annotated[
+        Path, typer.Argument(help="Folder of the cycles: that of `cell run --runs`.")
+    ] = Path("runs"),
+    *,
+    config: Config,
+) -> None:
+    """Bring recordings to the store of the settings (recording.store), verify, remove them here.
+
+    `cell run` does so between two cables; this does what it had no time for.  A recording whose
+    cycle's folder has a file named `keep` stays here too.  Run it while no cable is in the jaws.
+
+    Credentials come from the environment: for s3:// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and,
+    for a server of your own, AWS_ENDPOINT_URL; for other stores see fsspec's documentation.
+
+    Exit codes: 0; 1 if some could not be uploaded, which stay here; 2 if the settings name no
+    store.
+    """
+    from cell.files.input_error import InputError
+    from cell.records.recording.store import RecordingStoreError, Store
+    from cell.records.recording.uploads import bring, waiting
+    from cell.settings import load_settings
+    from cell.settings.provenance import line_name
+
+    failed = done = 0
+    with refusing():
+        settings = load_settings(config)
+        if settings.recording is None or settings.recording.store is None:
+            raise InputError.at(config, "is missing; name a store", key="recording.store")
+        if not runs.is_dir():
+            raise InputError.at(runs, "is missing; give the folder of `cell run --runs`")
+        found = waiting(runs)
+        try:
+            store = Store(settings.recording.store)
+        except RecordingStoreError as error:
+            raise ValueError(str(error)) from error
+        with working("upload") as progress:
+            for number, recording in enumerate(found):
+                progress(str(recording), number, len(found))
+                try:
+                    done += bring(store, recording, line_name(settings), nullcontext) is not None
+                except (RecordingStoreError, OSError) as error:
+                    failed += 1
+                    print(f"{recording}: {error}", file=sys.stderr)
+    print(f"{store.url}: uploaded and verified: {done}; not uploaded: {failed}")
+    raise typer.Exit(NOT_ALL_DONE if failed else ALL_DONE)
+
+
+@app.command()
+def fetch(
+    folder: Annotated[Path, typer.Argument(help="A cycle's folder.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="File to write; default: recording.mcap in the folder."),
+    ] = None,
+) -> None:
+    """Bring the recording of a cycle back from the store, and verify it.
+
+    Exit codes: 0; 1 if the store does not give it; 2 if the cycle's recording is in no store.
+    """
+    from cell.files.input_error import InputError
+    from cell.records.recording import form
+    from cell.records.recording.store import RecordingStoreError, stored_of
+    from cell.records.recording.store import fetch as fetch_stored
+
+    target = folder / form.FILE if out is None else out
+    with refusing(None if out is None and target.exists() else target):
+        if out is None and target.exists():
+            raise ValueError(f"{target}: is here already; give another name with -o, or remove it")
+        stored = stored_of(folder)
+        if stored is None:
+            raise InputError.at(folder / form.FILE, "is not in a store")
+        try:
+            with working("fetch") as progress:
+                fetch_stored(stored, target, lambda x: progress(stored.url, int(100 * x), 100))
+        except RecordingStoreError as error:
+            print(error, file=sys.stderr)
+            raise typer.Exit(NOT_ALL_DONE) from error
+    print(f"{target}: {stored.bytes / 1e6:.0f} MB, verified")

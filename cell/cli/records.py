@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from cell.cli.arguments import folder_of
-from cell.cli.output import deliver
+from cell.cli.output import deliver, print_json
+from cell.cli.printing import show as show_parts
 from cell.cli.shared import AsJson, Force, group, refuse, refusing, working
 
 app = group()
@@ -32,21 +32,18 @@ def list_cycles(
 
     Exit codes: 0, or 2 if the folder is wrong.
     """
-    from rich.console import Console
-
+    from cell.cli.cycle_tables import history_table
     from cell.files.input_error import InputError
     from cell.records.past_cycles import history
-    from cell.terminal.fitting import show as print_parts
-    from cell.terminal.past import history_table
 
     try:
         past = history(runs)
     except InputError as error:
         refuse(error)
     if as_json:
-        print(json.dumps([p.to_json() for p in past], indent=2, ensure_ascii=False))
+        print_json([p.to_json() for p in past])
     elif past:
-        print_parts(Console(), history_table(past), f"look at one: cell show {runs}/FOLDER")
+        show_parts(history_table(past), f"look at one: cell show {runs}/FOLDER")
     else:
         print(f"{runs}: has no cycles; `cell run --runs {runs}` records some")
 
@@ -66,13 +63,10 @@ def show(
 
     Exit codes: 0, or 2 if the folder is wrong.
     """
-    from rich.console import Console
-
+    from cell.cli.cycle_tables import record_parts
     from cell.files.input_error import InputError
     from cell.records.folder import pictures_in, read_record
     from cell.records.past_cycles import newest
-    from cell.terminal.fitting import show as print_parts
-    from cell.terminal.past import record_parts
 
     try:
         record = read_record(newest(runs) if folder is None else folder)
@@ -81,12 +75,10 @@ def show(
     images = pictures_in(record.folder)
     if as_json:
         result = None if record.result is None else record.result.to_json()
-        state = dict(record.state)
-        content: dict[str, Any] = {"folder": str(record.folder), "state": state, "result": result}
-        content["pictures"] = [str(image) for image in images]
-        print(json.dumps(content, indent=2, ensure_ascii=False))
+        content = {"folder": str(record.folder), "state": dict(record.state), "result": result}
+        print_json({**content, "pictures": [str(image) for image in images]})
     else:
-        print_parts(Console(), *record_parts(record, images))
+        show_parts(*record_parts(record, images))
     if pictures:
         for image in images:
             typer.launch(str(image))
@@ -99,9 +91,7 @@ def report(
         Path | None,
         typer.Argument(help="A cycle's folder or its recording; default: the newest."),
     ] = None,
-    runs: Annotated[
-        Path, typer.Option("--runs", help="Folder of the cycles: that of `cell run --runs`.")
-    ] = Path("runs"),
+    runs: Runs = Path("runs"),
     out: Annotated[Path, typer.Option("-o", "--out", help="Write the page to this file.")] = Path(
         "report.html"
     ),

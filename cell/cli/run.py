@@ -15,6 +15,7 @@ import typer
 
 from cell.cli.arguments import records_folder, taking
 from cell.cli.part_ids import SCANNED, part_ids
+from cell.cli.printing import show
 from cell.cli.shared import (
     ALL_DONE,
     BAD_INPUT,
@@ -27,17 +28,12 @@ from cell.cli.shared import (
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:
-    from cell.cli.cell_factory import Products
-    from cell.records.result import Result
-    from cell.settings.model import Settings
-
-
-if TYPE_CHECKING:
     from cell.cli.cell_factory import BuiltCell, Products
     from cell.cli.plant_end import PlantEnd
+    from cell.cli.progress import RunProgress
     from cell.records.result import Result
     from cell.run.plans import Plan
-    from cell.terminal.console import RunProgress
+    from cell.settings.model import Settings
 
 app = group()
 
@@ -161,12 +157,13 @@ def run(options: RunOptions) -> None:
     to continue.  A hold never clears a stop.  Ctrl-C stops the arm and closes the record.
     """
     from cell.cli.cell_factory import build_cell, products_in
+    from cell.cli.cycle_tables import troubles
+    from cell.cli.logs import to_file
     from cell.cli.plant_end import PlantEnd
+    from cell.cli.progress import RunProgress
     from cell.lab.next.motion_file import load_motion
     from cell.run.plans import INSERTING, measuring
     from cell.settings.calibrated import calibrated
-    from cell.terminal.console import RunProgress, troubles
-    from cell.terminal.logs import to_file
     from cell.wiring.arm_version import check_arm_version, remember_dry_run
     from cell.wiring.build import emulators_asked_for
     from cell.wiring.ownership import owned
@@ -287,9 +284,8 @@ def _results(
     While ids are typed, no key holds the cell.  That the settings' file has another model by now is
     told once.
     """
+    from cell.cli.keyboard import KEYS, MAY_HOLD, Keyboard
     from cell.records.result import Outcome
-    from cell.terminal.console import KEYS, MAY_HOLD
-    from cell.terminal.keyboard import Keyboard
 
     cell = made.cell
 
@@ -338,7 +334,7 @@ def _orders(
 
 def _print_result(as_json: bool, result: Result) -> None:
     """One cycle of a service, in a line."""
-    from cell.terminal.console import troubles
+    from cell.cli.cycle_tables import troubles
 
     if as_json:
         emit(json.dumps(result.to_json(), ensure_ascii=False))
@@ -350,22 +346,12 @@ def _show(
     results: Sequence[Result], steps: Sequence[str], dry_run: bool, notes: Sequence[str]
 ) -> None:
     """Print the tables of a run, and where its records are."""
-    from rich.console import Console
+    from cell.cli.cycle_tables import checks_table, results_table, seconds_table
 
-    from cell.terminal.console import checks_table, results_table, seconds_table
-    from cell.terminal.fitting import show
-
-    console = Console()
-    if dry_run:
-        for result in results:
-            show(console, checks_table(result))
-    else:
-        show(console, results_table(results))
-    show(console, seconds_table(results, steps))
-    show(console, *notes)
-    for result in results:
-        what = "dry run" if dry_run else "cable"
-        show(console, f"{what} {result.cycle}: {result.folder}")
+    tables = [checks_table(r) for r in results] if dry_run else [results_table(results)]
+    what = "dry run" if dry_run else "cable"
+    folders = (f"{what} {r.cycle}: {r.folder}" for r in results)
+    show(*tables, seconds_table(results, steps), *notes, *folders)
 
 
 def changes(out: Path, results: Sequence[Result], config: Path, products: Products) -> list[str]:

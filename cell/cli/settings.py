@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cell.cli.output import print_json
+from cell.cli.printing import show
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse, tell_notes
 
 if TYPE_CHECKING:
@@ -103,16 +104,13 @@ def doctor(
     """
     from dataclasses import asdict
 
-    from rich.console import Console
-
+    from cell.cli.cycle_tables import conditions_table
     from cell.files.input_error import InputError
     from cell.records.recording.retention import recording_room
     from cell.run.computer_check import CameraLoad, check_computer, check_room
     from cell.settings import Settings, load_settings
     from cell.settings.starting import answered
     from cell.settings.translate import picture_size, vision_of
-    from cell.terminal.console import conditions_table
-    from cell.terminal.fitting import show
 
     try:
         settings = (
@@ -129,10 +127,10 @@ def doctor(
     room = None if wanted is None else recording_room(runs, wanted, size[0] * size[1])
     found.append(check_room(room))
     if as_json:
-        print(json.dumps([asdict(c) for c in found], indent=2, ensure_ascii=False))
+        print_json([asdict(c) for c in found])
     else:
         failing = [f"{c.name}: {c.remedy}" for c in found if not c.met]
-        show(Console(), conditions_table(found), "\n".join(failing) or "every condition is met")
+        show(conditions_table(found), "\n".join(failing) or "every condition is met")
     raise typer.Exit(ALL_DONE if all(c.met for c in found) else NOT_ALL_DONE)
 
 
@@ -179,7 +177,7 @@ def schema() -> None:
     """Print the JSON schema of the settings, for editors."""
     from cell.settings import Settings
 
-    print(json.dumps(Settings.model_json_schema(), indent=2, ensure_ascii=False))
+    print_json(Settings.model_json_schema())
 
 
 def _is_interactive() -> bool:

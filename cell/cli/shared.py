@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -17,8 +18,7 @@ from cell.files.overwriting import check_distinct, check_output
 from cell.files.rescue import no_room, remedy
 
 if TYPE_CHECKING:
-    from cell.files.table import TableData
-    from cell.terminal.progress import ProgressLine
+    from cell.cli.progress import ProgressLine
 
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
 #: Stands for the standard output where a file could be given.
@@ -52,6 +52,14 @@ def refuse(error: Exception) -> NoReturn:
     """End with 2 and the message of what was wrong."""
     print(error, file=sys.stderr)
     raise typer.Exit(BAD_INPUT) from error
+
+
+def user_name() -> str:
+    """Who is logged in; a service may have no name."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "somebody"
 
 
 def tell_notes(notes: Sequence[str]) -> None:
@@ -241,17 +249,6 @@ def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]
 
 def working(command: str) -> ProgressLine:
     """A line that tells what a command is doing, on the error stream."""
-    from cell.terminal.progress import ProgressLine
+    from cell.cli.progress import ProgressLine
 
     return ProgressLine(command)
-
-
-def show(*parts: str | TableData) -> None:
-    """Print texts as they are, and tables of which no number is cut."""
-    from rich.console import Console
-
-    from cell.files.table import TableData
-    from cell.terminal.fitting import show as show_on
-    from cell.terminal.fitting import text_table
-
-    show_on(Console(), *(text_table(p) if isinstance(p, TableData) else p for p in parts))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cell.cli.arguments import folder_of, folders_of
-from cell.cli.output import Json, JsonCommand, deliver, json_files, print_result
+from cell.cli.output import Json, JsonCommand, deliver_result
+from cell.cli.printing import show
 from cell.cli.shared import (
     ALL_DONE,
     NOT_ALL_DONE,
@@ -17,7 +19,6 @@ from cell.cli.shared import (
     Force,
     group,
     refusing,
-    show,
     tell_notes,
     working,
 )
@@ -25,6 +26,7 @@ from cell.files.overwriting import check_new_study
 from cell.files.words import counted
 
 if TYPE_CHECKING:
+    from cell.files.table import TableData
     from cell.lab.report.look_page import StudyOverview
 
 app = group()
@@ -112,19 +114,18 @@ def look_at_study(
     page = out or (Path("look.html") if open_it else None)
     with refusing(page, as_json, force=force), working("look"):
         look = _look(study)
-    data = look.to_json()
 
-    def printed() -> None:
-        if print_result(data, as_json):
-            show(facts_table(look), f"{FACT_NOTE}.")
-            if look.wrenches:
-                show(wrench_facts_table(look.wrenches))
-            for head, found in (("Odd:", look.odd), ("To be mended:", look.wrong)):
-                show(*([head, *(f"  {s}" for s in found)] if found else []))
-            if not look.odd and not look.wrong:
-                show("Nothing is odd.")
+    def parts() -> Iterator[str | TableData]:
+        yield from (facts_table(look), f"{FACT_NOTE}.")
+        if look.wrenches:
+            yield wrench_facts_table(look.wrenches)
+        for head, lines in (("Odd:", look.odd), ("To be mended:", look.wrong)):
+            yield from [head, *(f"  {s}" for s in lines)] if lines else []
+        if not look.odd and not look.wrong:
+            yield "Nothing is odd."
 
-    deliver(printed, (page, partial(write_page, look_page(look))), *json_files(data, as_json))
+    file = page, partial(write_page, look_page(look))
+    deliver_result(look.to_json(), [as_json], parts, file)
     if page is not None and as_json != STDOUT:
         show(f"{page}: pictures of every trial")
     if open_it and page is not None:

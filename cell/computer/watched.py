@@ -36,6 +36,9 @@ _TIDYING_S = 2.0
 _ANSWERING_S = 30.0
 #: Signals that come within so long are one, s: `timeout` gives it to the command and to its group.
 _ONE_S = 0.5
+#: Variable of the environment by which whoever starts a command sets the time between two lines of
+#: progress, s.
+PROGRESS_VARIABLE = "CELL_PROGRESS_EVERY_S"
 #: After these a command may still say what it knows.
 ANSWERED = (signal.SIGINT, signal.SIGTERM)
 #: What the parent hands on to the child.

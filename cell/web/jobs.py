@@ -23,8 +23,8 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
+from cell.computer.watched import PROGRESS_VARIABLE
 from cell.files.atomic import write_atomic
-from cell.terminal.progress import EVERY_VARIABLE
 from drivers.threads import GuardedThread, said
 
 #: The command that moves the arm.
@@ -132,7 +132,7 @@ def child(words: Sequence[str]) -> subprocess.Popen[str]:
         encoding="utf-8",
         errors="replace",
         start_new_session=True,
-        env={**os.environ, EVERY_VARIABLE: str(_PROGRESS_S), "COLUMNS": "100"},
+        env={**os.environ, PROGRESS_VARIABLE: str(_PROGRESS_S), "COLUMNS": "100"},
     )
 
 

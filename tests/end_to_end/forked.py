@@ -34,7 +34,7 @@ MODULES = (
     ),
     *("cell.plant.children", "cell.plant.server", "cell.plant.service", "cell.plant.systemd"),
     *("cell.records.changed_model", "cell.records.ledger.migrations.upgrade"),
-    *("cell.run.computer_check", "cell.terminal.keyboard", "cell.terminal.fitting"),
+    *("cell.run.computer_check", "cell.cli.keyboard", "cell.cli.cycle_tables"),
 )
 #: So long a process may take until it has begun, or until it is gone after a kill, s.
 LONGEST_S = 60.0

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from cell.cli.cycle_tables import replayed_parts
+from cell.cli.printing import show
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.reading import read_recording
@@ -17,8 +19,6 @@ from cell.records.recording.recover import recover_in_place
 from cell.records.result import Outcome
 from cell.settings import Settings, load_settings
 from cell.settings.records import RecordingSettings
-from cell.terminal.fitting import show
-from cell.terminal.replayed import replayed_parts
 from cell.wiring.build import build_cell
 from cell.wiring.replay import replay
 from tools.faults.kill_study import kill_once
@@ -179,7 +179,7 @@ def test_other_settings_are_compared(recorded, quick_config, tmp_path, capsys):
     replayed = replay(read_recording(recorded), other, tmp_path)
     assert replayed.differences[0].name == "decision.offset_m"
     assert "no film of this motion" in replayed.result.fault.cause  # the execution was another
-    show(Console(width=200), *replayed_parts(replayed, most=3))
+    show(*replayed_parts(replayed, most=3), console=Console(width=200))
     printed = capsys.readouterr().out
     assert "decision.offset_m" in printed
     assert f"and {len(replayed.differences) - 3} more" in printed

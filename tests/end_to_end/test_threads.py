@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 
+from cell.cli.keyboard import Keyboard
 from cell.computer import abilities
 from cell.computer.forks import stream
 from cell.plant.children import Adapters
@@ -43,7 +44,6 @@ from cell.run.commands import Commands
 from cell.run.machine import MachineEvent
 from cell.run.waiting import result_of
 from cell.settings.plant import Handshake, OpcUa
-from cell.terminal.keyboard import Keyboard
 from cell.web import guided as guided_module
 from cell.web.camera import LiveCamera
 from cell.web.guided import Guided
@@ -163,7 +163,7 @@ TESTED = {
     ],
     "test_a_thread_on_which_nothing_depends_is_logged": [
         "GuardedThread cell/plant/handshake/adapter.py",
-        "GuardedThread cell/terminal/progress.py",
+        "GuardedThread cell/cli/progress.py",
         "GuardedThread cell/wiring/emulated.py",
     ],
     "test_poses_that_are_missing_are_noted": [
@@ -182,7 +182,7 @@ TESTED = {
         "GuardedThread cell/records/ledger/outbox.py",
     ],
     "test_keys_that_are_read_no_more_are_said": [
-        "GuardedThread cell/terminal/keyboard.py",
+        "GuardedThread cell/cli/keyboard.py",
     ],
     "test_a_page_whose_cell_is_followed_no_more_says_so": [
         "GuardedThread cell/web/watching.py",

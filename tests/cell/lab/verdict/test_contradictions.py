@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from cell.cable.effects import library
-from cell.files.table import TableData
+from cell.cli.printing import show
 from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, all_fitted
@@ -26,7 +26,6 @@ from cell.lab.search.fit_cache import FitCache, SearchSetup, with_lower_baseline
 from cell.lab.search.fitted_model import model_of_fit
 from cell.lab.strength.compare import compare_model
 from cell.study.data import Markers
-from cell.terminal.fitting import show, text_table
 
 from .contradictions import contradictions
 
@@ -51,8 +50,7 @@ def told(study, names):
 def printed(diagnosis, comparisons, todo):
     shown = io.StringIO()
     parts = diagnosis_parts(diagnosis, comparisons, todo)
-    texts = [text_table(p) if isinstance(p, TableData) else p for p in parts]
-    show(Console(file=shown, width=200), *texts)
+    show(*parts, console=Console(file=shown, width=200))
     return shown.getvalue()
 
 

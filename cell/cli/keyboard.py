@@ -12,8 +12,15 @@ import tty
 from collections.abc import Callable
 from typing import Any
 
+from cell.run.machine import MachineEvent
 from drivers.threads import GuardedThread, said
 
+#: Keys of a run: what each does, and the hint that is shown then.
+MAY_HOLD = "h: hold"
+KEYS = {
+    "h": (MachineEvent.HOLD, "holding; u: go on"),
+    "u": (MachineEvent.UNHOLD, MAY_HOLD),
+}
 #: Keys are dropped if this process was halted for so long before it could read them, s.
 _OLDEST_S = 1.0
 #: How often it is looked whether the terminal is ours again, s.

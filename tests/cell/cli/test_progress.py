@@ -5,8 +5,9 @@ import io
 import pytest
 from rich.console import Console
 
-from cell.terminal import progress
-from cell.terminal.progress import EVERY_VARIABLE, ProgressLine, Ticker
+from cell.cli import progress
+from cell.cli.progress import ProgressLine, Ticker
+from cell.computer.watched import PROGRESS_VARIABLE
 
 
 def line_of(console_is_terminal: bool = False):
@@ -88,7 +89,7 @@ def test_off_a_terminal_a_line_is_printed_at_every_tick(capsys) -> None:
     ("asked", "every_s"), [("0.5", 0.5), ("0", 0.1), ("nan", 0.1), ("soon", None)]
 )
 def test_whoever_starts_a_command_may_ask_for_more_lines(monkeypatch, asked, every_s) -> None:
-    monkeypatch.setenv(EVERY_VARIABLE, asked)
+    monkeypatch.setenv(PROGRESS_VARIABLE, asked)
     waited = []
 
     def wait(seconds: float) -> bool:

@@ -6,24 +6,26 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.status import Status
 
+from cell.computer.watched import PROGRESS_VARIABLE
 from drivers.threads import GuardedThread, only_logged
 
 #: Off a terminal a line is printed so often, s: enough to see life, too little to fill a log.
 EVERY_S = 10.0
-#: Variable of the environment by which whoever started a command asks for lines more often, s.
-EVERY_VARIABLE = "CELL_PROGRESS_EVERY_S"
 #: An estimate that is exceeded by no more than this share of it stands.
 SLACK = 0.25
 #: So many pieces tell what one takes: from then on an estimate may grow, too.
 MANY = 20
 LONGER = "longer than thought"
+#: Steps of a cycle that are shown by other words than their names.
+_STEPS = {"warm_up": "warm up (on a new computer it compiles, once)"}
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ class Ticker:
 def _usual_s() -> float:
     """Time between two lines, s: as asked for, but no less than 0.1 s."""
     try:
-        return max(0.1, float(os.environ[EVERY_VARIABLE]))
+        return max(0.1, float(os.environ[PROGRESS_VARIABLE]))
     except (KeyError, ValueError):
         return EVERY_S
 
@@ -170,6 +172,83 @@ class ProgressLine:
             self._status.stop()
         if self._ticker is not None:
             self._ticker.close()
+
+
+class RunProgress:
+    """A line that moves on with every step, on the error stream; off a terminal one every 10 s.
+
+    The time left is that of the cycles left, as long as those so far.
+
+    steps  names of those of one cycle, in their order
+    """
+
+    def __init__(
+        self,
+        cycles: int,
+        steps: Sequence[str],
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._cycles = cycles
+        self._steps = steps
+        self._now_s = now_s
+        self._started_s = now_s()
+        self._stage = Stage("connect", 0, cycles, self._started_s)
+        self._ticker: Ticker | None = None
+        console = Console(stderr=True)
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("cable {task.fields[number]} of {task.fields[cycles]}"),
+            BarColumn(bar_width=16),
+            TextColumn("{task.description}"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}"),
+            TextColumn("{task.fields[hint]}"),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+
+    def __enter__(self) -> RunProgress:
+        self._progress.start()
+        self._line = self._progress.add_task(
+            "",
+            total=self._cycles * len(self._steps),
+            number=1,
+            cycles=self._cycles,
+            left="",
+            hint="",
+        )
+        if self._progress.disable:
+            self._ticker = Ticker(self.line)
+        return self
+
+    def line(self) -> str:
+        """What is said off a terminal."""
+        return f"run: {self._stage.line(self._started_s, self._now_s())}"
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+        if self._ticker is not None:
+            self._ticker.close()
+
+    def step(self, number: int, step: str) -> None:
+        """A step of a cycle begins."""
+        if step in self._steps:
+            done = (number - 1) * len(self._steps) + self._steps.index(step)
+            self._progress.update(self._line, completed=done)
+        words = _STEPS.get(step, step.replace("_", " "))
+        now_s = self._now_s()
+        self._stage = self._stage.then(f"{words}, cables done", number - 1, self._cycles, now_s)
+        left = self._stage.remaining(now_s)
+        self._progress.update(self._line, description=words, number=number, left=left)
+
+    def print_line(self, words: str) -> None:
+        """Print a line that stays, above the one that moves on."""
+        self._progress.console.print(words, markup=False, highlight=False, soft_wrap=True)
+
+    def hint(self, words: str) -> None:
+        """Say which key does what."""
+        self._progress.update(self._line, hint=words)
 
 
 def duration(seconds: float) -> str:

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from pathlib import Path
 
+import pytest
 from rich.console import Console
-from rich.table import Table
 
+from cell.cli.cycle_tables import (
+    MOST_COLUMNS,
+    replayed_parts,
+    results_table,
+    seconds_table,
+    troubles,
+)
+from cell.cli.printing import show
+from cell.files.table import TableData
 from cell.records.result import Fault, Outcome, Result
-from cell.terminal.console import MOST_COLUMNS, results_table, seconds_table, troubles
+from cell.wiring.replay import ReplayDifference, Replayed
 
 INSERTED = Result(
     1,
@@ -28,17 +38,16 @@ REJECTED = Result(2, Outcome.REJECTED, "runs/b", reason="little swing: 0.1 mm")
 FAILED = Result(
     3, Outcome.FAILED, "runs/c", fault=Fault("lower", "fell silent", "arm", "connect again")
 )
+SAME = Replayed(Path("recording.mcap"), INSERTED, True, True, (), {})
 
 
 STEPS = ("grasp", "execute")
 
 
-def printed(table: Table) -> str:
-    console = Console(file=io.StringIO(), width=80)
-    console.print(table)
-    file = console.file
-    assert isinstance(file, io.StringIO)
-    return file.getvalue()
+def printed(table: TableData) -> str:
+    text = io.StringIO()
+    show(table, console=Console(file=text, width=80))
+    return text.getvalue()
 
 
 def test_results_are_in_millimetres_with_their_signs() -> None:
@@ -68,3 +77,40 @@ def test_troubles_name_step_device_cause_and_remedy() -> None:
         "cable 2 rejected: little swing: 0.1 mm",
         "cable 3 failed in step lower: arm: fell silent; connect again",
     ]
+
+
+@pytest.mark.parametrize(
+    ("replayed", "said"),
+    [
+        (SAME, ["identical: inserted, every number to the last bit"]),
+        (
+            replace(SAME, complete=False, decided=False, result=FAILED),
+            [
+                "the recording ends before its cycle does",
+                "the replay ended in step lower: fell silent",
+                "nothing was decided in this cycle: only what came before is compared",
+                "identical: what it holds, every number to the last bit",
+            ],
+        ),
+        (
+            replace(SAME, losses=("873 damaged bytes could not be recovered",)),
+            [
+                "873 damaged bytes could not be recovered",
+                "identical: what it holds, every number to the last bit",
+            ],
+        ),
+    ],
+)
+def test_says_what_is_the_same(replayed: Replayed, said: list[str]) -> None:
+    """Of a torn recording that is what it holds, never the whole cycle."""
+    assert [*replayed_parts(replayed, 3)] == said
+
+
+def test_other_software_is_named() -> None:
+    """Versions, before the differences that may come of them."""
+    replayed = replace(
+        SAME,
+        software={"numpy": ("1.0", "2.0")},
+        differences=(ReplayDifference("offset_m", 0.1, 0.2),),
+    )
+    assert next(replayed_parts(replayed, 3)) == "numpy was 1.0, now 2.0"

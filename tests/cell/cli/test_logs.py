@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.terminal import logs
+from cell.cli import logs
 
 
 @pytest.fixture(autouse=True)
