@@ -271,37 +271,20 @@ def set_up_opened(
     """The same of what `opened_study` gives."""
     work = Work(DIAGNOSIS) if work is None else work
     tell(opened.notes)
+    model = read_prior(None if prior is None else Path(prior), selection.own)
+    kind = read_kind(None if config is None else Path(config))
     try:
-        fits, more = _made_ready(opened, selection, prior, config, progress, work)
+        fits = fit_cache_of(opened, selection, model, progress, kind, work)
+        with work.stage("prepare"):
+            fits, notes = without_outliers(fits)
     except SpentError as error:
         raise ValueError(
             f"study {opened.name}: the limit of work was reached before a model was fitted "
             f"({work.simulated_s:.0f} s of simulated motion, {work.cpu_s:.0f} s of CPU time): give "
             "fewer or shorter trials, and check the frame, the datasheet and how the trials begin"
         ) from error
-    tell(more)
+    tell(notes)
     return fits
-
-
-def _made_ready(
-    opened: Study,
-    selection: EffectSelection,
-    prior: Path | str | None,
-    config: Path | str | None,
-    progress: Progress,
-    work: Work,
-) -> tuple[FitCache, Sequence[str]]:
-    """The baseline fitted, without samples that it shows to be wrong; and what is told of these."""
-    fits = fit_cache_of(
-        opened,
-        selection,
-        read_prior(None if prior is None else Path(prior), selection.own),
-        progress,
-        read_kind(None if config is None else Path(config)),
-        work,
-    )
-    with work.stage("prepare"):
-        return without_outliers(fits)
 
 
 def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:

@@ -18,20 +18,18 @@ import typer
 import typer.core
 
 from cell.cli import (
+    adapters,
     bundle,
     calibrate,
     emulate,
     export,
     fit,
-    handshake,
     help,
     identify,
     imports,
     lab,
     ledger,
     line,
-    mqtt,
-    opcua,
     plant,
     power,
     recordings,
@@ -171,12 +169,12 @@ app = typer.Typer(
 )
 for group in (
     *(run, emulate, plant, settings, records, identify, ledger, bundle),
-    *(recordings, fit, lab, power, studies, imports, export, line, mqtt, handshake, help),
+    *(recordings, fit, lab, power, studies, imports, export, line, adapters, help),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
 app.add_typer(serve.app)
-app.add_typer(opcua.app)
+app.add_typer(adapters.opcua_app)
 app.add_typer(users.app, name="user", help="Users of pages and OPC UA.")
 
 

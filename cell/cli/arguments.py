@@ -65,6 +65,14 @@ def records_folder(given: Path) -> Path:
         raise typer.BadParameter(str(error)) from error
 
 
+Runs = Annotated[
+    Path,
+    typer.Option(
+        "--runs", help="Folder of the cell's records: its --runs.", callback=records_folder
+    ),
+]
+
+
 def maybe_folder_of(ctx: typer.Context, given: Path | None) -> Path | None:
     """The same of what may be left out."""
     return None if given is None else folder_of(ctx, given)

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.cli.arguments import records_folder
+from cell.cli.arguments import Runs
 from cell.cli.ledger import faults_json, open_ledger
 from cell.cli.output import print_json
 from cell.cli.shared import AsJson, Force, MaybeConfig, group, refusing, working
+from cell.files.atomic import free_bytes
 from cell.files.words import counted
 
 if TYPE_CHECKING:
@@ -34,14 +35,7 @@ def bundle(
         list[Path] | None,
         typer.Argument(help="Folders of cycles; default: the newest, see --newest."),
     ] = None,
-    runs: Annotated[
-        Path,
-        typer.Option(
-            "--runs",
-            help="Folder of the cycles: that of `cell run --runs`.",
-            callback=records_folder,
-        ),
-    ] = Path("runs"),
+    runs: Runs = Path("runs"),
     newest: Annotated[
         int, typer.Option("-n", "--newest", min=0, help="So many cycles, the newest ones.")
     ] = 3,
@@ -104,8 +98,7 @@ def _of_program(unreadable: str) -> Iterator[Item]:
 
     lines = [about(), f"{os.cpu_count()} cores"]
     with suppress(OSError):
-        free = os.statvfs(".")
-        lines.append(f"{free.f_bavail * free.f_frsize / 1e9:.1f} GB free in {Path.cwd()}")
+        lines.append(f"{free_bytes(Path.cwd()) / 1e9:.1f} GB free in {Path.cwd()}")
     yield Item("versions.txt", "\n".join([*lines, "", packages()]))
     if unreadable:
         yield Item("settings/errors.txt", unreadable + "\n")

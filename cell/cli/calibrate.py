@@ -7,12 +7,14 @@ import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cell.cli.arguments import taking
 from cell.cli.output import print_json
 from cell.cli.shared import (
     ALL_DONE,
@@ -54,6 +56,30 @@ Dialogue = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Random seed of a simulated or emulated cell.")]
 
 
+@dataclass(frozen=True)
+class _Calibrate:
+    """Options of `cell calibrate` and of its parts; each part takes those that it needs."""
+
+    config: Config
+    seed: Seed = 1
+    as_json: AsJson = False
+    dialogue: Dialogue = False
+
+
+@dataclass(frozen=True)
+class _Part(_Calibrate):
+    """Options of a part that can use recordings in place of the devices."""
+
+    source: Source = None
+
+
+@dataclass(frozen=True)
+class _Grip(_Part):
+    """Options of `cell calibrate grip`."""
+
+    product: OfProduct = None
+
+
 @app.callback()
 def everything(
     context: typer.Context,
@@ -73,69 +99,49 @@ def everything(
         return
     if config is None:
         refuse(ValueError("cell calibrate: --config is missing; give the settings of the cell"))
-    with _workshop(config, seed, as_json, product=product, dialogue=dialogue) as work:
+    options = _Calibrate(config, seed, as_json, dialogue)
+    with _workshop(options, product=product) as work:
         for part in ("camera", "cell", "time", "grip"):
             work.do(part)
         _end(work, as_json)
 
 
 @app.command()
-def camera(
-    config: Config,
-    source: Source = None,
-    seed: Seed = 1,
-    as_json: AsJson = False,
-    dialogue: Dialogue = False,
-) -> None:
+@taking(_Part)
+def camera(options: _Part) -> None:
     """Find the lens from pictures of the board, live or from a folder.
 
     Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
     or the measurements contradict each other.
     """
-    _part("camera", config, source, seed, as_json, dialogue)
+    _calibrate_part("camera", options)
 
 
 @app.command()
-def cell(
-    config: Config,
-    source: Source = None,
-    seed: Seed = 1,
-    as_json: AsJson = False,
-    dialogue: Dialogue = False,
-) -> None:
+@taking(_Part)
+def cell(options: _Part) -> None:
     """Find the map from pixels to the cell's plane, by the plate on the gripper; needs the lens.
 
     Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
     or the measurements contradict each other.
     """
-    _part("cell", config, source, seed, as_json, dialogue)
+    _calibrate_part("cell", options)
 
 
 @app.command("time")
-def time_(
-    config: Config,
-    source: Source = None,
-    seed: Seed = 1,
-    as_json: AsJson = False,
-    dialogue: Dialogue = False,
-) -> None:
+@taking(_Part)
+def time_(options: _Part) -> None:
     """Find the camera's latency and the arm's lag from one motion; needs the cell.
 
     Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
     or the measurements contradict each other.
     """
-    _part("time", config, source, seed, as_json, dialogue)
+    _calibrate_part("time", options)
 
 
 @app.command()
-def grip(
-    config: Config,
-    product: OfProduct = None,
-    source: Source = None,
-    seed: Seed = 1,
-    as_json: AsJson = False,
-    dialogue: Dialogue = False,
-) -> None:
+@taking(_Grip)
+def grip(options: _Grip) -> None:
     """Find gripping point, clamp angle and free length of a cable in the jaws; needs the cell.
 
     Each product of the settings has its own.
@@ -143,20 +149,19 @@ def grip(
     Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
     or the measurements contradict each other.
     """
-    _part("grip", config, source, seed, as_json, dialogue, product)
+    _calibrate_part("grip", options, options.product)
 
 
 @app.command()
-def check(
-    config: Config, seed: Seed = 1, as_json: AsJson = False, dialogue: Dialogue = False
-) -> None:
+@taking(_Calibrate)
+def check(options: _Calibrate) -> None:
     """Check the stored calibration in less than a minute, and name the command that corrects it.
 
     Exit codes: 0 if the calibration is still valid; 1 if not.
     """
-    with _workshop(config, seed, as_json, gripped=False, dialogue=dialogue) as work:
+    with _workshop(options, gripped=False) as work:
         found = work.check()
-        if as_json:
+        if options.as_json:
             print_json(vars(found))
         else:
             print(found.sentence + ("" if found.command is None else f"; run `{found.command}`"))
@@ -188,28 +193,12 @@ def board(
     print(f"{out}: print at 100 %, measure ten squares, put the result in calibration.square_m")
 
 
-def _part(
-    part: str,
-    config: Path,
-    source: Path | None,
-    seed: int,
-    as_json: bool,
-    dialogue: bool,
-    product: str | None = None,
-) -> None:
-    with _workshop(
-        config,
-        seed,
-        as_json,
-        live=source is None,
-        product=product,
-        gripped=part == "grip",
-        dialogue=dialogue,
-    ) as work:
-        made = work.do(part, source)
-        if made is None:
+def _calibrate_part(part: str, options: _Part, product: str | None = None) -> None:
+    live, gripped = options.source is None, part == "grip"
+    with _workshop(options, live=live, product=product, gripped=gripped) as work:
+        if work.do(part, options.source) is None:
             raise typer.Exit(NOT_ALL_DONE)
-        _end(work, as_json)
+        _end(work, options.as_json)
 
 
 def _end(work: CalibrationJob, as_json: bool) -> None:
@@ -225,14 +214,7 @@ def _end(work: CalibrationJob, as_json: bool) -> None:
 
 @contextmanager
 def _workshop(
-    config: Path,
-    seed: int,
-    as_json: bool,
-    *,
-    live: bool = True,
-    product: str | None = None,
-    gripped: bool = True,
-    dialogue: bool = False,
+    options: _Calibrate, *, live: bool = True, product: str | None = None, gripped: bool = True
 ) -> Iterator[CalibrationJob]:
     """Everything that calibrating needs; what goes wrong is said and ends with 2.
 
@@ -246,6 +228,7 @@ def _workshop(
     from cell.settings.loading import load_product
 
     progress = working("calibrate")
+    config, dialogue = options.config, options.dialogue
 
     def tell(**message: object) -> None:
         print(json.dumps(message, ensure_ascii=False), flush=True)
@@ -266,7 +249,7 @@ def _workshop(
             if not answer:
                 raise EOFError
             return answer.strip()
-        if as_json or not sys.stdin.isatty():
+        if options.as_json or not sys.stdin.isatty():
             raise EOFError
         with progress.paused():
             return input(words + " ")
@@ -283,7 +266,7 @@ def _workshop(
         with (
             interrupted_once(),
             progress,
-            CalibrationJob(settings, config, seed, say, ask, live=live, look=look) as work,
+            CalibrationJob(settings, config, options.seed, say, ask, live=live, look=look) as work,
         ):
             yield work
     except (InputError, BrokenOffError) as error:

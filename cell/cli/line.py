@@ -74,6 +74,28 @@ class LearnOptions:
     laws: LawsFolder = None
     where: Workers = None
 
+    def folders(self, settings: Settings, opened: ExitStack) -> list[Path]:
+        """Folders of the cycles: those given, and those of the ledger if it is named or none are.
+
+        opened  keeps the folders of recordings until it is closed
+        """
+        folders = [folder_in(opened.enter_context, run) for run in self.runs or ()]
+        if self.since or self.ledger or not folders:
+            folders += listed_cycles(settings, self.ledger, self.since)
+        return folders
+
+    def repeated(self, product: str | None) -> str:
+        """`cell learn` again, with the cables that are measured meanwhile."""
+        cycles: list[object] = [*(self.runs or ())]
+        for option, value in (("--since", self.since), ("--runs", self.ledger)):
+            cycles += [option, value] if value else []
+        cycles = cycles or ["--since", "2000-01-01"]
+        measured = _measured(self.out)
+        words = [*cycles, *([] if measured in cycles else [measured]), *_line(self.config, product)]
+        words += [w for effect in self.effect or () for w in ("--try", effect)]
+        words += [] if self.laws is None else ["--laws", self.laws]
+        return _typed(["cell", "learn", *words, "-o", self.out])
+
 
 @app.command()
 @taking(LearnOptions)
@@ -108,8 +130,8 @@ def learn(options: LearnOptions) -> None:
     ):
         settings = load_product(config, options.product)
         cable, identification = cable_of(settings), identification_of(settings)
-        asked = _CycleSelection(options.runs or (), options.ledger, options.since)
-        cycles, left_out = read_cycles(asked.folders(settings, opened), cable, settings.product)
+        folders = options.folders(settings, opened)
+        cycles, left_out = read_cycles(folders, cable, settings.product)
         lines = lines_of(cycles, settings)
         library = select_effects([], own).candidates
         if laws is not None:
@@ -123,9 +145,7 @@ def learn(options: LearnOptions) -> None:
         learned = judged(found, settings, left_out)
         result = learned.learned
         kept = more.keep(result.best.effects if result.best else ())
-        ours = _LineOptions(config, settings.product)
-        again = _command_to_repeat(asked.words(), ours, out, own, laws)
-        todo, motion = _asking(result, ours, out, again, progress)
+        todo, motion = _asking(result, options, settings.product, progress)
     missed = [f"left out: {line}" for line in learned.left_out]
     for line in (*missed, *other_lines(lines, settings)):
         print(line, file=sys.stderr)
@@ -174,55 +194,9 @@ def _so_far(
         raise typer.Exit(interrupted.code) from error
 
 
-@dataclass(frozen=True)
-class _LineOptions:
-    """Whose model it is: settings, and a product of them."""
-
-    config: Path
-    product: str | None
-
-    @property
-    def words(self) -> list[object]:
-        """The same as it can be typed."""
-        of = [] if self.product is None else ["--product", self.product]
-        return ["--config", self.config, *of]
-
-
-@dataclass(frozen=True)
-class _CycleSelection:
-    """Of which cycles is learned: those given, and those of the ledger if it is asked."""
-
-    given: Sequence[Path]
-    ledger: str | None
-    since: str | None
-
-    def folders(self, settings: Settings, opened: ExitStack) -> list[Path]:
-        """Their folders; of recordings until `opened` is closed."""
-        folders = [folder_in(opened.enter_context, given) for given in self.given]
-        if self.since or self.ledger or not folders:
-            folders += listed_cycles(settings, self.ledger, self.since)
-        return folders
-
-    def words(self) -> list[object]:
-        """The same as it can be typed, beside other folders."""
-        if not (self.given or self.since or self.ledger):
-            return ["--since", "2000-01-01"]
-        options = (("--since", self.since), ("--runs", self.ledger))
-        return [*self.given, *(w for name, value in options if value for w in (name, value))]
-
-
-def _command_to_repeat(
-    asked: Sequence[object],
-    line: _LineOptions,
-    out: Path,
-    effects: Sequence[str],
-    laws: Path | None,
-) -> str:
-    """`cell learn` with the cables measured meanwhile, too."""
-    given = [*asked, *([] if _measured(out) in asked else [_measured(out)])]
-    tried = (w for effect in effects for w in ("--try", effect))
-    sought = [] if laws is None else ["--laws", laws]
-    return _typed(["cell", "learn", *given, *line.words, *tried, *sought, "-o", out])
+def _line(config: Path, product: str | None) -> list[object]:
+    """Options that name a line and its product."""
+    return ["--config", config, *([] if product is None else ["--product", product])]
 
 
 def _typed(words: Sequence[object]) -> str:
@@ -241,7 +215,7 @@ def _measured(out: Path) -> Path:
 
 
 def _asking(
-    result: LearningResult, line: _LineOptions, out: Path, again: str, progress: Progress
+    result: LearningResult, options: LearnOptions, product: str | None, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
     """The motion that tells what these cycles cannot: the commands for it, and its file."""
     from cell.lab.next.suggest import (
@@ -259,7 +233,7 @@ def _asking(
         told = f"{MOST_ASKED} motions could not distinguish the tied effects on these cables"
         return [told], []
     try:
-        around = Surroundings.read(line.config, line.product)
+        around = Surroundings.read(options.config, product)
         cable = result.baseline.cables[0]
         rivals = result.rivals()[:MOST_CANDIDATES]
         suggestion = distinguishing_motions(cable, rivals, around, progress)
@@ -268,13 +242,13 @@ def _asking(
     best = worth_measuring(suggestion)
     if best is None:
         return ["no safe motion is likely to distinguish the tied effects on these cables"], []
-    motion = _motion(out)
-    words = ["cell", "run", *line.words, "--motion", motion, "--runs", _measured(out)]
+    motion, line = _motion(options.out), _line(options.config, product)
+    words = ["cell", "run", *line, "--motion", motion, "--runs", _measured(options.out)]
     lines = [
         f"this motion distinguishes the tied effects with probability {best.power:.2f}: "
         f"{best.motion.describe()}; measure a cable with it, and learn again:",
         f"  {_typed(words)}",
-        f"  {again}",
+        f"  {options.repeated(product)}",
     ]
     return lines, [(motion, partial(write_motion, suggestion))]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from cell.cli.arguments import records_folder
+from cell.cli.arguments import Runs
 from cell.cli.output import print_json
 from cell.cli.shared import (
     ALL_DONE,
@@ -33,11 +33,6 @@ app = group()
 NO_CELL = 3
 #: A cell that runs is waited for so long, s: one that compiles on a busy computer answers late.
 _ANSWER_S = 30.0
-
-Runs = Annotated[
-    Path,
-    typer.Option(help="Folder of the records of the cell: its --runs.", callback=records_folder),
-]
 
 
 @app.command()
@@ -154,9 +149,7 @@ def send(
 @app.command()
 def service(
     config: Config,
-    out: Annotated[
-        Path, typer.Option("--runs", help="Folder of the records.", callback=records_folder)
-    ] = Path("runs"),
+    out: Runs = Path("runs"),
     user: Annotated[str | None, typer.Option(help="As whom; default: who is logged in.")] = None,
 ) -> None:
     """Print a unit for systemd, which runs the cell as a service (cell help service).

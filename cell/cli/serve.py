@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.arguments import records_folder
-from cell.cli.shared import BAD_INPUT, MaybeConfig, group, refuse
+from cell.cli.arguments import Runs
+from cell.cli.shared import MaybeConfig, group, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
 from drivers.installing import install_extra
 
@@ -41,12 +40,7 @@ class _Address:
 def serve(
     context: typer.Context,
     config: MaybeConfig = None,
-    runs: Annotated[
-        Path,
-        typer.Option(
-            help="Folder of the records of the cell that is shown.", callback=records_folder
-        ),
-    ] = Path("runs"),
+    runs: Runs = Path("runs"),
     host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8080,
     certificate: Annotated[Path | None, typer.Option(help="Certificate of TLS, PEM.")] = None,
@@ -62,13 +56,15 @@ def serve(
     """
     if context.invoked_subcommand is not None:
         return
-    if config is None:
-        print("--config is missing: the settings of the cell", file=sys.stderr)
-        raise typer.Exit(BAD_INPUT)
     try:
+        if config is None:
+            raise ValueError("--config is missing: name the settings of the cell")
         _serve(config, runs, _Address(host, port, certificate, key), users)
     except ImportError as error:
-        _without_extra(error)
+        needed = (error.name or "").partition(".")[0]
+        if needed not in ("nicegui", "argon2", "fastapi", "starlette", "uvicorn"):
+            raise
+        refuse(ValueError(f"the pages need {error.name}: {install_extra('web')}"))
     except (OSError, ValueError) as error:
         refuse(error)
 
@@ -135,10 +131,3 @@ def add(name: Name, *, role: RoleName = "watch", users: UsersFile = FILE) -> Non
 def remove(name: Name, *, users: UsersFile = FILE) -> None:
     """Remove a user: the same as `cell user remove`."""
     remove_user(users, name, None)
-
-
-def _without_extra(error: ImportError) -> None:
-    needed = (error.name or "").partition(".")[0]
-    if needed not in ("nicegui", "argon2", "fastapi", "starlette", "uvicorn"):
-        raise error
-    refuse(ValueError(f"the pages need {error.name}: {install_extra('web')}"))

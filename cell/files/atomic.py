@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all; room on the disk for them."""
 
 from __future__ import annotations
 
@@ -97,6 +97,15 @@ def named_folder(folder: Path) -> Path:
             f"{folder}: has no name, and files are written next to it; give another folder"
         )
     return named
+
+
+def free_bytes(place: Path) -> int:
+    """Free room on the disk of a folder, which need not exist yet."""
+    place = place.absolute()
+    while not place.exists():
+        place = place.parent
+    found = os.statvfs(place)
+    return found.f_bavail * found.f_frsize
 
 
 def write_secret(path: Path, content: bytes) -> None:

@@ -53,6 +53,15 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
         raise InputError.at(path, message, column=1) from error
 
 
+def known_json(path: Path) -> dict[str, Any]:
+    """The JSON object in a file; empty = the file is missing, damaged or something else."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def read_json_object(path: Path) -> dict[str, Any]:
     """The JSON object in a file.  Raises InputError: it cannot be read, or is something else."""
     text = read_text(path, MAX_JSON_BYTES)

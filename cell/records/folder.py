@@ -13,7 +13,6 @@ runs/<time>-<n>/
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -27,7 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.files.atomic import write_atomic
+from cell.files.atomic import free_bytes, write_atomic
 from cell.files.input_error import InputError
 from cell.files.text_file import read_json_object
 from cell.files.yaml_document import yaml_text
@@ -74,11 +73,7 @@ class Record:
 
     def check_room(self) -> None:
         """Whether a cycle may begin.  Raises RecordError: the disk has no room for its record."""
-        place = self.folder
-        while not place.exists():
-            place = place.parent
-        found = os.statvfs(place)
-        free = found.f_bavail * found.f_frsize
+        free = free_bytes(self.folder)
         if free < LEAST_FREE_BYTES:
             raise RecordError(
                 f"{free / 1e6:.1f} MB are free on the disk of {self.folder}, the record of a cycle "

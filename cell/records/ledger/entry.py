@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.files.plain import plain
+from cell.files.text_file import known_json
 from cell.records.folder import cycle_of, started_of
 from cell.records.result import Outcome, Result
 
@@ -116,7 +117,7 @@ def estimates_of(model: Mapping[str, Any] | None) -> tuple[LedgerEstimate, ...]:
 
 def entry_of_folder(folder: Path, line: str) -> LedgerEntry | None:
     """The entry of a cycle that left a folder; None = it is no cycle's, or cannot be read."""
-    cycle, state = cycle_of(folder), _state(folder)
+    cycle, state = cycle_of(folder), known_json(folder / "state.json")
     if cycle is None:
         return None
     try:
@@ -136,19 +137,11 @@ def entry_of_folder(folder: Path, line: str) -> LedgerEntry | None:
         started_of(folder, state).astimezone(UTC),
         aim.value,
         None if known is None else known.part,
-        (state or {}).get("product") if known is None else known.product,
+        state.get("product") if known is None else known.product,
         None if ended is None else datetime.fromtimestamp(ended, UTC),
         known,
         estimates,
     )
-
-
-def _state(folder: Path) -> dict[str, Any] | None:
-    """Where a cycle is, or was when it ended; None = it is not known."""
-    try:
-        return _read(folder / "state.json")
-    except (OSError, ValueError):
-        return None
 
 
 def _read(path: Path) -> dict[str, Any] | None:

@@ -208,54 +208,54 @@ class Ledger:
     def count(self, wanted: LedgerQuery) -> dict[str, int]:
         """Number of cycles that are asked for, by outcome."""
         asked = _of_cycles(select(cycles.c.outcome, func.count()), wanted)
-        asked = asked.group_by(cycles.c.outcome)
-        with database_errors(self._engine), self._engine.connect() as connection:
-            return {outcome or UNFINISHED: n for outcome, n in connection.execute(asked)}
+        rows = self._rows(asked.group_by(cycles.c.outcome))
+        return {outcome or UNFINISHED: n for outcome, n in rows}
 
     def faults(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
         """Reason code, number of cycles and newest cause of what has ended them; most first."""
-        number = func.count().label("number")
-        newest = func.max(faults.c.cycle_id).label("newest")
-        counted = (
-            select(faults.c.code, number, newest)
+        columns = faults.c.code.label("kind"), faults.c.cycle_id, faults.c.cause.label("why")
+        return self._counted(
+            select(*columns)
             .join(cycles, cycles.c.id == faults.c.cycle_id)
             .outerjoin(parts, parts.c.id == cycles.c.part_id)
             .outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
             .where(*_conditions(wanted))
-            .group_by(faults.c.code)
-            .subquery()
         )
-        asked = (
-            select(counted.c.code, counted.c.number, faults.c.cause)
-            .join(faults, faults.c.cycle_id == counted.c.newest)
-            .order_by(counted.c.number.desc(), counted.c.code)
-        )
-        with database_errors(self._engine), self._engine.connect() as connection:
-            return [(code, n, cause) for code, n, cause in connection.execute(asked)]
 
     def not_inserted(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
         """Outcome, number of cycles and newest reason of those rejected and missed; most first."""
-        ended = select(cycles.c.outcome, cycles.c.id, cycles.c.reason).where(
-            cycles.c.outcome.in_((Outcome.REJECTED.value, Outcome.MISSED.value))
+        columns = (
+            cycles.c.outcome.label("kind"),
+            cycles.c.id.label("cycle_id"),
+            cycles.c.reason.label("why"),
         )
-        each = _of_cycles(ended, wanted).subquery()
-        counted = select(
-            each.c.outcome, func.count().label("number"), func.max(each.c.id).label("newest")
+        ended = cycles.c.outcome.in_((Outcome.REJECTED.value, Outcome.MISSED.value))
+        return self._counted(_of_cycles(select(*columns).where(ended), wanted))
+
+    def _counted(self, cycles_of: Select[Any]) -> list[tuple[str, int, str]]:
+        """Number and newest `why` of cycles by their `kind`; the most frequent first."""
+        each = cycles_of.subquery()
+        newest = func.max(each.c.cycle_id).label("newest")
+        groups = (
+            select(each.c.kind, func.count().label("number"), newest)
+            .group_by(each.c.kind)
+            .subquery()
         )
-        groups = counted.group_by(each.c.outcome).subquery()
-        asked = (
-            select(groups.c.outcome, groups.c.number, each.c.reason)
-            .join(each, each.c.id == groups.c.newest)
-            .order_by(groups.c.number.desc(), groups.c.outcome)
+        rows = self._rows(
+            select(groups.c.kind, groups.c.number, each.c.why)
+            .join(each, each.c.cycle_id == groups.c.newest)
+            .order_by(groups.c.number.desc(), groups.c.kind)
         )
+        return [(kind, n, why or "") for kind, n, why in rows]
+
+    def _rows(self, asked: Select[Any]) -> Sequence[Any]:
         with database_errors(self._engine), self._engine.connect() as connection:
-            return [(outcome, n, reason or "") for outcome, n, reason in connection.execute(asked)]
+            return connection.execute(asked).all()
 
     def span(self, wanted: LedgerQuery) -> tuple[datetime, datetime] | None:
         """When the first and the last cycle that are asked for began; None = there are none."""
         asked = _of_cycles(select(func.min(cycles.c.ordered), func.max(cycles.c.ordered)), wanted)
-        with database_errors(self._engine), self._engine.connect() as connection:
-            first, last = connection.execute(asked).one()
+        ((first, last),) = self._rows(asked)
         return None if first is None else (_aware(first), _aware(last))
 
     def work(self, wanted: LedgerQuery) -> tuple[dict[str, int], float]:
@@ -274,8 +274,7 @@ class Ledger:
             ),
             wanted,
         ).where(cycles.c.aim == Outcome.INSERTED.value, cycles.c.outcome.is_not(None))
-        with database_errors(self._engine), self._engine.connect() as connection:
-            rows = connection.execute(asked.group_by(cycles.c.outcome)).all()
+        rows = self._rows(asked.group_by(cycles.c.outcome))
         return {o: int(n) for o, n, _ in rows}, float(sum(s for *_, s in rows))
 
     def quick_cycle_s(self, wanted: LedgerQuery, share: float) -> float | None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError
+from cell.files.text_file import known_json
 from cell.files.yaml_document import read_yaml
 from cell.records.recording import form
 from cell.records.recording.reading import UNREADABLE, damaged, image_of, shown_image
@@ -187,7 +188,7 @@ def why_no_film(folder: Path) -> str:
     if (folder / form.STORED).exists():
         return f"the recording is in the store; bring it back: cell fetch {folder}"
     if (folder / form.REMOVED).exists():
-        said = _json(folder / form.REMOVED)
+        said = known_json(folder / form.REMOVED)
         return f"the recording was removed on {said.get('at', '?')}: {said.get('why', '?')}"
     if _recording_of(folder) is None:
         return "nothing was recorded: the settings said `recording: null`"
@@ -216,11 +217,3 @@ def _recording_of(folder: Path) -> Any:
         return read_yaml(folder / "settings.yaml").data.get("recording", "")
     except (InputError, AttributeError):
         return ""
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import statistics
 import time
 from contextlib import suppress
@@ -18,7 +17,8 @@ from datetime import time as time_of_day
 from enum import IntEnum
 from pathlib import Path
 
-from cell.files.atomic import write_atomic
+from cell.files.atomic import free_bytes, write_atomic
+from cell.files.text_file import known_json
 from cell.records.folder import cycle_of, started_of
 from cell.records.ledger.effectiveness import shift_start
 from cell.records.recording import form
@@ -217,15 +217,6 @@ class Retention:
         return f"{free / 1e9:.1f} GB are free" if free < room.min_free_bytes else ""
 
 
-def free_bytes(place: Path) -> int:
-    """Free room on the disk of a folder, which need not exist yet."""
-    place = place.absolute()
-    while not place.exists():
-        place = place.parent
-    found = os.statvfs(place)
-    return found.f_bavail * found.f_frsize
-
-
 #: Frames of a usual cycle, and bytes that are kept of a pixel: of a band, and of whole frames.
 _FRAMES, _OF_BAND, _OF_WHOLE = 550, 0.025, 0.63
 #: A cycle's time where none has been, s.
@@ -297,9 +288,8 @@ def _size(path: Path) -> int:
 def _cycle_s(folder: Path) -> float | None:
     """Time that a cycle took, by its result; None = it is not known."""
     try:
-        said = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-        return float(sum(said["seconds"].values()))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return float(sum(known_json(folder / "result.json")["seconds"].values()))
+    except (KeyError, TypeError, AttributeError):
         return None
 
 
@@ -325,8 +315,5 @@ def _written_s(path: Path) -> float:
 
 def _is_inserted(folder: Path) -> bool:
     """Whether a cycle's result says that its cable was inserted."""
-    try:
-        said = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(said, dict) and said.get("outcome") == Outcome.INSERTED.value
+    outcome: object = known_json(folder / "result.json").get("outcome")
+    return outcome == Outcome.INSERTED.value

@@ -30,6 +30,7 @@ from foxglove.channels import (
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions, MCAPWriter
 
 from cell.cable.arrays import FloatArray
+from cell.files.atomic import free_bytes
 from cell.files.plain import plain
 from cell.records.recording import form
 from cell.records.recording.reading import TornRecordingError
@@ -247,8 +248,7 @@ class RecordingWriter:
             raise self._sink.refused
 
     def _check_room(self, needed_bytes: float) -> None:
-        found = os.statvfs(self.path.parent)
-        if found.f_bavail * found.f_frsize < needed_bytes:
+        if free_bytes(self.path.parent) < needed_bytes:
             raise FullDiskError(
                 f"less than {needed_bytes / 2**20:.0f} MiB are free on the disk of {self.path}"
             )

@@ -71,7 +71,7 @@ def test_without_free_room_all_goes_and_it_says_so(runs, monkeypatch):
     class Full:
         f_bavail, f_frsize = 100, 4096
 
-    monkeypatch.setattr(retention.os, "statvfs", lambda path: Full)
+    monkeypatch.setattr(os, "statvfs", lambda path: Full)
     said = Retention(runs, DiskRoom(min_free_bytes=1e9)).make_room()
     assert "recording.min_free_gb" in said
     assert days(runs) == []
@@ -184,7 +184,7 @@ def test_the_room_for_recordings_is_told_by_those_that_are_there(tmp_path, monke
     class Disk:
         f_bavail, f_frsize = 10**6, 10**4  # 10 GB are free
 
-    monkeypatch.setattr(retention.os, "statvfs", lambda path: Disk)
+    monkeypatch.setattr(os, "statvfs", lambda path: Disk)
     pixels = 1280 * 1024
     wanted = RecordingSettings(max_size_gb=2.0, min_free_gb=1.0)
     usual = recording_room(tmp_path, wanted, pixels)
