@@ -6,7 +6,7 @@ import logging
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -55,13 +55,11 @@ class PlantEnd:
         link = self._link(self._answer, LATCHED)
         self._report_to(link)
         self._cell.machine.on_change = self.reporter.state
-        try:
-            opened = link.__enter__()
-        except LinkError as error:
-            _LOG.warning("%s", error)
-            yield
-            return
-        with _closing(opened):
+        with ExitStack() as opened:
+            try:
+                opened.enter_context(link)
+            except LinkError as error:
+                _LOG.warning("%s", error)
             yield
 
     def serve(self, plan: Plan, told: Callable[[Result], None], config: Path) -> bool:
@@ -70,8 +68,7 @@ class PlantEnd:
         config  the settings' file, for the adapters that it lets start
         raises  LinkError: another cell runs there already; InputError; RecordError
         """
-        waiting: list[Service] = []
-        link = self._link(lambda request: waiting[0].answer(request), COMMANDS)
+        link = self._link(lambda request: service.answer(request), COMMANDS)
         stopped = False
 
         def tell(result: Result) -> None:
@@ -93,7 +90,6 @@ class PlantEnd:
             select_product=self._made.change_product,
         )
         self._service = service
-        waiting.append(service)
         with closing(self._adapters(config)) as adapters, link, _ended_by_sigterm(service):
             adapters.start()
             try:
@@ -143,14 +139,6 @@ def interrupted(result: Result) -> bool:
     """Whether Ctrl-C or a closed terminal has ended a cycle, not a command to the cell."""
     causes = ("interrupted by a person", "the terminal was closed")
     return result.fault is not None and result.fault.cause in causes
-
-
-@contextmanager
-def _closing(link: Link) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        link.__exit__(None, None, None)
 
 
 @contextmanager

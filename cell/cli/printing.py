@@ -6,6 +6,7 @@ Rich is imported with the first table, so that help is quick.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from cell.files.table import TableData
@@ -62,7 +63,7 @@ def _widths(data: TableData) -> list[int]:
     """Characters of each column."""
     from rich.cells import cell_len
 
-    columns = zip(data.heads, *data.rows, strict=True)
+    columns = zip_longest(data.heads, *data.rows, fillvalue="")
     return [max(cell_len(x) for text in column for x in text.split("\n")) for column in columns]
 
 
@@ -92,7 +93,9 @@ def _upright(data: TableData) -> Text:
     lines = [Text(data.title, style="italic")] if data.title else []
     for row in data.rows:
         lines.append(Text(""))
-        lines += [_value_line(*pair, data) for pair in zip(data.heads, row, strict=True) if pair[1]]
+        lines += [
+            _value_line(*pair, data) for pair in zip(data.heads, row, strict=False) if pair[1]
+        ]
     if data.note:
         lines += [Text(""), Text(data.note)]
     return Text("\n").join(lines)

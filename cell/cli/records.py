@@ -8,17 +8,12 @@ from typing import Annotated
 
 import typer
 
-from cell.cli.arguments import folder_of
+from cell.cli.arguments import Runs, folder_of
 from cell.cli.output import deliver, print_json
 from cell.cli.printing import show as show_parts
 from cell.cli.shared import AsJson, Force, group, refuse, refusing, working
 
 app = group()
-
-
-Runs = Annotated[
-    Path, typer.Option("--runs", help="Folder of the cycles: that of `cell run --runs`.")
-]
 
 
 @app.command("list")

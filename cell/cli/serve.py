@@ -109,12 +109,8 @@ def _room(config: Path, runs: Path, accounts: object) -> PagesContext:
     from cell.web.watching import CellWatch
 
     settings = load_settings(config)
-    watches: list[CellWatch] = []
-    client = Client(
-        runs, on_lost=lambda: watches[0].lost(), on_there=lambda: watches[0].reconnected()
-    )
+    client = Client(runs, on_lost=lambda: watch.lost(), on_there=lambda: watch.reconnected())
     watch = CellWatch(client, settings, runs)
-    watches.append(watch)
     sessions = Sessions(accounts.named) if isinstance(accounts, Users) else None
     audit = Audit(audit_file(runs))
     seen = (Films(), LiveCamera(runs), Guided())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cell.cli.arguments import Runs
 from cell.cli.output import print_json
 from cell.cli.printing import show
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse, tell_notes
@@ -17,10 +18,6 @@ if TYPE_CHECKING:
     from cell.settings.starting import CellKind, Question
 
 app = group()
-
-Runs = Annotated[
-    Path, typer.Option("--runs", help="Folder of the cycles, whose recordings need room.")
-]
 
 
 @app.command()

@@ -64,7 +64,7 @@ class Record:
         """Create `runs/<local time>-<cycle>`.  Raises RecordError also if it is there already."""
         self.folder = runs / f"{started:%Y%m%dT%H%M%S}.{started.microsecond // 1000:03d}-{cycle}"
         self._reserve = self.folder / _RESERVE
-        with self._told():
+        with self._write_errors():
             self.folder.mkdir(parents=True)
             write_atomic(self._reserve, bytes(RESERVE_BYTES))
         at = started.astimezone(UTC).isoformat()
@@ -97,7 +97,7 @@ class Record:
 
     def study(self, study: Study) -> None:
         """Write the trials so far as a study; replaces an earlier one."""
-        with self._told():
+        with self._write_errors():
             write_study(study, self.folder / "study", recorded=True)
 
     def model(self, model: Mapping[str, Any]) -> None:
@@ -120,15 +120,15 @@ class Record:
 
     def use_reserve(self) -> None:
         """Free the room that was reserved: the cycle is about to end."""
-        with self._told():
+        with self._write_errors():
             self._reserve.unlink(missing_ok=True)
 
     def _write(self, name: str, content: str | bytes) -> None:
-        with self._told():
+        with self._write_errors():
             write_atomic(self.folder / name, content)
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _write_errors(self) -> Iterator[None]:
         """What the system refuses, in words, with the folder."""
         try:
             yield

@@ -62,15 +62,15 @@ def listed_actions(
     ledger: str | Path, since: datetime | None = None, most: int | None = None
 ) -> list[Action]:
     """Actions since a time, oldest first; of too many the newest.  Raises LedgerError."""
-    asked = select(actions).order_by(actions.c.at.desc(), actions.c.id.desc())
+    query = select(actions).order_by(actions.c.at.desc(), actions.c.id.desc())
     if since is not None:
-        asked = asked.where(actions.c.at >= since.astimezone(UTC).replace(tzinfo=None))
+        query = query.where(actions.c.at >= since.astimezone(UTC).replace(tzinfo=None))
     if most is not None:
-        asked = asked.limit(most)
+        query = query.limit(most)
     engine = open_engine(url_of(ledger), create=False)
     try:
         with database_errors(engine), engine.connect() as connection:
-            rows: Sequence[Any] = connection.execute(asked).all()[::-1]
+            rows: Sequence[Any] = connection.execute(query).all()[::-1]
     finally:
         engine.dispose()
     return [

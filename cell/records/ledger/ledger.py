@@ -190,7 +190,7 @@ class Ledger:
 
         estimates  with the cables' parameters
         """
-        asked = (
+        query = (
             select(cycles, parts.c.code.label("part"), *_FAULT_COLUMNS, *_SEEN_COLUMNS)
             .outerjoin(parts, parts.c.id == cycles.c.part_id)
             .outerjoin(faults, faults.c.cycle_id == cycles.c.id)
@@ -199,16 +199,16 @@ class Ledger:
             .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
         )
         if most is not None:
-            asked = asked.limit(most)
+            query = query.limit(most)
         with database_errors(self._engine), self._engine.connect() as connection:
-            rows = connection.execute(asked).all()[::-1]
-            known = _estimates(connection, asked) if estimates else {}
+            rows = connection.execute(query).all()[::-1]
+            known = _estimates(connection, query) if estimates else {}
         return [self._cycle(row, known.get(row.id, ())) for row in rows]
 
     def count(self, wanted: LedgerQuery) -> dict[str, int]:
         """Number of cycles that are asked for, by outcome."""
-        asked = _of_cycles(select(cycles.c.outcome, func.count()), wanted)
-        rows = self._rows(asked.group_by(cycles.c.outcome))
+        query = _of_cycles(select(cycles.c.outcome, func.count()), wanted)
+        rows = self._rows(query.group_by(cycles.c.outcome))
         return {outcome or UNFINISHED: n for outcome, n in rows}
 
     def faults(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
@@ -248,14 +248,14 @@ class Ledger:
         )
         return [(kind, n, why or "") for kind, n, why in rows]
 
-    def _rows(self, asked: Select[Any]) -> Sequence[Any]:
+    def _rows(self, query: Select[Any]) -> Sequence[Any]:
         with database_errors(self._engine), self._engine.connect() as connection:
-            return connection.execute(asked).all()
+            return connection.execute(query).all()
 
     def span(self, wanted: LedgerQuery) -> tuple[datetime, datetime] | None:
         """When the first and the last cycle that are asked for began; None = there are none."""
-        asked = _of_cycles(select(func.min(cycles.c.ordered), func.max(cycles.c.ordered)), wanted)
-        ((first, last),) = self._rows(asked)
+        query = _of_cycles(select(func.min(cycles.c.ordered), func.max(cycles.c.ordered)), wanted)
+        ((first, last),) = self._rows(query)
         return None if first is None else (_aware(first), _aware(last))
 
     def work(self, wanted: LedgerQuery) -> tuple[dict[str, int], float]:
@@ -266,7 +266,7 @@ class Ledger:
         """
         stopped = select(faults.c.cycle_id).where(faults.c.code == STOPPED)
         counted = case((cycles.c.id.in_(stopped), 0), else_=1)
-        asked = _of_cycles(
+        query = _of_cycles(
             select(
                 cycles.c.outcome,
                 func.sum(counted),
@@ -274,7 +274,7 @@ class Ledger:
             ),
             wanted,
         ).where(cycles.c.aim == Outcome.INSERTED.value, cycles.c.outcome.is_not(None))
-        rows = self._rows(asked.group_by(cycles.c.outcome))
+        rows = self._rows(query.group_by(cycles.c.outcome))
         return {o: int(n) for o, n, _ in rows}, float(sum(s for *_, s in rows))
 
     def quick_cycle_s(self, wanted: LedgerQuery, share: float) -> float | None:
@@ -335,16 +335,16 @@ _FAULT_COLUMNS = [faults.c[k] for k in ("step", "cause", "device", "remedy", "ca
 _SEEN_COLUMNS = [acknowledgements.c[k].label(f"seen_{k}") for k in ("at", "by", "note")]
 
 
-def _of_cycles(asked: Select[Any], wanted: LedgerQuery) -> Select[Any]:
+def _of_cycles(query: Select[Any], wanted: LedgerQuery) -> Select[Any]:
     """A question to cycles alone, unless parts or faults are asked for."""
-    asked = asked.select_from(cycles)
+    query = query.select_from(cycles)
     if wanted.part is not None:
-        asked = asked.outerjoin(parts, parts.c.id == cycles.c.part_id)
+        query = query.outerjoin(parts, parts.c.id == cycles.c.part_id)
     if wanted.fault is not None or wanted.acknowledged is not None:
-        asked = asked.outerjoin(faults, faults.c.cycle_id == cycles.c.id)
+        query = query.outerjoin(faults, faults.c.cycle_id == cycles.c.id)
     if wanted.acknowledged is not None:
-        asked = asked.outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
-    return asked.where(*_conditions(wanted))
+        query = query.outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
+    return query.where(*_conditions(wanted))
 
 
 def _conditions(wanted: LedgerQuery) -> list[ColumnElement[bool]]:
@@ -485,9 +485,9 @@ def _estimates(connection: Connection, of: Select[Any]) -> dict[int, list[Ledger
     """Parameters by the number of their cycle, of the cycles that are asked for."""
     chosen = of.with_only_columns(cycles.c.id, maintain_column_froms=True).subquery()
     columns = (parameters.c[k] for k in ("cycle_id", "name", "value", "low", "high"))
-    asked = select(*columns).join(chosen, chosen.c.id == parameters.c.cycle_id)
+    query = select(*columns).join(chosen, chosen.c.id == parameters.c.cycle_id)
     found: dict[int, list[LedgerEstimate]] = {}
-    for at, *values in connection.execute(asked).all():
+    for at, *values in connection.execute(query).all():
         found.setdefault(at, []).append(LedgerEstimate(*values))
     return found
 

@@ -1,4 +1,4 @@
-"""Devices that hand over to a recorder what they are told and what they say."""
+"""Devices that hand over their commands and answers to a recorder."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ class RecordedArm(ArmAround):
     def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Raises LimitError, StoppedError, DeviceLostError."""
         self._recorder.resume()
-        told_s = self._recorder.now_s()
+        commanded_s = self._recorder.now_s()
         self._arm.follow(path, start_s)
-        begin_s = told_s if start_s is None else start_s
+        begin_s = commanded_s if start_s is None else start_s
         self._recorder.event(form.PATH, {"start_s": start_s, **vars(path)})
         self._recorder.poses(form.COMMANDED, replace(path, t_s=path.t_s - path.t_s[0] + begin_s))
 
@@ -120,7 +120,7 @@ class RecordedGripper(GripperAround):
 
     def state(self) -> GripperState:
         """Raises DeviceLostError."""
-        return self._told(self._gripper.state())
+        return self._watch_jaws(self._gripper.state())
 
     def grip(self, force_n: float) -> GripperState:
         """Raises GripError, LimitError."""
@@ -137,14 +137,14 @@ class RecordedGripper(GripperAround):
         """Open the jaws."""
         return self._recorded("release", self._gripper.release())
 
-    def _recorded(self, told: str, state: GripperState) -> GripperState:
+    def _recorded(self, command: str, state: GripperState) -> GripperState:
         self._recorder.event(
             form.GRIPPER,
-            {"told": told, "opening_m": state.opening_m, "holding": state.holding},
+            {"told": command, "opening_m": state.opening_m, "holding": state.holding},
         )
-        return self._told(state)
+        return self._watch_jaws(state)
 
-    def _told(self, state: GripperState) -> GripperState:
+    def _watch_jaws(self, state: GripperState) -> GripperState:
         if self._uploads is not None and (state.holding or not self._closing):
             self._uploads.jaws(holding=state.holding)
         return state

@@ -58,7 +58,7 @@ def read_film(path: Path) -> RecordedFilm:
     raises  InputError: it cannot be read
     """
     places: dict[int, tuple[int, ...]] = {}
-    with _told(path), path.open("rb") as file:
+    with _read_errors(path), path.open("rb") as file:
         summary = make_reader(file).get_summary()
         if summary is None:
             raise ValueError("it has no index")
@@ -108,7 +108,7 @@ def read_frame(film: RecordedFilm, number: int, near: FilmFrame | None = None) -
     """
     if not 0 <= number < len(film.stamps_ns):
         raise IndexError(number)
-    with _told(film.path), film.path.open("rb") as file:
+    with _read_errors(film.path), film.path.open("rb") as file:
         kept, blank, seen = _kept(film, file, number, with_seen=True)
         later, at = [(kept, blank)], number
         while blank is not None and at > 0:  # elsewhere it shows what was shown before
@@ -155,7 +155,7 @@ def _kept(
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _read_errors(path: Path) -> Iterator[None]:
     """What the system or the file refuses, in words."""
     try:
         yield

@@ -19,6 +19,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import CRCValidationError, breakup_chunk
@@ -32,6 +33,8 @@ from drivers.interfaces import Frame, Trajectory
 
 #: How a file of MCAP begins.
 MAGIC = b"\x89MCAP0\r\n"
+#: Before a record: what it is, and its length.
+_HEAD = struct.Struct("<BQ")
 #: What readers raise for a file that is torn or is something else.
 UNREADABLE = (
     McapError, CRCValidationError, ZstdError, ValueError, EOFError, MemoryError, LookupError,
@@ -270,23 +273,12 @@ def shown_image(
     return shown
 
 
-if __name__ == "__main__":  # as the recorder's process verifies a file
-    try:
-        verify(Path(sys.argv[1]), json.loads(sys.argv[2]))
-    except (TornRecordingError, OSError) as error:
-        sys.exit(str(error))
-
-
-_MAGIC_BYTES, _CHUNK = 8, 6
-_HEAD = struct.Struct("<BQ")
-
-
 class GrowingRecording:
     """A file that another process writes; what was read once is not read again."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._at = _MAGIC_BYTES
+        self._at = len(MAGIC)
 
     def newest(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The newest frame, grey levels, and its age when the file was last written, s.
@@ -302,7 +294,7 @@ class GrowingRecording:
                 kind, length = _HEAD.unpack(file.read(_HEAD.size))
                 if self._at + _HEAD.size + length > size:
                     break
-                if kind == _CHUNK:
+                if kind == Opcode.CHUNK:
                     new.append(self._at)
                 self._at += _HEAD.size + length
             last_ns = 0
@@ -353,3 +345,10 @@ def _frame(message: Message) -> NDArray[np.uint8] | None:
         return image_of(message.data)
     except (DecodeError, ValueError):  # of another topic
         return None
+
+
+if __name__ == "__main__":  # as the recorder's process verifies a file
+    try:
+        verify(Path(sys.argv[1]), json.loads(sys.argv[2]))
+    except (TornRecordingError, OSError) as error:
+        sys.exit(str(error))

@@ -155,7 +155,7 @@ class RecordingWriter:
             data=data,
         )
         self._images.log(image, log_time=self._ns(t_s))
-        self._told(form.IMAGE)
+        self._count(form.IMAGE)
 
     def poses(self, topic: str, poses: FloatArray) -> None:
         """Poses (n, 4): time on the cell's clock, x, y, angle."""
@@ -167,7 +167,7 @@ class RecordingWriter:
             )
             message = messages.PoseInFrame(timestamp=self._stamp(t_s), frame_id="plane", pose=pose)
             self._poses[topic].log(message, log_time=self._ns(t_s))
-            self._told(topic)
+            self._count(topic)
 
     def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
         """The cable in the pictures: (n, points, 2) column and row, nan = not seen."""
@@ -183,7 +183,7 @@ class RecordingWriter:
                 thickness=2.0,
             )
             self._seen.log(messages.ImageAnnotations(points=[line]), log_time=self._ns(at_s))
-            self._told(form.SEEN)
+            self._count(form.SEEN)
 
     def log(self, t_s: float, level: str, name: str, text: str) -> None:
         """A line of the program's log."""
@@ -194,14 +194,14 @@ class RecordingWriter:
             name=name,
         )
         self._log.log(message, log_time=self._ns(t_s))
-        self._told(form.LOG)
+        self._count(form.LOG)
 
     def event(self, topic: str, t_s: float, data: Mapping[str, Any]) -> None:
         """A JSON message; numbers are written so that they are read back unchanged."""
         self._check_room(LEAST_FREE_BYTES * _SHARE_OF_MESSAGES)
         text = json.dumps(plain(data), ensure_ascii=False, allow_nan=False)
         self._json[topic].log(text.encode(), log_time=self._ns(t_s))
-        self._told(topic)
+        self._count(topic)
 
     def flush(self) -> None:
         """End the chunk: what was written so far is in the file."""
@@ -239,7 +239,7 @@ class RecordingWriter:
         if self._syncing is not None:
             self._syncing.join()
 
-    def _told(self, topic: str) -> None:
+    def _count(self, topic: str) -> None:
         self.counts[topic] += 1
         self._check()
 

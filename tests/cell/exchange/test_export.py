@@ -19,9 +19,8 @@ from cell.exchange.springs import TIP_ERROR_M, law, springs_for
 mujoco = pytest.importorskip("mujoco")
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_ten_cables_keep_the_bar(flat_model, seed):
-    exponent = float(np.linspace(0.9, 1.15, 10)[seed])
+@pytest.mark.parametrize(("seed", "exponent"), [(0, 0.9), (3, 0.98), (6, 1.07), (9, 1.15)])
+def test_cables_of_every_exponent_keep_the_bar(flat_model, seed, exponent):
     done = export_to_mujoco(flat_model(seed, exponent).model, "model.json")
     (found,) = done.differences
     assert 0.0 < found.rms_m <= SHARE * BAR_M

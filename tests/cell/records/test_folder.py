@@ -88,21 +88,29 @@ def test_a_record_never_writes_into_another_one(tmp_path: Path) -> None:
         Record(tmp_path, 1, NOW)
 
 
-def test_what_is_not_a_record_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"state\.json:1: is missing: not a cycle's folder"):
-        read_record(tmp_path)
-    (tmp_path / "state.json").write_text('{"format": "cable-cycle/9"}')
-    with pytest.raises(InputError, match="format is 'cable-cycle/9', not 'cable-cycle/1'"):
-        read_record(tmp_path)
-    (tmp_path / "state.json").write_text('{"format": ')
-    with pytest.raises(InputError, match=r"state\.json:1:\d+: is not JSON"):
-        read_record(tmp_path)
-    (tmp_path / "state.json").write_text('{"format": "cable-cycle/1", "closed": true}')
-    with pytest.raises(InputError, match=r"state\.json:1: cycle: None is no int; give the file"):
-        read_record(tmp_path)
-    (tmp_path / "state.json").write_text('{"format": "cable-cycle/1", "cycle": 1, "closed": true}')
+_STATE = '{"format": "cable-cycle/1", "cycle": 1, "closed": true}'
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        (None, r"state\.json:1: is missing: not a cycle's folder"),
+        ('{"format": "cable-cycle/9"}', "format is 'cable-cycle/9', not 'cable-cycle/1'"),
+        ('{"format": ', r"state\.json:1:\d+: is not JSON"),
+        (
+            '{"format": "cable-cycle/1", "closed": true}',
+            r"state\.json:1: cycle: None is no int; give the file",
+        ),
+        (_STATE, r"result\.json:1: is not a cycle's result .* give the"),
+    ],
+)
+def test_what_is_not_a_record_is_refused_by_name(
+    tmp_path: Path, state: str | None, said: str
+) -> None:
     (tmp_path / "result.json").write_text('{"outcome": "inserted", "fault": {"cause": 1}}')
-    with pytest.raises(InputError, match=r"result\.json:1: is not a cycle's result .* give the"):
+    if state is not None:
+        (tmp_path / "state.json").write_text(state)
+    with pytest.raises(InputError, match=said):
         read_record(tmp_path)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, time, timedelta
 from pathlib import Path
@@ -27,8 +28,15 @@ def at(hour: float) -> datetime:
 
 
 @pytest.fixture
-def shifted(tmp_path: Path):
+def ledger(tmp_path: Path) -> Iterator[Ledger]:
+    """In a file: shares are computed from what any database answers."""
     ledger = Ledger(tmp_path / "runs", create=True)
+    yield ledger
+    ledger.close()
+
+
+@pytest.fixture
+def shifted(ledger: Ledger) -> Ledger:
     cycles = [(6.5, Outcome.INSERTED)] * 6 + [(13.9, Outcome.MISSED)] * 2
     cycles += [(23.0, Outcome.INSERTED), (30.1, Outcome.REJECTED), (31.0, Outcome.MEASURED)]
     entries = []
@@ -36,8 +44,7 @@ def shifted(tmp_path: Path):
         aim = "measured" if outcome is Outcome.MEASURED else "inserted"
         entries.append(ended(n, outcome, started=at(hour) + timedelta(seconds=n), aim=aim))
     ledger.write([*entries, begun(20, started=at(31.5))])
-    yield ledger
-    ledger.close()
+    return ledger
 
 
 def test_shares_are_those_of_the_definition(shifted: Ledger) -> None:
@@ -63,33 +70,25 @@ def test_only_the_time_that_is_asked_for_is_planned(shifted: Ledger) -> None:
     assert first.performance is None
 
 
-def test_the_ideal_cycle_is_that_of_the_quickest_tenth(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path / "runs", create=True)
+def test_the_ideal_cycle_is_that_of_the_quickest_tenth(ledger: Ledger) -> None:
     for n in range(21):
         result = replace(ended(n).result, state_seconds={"execute": 20.0 + n})
         ledger.write([ended(n, result=result, started=at(7))])
     (shift,) = shifts(ledger, LedgerQuery(), BEGINS, at(8))
     assert shift.ideal_s == 22.0
-    ledger.close()
 
 
-def test_a_fault_counts_as_no_insertion(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path / "runs", create=True)
-    ledger.write([ended(1), stopped(2, "arm.limit")])
+@pytest.mark.parametrize(
+    ("code", "cables", "quality"), [("arm.limit", 2, 0.5), ("stop", 1, 1.0)], ids=["fault", "stop"]
+)
+def test_a_fault_is_no_insertion_and_a_stop_by_a_person_is_no_cable(
+    ledger: Ledger, code: str, cables: int, quality: float
+) -> None:
+    ledger.write([ended(1), stopped(2, code)])
     now = datetime(2026, 11, 3, tzinfo=UTC)
     (shift,) = shifts(ledger, LedgerQuery(), [time(0)], now)
-    assert shift.quality == 0.5
+    assert (shift.cables, shift.quality, shift.running_s) == (cables, quality, 50.0)
     assert shifts(ledger, LedgerQuery(line="other"), [time(0)], now) == []
-    ledger.close()
-
-
-def test_a_stop_by_a_person_lowers_no_yield(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path / "runs", create=True)
-    ledger.write([ended(1), stopped(2)])
-    now = datetime(2026, 11, 3, tzinfo=UTC)
-    (shift,) = shifts(ledger, LedgerQuery(), [time(0)], now)
-    assert (shift.cables, shift.quality, shift.running_s) == (1, 1.0, 50.0)
-    ledger.close()
 
 
 def test_performance_is_never_above_one() -> None:
@@ -99,12 +98,10 @@ def test_performance_is_never_above_one() -> None:
     assert shift.oee == pytest.approx(0.1 * 0.5)
 
 
-def test_a_clock_that_was_set_back_loses_no_cable(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path / "runs", create=True)
+def test_a_clock_that_was_set_back_loses_no_cable(ledger: Ledger) -> None:
     ledger.write([ended(1, started=at(15)), ended(2, started=at(-40))])
     found = shifts(ledger, LedgerQuery(), BEGINS, at(32))
     assert [s.cables for s in found] == [2]
-    ledger.close()
 
 
 def test_simulated_time_that_is_quicker_than_the_clock_has_no_availability() -> None:

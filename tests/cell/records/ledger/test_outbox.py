@@ -28,6 +28,15 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outbox, "_LAST_S", 0.05)
 
 
+def counts(place: Path) -> dict[str, int]:
+    """Cycles in a ledger by outcome."""
+    ledger = Ledger(place)
+    try:
+        return ledger.count(LedgerQuery())
+    finally:
+        ledger.close()
+
+
 class Told:
     """A ledger that hands entries on."""
 
@@ -117,9 +126,7 @@ def test_what_cannot_be_told_waits_for_the_next_run(writer_to, tmp_path: Path) -
     assert "the server is away" in note
     following = writer_to(LaterLedger(tmp_path / "runs"))
     following.close()
-    ledger = Ledger(tmp_path / "runs")
-    assert ledger.count(LedgerQuery()) == {"inserted": 1}
-    ledger.close()
+    assert counts(tmp_path / "runs") == {"inserted": 1}
 
 
 def test_what_a_damaged_ledger_lacks_is_written_once_it_is_moved_away(
@@ -142,9 +149,7 @@ def test_what_a_damaged_ledger_lacks_is_written_once_it_is_moved_away(
     following = writer_to(LaterLedger(file))
     following.close()
     assert following.notes == []
-    ledger = Ledger(file)
-    assert ledger.count(LedgerQuery()) == {"inserted": 1}
-    ledger.close()
+    assert counts(file) == {"inserted": 1}
 
 
 def test_what_is_no_entry_is_put_aside(writer_to, tmp_path: Path) -> None:
@@ -183,9 +188,7 @@ def test_two_cells_use_one_folder(tmp_path: Path) -> None:
     for writer in writers:
         writer.close()
     assert [writer.notes for writer in writers] == [[], []]
-    ledger = Ledger(tmp_path / "runs")
-    assert ledger.count(LedgerQuery()) == {"inserted": 40}
-    ledger.close()
+    assert counts(tmp_path / "runs") == {"inserted": 40}
 
 
 def test_a_locked_file_is_written_later(writer_to, tmp_path: Path, monkeypatch) -> None:
@@ -200,9 +203,7 @@ def test_a_locked_file_is_written_later(writer_to, tmp_path: Path, monkeypatch) 
     other.execute("ROLLBACK")
     other.close()
     wait_until(lambda: not (outbox_of(tmp_path / "runs")).exists())
-    ledger = Ledger(tmp_path / "runs")
-    assert ledger.count(LedgerQuery()) == {"inserted": 1}
-    ledger.close()
+    assert counts(tmp_path / "runs") == {"inserted": 1}
 
 
 def test_a_server_goes_away_and_comes_back(writer_to, server) -> None:
