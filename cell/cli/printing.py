@@ -38,7 +38,7 @@ def show(*parts: str | TableData, console: Console | None = None) -> None:
 
 
 def _show_table(console: Console, data: TableData) -> None:
-    table, natural_widths = _rich_table(data), _widths(data)
+    table = _rich_table(data)
     natural = console.measure(table, options=console.options.update(width=10_000)).maximum
     if not console.is_terminal:
         console.width = max(console.width, natural)
@@ -47,13 +47,14 @@ def _show_table(console: Console, data: TableData) -> None:
             "\n".join(head.split()) if i in data.numbers else head
             for i, head in enumerate(data.heads)
         ]
+        between = natural - sum(_widths(data)) - len(heads)  # a space less before each column
         data = replace(data, heads=heads)
-        table = _rich_table(data)
+        table = _rich_table(data, compact=True)
         least = sum(
             width if i in data.numbers else min(width, LEAST_WORDS)
             for i, width in enumerate(_widths(data))
         )
-        if natural - sum(natural_widths) + least > console.width:
+        if between + least > console.width:
             console.print(_upright(data), highlight=False, soft_wrap=True)
             return
     console.print(table, highlight=False)
@@ -67,13 +68,15 @@ def _widths(data: TableData) -> list[int]:
     return [max(cell_len(x) for text in column for x in text.split("\n")) for column in columns]
 
 
-def _rich_table(data: TableData) -> Table:
+def _rich_table(data: TableData, *, compact: bool = False) -> Table:
     """The table with its cells as they are: what stands in brackets is no markup."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=data.title or None, box=SIMPLE_HEAD, caption=data.note or None)
+    padding = (0, 1, 0, 0) if compact else (0, 1)
+    title, note = data.title or None, data.note or None
+    table = Table(title=title, box=SIMPLE_HEAD, caption=note, padding=padding)
     for i, (head, width) in enumerate(zip(data.heads, _widths(data), strict=True)):
         if i in data.numbers:
             table.add_column(Text(head), justify="right", no_wrap=True, min_width=width)
