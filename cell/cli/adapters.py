@@ -13,9 +13,8 @@ import typer
 
 from cell.cli.arguments import Runs
 from cell.cli.output import print_json
-from cell.cli.shared import Config, MaybeConfig, group, refuse, refusing
+from cell.cli.shared import Config, MaybeConfig, group, needing, refuse, refusing
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
-from drivers.installing import install_extra
 
 if TYPE_CHECKING:
     from cell.plant.handshake.carrier import Carrier
@@ -129,10 +128,8 @@ def mqtt(
     warnings_to_terminal()
     with refusing():
         settings, section = _section(config, "mqtt", "name a broker")
-        try:
+        with needing("mqtt", "MQTT needs", "aiomqtt"):
             import aiomqtt  # noqa: F401
-        except ImportError as error:
-            raise ValueError(f"MQTT needs aiomqtt: {install_extra('mqtt')}") from error
         try:
             outbox = MqttOutbox(outbox_of(runs), section.most_waiting)
             asyncio.run(_run(lambda: _mqtt_adapter(settings, section, runs, outbox)))
@@ -195,16 +192,13 @@ def opcua(
         if config is None:
             raise ValueError("--config is missing: name the settings of the cell")
         settings = load_settings(config)
-        from cell.plant.opcua.server import serve
+        with needing("opcua", "OPC UA needs", "asyncua", "argon2", "cryptography"):
+            from cell.plant.opcua.server import serve
 
-        warnings_to_terminal()
-        if settings.plant is not None and settings.plant.opcua is not None:
-            to_file(settings.plant.opcua.folder / "opcua.log")
-        serve(settings, runs, lambda address: print(f"listens at {address}", flush=True), users)
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] not in ("asyncua", "argon2", "cryptography"):
-            raise
-        refuse(ValueError(f"OPC UA needs {error.name}: {install_extra('opcua')}"))
+            warnings_to_terminal()
+            if settings.plant is not None and settings.plant.opcua is not None:
+                to_file(settings.plant.opcua.folder / "opcua.log")
+            serve(settings, runs, lambda address: print(f"listens at {address}", flush=True), users)
     except ValueError as error:
         refuse(error)
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import Runs
-from cell.cli.shared import MaybeConfig, group, refuse
+from cell.cli.shared import MaybeConfig, group, needing, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
-from drivers.installing import install_extra
 
 if TYPE_CHECKING:
     from cell.web.visit import PagesContext
@@ -56,15 +55,12 @@ def serve(
     """
     if context.invoked_subcommand is not None:
         return
+    packages = "nicegui", "argon2", "fastapi", "starlette", "uvicorn"
     try:
         if config is None:
             raise ValueError("--config is missing: name the settings of the cell")
-        _serve(config, runs, _Address(host, port, certificate, key), users)
-    except ImportError as error:
-        needed = (error.name or "").partition(".")[0]
-        if needed not in ("nicegui", "argon2", "fastapi", "starlette", "uvicorn"):
-            raise
-        refuse(ValueError(f"the pages need {error.name}: {install_extra('web')}"))
+        with needing("web", "the pages need", *packages):
+            _serve(config, runs, _Address(host, port, certificate, key), users)
     except (OSError, ValueError) as error:
         refuse(error)
 

@@ -16,6 +16,7 @@ import typer
 from cell.computer.watched import ANSWERED, responds_after_interrupt
 from cell.files.overwriting import check_distinct, check_output
 from cell.files.rescue import no_room, remedy
+from drivers.installing import install_extra
 
 if TYPE_CHECKING:
     from cell.cli.progress import ProgressLine
@@ -52,6 +53,18 @@ def refuse(error: Exception) -> NoReturn:
     """End with 2 and the message of what was wrong."""
     print(error, file=sys.stderr)
     raise typer.Exit(BAD_INPUT) from error
+
+
+@contextmanager
+def needing(extra: str, need: str, *packages: str) -> Iterator[None]:
+    """Ends with 2 and the remedy, an extra, if one of its packages is not installed."""
+    try:
+        yield
+    except ImportError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in packages:
+            raise
+        refuse(ValueError(f"{need} {package}: {install_extra(extra)}"))
 
 
 def user_name() -> str:

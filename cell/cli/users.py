@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cell.cli.shared import MaybeConfig, group, refuse
-from drivers.installing import install_extra
+from cell.cli.shared import MaybeConfig, group, needing, refuse
 
 
 def typed_password() -> str:
@@ -65,12 +64,9 @@ def add_user(file: Path, name: str, role: str, folder: Path | None) -> None:
     try:
         if role not in Role.__members__:
             raise ValueError(f"--role {role}: no role; give one of {', '.join(Role.__members__)}")
-        new = all_users(file, folder).add(name, Role[role], typed_password())
+        with needing("web", "users need", "argon2"):
+            new = all_users(file, folder).add(name, Role[role], typed_password())
         print(f"{name}: {'added' if new else 'changed'}, may {role}")
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] != "argon2":
-            raise
-        refuse(ValueError(f"users need argon2: {install_extra('web')}"))
     except (OSError, ValueError) as error:
         refuse(error)
 
