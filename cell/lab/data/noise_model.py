@@ -1,13 +1,13 @@
-"""The noise of the markers: which level and which correlation are used, and where that is decided.
+"""The noise of the markers: which correlation is used, and where that is decided.
 
-The noise of a coordinate is Gaussian with an AR(1) correlation between neighbouring frames, and a
-white share where values are rounded (`cell.identify.noise.Noise`).  `noise_model_of` estimates
-level and correlation from the frames at rest by restricted maximum likelihood, with a confidence
-set of both (`noise_likelihood`).  Given a fitted model, `noise_model_of_all_frames` chooses within
-that set by rest and motion together; `cell.lab.fit.remainder` first takes out of the motion what
-parameters and effects could explain.  Where a study states its level, that is kept, and
-`noise_model_of_residuals` bounds the correlation by that of the residuals.  Markers and trials have
-levels of their own where the frames at rest show it (`noise_levels`).
+The error of a coordinate is Gaussian AR(1) noise, with a white share where values are rounded
+(`cell.identify.noise.Noise`; likelihoods: `noise_likelihood`).  `noise_model_of` estimates level
+and correlation from the frames at rest, and `with_levels` levels of single markers and trials where
+they differ.  Given a fitted model, `noise_model_of_all_frames` maximises the likelihood of rest and
+motion within the confidence set from rest; `cell.lab.fit.corrections.with_noise_given` calls it,
+for the baseline and once more for the selected model.  A stated level is kept instead, and the
+correlation is then at most that of a model's residuals (`noise_model_of_residuals`).  The field
+`noise` of `PreparedStudy` is the result, with which residuals are whitened.
 """
 
 from __future__ import annotations
@@ -17,30 +17,40 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.arrays import FloatArray
 from cell.identify.innovations import frames_since
 from cell.identify.noise import Noise, still_frames
 from cell.lab.data.noise_likelihood import (
-    ALLOWED,
     AR1_GRID,
     CHI2_95,
+    CHI2_999,
     DEGREE,
     DRIFT_DEGREE,
     MAX_AR1,
-    NoiseBlock,
-    Remainder,
+    ProjectedResidual,
     RestFrames,
-    alike,
+    StillBlock,
     dof_of,
+    nearly_equal,
     resolution_m,
 )
 from cell.study.data import Study, Trial
 
-#: Fewer still frames than this say nothing about noise.
+#: Fewer still frames than this are no evidence of noise.
 MIN_STILL_FRAMES = 6
 #: A level is known if the rest would not allow an error as large as the noise in addition.
 KNOWN_WITHIN = 2.0
+#: Levels differ if chance makes them differ so much with this probability.  Few still frames with
+#: outliers reach 1e-3 in 1 of 100 studies; markers of which some have twice the noise of others
+#: reach 1e-13.
+DIFFERENT_LEVELS = 1e-4
+#: A marker at rest whose values are rounded to more than so many standard deviations shows the more
+#: noise the nearer it is to a step: no level of its own.
+LEVELS_ROUNDED = 1.0
+#: A level is limited to this factor from the median: repeated values are not new measurements.
+LARGEST_FACTOR = 5.0
 
 
 class NoiseUnknownError(ValueError):
@@ -52,8 +62,7 @@ class Level:
     """Noise of a trial's markers over that of the study.
 
     of_markers  (markers,)
-    dof         degrees of freedom behind their mean square: of the trial's still frames, if it has
-                any
+    dof         degrees of freedom of their mean square: of the trial's still frames, if it has any
     """
 
     of_markers: FloatArray
@@ -64,16 +73,15 @@ class Level:
 class NoiseModel:
     """The noise of the markers, and the uncertainty of its level.
 
-    dof       degrees of freedom behind the level; `inf` if the study states it
+    dof       degrees of freedom of the level; `inf` if the study states it
     autocorrelated  whether still frames have shown its AR(1) correlation
-    correlated_channels  channels with one error, as of markers on a fitted shape: so many values
-              tell as much as one
-    rest      what still frames tell of level and correlation; None where the level is stated
-    range_m   95 % interval of the level by the rest alone, m; None where that is not asked
+    correlated_channels  channels with one common error, as of markers on a fitted shape: so many
+              values contain the information of one
+    rest      likelihood of the frames at rest; None if the level is stated
+    range_m   95 % interval of the level from rest alone, m; None before motion is used
     hidden    values are rounded so much that still frames do not show their error
-    slow      degrees of freedom behind the level of its slow part; None: as of a known
-              correlation
-    levels    noise of each trial's markers over `noise`, where still frames show that they differ
+    slow      degrees of freedom of the level of its slow part; None: as of a known correlation
+    levels    by trial, where still frames show that markers or trials differ
     """
 
     noise: Noise
@@ -112,70 +120,44 @@ class NoiseModel:
 
     @property
     def for_whitening(self) -> Noise:
-        """Noise of independent markers that tell as much."""
+        """Noise of independent markers with as much information."""
         if self.correlated_channels == 1.0:
             return self.noise
         return replace(
             self.noise, std_m=self.noise.std_m * float(np.sqrt(self.correlated_channels))
         )
 
-    @property
-    def effective_fraction(self) -> float:
-        """Independent values per value, when averaging."""
-        return self.noise.effective_fraction
+    def rms_m(self, trials: Sequence[Trial], markers: int) -> float:
+        """Root mean square of the noise in trials, over their first columns: the markers; m."""
+        counts = {t.name: np.isfinite(t.markers.xy_m[:, :markers]).sum(axis=(0, 2)) for t in trials}
+        if not self.levels or not any(c.any() for c in counts.values()):
+            return self.noise.std_m
+        square = sum(float(self.levels[name].of_markers ** 2 @ c) for name, c in counts.items())
+        return self.noise.std_m * float(
+            np.sqrt(square / sum(int(c.sum()) for c in counts.values()))
+        )
 
     @property
     def slow_dof(self) -> float:
-        """Degrees of freedom behind the level of its slow part, which the correlation decides.
+        """Degrees of freedom of the level of its slow part, which the correlation decides.
 
         That level is the innovations' variance over (1 − ρ)²; the variance of ρ is (1 − ρ²) / n.
         """
-        return self.slow or self.dof / self._slower
+        return self.slow or self.dof / self.values_per_slow_dof
 
     def dof_in(self, trials: Sequence[Trial], *, slow: bool = False) -> float:
-        """Degrees of freedom behind the level in trials: theirs alone, where levels differ.
-
-        slow  of its slow part
+        """Degrees of freedom of the level, or of its slow part's, in trials: theirs alone, where
+        levels differ.
         """
         if not self.levels:
             return self.slow_dof if slow else self.dof
         dof = sum(self.levels[t.name].dof for t in trials)
-        return dof / self._slower if slow else dof
+        return dof / self.values_per_slow_dof if slow else dof
 
     @property
-    def _slower(self) -> float:
-        return 1.0 + 2.0 / self.effective_fraction
-
-
-def noise_model_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) -> NoiseModel:
-    """A stated noise with the correlations that a fitted model's residuals have.
-
-    A study that states its error has it from elsewhere: from shapes fitted to pictures, say, which
-    err along the whole cable at once and for several frames, and its few still frames say little of
-    that.  What the model misses is slow and along the whole cable too, so that the residual is no
-    less correlated than the error: its AR(1) correlation bounds the error's.
-
-    errors  per trial (times, channels), m, nan where not seen
-    source  (tr K)² / tr K² of the channels' correlations K, less what chance makes of it
-    """
-    filled = [np.where(np.isfinite(e), e, 0.0) for e in errors]
-    power = sum(float(np.sum(e * e)) for e in filled)
-    if not noise_model.stated or power == 0.0:
-        return noise_model
-    pairs = [np.isfinite(e[1:]) & np.isfinite(e[:-1]) for e in errors]
-    products = sum(float(np.sum((e[1:] * e[:-1])[p])) for e, p in zip(filled, pairs, strict=True))
-    count, neighbours = (sum(int(x.sum()) for x in y) for y in (map(np.isfinite, errors), pairs))
-    ar1 = float(np.clip(products / max(neighbours, 1) * count / power, 0.0, MAX_AR1))
-    if noise_model.autocorrelated:
-        ar1 = min(ar1, noise_model.noise.ar1)
-    channels = np.sum([e.T @ e for e in filled], axis=0)
-    there = int(np.count_nonzero(np.diag(channels)))
-    frames = count / there * (1.0 - ar1**2) / (1.0 + ar1**2)
-    alike = float(np.sum(channels**2)) / power**2 - 1.0 / frames
-    correlated = float(np.clip(there * alike, 1.0, there))
-    return replace(
-        noise_model, noise=replace(noise_model.noise, ar1=ar1), correlated_channels=correlated
-    )
+    def values_per_slow_dof(self) -> float:
+        """Values that determine the level of the slow part as well as one does the whole level."""
+        return 1.0 + 2.0 / self.noise.effective_fraction
 
 
 def noise_model_of(study: Study) -> NoiseModel:
@@ -189,99 +171,284 @@ def noise_model_of(study: Study) -> NoiseModel:
     """
     markers = slice(0, len(study.arc_length_m))
     blocks = [block for trial in study.trials for block in still_blocks(trial, markers)]
-    series = [
-        values
-        for trial in study.trials
-        for values in trial.markers.xy_m[:, markers].reshape(len(trial.markers.t_s), -1).T
-    ]
-    most = DRIFT_DEGREE if any(t.drifts for t in study.trials) else DEGREE
-    found = noise_model_of_blocks(blocks, series, study.noise_std_m, most)
-    if found is None:
+    max_degree = DRIFT_DEGREE if any(t.drifts for t in study.trials) else DEGREE
+    model = noise_model_of_blocks(blocks, _series(study), study.noise_std_m, max_degree)
+    if model is None:
         raise NoiseUnknownError(
             f"study {study.name}: no trial has {MIN_STILL_FRAMES} frames before the gripper "
             "moves, so the camera's noise is unknown; give noise_std_m in study.yaml, "
             f"or record at least {MIN_STILL_FRAMES} frames at rest first"
         )
-    return found
+    return model
 
 
 def noise_model_of_blocks(
-    blocks: Sequence[NoiseBlock],
+    blocks: Sequence[StillBlock],
     series: Sequence[FloatArray],
     stated: float | None,
-    most: int = DEGREE,
+    max_degree: int = DEGREE,
 ) -> NoiseModel | None:
-    """Noise from what is still of series, and their rounding; None if nothing is, and none stated.
+    """Noise from still blocks of series; None if there are no blocks and no stated level.
 
-    Its level is as stated, if it is.
-    most  degree of the polynomials that are taken out
+    series      (frames,) each, of which the step of rounding is estimated
+    stated      the level, kept as it is
+    max_degree  of the polynomials that are subtracted
     """
     if not blocks:
         return None if stated is None else NoiseModel(Noise(stated), np.inf, autocorrelated=False)
-    rest = RestFrames.of(blocks, resolution_m(series), most)
-    found, dof = rest.likeliest()
+    rest = RestFrames.of(blocks, resolution_m(series), max_degree)
+    noise, dof = rest.likeliest()
     if stated is None:
-        return NoiseModel(found, dof, rest=rest)
-    return NoiseModel(Noise(stated, found.ar1), np.inf)
+        return NoiseModel(noise, dof, rest=rest)
+    return NoiseModel(Noise(stated, noise.ar1), np.inf)
 
 
-def still_blocks(trial: Trial, markers: slice) -> list[NoiseBlock]:
-    """Of every coordinate the longest run of frames in which it is seen, equal runs together.
+def still_blocks(trial: Trial, markers: slice) -> list[StillBlock]:
+    """Of every coordinate the longest run of still frames without a gap, equal runs together.
 
     So that a lost frame costs what came before or after it, and not the marker.
     """
     still = still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)
     series_m = trial.markers.xy_m[still, markers]
     series_m = series_m.reshape(len(series_m), 2 * series_m.shape[1])
-    seen: NDArray[np.bool_] = np.isfinite(series_m)
-    since = frames_since(seen)
+    present: NDArray[np.bool_] = np.isfinite(series_m)
+    since = frames_since(present)
     runs: dict[bytes, tuple[NDArray[np.intp], list[int]]] = {}
     for series in range(series_m.shape[1]):
-        rows = _longest_run(seen[:, series], since[:, series])
-        if len(rows) >= MIN_STILL_FRAMES:
-            runs.setdefault(rows.tobytes(), (rows, []))[1].append(series)
+        rows = np.flatnonzero(present[:, series])
+        gaps = np.flatnonzero(since[rows[1:], series] > 1) + 1
+        longest = max(np.split(rows, gaps), key=len)
+        if len(longest) >= MIN_STILL_FRAMES:
+            runs.setdefault(longest.tobytes(), (longest, []))[1].append(series)
     return [
-        NoiseBlock(series_m[np.ix_(rows, np.array(alike))], tuple(alike))
-        for rows, alike in runs.values()
+        StillBlock(series_m[np.ix_(rows, np.array(series))], tuple(series))
+        for rows, series in runs.values()
     ]
 
 
-def _longest_run(seen: NDArray[np.bool_], since: NDArray[np.int_]) -> NDArray[np.intp]:
-    """Rows of the longest run of own frames in which a series is seen."""
-    rows = np.flatnonzero(seen)
-    runs = np.split(rows, np.flatnonzero(since[rows[1:]] > 1) + 1)
-    return max(runs, key=len)
+def _series(study: Study) -> list[FloatArray]:
+    """(frames,) coordinates of all markers of all trials."""
+    markers = len(study.arc_length_m)
+    each = (t.markers.xy_m[:, :markers].reshape(len(t.markers.t_s), -1).T for t in study.trials)
+    return [values for of_trial in each for values in of_trial]
 
 
-def noise_model_of_all_frames(noise_model: NoiseModel, remainder: Remainder) -> NoiseModel:
-    """The noise of highest likelihood over rest and remainder, within what the rest allows.
+def noise_model_of_all_frames(noise_model: NoiseModel, residual: ProjectedResidual) -> NoiseModel:
+    """The noise of highest likelihood over rest and motion, within the confidence set from rest.
 
-    Few still frames leave level and correlation uncertain, and a noise that is wrongly taken for
-    known makes misfits of it.  In motion there are more values, but a misfit may be in them: so
-    they choose within what the rest allows, and what goes beyond that is no noise.
+    Few still frames leave level and correlation uncertain, and a wrong noise that is taken as known
+    looks like a misfit.  Motion has more values, but may contain a misfit, too: so it decides only
+    within the confidence set, and what is beyond is not noise.
     source  Berger and Boos 1994, J. Am. Stat. Assoc. 89, 1012: nuisances within a confidence set
     """
     if noise_model.rest is None:
         return noise_model
-    noises = noise_model.rest.noises
-    rest = noise_model.rest.allowed
-    least, largest = rest.within(ALLOWED)
-    moving_m2, log_det = remainder.sums(noises, least <= largest)
-    square, dof = rest.square_m2 + moving_m2, rest.weight + remainder.dof
-    wanted = square / max(dof, 1.0)
-    level = np.clip(wanted, least, np.maximum(largest, least))
+    noises, rest = noise_model.rest.noises, noise_model.rest.confidence_set
+    least, largest = rest.within(CHI2_999)
+    moving_m2, log_det = residual.sums(noises, least <= largest)
+    square, dof = rest.square_m2 + moving_m2, (0.0 if rest.hidden else rest.dof) + residual.dof
+    unbounded = square / max(dof, 1.0)
+    level = np.clip(unbounded, least, np.maximum(largest, least))
     cost = dof * np.log(level) + square / level + rest.fixed + log_det
     cost = np.where(least <= largest, cost, np.inf)
     best = int(np.argmin(cost))
     ar1, white = noises[best]
     noise = Noise(float(np.sqrt(level[best])), ar1, white=white)
-    if not least[best] <= wanted[best] <= largest[best]:
+    if not least[best] <= unbounded[best] <= largest[best]:
         dof = noise_model.dof
     slow = None
     if len(noises) > len(AR1_GRID):
-        fractions = np.array([Noise(1.0, *n[:1], white=n[1]).effective_fraction for n in noises])
+        fractions = np.array([Noise(1.0, a, white=w).effective_fraction for a, w in noises])
         slow = dof_of(np.log(level / fractions), cost, dof)
-    told = replace(noise_model, range_m=rest.range_m, hidden=rest.hidden)
-    if alike(noise, noise_model.noise):
-        return told
-    return replace(told, noise=noise, dof=dof, slow=slow)
+    model = replace(noise_model, range_m=rest.range_m, hidden=rest.hidden)
+    if nearly_equal(noise, noise_model.noise):
+        return model
+    return replace(model, noise=noise, dof=dof, slow=slow)
+
+
+def noise_model_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) -> NoiseModel:
+    """A stated noise with the correlations that a fitted model's residuals have.
+
+    A study that states its error has it from elsewhere: from shapes fitted to pictures, say, which
+    err along the whole cable at once and for several frames.  A misfit is slow and along the whole
+    cable, too, so that the residual is no less correlated than the error: its AR(1) correlation
+    bounds the error's.
+
+    errors  per trial (times, channels), m, nan if missing
+    source  (tr K)² / tr K² of the channels' correlations K, less the expected chance part
+    """
+    filled = [np.where(np.isfinite(e), e, 0.0) for e in errors]
+    power = sum(float(np.sum(e * e)) for e in filled)
+    if not noise_model.stated or power == 0.0:
+        return noise_model
+    pairs = [np.isfinite(e[1:]) & np.isfinite(e[:-1]) for e in errors]
+    products = sum(float(np.sum((e[1:] * e[:-1])[p])) for e, p in zip(filled, pairs, strict=True))
+    count, neighbours = (sum(int(x.sum()) for x in y) for y in (map(np.isfinite, errors), pairs))
+    ar1 = float(np.clip(products / max(neighbours, 1) * count / power, 0.0, MAX_AR1))
+    if noise_model.autocorrelated:
+        ar1 = min(ar1, noise_model.noise.ar1)
+    gram = np.sum([e.T @ e for e in filled], axis=0)
+    channels = int(np.count_nonzero(np.diag(gram)))
+    frames = count / channels * (1.0 - ar1**2) / (1.0 + ar1**2)
+    correlation = float(np.sum(gram**2)) / power**2 - 1.0 / frames
+    correlated = float(np.clip(channels * correlation, 1.0, channels))
+    return replace(
+        noise_model, noise=replace(noise_model.noise, ar1=ar1), correlated_channels=correlated
+    )
+
+
+def with_levels(study: Study, noise_model: NoiseModel) -> NoiseModel:
+    """The noise of a study, with the level of each marker of each trial, if they differ.
+
+    Unchanged where the study states the noise, or where rounding changes what still frames show.
+    source  Levene 1960; Brown & Forsythe 1974, J. Am. Stat. Assoc. 69, 364
+    """
+    rest = noise_model.rest
+    if noise_model.stated or rest is None:
+        return noise_model
+    if rest.resolution_m > LEVELS_ROUNDED * noise_model.noise.std_m:
+        return noise_model
+    markers = slice(0, len(study.arc_length_m))
+    blocks = [still_blocks(t, markers) for t in study.trials]
+    groups = _GroupLevels.of(blocks, rest, noise_model.noise.ar1)
+    if groups is None or groups.p_value >= DIFFERENT_LEVELS:
+        return noise_model
+    levels, variance = groups.pooled(len(study.trials), len(study.arc_length_m))
+    counts = [np.isfinite(t.markers.xy_m[:, markers]).sum(axis=(0, 2)) for t in study.trials]
+    levels = np.asarray(levels / np.sqrt(np.average(levels**2, weights=np.array(counts))))
+    # of a mean square over the markers, each of which is so uncertain
+    share = levels**2 / np.sum(levels**2, axis=1, keepdims=True)
+    dof = 2.0 / np.sum(share**2 * variance, axis=1)
+    scaled = [
+        replace(b, z_m=b.z_m / level[np.asarray(b.series) // 2])
+        for of_trial, level in zip(blocks, levels, strict=True)
+        for b in of_trial
+    ]
+    model = noise_model_of_blocks(scaled, _series(study), None, max(DEGREE, rest.degree))
+    assert model is not None  # there are blocks
+    each = zip(study.trials, levels, dof, strict=True)
+    return replace(model, levels={t.name: Level(level, float(n)) for t, level, n in each})
+
+
+def with_level_in(
+    noise_model: NoiseModel, updated: NoiseModel, trials: Sequence[Trial]
+) -> NoiseModel:
+    """An updated noise whose new level holds in some trials only: the others keep their own.
+
+    noise_model  before the update, with levels
+    """
+    factor = updated.noise.std_m / noise_model.noise.std_m
+    names = {t.name for t in trials}
+    levels = {
+        name: Level(factor * level.of_markers, level.dof) if name in names else level
+        for name, level in noise_model.levels.items()
+    }
+    noise = replace(updated.noise, std_m=noise_model.noise.std_m)
+    return replace(updated, noise=noise, levels=levels)
+
+
+@dataclass(frozen=True, eq=False)
+class _GroupLevels:
+    """The noise of each marker of each trial, from still frames; all arrays by such a group.
+
+    root       mean of the square roots of innovations' magnitudes, robust to outliers
+    count      of values
+    spread     variance of one value of mean 1
+    """
+
+    trial: NDArray[np.intp]
+    marker: NDArray[np.intp]
+    root: FloatArray
+    count: NDArray[np.int_]
+    spread: float
+
+    @staticmethod
+    def of(
+        blocks: Sequence[Sequence[StillBlock]], rest: RestFrames, ar1: float
+    ) -> _GroupLevels | None:
+        """Of still blocks by trial; None if there are none."""
+        roots: dict[tuple[int, int], list[FloatArray]] = {}
+        for trial, of_trial in enumerate(blocks):
+            for block in of_trial:
+                free = 1.0 - (rest.degree + 1) / len(block.z_m)  # less the polynomials
+                innovations, _ = rest.innovations(block, ar1)
+                values = np.sqrt(np.abs(innovations) / np.sqrt(free))
+                for series, column in zip(block.series, values.T, strict=True):
+                    roots.setdefault((trial, series // 2), []).append(column)
+        if not roots:
+            return None
+        each = [np.concatenate(values) for values in roots.values()]
+        mean = np.array([float(v.mean()) for v in each])
+        median = float(np.median(mean))
+        if median == 0.0:
+            return None
+        mean = np.clip(mean, median / np.sqrt(LARGEST_FACTOR), median * np.sqrt(LARGEST_FACTOR))
+        count = np.array([len(v) for v in each])
+        of_one = sum(float(np.sum((v / m - 1.0) ** 2)) for v, m in zip(each, mean, strict=True))
+        trials, markers = np.array(list(roots), dtype=np.intp).T
+        spread = of_one / max(int(count.sum()) - len(each), 1)
+        return _GroupLevels(trials, markers, mean, count, spread)
+
+    @property
+    def p_value(self) -> float:
+        """Of levels that differ so much by chance."""
+        mean = float(np.average(self.root, weights=self.count))
+        q, dof = _cochran_q(self.root / mean, self.spread / self.count)
+        return float(chi2_sf(dof, q)) if dof > 0 else 1.0
+
+    def pooled(self, trials: int, markers: int) -> tuple[FloatArray, FloatArray]:
+        """(trials, markers) partially pooled levels, and variances of the logarithms of squares.
+
+        A marker has a level of its own, from which its trials differ.  Both are shrunk towards
+        their means according to their uncertainty; a group without still frames has its marker's.
+        source  Morris 1983, J. Am. Stat. Assoc. 78, 47: empirical Bayes
+        """
+        y = np.asarray(4.0 * np.log(self.root))  # ln of the mean square, but for a constant
+        v, marker = np.asarray(16.0 * self.spread / self.count), self.marker
+        overall = float(np.average(y, weights=1.0 / v))
+        q_by_marker = [_cochran_q(y[marker == m], v[marker == m]) for m in range(markers)]
+        between = _variance_between(
+            sum(q for q, _ in q_by_marker),
+            sum(dof for _, dof in q_by_marker),
+            sum(_information(1.0 / v[marker == m]) for m in range(markers)),
+        )
+        mean, spread = np.full(markers, overall), np.full(markers, np.inf)
+        for m in np.unique(marker):
+            weight = 1.0 / (v[marker == m] + between)
+            mean[m], spread[m] = (
+                float(np.average(y[marker == m], weights=weight)),
+                1.0 / weight.sum(),
+            )
+        known = np.isfinite(spread)
+        q, dof = _cochran_q(mean[known], spread[known])
+        of_markers = _variance_between(q, dof, _information(1.0 / spread[known]))
+        overall = float(np.average(mean[known], weights=1.0 / (spread[known] + of_markers)))
+        kept = (
+            of_markers / (of_markers + spread[known]) if of_markers > 0.0 else 0.0 * spread[known]
+        )
+        mean[known] = overall + (mean[known] - overall) * kept
+        pooled = np.tile(mean, (trials, 1))
+        variance = np.full((trials, markers), of_markers + between)
+        variance[:, known] = between + spread[known]
+        own = between / (between + v)
+        pooled[self.trial, marker] += (y - mean[marker]) * own
+        variance[self.trial, marker] = v * own + (1.0 - own) ** 2 * spread[marker]
+        # what is divided by an uncertain mean square is too large on average, by half its variance
+        return np.exp(0.5 * pooled + 0.25 * variance), variance
+
+
+def _cochran_q(y: FloatArray, variance: FloatArray) -> tuple[float, int]:
+    """Cochran's Q of values, and its degrees of freedom."""
+    if len(y) < 2:
+        return 0.0, 0
+    mean = float(np.average(y, weights=1.0 / variance))
+    return float(np.sum((y - mean) ** 2 / variance)), len(y) - 1
+
+
+def _information(weight: FloatArray) -> float:
+    return float(weight.sum() - (weight @ weight) / weight.sum()) if len(weight) > 1 else 0.0
+
+
+def _variance_between(q: float, dof: float, information: float) -> float:
+    """Variance between values beyond their uncertainty (DerSimonian & Laird 1986)."""
+    return max(q - dof, 0.0) / information if information > 0.0 else 0.0

@@ -15,13 +15,18 @@ from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.cable.wrench import AS_POINTS, Gauge
 from cell.identify.fit import Lane, predict_lanes
+from cell.identify.marker_shift import carried_m, derivative_along
 from cell.identify.noise import Noise, still_frames
 from cell.identify.whitener import Whitener
 from cell.lab.data.gauges import Gauges, scaled, with_gauges, without_gauges
-from cell.lab.data.noise_levels import rms_level, with_levels
-from cell.lab.data.noise_model import Level, NoiseModel, noise_model_of, noise_model_of_residuals
+from cell.lab.data.noise_model import (
+    Level,
+    NoiseModel,
+    noise_model_of,
+    noise_model_of_residuals,
+    with_levels,
+)
 from cell.lab.data.unknown_start import InitialState, initial_state_of
-from cell.lab.data.whitening import whiteners_of
 from cell.lab.data.work import SOLVER, Work
 from cell.study.data import Study, Trial
 
@@ -50,8 +55,52 @@ def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
     return replace(trial, markers=at_place)
 
 
+def arcs_are_uncertain(study: Study) -> bool:
+    """Whether the study says that arc lengths of its markers may be wrong."""
+    return study.arc_length_std_m is not None and bool(np.any(study.arc_length_std_m > 0.0))
+
+
+def whiteners_of(
+    study: Study,
+    noise: Noise,
+    gauges: Gauges | None = None,
+    lines: Mapping[str, FloatArray] | None = None,
+    levels: Mapping[str, Level] | None = None,
+) -> dict[str, Whitener]:
+    """What whitens each trial of a study.
+
+    lines  per trial (times, markers, 2) derivative of markers' places by their arc length in a
+           model; as measured where it is missing
+    levels noise of a trial's markers over `noise`; 1 where it is missing
+
+    A trial's whitener is independent of the others, yet a marker's arc length is the same in all n
+    of them.  So each trial has an arc length of its own, of n times the variance: no combination of
+    trials is then trusted more than it may be, and a common shift as much as one standard deviation
+    allows.  The same holds for a sensor's gain.
+    """
+    lines, levels = lines or {}, levels or {}
+    std_m, markers = study.arc_length_std_m, len(study.arc_length_m)
+    whiteners = {}
+    for t in study.trials:
+        # a sensor's points follow the markers, and neither shift nor drift
+        others = ((0, t.markers.xy_m.shape[1] - markers), (0, 0))
+        places = replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m[:, :markers]))
+        shift_m, carried = None, carried_m(places)
+        if std_m is not None and arcs_are_uncertain(study):
+            each_m = np.sqrt(len(study.trials)) * std_m[:, None]
+            slopes = lines.get(t.name)
+            slopes = derivative_along(places, study.arc_length_m) if slopes is None else slopes
+            shift_m = np.pad(each_m * slopes, ((0, 0), *others))
+        if carried is not None:
+            carried = np.pad(carried, ((0, 0), (0, 0), *others))
+        sensors = None if gauges is None else gauges.sensors(t)
+        level = levels[t.name].of_markers if t.name in levels else None
+        whiteners[t.name] = Whitener(t.markers.xy_m, noise, shift_m, carried, sensors, level)
+    return whiteners
+
+
 Number = TypeVar("Number", bound=np.generic)
-Given = ParamSpec("Given")
+Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 #: A model errs if its rms is above the noise by this factor.
@@ -149,12 +198,7 @@ class PreparedStudy:
 
     def noise_m(self, role: Literal["fit", "validate"]) -> float:
         """Root mean square of the measurement's noise in the trials of a role, m."""
-        markers = len(self.study.arc_length_m)
-        seen = {
-            t.name: np.isfinite(t.markers.xy_m[:, :markers]).sum(axis=(0, 2))
-            for t in self.study.role(role)
-        }
-        return self.noise_model.noise.std_m * rms_level(self.noise_model.levels, seen)
+        return self.noise_model.rms_m(self.study.role(role), len(self.study.arc_length_m))
 
     def expected_m(self, role: Literal["fit", "validate"]) -> float:
         """Root mean square of what a right model leaves there, m; see `expected`."""
@@ -276,12 +320,12 @@ class PreparedStudy:
 
 
 def once_per_study(
-    function: Callable[Concatenate[PreparedStudy, Given], Result],
-) -> Callable[Concatenate[PreparedStudy, Given], Result]:
+    function: Callable[Concatenate[PreparedStudy, Arguments], Result],
+) -> Callable[Concatenate[PreparedStudy, Arguments], Result]:
     """A function of a study and of other things, worked out once; the study keeps the result."""
 
     @wraps(function)
-    def known(prepared: PreparedStudy, /, *of: Given.args, **named: Given.kwargs) -> Result:
+    def known(prepared: PreparedStudy, /, *of: Arguments.args, **named: Arguments.kwargs) -> Result:
         key = (function, *of, *named.items())
         if key not in prepared.memo:
             prepared.memo[key] = function(prepared, *of, **named)

@@ -1,8 +1,11 @@
-"""A study less the errors that show given a model: of mesh, rounding, and a sensor's gain."""
+"""What a fitted model shows of the measurement: noise, mesh and rounding errors, sensor gain.
+
+Each function returns the study re-whitened for it, or less it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +13,96 @@ from numpy.typing import NDArray
 from scipy.special import ndtr as normal_cdf
 
 from cell.cable.arrays import FloatArray
+from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
-from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.whitening import arcs_are_uncertain
-from cell.lab.fit.fitting import Fit, best_initial_states
+from cell.identify.noise import still_frames
+from cell.lab.data.noise_likelihood import ProjectedResidual
+from cell.lab.data.noise_model import noise_model_of_all_frames, with_level_in
+from cell.lab.data.prepared import PreparedStudy, arcs_are_uncertain, with_noise_model
+from cell.lab.fit.fitting import Fit, best_initial_states, fit_trials
+from cell.lab.fit.score_test import score_test
+from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
+
+
+def with_noise_given(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> PreparedStudy:
+    """The study with the noise of all frames given a model; see `cell.lab.data.noise_model`.
+
+    effects  that may be missing: what they explain is not taken for noise
+    """
+    gauges = prepared.gauges
+    each = [prepared.noise_model, *([] if gauges is None else [gauges.force, gauges.moment])]
+    if all(m.rest is None for m in each) or not prepared.noise_is_measured:
+        return prepared
+    residuals = projected_residuals(prepared, fit, effects)
+    markers, *of_gauges = map(noise_model_of_all_frames, each, residuals)
+    if prepared.levels:
+        markers = with_level_in(prepared.noise_model, markers, fit_trials(prepared))
+    if not of_gauges:
+        return with_noise_model(prepared, markers)
+    return with_noise_model(prepared, markers, (of_gauges[0], of_gauges[1]))
+
+
+def projected_residuals(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> list[ProjectedResidual]:
+    """Residuals in motion, orthogonal to the parameters and to each effect in its likeliest shape.
+
+    Of all markers, and of a wrench's force and moment in their units, if there are any.  To first
+    order a missing effect, whichever it is, is projected out, so that the noise can be estimated
+    before the effect is known.
+    """
+    nuisance = nuisance_of(fit)
+    rows = [
+        s.rows[score_test(nuisance, s.rows, one_sided=one_sided(s.effect)).shape]
+        for s in sensitivities(prepared, fit, effects)
+    ]
+    residual, basis = nuisance.residual, nuisance.basis
+    if rows:
+        directions = nuisance.remove(np.concatenate(rows))
+        size = np.linalg.norm(directions, axis=1)
+        usable = size > 1e-6 * np.maximum(np.linalg.norm(np.concatenate(rows), axis=1), 1e-300)
+        u, strength, _ = np.linalg.svd((directions[usable] / size[usable, None]).T, False)
+        of_effects = u[:, strength > 1e-6]
+        residual = residual - of_effects @ (of_effects.T @ residual)
+        basis = np.concatenate([basis, of_effects], axis=1)
+    trials, gauges = fit_trials(prepared), prepared.gauges
+    white = prepared.by_trial(trials, np.concatenate([basis, residual[:, None]], axis=1))
+    columns_m, markers_m = [], []
+    for trial in trials:
+        whitener, level = prepared.whiteners[trial.name], prepared.levels.get(trial.name)
+        each = [whitener.error_m(column) for column in white[trial.name].T]
+        column_m = np.stack(each, axis=-1)
+        column_m[still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)] = np.nan
+        columns_m.append(column_m)
+        over = np.ones((1, 1)) if level is None else level.of_markers[:, None]
+        markers_m.append(prepared.of_markers(trial, column_m) / over[..., None])
+    projected = [_projected(markers_m)]
+    if gauges is not None:
+        present = [gauges.joined[t.name].rows for t in trials]
+        for point, scale in enumerate(gauges.scale, gauges.markers):
+            pairs = zip(columns_m, present, strict=True)
+            projected.append(_projected([c[p, point] / scale[:, None] for c, p in pairs]))
+    return projected
+
+
+def _projected(columns: Sequence[FloatArray]) -> ProjectedResidual:
+    """From per trial (times, …, directions and residual), nan if missing or at rest."""
+    flat = [c.reshape(len(c), -1, c.shape[-1]) for c in columns]
+    present = [np.isfinite(c[..., -1]) for c in flat]
+    directions = np.concatenate([c[p, :-1] for c, p in zip(flat, present, strict=True)])
+    basis = [np.zeros((*p.shape, 0)) for p in present]
+    if directions.size > 0:
+        q, r = np.linalg.qr(directions)
+        u, strength, _ = np.linalg.svd(r)
+        independent = q @ u[:, strength > 1e-6 * strength[0]]
+        basis = [np.zeros((*p.shape, independent.shape[1])) for p in present]
+        ends = np.cumsum([p.sum() for p in present])
+        for of_trial, p, part in zip(basis, present, np.split(independent, ends), strict=False):
+            of_trial[p] = part
+    return ProjectedResidual(tuple(c[..., -1] for c in flat), tuple(basis))
 
 
 def gain_is_uncertain(prepared: PreparedStudy) -> bool:

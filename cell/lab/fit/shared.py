@@ -19,8 +19,7 @@ from cell.identify.fit import variance_inflation
 from cell.identify.noise import across
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import noise_model_of
-from cell.lab.data.prepared import ERRS, PreparedStudy
-from cell.lab.data.whitening import arcs_are_uncertain, whiteners_of
+from cell.lab.data.prepared import ERRS, PreparedStudy, arcs_are_uncertain, whiteners_of
 from cell.lab.data.work import Work
 from cell.lab.fit.corrections import lines_of
 from cell.lab.fit.fitting import space_with

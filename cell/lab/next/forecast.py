@@ -156,7 +156,7 @@ class SizeSearch:
             library=len(self.fits.screened(self.fits.base)),
             fitted=prepared.count(fit_trials(prepared)),
             heldout=prepared.count(prepared.study.role("validate")),
-            independent=prepared.noise_model.effective_fraction,
+            independent=prepared.noise_model.noise.effective_fraction,
             noise_m=prepared.expected.std_m,
             slow=0.0 if slow is None else slow.count,
             by_gripper_log=inflated(linear.project_out_fitted(hidden[None])[0]),

@@ -15,9 +15,8 @@ from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy, with_noise_from
 from cell.lab.data.work import Progress, no_progress
-from cell.lab.fit.corrections import corrected, with_gain_of
+from cell.lab.fit.corrections import corrected, with_gain_of, with_noise_given
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with, with_slope_solver
-from cell.lab.fit.remainder import with_noise_given
 from cell.lab.fit.sensitivity import is_shape
 from cell.lab.fit.starts import MOST_GUESSES, cold_start
 from cell.lab.search.extension import TEMPER

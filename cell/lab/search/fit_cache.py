@@ -13,13 +13,17 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import ERRS, PreparedStudy
-from cell.lab.data.whitening import arcs_are_uncertain
+from cell.lab.data.prepared import ERRS, PreparedStudy, arcs_are_uncertain
 from cell.lab.data.work import Progress, Work
-from cell.lab.fit.corrections import corrected, gain_is_uncertain, moved_m, moves_parameters
+from cell.lab.fit.corrections import (
+    corrected,
+    gain_is_uncertain,
+    moved_m,
+    moves_parameters,
+    with_noise_given,
+)
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
 from cell.lab.fit.heldout import heldout_log_lr
-from cell.lab.fit.remainder import with_noise_given
 from cell.lab.fit.starts import cold_start, taken_from
 from cell.lab.fit.systematic_error import GripperLogError, gripper_log_error
 from cell.lab.search.baseline import Baseline, SearchSetup

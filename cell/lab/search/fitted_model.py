@@ -104,7 +104,7 @@ def is_below_stated(prepared: PreparedStudy, model: FittedModel, share: float) -
 def penalty_of(prepared: PreparedStudy, effects: Sequence[type[Effect]]) -> float:
     """BIC's penalty for effects of a model: from such a fall of χ² on they pay."""
     count = prepared.count(fit_trials(prepared))
-    return bic_penalty(effects, count, prepared.noise_model.effective_fraction)
+    return bic_penalty(effects, count, prepared.noise_model.noise.effective_fraction)
 
 
 def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, FloatArray]:

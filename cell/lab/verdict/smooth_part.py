@@ -333,12 +333,12 @@ def _slow_level(
     )
     level = square / values
     off = (products - neighbours * level) / (level * max(pairs, 1))
-    alike = noise_model.effective_fraction
+    alike = noise_model.noise.effective_fraction
     ar1 = (1.0 - alike) / (1.0 + alike)
     slow = level * ((1.0 - ar1) / (1.0 - min(ar1 + off, MAX_AR1))) ** 2
     # Few pairs, as of cameras that take turns, tell little of how alike neighbours are.
     told = min(1.0, 2.0 * pairs / values)
-    dof = told * values / (1.0 + 2.0 / noise_model.effective_fraction)
+    dof = told * values / noise_model.values_per_slow_dof
     of_both = dof + of_rest
     return (dof * slow + of_rest) / of_both, of_both
 

@@ -5,7 +5,7 @@ import pytest
 
 from cell.identify.noise import Noise
 from cell.lab.data import noise_likelihood
-from cell.lab.data.noise_likelihood import AR1_GRID, WHITE_SHARES, Remainder
+from cell.lab.data.noise_likelihood import AR1_GRID, WHITE_SHARES, ProjectedResidual
 
 NOISES = [(float(ar1), 0.0) for ar1 in AR1_GRID]
 
@@ -32,14 +32,14 @@ def taken_out(seed, frames=100, channels=6, ar1=0.92, directions=30, lost=0.0):
     noise[seen] -= q @ (q.T @ noise[seen])
     noise[~seen] = np.nan
     half = frames // 2
-    return Remainder((noise[:half], noise[half:]), (explained[:half], explained[half:]))
+    return ProjectedResidual((noise[:half], noise[half:]), (explained[:half], explained[half:]))
 
 
-def likeliest(remainder, noises=NOISES):
+def likeliest(projected, noises=NOISES):
     """Noise, and −2 ln of the likelihood of all."""
-    square, log_det = remainder.sums(noises, np.ones(len(noises), dtype=bool))
-    level = square / remainder.dof
-    cost = remainder.dof * np.log(level) + log_det
+    square, log_det = projected.sums(noises, np.ones(len(noises), dtype=bool))
+    level = square / projected.dof
+    cost = projected.dof * np.log(level) + log_det
     best = int(np.argmin(cost))
     ar1, white = noises[best]
     return Noise(float(np.sqrt(level[best])), ar1, white=white), cost
@@ -50,9 +50,9 @@ def test_slow_noise_is_not_underestimated_for_what_was_taken_out(lost):
     """A third of what is slow was; without regard to that half of the slow variance is missed."""
     found, naive = [], []
     for seed in range(24):
-        remainder = taken_out(seed, lost=lost)
-        none = tuple(e[..., :0] for e in remainder.explained)
-        for r, logs in ((remainder, found), (Remainder(remainder.errors_m, none), naive)):
+        projected = taken_out(seed, lost=lost)
+        none = tuple(e[..., :0] for e in projected.basis)
+        for r, logs in ((projected, found), (ProjectedResidual(projected.errors_m, none), naive)):
             noise, _ = likeliest(r)
             logs.append(np.log(noise.std_m**2 / noise.effective_fraction / 24.0))
     assert abs(np.mean(found)) < 3.0 * np.std(found) / np.sqrt(len(found))
@@ -61,10 +61,10 @@ def test_slow_noise_is_not_underestimated_for_what_was_taken_out(lost):
 
 
 def test_between_the_correlations_that_are_worked_out_little_is_lost(monkeypatch):
-    remainder = taken_out(0, frames=60, channels=2, directions=20)
-    _, cost = likeliest(remainder)
+    projected = taken_out(0, frames=60, channels=2, directions=20)
+    _, cost = likeliest(projected)
     monkeypatch.setattr(noise_likelihood, "NODES", len(NOISES))
-    _, exact = likeliest(remainder)
+    _, exact = likeliest(projected)
     near = exact < exact.min() + 16.0
     assert near.sum() > 20
     assert np.abs(cost - exact)[near] == pytest.approx(0.0, abs=0.03)
@@ -80,7 +80,7 @@ def test_only_what_is_wanted_is_worked_out():
 
 
 def test_where_all_is_taken_out_nothing_is_told():
-    remainder = taken_out(2, frames=10, channels=2, directions=20)
-    assert remainder.dof == 0
-    square, _ = remainder.sums(NOISES, np.ones(len(NOISES), dtype=bool))
+    projected = taken_out(2, frames=10, channels=2, directions=20)
+    assert projected.dof == 0
+    square, _ = projected.sums(NOISES, np.ones(len(NOISES), dtype=bool))
     assert square == pytest.approx(0.0, abs=1e-9)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.lab.data.noise_levels import seen_in, with_levels
-from cell.lab.data.noise_model import noise_model_of
+from cell.lab.data.noise_model import noise_model_of, with_level_in, with_levels
 from cell.lab.data.prepared import PreparedStudy
 from cell.study.data import Markers
 
@@ -111,7 +110,7 @@ def test_frames_of_fitted_trials_tell_nothing_of_the_noise_of_one_held_out(make_
     noisy = noisier(study, factors)
     before = with_levels(noisy, noise_model_of(noisy))
     told = replace(before, noise=replace(before.noise, std_m=0.9 * before.noise.std_m))
-    after = seen_in(before, told, noisy.role("fit"))
+    after = with_level_in(before, told, noisy.role("fit"))
     for trial in noisy.trials:
         was, now = (m.noise.std_m * m.levels[trial.name].of_markers for m in (before, after))
         assert now == pytest.approx(was * (0.9 if trial.role == "fit" else 1.0))

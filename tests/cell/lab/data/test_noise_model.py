@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell.identify.noise import Noise
-from cell.lab.data.noise_likelihood import Remainder, rounding_ar1
+from cell.lab.data.noise_likelihood import ProjectedResidual, rounding_ar1
 from cell.lab.data.noise_model import (
     KNOWN_WITHIN,
     NoiseModel,
@@ -116,7 +116,7 @@ def coloured(rng, shape, colour):
 
 def beside_nothing(errors_m):
     """A remainder of one trial from which nothing was taken."""
-    return Remainder((errors_m,), (np.zeros((*errors_m.shape, 0)),))
+    return ProjectedResidual((errors_m,), (np.zeros((*errors_m.shape, 0)),))
 
 
 def moving(seed, noise_m, colour, frames=150, channels=2):
@@ -194,7 +194,7 @@ def test_rounding_beside_coloured_noise_is_white(make_study):
     found = noise_model_of_all_frames(noise_model, beside_nothing(errors))
     assert found.noise.ar1 == pytest.approx(0.8, abs=0.04)
     assert found.noise.white == pytest.approx(0.25, abs=0.1)
-    slow = found.noise.std_m**2 / found.effective_fraction
+    slow = found.noise.std_m**2 / found.noise.effective_fraction
     assert slow == pytest.approx(1e-8 * 9.0 + step_m**2 / 12.0, rel=0.2)
 
 
@@ -209,13 +209,13 @@ def test_a_rest_that_is_short_for_its_slow_noise_still_shows_it_beside_rounding(
     for seed in range(4):
         study = rounded(make_study(seed=seed, ar1=0.92, noise_m=noise_m), step_m)
         noise_model = noise_model_of(study)
-        allowed = noise_model.rest.allowed
+        allowed = noise_model.rest.confidence_set
         assert not allowed.hidden
         assert allowed.range_m[1] > true_m
         errors_m = noise_m * coloured(np.random.default_rng(seed), (400, 22), 0.92)
         errors_m += step_m * np.random.default_rng(seed + 9).uniform(-0.5, 0.5, errors_m.shape)
         found = noise_model_of_all_frames(noise_model, beside_nothing(errors_m))
-        slow = found.noise.std_m**2 / found.effective_fraction
+        slow = found.noise.std_m**2 / found.noise.effective_fraction
         assert slow == pytest.approx(slow_m2 + step_m**2 / 12.0, rel=0.25)
 
 
