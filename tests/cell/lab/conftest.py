@@ -1,6 +1,7 @@
 """Studies of a world finer than the model: 60 segments, half the step, coloured noise."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,12 +34,18 @@ HOLD = {"s": 0.4}
 MakeStudy = Callable[..., Study]
 
 
-@pytest.fixture(scope="module")
-def small() -> Iterator[None]:
+@contextmanager
+def small_studies() -> Iterator[None]:
     """Studies are short, and fitted on a coarse mesh but where a test asks for `own_mesh`."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prepared, "SOLVER", COARSE)
         patch.setitem(HOLD, "s", 0.25)
+        yield
+
+
+@pytest.fixture(scope="module")
+def small() -> Iterator[None]:
+    with small_studies():
         yield
 
 
@@ -65,6 +72,7 @@ LONG: dict[str, Any] = {"strokes": STROKES, "hold_s": 0.5}
 
 
 def coloured(rng: np.random.Generator, shape: tuple[int, ...], ar1: float) -> np.ndarray:
+    """AR(1) noise of variance 1 along the first axis."""
     noise = rng.normal(size=shape)
     for i in range(1, len(noise)):
         noise[i] = ar1 * noise[i - 1] + np.sqrt(1 - ar1**2) * noise[i]
@@ -111,10 +119,16 @@ def make_study() -> MakeStudy:
     return make
 
 
-def fits_of(study: Study, effects: Iterable[str | type[Effect]] = ()) -> FitCache:
-    """The baseline of a study, fitted; a search may add these effects, named or given."""
+def fits_of(
+    study: Study, effects: Iterable[str | type[Effect]] = (), **options: Any
+) -> FitCache:
+    """The baseline of a study, fitted; a search may add these effects, named or given.
+
+    options  of `PreparedStudy.of`
+    """
     chosen = [library()[e] if isinstance(e, str) else e for e in effects]
-    ready, space = prepared.PreparedStudy.of(study), ParameterSpace.of(study.cable)
+    ready = prepared.PreparedStudy.of(study, **options)
+    space = ParameterSpace.of(study.cable)
     return FitCache.of(SearchSetup(ready, space, {e.name: e for e in chosen}))
 
 

@@ -6,21 +6,15 @@ import pytest
 from cell.identify.noise import Noise
 from cell.lab.data import noise_likelihood
 from cell.lab.data.noise_likelihood import AR1_GRID, WHITE_SHARES, ProjectedResidual
+from tests.cell.lab.conftest import coloured
 
 NOISES = [(float(ar1), 0.0) for ar1 in AR1_GRID]
-
-
-def coloured(rng, frames, channels, ar1):
-    noise = rng.normal(size=(frames, channels))
-    for i in range(1, frames):
-        noise[i] = ar1 * noise[i - 1] + np.sqrt(1.0 - ar1**2) * noise[i]
-    return noise
 
 
 def taken_out(seed, frames=100, channels=6, ar1=0.92, directions=30, lost=0.0):
     """AR(1) noise of variance 1 less what slow oscillations explain of it, over two trials."""
     rng = np.random.default_rng(seed)
-    noise, t = coloured(rng, frames, channels, ar1), np.linspace(0.0, 1.0, frames)
+    noise, t = coloured(rng, (frames, channels), ar1), np.linspace(0.0, 1.0, frames)
     slow = [
         np.outer(np.cos(rng.uniform(0, 30) * t + rng.uniform(0, 6)), rng.normal(size=channels))
         for _ in range(directions)

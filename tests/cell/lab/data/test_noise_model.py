@@ -16,6 +16,7 @@ from cell.lab.data.noise_model import (
     noise_model_of_residuals,
 )
 from cell.study.data import Markers
+from tests.cell.lab.conftest import coloured
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.5, 0.9])
@@ -105,13 +106,6 @@ def cut(study, frames, markers):
     seen = Markers(trial.markers.t_s[begin:], trial.markers.xy_m[begin:, :markers])
     arcs = study.arc_length_m[:markers]
     return replace(study, arc_length_m=arcs, trials=(replace(trial, markers=seen),))
-
-
-def coloured(rng, shape, colour):
-    noise = rng.normal(size=shape)
-    for i in range(1, len(noise)):
-        noise[i] = colour * noise[i - 1] + np.sqrt(1.0 - colour**2) * noise[i]
-    return noise
 
 
 def beside_nothing(errors_m):

@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 
 from cell.cable.effects import library
-from cell.identify.parameters import ParameterSpace
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.opened_study import open_study
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.systematic_error import MOTIONS, GripperLogError, gripper_log_error
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.setup import fit_cache_of
 from cell.study.folder import write_study
+from tests.cell.lab.conftest import fits_of
 from tools.worlds.breadth_world import World, hypercube
 
 RNG = np.random.default_rng(3)
@@ -56,7 +54,7 @@ def test_what_the_parameters_imitate_is_not_left(error):
 
 def test_an_exact_log_changes_nothing(make_study):
     study = make_study(seed=2)
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {}))
+    fits = fits_of(study)
     found = gripper_log_error(fits.prepared, fits.base.fit)
     assert found.square(study.trials) < 1e-3
 

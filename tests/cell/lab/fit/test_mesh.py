@@ -9,15 +9,14 @@ from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
-from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.corrections import mesh_error_m, moves_parameters, without_mesh_error
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.systematic_error import systematic_error
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.verdict.check_statistics import of_effects
 from cell.study.data import Markers, Study, Trial
+from tests.cell.lab.conftest import fits_of
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study
 
@@ -49,7 +48,7 @@ def study(noise_m, frames_hz=60.0):
 
 def test_once_taken_out_little_of_it_is_left():
     made = replace(study(1e-7), noise_std_m=1e-4)
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(made), ParameterSpace.of(CABLE), {}))
+    fits = fits_of(made)
     raw, fit = PreparedStudy.of(made), fits.base.fit
     clean = fits.prepared
     trials = fit_trials(raw)
@@ -70,11 +69,8 @@ def test_once_taken_out_little_of_it_is_left():
 
 def test_a_complete_model_of_a_soft_cable_lacks_nothing():
     """The mesh's error looks like a longer cable, a softer grip: 0.2 mm of noise showed it."""
-    made = study(2e-4)
-    space = ParameterSpace.of(CABLE)
-    like = ("grip_slip", "grip_compliance", "air_drag", "tip_mass")
-    effects = {name: library()[name] for name in like}
-    found = diagnose(FitCache.of(SearchSetup(PreparedStudy.of(made), space, effects))).diagnosis
+    names = ("grip_slip", "grip_compliance", "air_drag", "tip_mass")
+    found = diagnose(fits_of(study(2e-4), names)).diagnosis
     assert found.verdict == "complete"
     assert found.missing == ()
 
@@ -82,12 +78,9 @@ def test_a_complete_model_of_a_soft_cable_lacks_nothing():
 def test_markers_of_uncertain_arc_length_move_along_the_line_of_the_model():
     """Along the measured line, which errs as the markers do, a complete study had a grip_slip."""
     made = rig_study(KINDS["arcs"](102), None)
-    slip = library()["grip_slip"]
-    fits = FitCache.of(
-        SearchSetup(PreparedStudy.of(made), ParameterSpace.of(made.cable), {slip.name: slip})
-    )
+    fits = fits_of(made, ("grip_slip",))
     fit, prepared = fits.base.fit, fits.prepared
     for slopes in prepared.lines.values():  # of a cable that does not stretch
         np.testing.assert_allclose(np.linalg.norm(slopes, axis=2), 1.0, atol=2e-3)
-    ((asked, _),) = of_effects(prepared, fit, [slip]).values()
+    ((asked, _),) = of_effects(prepared, fit, [library()["grip_slip"]]).values()
     assert asked.chi2 < 6.0

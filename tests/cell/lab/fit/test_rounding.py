@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.cable.effects import library
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy, as_measured
+from cell.lab.data.prepared import as_measured
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.corrections import mean_rounding_error, rounding_error_m, without_rounding_error
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from tests.cell.lab.conftest import fits_of
 
 NOISE_M = 2e-5
 
@@ -49,7 +47,7 @@ def rounded(study, step_m, origin_m=0.0):
 def test_most_of_the_error_is_found_beside_a_fitted_model(make_study, origin_m):
     clean = make_study(seed=5, noise_m=1e-12)
     made = rounded(make_study(seed=5, noise_m=NOISE_M), 8.0 * NOISE_M, origin_m)
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(made), ParameterSpace.of(made.cable), {}))
+    fits = fits_of(made)
     fit, prepared = fits.base.fit, fits.prepared
     for before, after, without in zip(
         made.trials, prepared.study.trials, clean.trials, strict=True
@@ -66,17 +64,15 @@ def test_most_of_the_error_is_found_beside_a_fitted_model(make_study, origin_m):
 
 def test_a_study_that_is_not_rounded_stays_as_it_is(make_study):
     made = make_study(seed=5, noise_m=NOISE_M)
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(made), ParameterSpace.of(made.cable), {}))
+    fits = fits_of(made)
     prepared = fits.prepared
     found = rounding_error_m(prepared, fits.base.fit)
     assert found == {}
     assert without_rounding_error(prepared, found) is prepared
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_values_rounded_to_eight_times_their_noise_are_no_misfit(make_study, seed):
     made = rounded(make_study(seed=seed, noise_m=NOISE_M), 8.0 * NOISE_M)
-    space = ParameterSpace.of(made.cable)
-    effects = {n: library()[n] for n in ("air_drag", "tip_mass", "draught", "natural_curvature")}
-    found = diagnose(FitCache.of(SearchSetup(PreparedStudy.of(made), space, effects))).diagnosis
-    assert found.verdict == "complete"
+    names = ("air_drag", "tip_mass", "draught", "natural_curvature")
+    assert diagnose(fits_of(made, names)).diagnosis.verdict == "complete"

@@ -13,8 +13,7 @@ from rich.console import Console
 from cell.cable.effects import library
 from cell.cli.printing import show
 from cell.identify.gauss_newton import Options
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy, all_fitted
+from cell.lab.data.prepared import all_fitted
 from cell.lab.data.results import RankedEffect, to_json
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.diagnosis import diagnose, with_agreement
@@ -22,29 +21,24 @@ from cell.lab.fit.fitting import fit_model
 from cell.lab.next.advice import MEND, Paths, advice
 from cell.lab.report.tables import diagnosis_parts
 from cell.lab.search import partial
-from cell.lab.search.fit_cache import FitCache, SearchSetup, with_lower_baseline
+from cell.lab.search.fit_cache import with_lower_baseline
 from cell.lab.search.fitted_model import model_of_fit
 from cell.lab.strength.compare import compare_model
 from cell.study.data import Markers
+from tests.cell.lab.conftest import fits_of
 
 from .contradictions import contradictions
 
 KNOWN = library()
 
 
-def fit_cache_of(study, names):
-    space = ParameterSpace.of(study.cable)
-    return FitCache.of(SearchSetup(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
-
-
-def told(study, names):
-    """A diagnosis as the command ends with it: JSON and text."""
-    fits = fit_cache_of(study, names)
-    examination = with_agreement(diagnose(fits))
+def as_printed(study, examination):
+    """A diagnosis and its text, as the command ends with it."""
+    examination = with_agreement(examination)
     ends = (examination.fits.base, examination.path[-1])
     comparisons = [compare_model(study, c.fit.model) for c in ends]
     todo = advice(examination.diagnosis, Paths(Path("STUDY")))
-    return examination, printed(examination.diagnosis, comparisons, todo)
+    return examination.diagnosis, printed(examination.diagnosis, comparisons, todo)
 
 
 def printed(diagnosis, comparisons, todo):
@@ -70,35 +64,26 @@ def shaken(make_study):
     return replace(study, trials=tuple(trials))
 
 
-@pytest.mark.parametrize(
-    ("hidden", "names", "verdict"),
-    [
-        ({}, ("tip_mass", "air_drag"), "complete"),
-        (
-            {
-                "natural_curvature": {"curvature_1_per_m": 3.0, "gradient_1_per_m2": -30.0},
-                "tip_mass": {"mass_kg": 3e-5},
-            },
-            ("natural_curvature", "air_drag", "grip_slip"),
-            "unexplained",
-        ),
-    ],
-)
-def test_nothing_that_is_said_of_a_study_contradicts_its_numbers(
-    make_study, hidden, names, verdict
+def test_a_complete_study_is_described_without_contradiction(make_study):
+    study = make_study(seed=12)
+    diagnosis, text = as_printed(study, diagnose(fits_of(study, ("tip_mass", "air_drag"))))
+    assert diagnosis.verdict == "complete"
+    assert wrong_in(diagnosis, text) == []
+
+
+def test_an_unexplained_study_is_described_without_contradiction(
+    curved_and_loaded, partly_explained
 ):
-    study = make_study([KNOWN[n].active(**values) for n, values in hidden.items()], seed=12)
-    examination, text = told(study, names)
-    assert examination.diagnosis.verdict == verdict
-    assert wrong_in(examination.diagnosis, text) == []
+    diagnosis, text = as_printed(curved_and_loaded, partly_explained)
+    assert diagnosis.verdict == "unexplained"
+    assert wrong_in(diagnosis, text) == []
 
 
 def test_where_no_parameter_means_anything_no_effect_explains_and_nothing_is_to_be_fitted(shaken):
     """A cable held at both ends: "natural curvature explains most of it, and 116 mm stay" of 68,
     "the trials agree on rigidity", and commands to fit effects.
     """
-    examination, text = told(shaken, ("natural_curvature", "tip_mass"))
-    found = examination.diagnosis
+    found, text = as_printed(shaken, diagnose(fits_of(shaken, ("natural_curvature", "tip_mass"))))
     assert found.codes & {"hopeless", "not_searched"}
     assert (found.verdict, found.partial, found.agreement) == ("unexplained", (), ())
     assert wrong_in(found, text) == []
@@ -110,7 +95,7 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     been fitted on from there.  From where that ended the magnet alone leaves as little.
     """
     study = all_fitted(make_study(seed=5))
-    whole = fit_cache_of(study, ("tip_mass", "air_drag"))
+    whole = fits_of(study, ("tip_mass", "air_drag"))
     base = whole.base
     initial_states = base.fit.q + 0.6 * np.eye(len(base.fit.q))[0]
     stuck = fit_model(
@@ -129,9 +114,9 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
 def found(make_study):
     """A load is found, and drag ruled out."""
     study = make_study([KNOWN["tip_mass"].active(mass_kg=3e-5)], seed=12)
-    examination, text = told(study, ("tip_mass", "air_drag"))
-    assert [r.status for r in examination.diagnosis.ranking] == ["present", "absent"]
-    return examination.diagnosis, text
+    diagnosis, text = as_printed(study, diagnose(fits_of(study, ("tip_mass", "air_drag"))))
+    assert [r.status for r in diagnosis.ranking] == ["present", "absent"]
+    return diagnosis, text
 
 
 def test_a_next_command_fits_no_effect_that_the_table_calls_absent(found):

@@ -16,10 +16,11 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.plausibility import at_bound
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.doubts import fit_doubts
 from cell.study.data import Markers
 from cell.study.folder import write_study
+from tests.cell.lab.conftest import fits_of
 
 run = CliRunner().invoke
 
@@ -27,6 +28,11 @@ run = CliRunner().invoke
 @pytest.fixture(scope="module")
 def loaded(make_study):
     return make_study([library()["tip_mass"].active(mass_kg=2.5e-5)], seed=11, hold_s=0.8)
+
+
+@pytest.fixture(scope="module")
+def loaded_fits(loaded):
+    return fits_of(loaded)
 
 
 def fitted(folder, tmp_path, *more):
@@ -152,14 +158,12 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
 
 
 @pytest.mark.parametrize(("promised", "said"), [(1.9, None), (18.0, "about 3 standard deviations")])
-def test_a_fit_left_before_its_minimum_says_how_far_it_is(loaded, promised, said):
-    prepared = PreparedStudy.of(loaded)
-    fits = FitCache.of(SearchSetup(prepared, ParameterSpace.of(loaded.cable), {}))
-    base = fits.base
+def test_a_fit_left_before_its_minimum_says_how_far_it_is(loaded_fits, promised, said):
+    base = loaded_fits.base
     fit = replace(base.fit, solution=replace(base.fit.solution, promised=promised))
     count = int(np.count_nonzero(fit.solution.residual))
     fit = replace(fit, chi2=2.0 * count)
-    warned = {w.code: w.message for w in fit_doubts(fits, replace(base, fit=fit))}
+    warned = {w.code: w.message for w in fit_doubts(loaded_fits, replace(base, fit=fit))}
     assert (said is None) == ("not_converged" not in warned)
     assert said is None or said in warned["not_converged"]
 
@@ -177,16 +181,10 @@ def test_a_fit_of_too_few_passes_warns_and_writes_that_it_did_not_converge(
     assert "before its minimum" in " ".join(said.split())
 
 
-def test_of_a_baseline_that_cannot_fit_a_second_start_is_looked_at(make_study, loaded):
-    late = library()["camera_latency"].active(delay_s=0.03)
-    poor = FitCache.of(
-        SearchSetup(PreparedStudy.of(make_study([late])), ParameterSpace.of(loaded.cable), {})
-    )
+def test_of_a_baseline_that_cannot_fit_a_second_start_is_looked_at(make_study):
+    poor = fits_of(make_study([library()["camera_latency"].active(delay_s=0.03)]))
     assert poor.second_start().objective >= 0.999 * poor.base.fit.objective
-    good = FitCache.of(
-        SearchSetup(PreparedStudy.of(make_study()), ParameterSpace.of(loaded.cable), {})
-    )
-    assert good.second_start() is None
+    assert fits_of(make_study()).second_start() is None
 
 
 def test_a_prior_and_an_effect_that_it_lacks_go_together(loaded, tmp_path):
@@ -226,13 +224,7 @@ def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, 
         replace(t, markers=Markers(t.markers.t_s, t.markers.xy_m * [1.0, -1.0]))
         for t in study.trials
     ]
-    fits = FitCache.of(
-        SearchSetup(
-            PreparedStudy.of(replace(study, trials=tuple(flipped))),
-            ParameterSpace.of(study.cable),
-            {"tip_mass": library()["tip_mass"]},
-        )
-    )
+    fits = fits_of(replace(study, trials=tuple(flipped)), ("tip_mass",))
     monkeypatch.setattr(FitCache, "fit_extended", None)
     found = diagnose(fits).diagnosis
     assert (found.verdict, found.missing, found.partial) == ("unexplained", (), ())
@@ -241,11 +233,7 @@ def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, 
 
 
 def test_a_search_that_cannot_go_on_tells_what_it_knew(make_study, monkeypatch):
-    study = make_study(seed=2)
-    tip_mass = {"tip_mass": library()["tip_mass"]}
-    fits = FitCache.of(
-        SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), tip_mass)
-    )
+    fits = fits_of(make_study(seed=2), ("tip_mass",))
 
     def impossible(*args):
         raise UnsimulatedError

@@ -9,15 +9,13 @@ import pytest
 from cell.api import lab
 from cell.cable.effects import library
 from cell.exchange.description import description
-from cell.identify.parameters import ParameterSpace
 from cell.lab import diagnosis
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.individual_model import read_model
 from cell.lab.report.tables import knots_lines
-from cell.lab.search.fit_cache import FitCache, SearchSetup
-from tests.cell.lab.conftest import FEW_EFFECTS
+from cell.lab.search.fit_cache import FitCache
+from tests.cell.lab.conftest import FEW_EFFECTS, fits_of
 
 pytestmark = pytest.mark.usefixtures("small", "few_effects")
 
@@ -30,14 +28,8 @@ def stepped(make_study):
     return make_study(seed=3, noise_m=3e-5, step=STEP)
 
 
-def _diagnosed(study):
-    names = {n: library()[n] for n in FEW_EFFECTS}
-    space = ParameterSpace.of(study.cable)
-    return diagnose(FitCache.of(SearchSetup(PreparedStudy.of(study), space, names)))
-
-
 def test_a_step_of_rigidity_is_no_missing_effect(stepped):
-    found = _diagnosed(stepped)
+    found = diagnose(fits_of(stepped, FEW_EFFECTS))
     assert found.diagnosis.verdict == "complete"
     assert found.diagnosis.missing == ()
     assert to_json(found.diagnosis)["knots"] == found.final.fit.space.knots > 6
@@ -47,7 +39,7 @@ def test_a_step_of_rigidity_is_no_missing_effect(stepped):
 
 def test_an_effect_is_not_described_by_more_knots(make_study):
     study = make_study([library()["natural_curvature"].active(curvature_1_per_m=2.0)], seed=3)
-    found = _diagnosed(study).diagnosis
+    found = diagnose(fits_of(study, FEW_EFFECTS)).diagnosis
     assert [f.effect for f in found.missing] == ["natural_curvature"]
     assert found.knots == 6
 
@@ -60,7 +52,7 @@ def test_more_knots_that_do_not_explain_a_study_either_are_given_up(make_study, 
 
     study = make_study([library()["stress_relaxation"].active(fraction=0.3)], seed=3)
     monkeypatch.setattr(diagnosis, "with_more_knots", finer)
-    found = _diagnosed(study)
+    found = diagnose(fits_of(study, FEW_EFFECTS))
     assert found.diagnosis.verdict == "unexplained"
     assert found.diagnosis.knots == found.fits.space.knots == found.final.fit.space.knots == 6
 

@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import simulate
-from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.folder import read_study
+from tests.cell.lab.conftest import fits_of
 
 pytest.importorskip("mujoco")
 pytestmark = pytest.mark.usefixtures("own_mesh")
@@ -37,11 +34,7 @@ def explored(peer, tmp_path):
         folder = tmp_path / "peer"
         # twice the tables' step: it moves the markers by less than a thousandth of the noise
         peer.write_study(folder, cable, seed=1, strokes=tuple(strokes), step_s=2.0 * peer.STEP_S)
-        study = read_study(folder)
-        names = {n: library()[n] for n in RIVALS}
-        return diagnose(
-            FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), names))
-        ).diagnosis
+        return diagnose(fits_of(read_study(folder), RIVALS)).diagnosis
 
     return explore
 

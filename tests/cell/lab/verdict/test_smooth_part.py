@@ -15,7 +15,6 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.starts import cold_start
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.verdict.check_statistics import parameter_constancy_of
 from cell.lab.verdict.smooth_part import (
     FastPart,
@@ -26,15 +25,8 @@ from cell.lab.verdict.smooth_part import (
     smooth_part,
 )
 from cell.study.data import Markers
-from tests.cell.lab.conftest import LONG
+from tests.cell.lab.conftest import LONG, coloured, fits_of
 from tools.worlds.breadth_world import World, hypercube
-
-
-def coloured(rng, shape, colour):
-    noise = rng.normal(size=shape)
-    for i in range(1, len(noise)):
-        noise[i] = colour * noise[i - 1] + np.sqrt(1.0 - colour**2) * noise[i]
-    return noise
 
 
 def fitted(study, solver=None):
@@ -45,9 +37,9 @@ def fitted(study, solver=None):
     return prepared, fit_model(prepared, space, cold_start(prepared, space))
 
 
-@pytest.mark.parametrize("seed", [2, 3, 4])
-@pytest.mark.parametrize("colour", [0.0, 0.8])
-@pytest.mark.parametrize("lost", [0.0, 0.05])
+@pytest.mark.parametrize(
+    ("seed", "colour", "lost"), [(2, 0.0, 0.0), (3, 0.0, 0.05), (3, 0.8, 0.0), (4, 0.8, 0.05)]
+)
 def test_a_right_models_smooth_residual_is_noise(make_study, seed, colour, lost):
     study = make_study(seed=seed, ar1=colour)
     rng = np.random.default_rng(seed)
@@ -147,7 +139,7 @@ def test_what_a_clamp_askew_leaves_beside_natural_curvature_is_told_from_noise(
     assert told[1].p_value < 1e-6
 
 
-@pytest.mark.parametrize("seed", [2, 3, 4, 5])
+@pytest.mark.parametrize("seed", [2, 3])
 def test_trials_of_a_right_model_ask_for_nothing(make_study, seed):
     asked = parameter_constancy_of(*fitted(make_study(seed=seed)))
     assert asked.p_value > 1e-3
@@ -159,7 +151,7 @@ def test_a_noisy_log_of_the_hand_makes_no_misfit_of_few_large_errors():
     conditions = hypercube(300, 1600)[40]  # log_m 37 µm, a third of what the camera errs by
     world = World.of(conditions, 16)
     study = world.study(world.clean(), 16)
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {}))
+    fits = fits_of(study)
     part = parameter_constancy_of(fits.prepared, fits.base.fit)
     assert part is not None and part.effective_dof is not None
     assert part.effective_dof < 0.3 * part.count

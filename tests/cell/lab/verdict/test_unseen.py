@@ -6,21 +6,12 @@ import numpy as np
 import pytest
 
 from cell.cable.effects import library
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.report.tables import sentence
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Markers
+from tests.cell.lab.conftest import fits_of
 
 KNOWN = library()
-
-
-def diagnosed(study, names):
-    space = ParameterSpace.of(study.cable)
-    return diagnose(
-        FitCache.of(SearchSetup(PreparedStudy.of(study), space, {n: KNOWN[n] for n in names}))
-    )
 
 
 def at_rest(trial):
@@ -39,7 +30,7 @@ def late(make_study):
 
 
 def test_an_effect_that_the_held_out_frames_cannot_see_is_found_and_not_confirmed(late):
-    found = diagnosed(late, ("camera_latency", "tip_mass", "air_drag")).diagnosis
+    found = diagnose(fits_of(late, ("camera_latency", "tip_mass", "air_drag"))).diagnosis
     assert found.verdict == "cannot_tell"
     assert [f.effect for f in found.missing] == ["camera_latency"]
     assert "heldout_insensitive" in [w.code for w in found.warnings]
@@ -48,14 +39,14 @@ def test_an_effect_that_the_held_out_frames_cannot_see_is_found_and_not_confirme
 
 def test_held_out_frames_that_see_nothing_make_no_model_complete(late):
     """The trials fitted to are not explained, whatever frames at rest say."""
-    found = diagnosed(late, ("air_drag",)).diagnosis
+    found = diagnose(fits_of(late, ("air_drag",))).diagnosis
     assert found.verdict == "unexplained"
     assert found.missing == ()
 
 
 def test_held_out_frames_that_see_it_confirm_it(make_study):
     study = make_study([KNOWN["camera_latency"].active(delay_s=0.005)], seed=14)
-    found = diagnosed(study, ("camera_latency", "tip_mass")).diagnosis
+    found = diagnose(fits_of(study, ("camera_latency", "tip_mass"))).diagnosis
     assert found.verdict == "missing"
     assert [f.effect for f in found.missing] == ["camera_latency"]
     assert "heldout_insensitive" not in [w.code for w in found.warnings]
