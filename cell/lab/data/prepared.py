@@ -187,6 +187,11 @@ class PreparedStudy:
         return self.noise == self.noise_model.for_whitening
 
     @property
+    def noise_is_stated(self) -> bool:
+        """Whether the noise is the measurement's own, of a level that the study states."""
+        return self.noise_is_measured and self.noise_model.stated
+
+    @property
     def expected(self) -> Noise:
         """What a right model leaves: the measurement's noise or an earlier model's error."""
         return self.noise_model.noise if self.noise_is_measured else self.noise

@@ -47,14 +47,19 @@ class HeldoutRows:
     predicted_m    per trial (times, markers, 2)
     residual       (rows,) of all trials; ends (trials,) where each trial's end
     by_parameters  (rows, p) change per unit of the fit's coordinates
+    by_states      (rows, unknowns) change by a standard deviation of each unknown of the trials'
+                   initial states
     spread         (rows, k) change by a standard deviation of all that is uncertain
+    initial_states by trial (unknowns,) the likeliest ones
     """
 
     predicted_m: dict[str, FloatArray]
     residual: FloatArray
     ends: NDArray[np.int_]
     by_parameters: FloatArray
+    by_states: FloatArray
     spread: FloatArray
+    initial_states: dict[str, FloatArray]
 
 
 def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
@@ -97,96 +102,56 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     space, p = fit.space, len(fit.q)
     steps = space.difference_steps(fit.q, fit.covariance)
     lanes = [space.model(q) for q in difference_points(fit.q, steps)]
-    initial_states, more = _initial_states_and_moved(prepared, fit.model, trials, len(lanes))
-    lanes += [fit.model] * more
-    here = prepared.predict_all(
-        trials, lanes[:1], {n: rows[:1] for n, rows in initial_states.items()}
-    )
+    states = {t.name: prepared.initial_state(t) for t in trials}
+    likeliest = {t.name: best_initial_state(prepared, fit.model, t) for t in trials}
+    # then lanes with an initial state moved: the same lane moves one unknown of every trial
+    more = max((state.count for state in states.values()), default=0)
+    initial_states = {}
+    for name, state in states.items():
+        if state.count:
+            rows = np.tile(likeliest[name], (len(lanes) + more, 1))
+            rows[len(lanes) + np.arange(state.count), np.arange(state.count)] += state.step
+            initial_states[name] = rows
+    first = {name: rows[:1] for name, rows in initial_states.items()}
+    here = prepared.predict_all(trials, lanes[:1], first)
     predicted = {t.name: points[0] for t, points in zip(trials, here, strict=True)}
-    rows = [prepared.white(t, points)[0] for t, points in zip(trials, here, strict=True)]
-    near = prepared.white_near(trials, lanes, initial_states)
-    sensitivity = np.asarray((near[1 : p + 1] - near[0]).T / steps)
-    spread = sensitivity @ parameters_root(fit.covariance)
-    if more:
-        moved = _spread_of_initial_states(prepared, trials, near[p + 1 :] - near[0])
-        spread = np.hstack([spread, moved])
-    ends = np.cumsum([len(r) for r in rows])
-    return HeldoutRows(predicted, np.concatenate(rows), ends, sensitivity, spread)
+    white = [prepared.white(t, points)[0] for t, points in zip(trials, here, strict=True)]
+    near = prepared.white_near(trials, [*lanes, *[fit.model] * more], initial_states)
+    by_parameters = np.asarray((near[1 : p + 1] - near[0]).T / steps)
+    moved = prepared.by_trial(trials, (near[p + 1 :] - near[0]).T)
+    by_state = [moved[name][:, : s.count] / s.step * s.std for name, s in states.items()]
+    by_states = np.asarray(block_diag(*by_state))
+    spread = np.hstack([by_parameters @ parameters_root(fit.covariance), by_states])
+    ends = np.cumsum([len(r) for r in white])
+    residual = np.concatenate(white)
+    return HeldoutRows(predicted, residual, ends, by_parameters, by_states, spread, likeliest)
 
 
 def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
     """ln of how much likelier the held-out trials must be with an effect of the fit than without.
 
     By the effect itself: it is switched off and all else left as fitted, but for what the fit
-    leaves uncertain.  What other parameters have become in its company does not count.
+    leaves uncertain.  Changes of the other parameters in its presence do not count.
     """
-    trials = prepared.study.role("validate")
-    space, p = fit.space, len(fit.q)
-    steps = space.difference_steps(fit.q, fit.covariance)
+    trials, rows = prepared.study.role("validate"), heldout_rows(prepared, fit)
+    space = fit.space
     own = [i for i, name in enumerate(space.names) if name.startswith(f"{effect.name}.")]
-    rest = [i for i in range(p) if i not in own]
+    rest = [i for i in range(len(fit.q)) if i not in own]
     off = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))
-    lanes = [space.model(q) for q in (*difference_points(fit.q, steps), off)]
-    initial_states, more = _initial_states_and_moved(prepared, fit.model, trials, len(lanes))
-    if not any(t.bent for t in trials):
-        initial_states, more = (
-            {name: rows[: len(lanes)] for name, rows in initial_states.items()},
-            0,
-        )
-    white = prepared.white_near(trials, [*lanes, *[fit.model] * more], initial_states)
-    moved, white = white[len(lanes) :], white[: len(lanes)]
-    if not (np.all(np.isfinite(white[:-1])) and np.all(np.isfinite(moved))):
+    states = {name: np.tile(values, (2, 1)) for name, values in rows.initial_states.items()}
+    white = prepared.white_near(trials, [fit.model, space.model(off)], states)
+    covariance, among = fit.covariance, np.ix_(rest, own)
+    given = np.linalg.pinv(covariance[np.ix_(own, own)], hermitian=True)
+    uncertain = covariance[np.ix_(rest, rest)] - covariance[among] @ given @ covariance[among].T
+    spread = rows.by_parameters[:, rest] @ parameters_root(uncertain)
+    if any(t.bent for t in trials):
+        spread = np.hstack([spread, rows.by_states])
+    if not all(np.all(np.isfinite(r)) for r in (white[0], rows.by_parameters, spread)):
         return 0.0
-    if not np.all(np.isfinite(white[-1])):
+    if not np.all(np.isfinite(white[1])):
         return np.inf
-    all_of, among = fit.covariance, np.ix_(rest, own)
-    given = np.linalg.pinv(all_of[np.ix_(own, own)], hermitian=True)
-    uncertain = all_of[np.ix_(rest, rest)] - all_of[among] @ given @ all_of[among].T
-    slopes = ((white[1:-1] - white[0]).T / steps)[:, rest]
-    spread = slopes @ parameters_root(uncertain)
-    if more:
-        spread = np.hstack([spread, _spread_of_initial_states(prepared, trials, moved - white[0])])
-    chi2, _ = marginal_chi2(white[-1] - white[0], spread)
+    chi2, _ = marginal_chi2(white[1] - white[0], spread)
     return 0.5 * chi2
-
-
-def _initial_states_and_moved(
-    prepared: PreparedStudy, model: CableModel, trials: Sequence[Trial], lanes: int
-) -> tuple[dict[str, FloatArray], int]:
-    """Likeliest initial states of trials for so many lanes, then with each of their unknowns moved.
-
-    returns  by trial (lanes + moved, unknowns), and the number of lanes moved; the same lane moves
-             one unknown of every trial
-    """
-    states = [(t, b) for t in trials if (b := prepared.initial_state(t)).count]
-    more = max((b.count for _, b in states), default=0)
-    initial_states = {}
-    for trial, state in states:
-        rows = np.tile(best_initial_state(prepared, model, trial), (lanes + more, 1))
-        for i, step in enumerate(state.step):
-            rows[lanes + i, i] += step
-        initial_states[trial.name] = rows
-    return initial_states, more
-
-
-def _spread_of_initial_state(
-    prepared: PreparedStudy, trial: Trial, moved: FloatArray
-) -> FloatArray:
-    """(rows, unknowns) change of white values by a standard deviation of each unknown.
-
-    moved  (lanes, rows) their change by a step of each
-    """
-    state = prepared.initial_state(trial)
-    return np.asarray(moved[: state.count].T / state.step * state.std)
-
-
-def _spread_of_initial_states(
-    prepared: PreparedStudy, trials: Sequence[Trial], moved: FloatArray
-) -> FloatArray:
-    """(rows of all trials, all unknowns) the same, each trial's own."""
-    parts = prepared.by_trial(trials, moved.T)
-    blocks = [_spread_of_initial_state(prepared, t, parts[t.name].T) for t in trials]
-    return np.asarray(block_diag(*blocks))
 
 
 #: Points that show the whole cable, however few markers it has.

@@ -36,22 +36,16 @@ from cell.lab.verdict.smooth_part import (
 def within_stated(evidence: Evidence) -> Reading | None:
     """p-value of an error so far above what the study states; None if it states none."""
     prepared = evidence.prepared
-    if not (prepared.noise_is_measured and prepared.noise_model.stated):
+    if not prepared.noise_is_stated:
         return None
     return Reading(chance_of_stated(prepared, evidence.final, evidence.rules.most_over_noise))
 
 
-def _judged_by_rest(evidence: Evidence) -> bool:
-    """Whether the noise is told by the frames, or is an earlier model's error: not stated."""
-    prepared = evidence.prepared
-    return not (prepared.noise_is_measured and prepared.noise_model.stated)
-
-
 def fitted_ratio(evidence: Evidence) -> Reading | None:
     """Error on the trials fitted to, over that of noise and the gripper log together."""
-    if not _judged_by_rest(evidence):
-        return None
     prepared, fit = evidence.prepared, evidence.final.fit
+    if prepared.noise_is_stated:
+        return None
     trials = fit_trials(prepared)
     log_error = evidence.fits.gripper_log_error()
     by_log = log_error.residual_square(trials, fit) / prepared.count(trials)
@@ -60,20 +54,18 @@ def fitted_ratio(evidence: Evidence) -> Reading | None:
 
 def heldout_smooth(evidence: Evidence) -> Reading | None:
     """p-value of the slow part of the error on the held-out trials."""
-    return _of_part(evidence, of_a_finer_model(evidence.prepared, evidence.final.fit))
+    return _p_value_of_part(evidence, of_a_finer_model)
 
 
 def parameter_constancy(evidence: Evidence) -> Reading | None:
     """p-value of the changes of the parameters if each trial had parameters of its own."""
-    if not _has_smooth_part(evidence):
-        return None
-    return _of_part(evidence, parameter_constancy_of(evidence.prepared, evidence.final.fit))
+    return _p_value_of_part(evidence, parameter_constancy_of)
 
 
 def wider_law(evidence: Evidence) -> Reading | None:
     """Smallest p-value of the wider laws of effects beyond a negligible part; those broken."""
     before, rules = evidence.smooth_before, evidence.rules
-    if before is None or not _judged_by_rest(evidence):
+    if before is None:
         return None
     chances = {}
     for effect in evidence.final.effects:
@@ -88,9 +80,9 @@ def wider_law(evidence: Evidence) -> Reading | None:
 
 def residual_level(evidence: Evidence) -> Reading | None:
     """p-value of the whole error, 1 where it is so little above noise that a model errs as much."""
-    if not _judged_by_rest(evidence):
-        return None
     prepared, final = evidence.prepared, evidence.final
+    if prepared.noise_is_stated:
+        return None
     role: Literal["fit", "validate"] = "fit" if final.heldout is None else "validate"
     trials, log_error = prepared.study.role(role), evidence.fits.gripper_log_error()
     if final.heldout is not None:
@@ -198,18 +190,16 @@ def noise_range(evidence: Evidence) -> Reading | None:
     return Reading(allowed) if evidence.is_base and allowed is not None else None
 
 
-def _has_smooth_part(evidence: Evidence) -> bool:
-    """Whether the slow part of an error says something here."""
-    return evidence.smooth_before is not None and _judged_by_rest(evidence)
-
-
-def _of_part(evidence: Evidence, left: SmoothPart | None) -> Reading | None:
-    """p-value of a part of the error, 1 where it is negligible.
+def _p_value_of_part(
+    evidence: Evidence, part_of: Callable[[PreparedStudy, Fit], SmoothPart | None]
+) -> Reading | None:
+    """p-value of a part of the error, 1 where it is negligible; None if the noise was not measured.
 
     A tenth of it counts where more than a tenth of what the baseline leaves beyond noise is left.
     """
     before, rules = evidence.smooth_before, evidence.rules
-    if before is None or left is None or not _judged_by_rest(evidence):
+    left = None if before is None else part_of(evidence.prepared, evidence.final.fit)
+    if before is None or left is None:
         return None
     shares: tuple[tuple[float, float], ...] = (
         (rules.slight_share, rules.residual_significance),

@@ -73,6 +73,7 @@ def fake(**given):
     study = SimpleNamespace(role=lambda _: [1, 2])
     prepared = SimpleNamespace(
         noise_is_measured=True,
+        noise_is_stated=False,
         noise_model=noise_model,
         expected=noise,
         expected_m=lambda _: 1e-4,
