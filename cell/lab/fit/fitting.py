@@ -129,6 +129,24 @@ class Fit:
         return np.asarray(self.solution.covariance[:p, :p])
 
 
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A model that may be the right one, for planning the next measurement.
+
+    q, covariance  (p,), (p, p) coordinates of `space`, and their uncertainty
+    """
+
+    name: str
+    space: ParameterSpace
+    q: FloatArray
+    covariance: FloatArray
+
+    @property
+    def model(self) -> CableModel:
+        """The cable at q."""
+        return self.space.model(self.q)
+
+
 def fit_trials(prepared: PreparedStudy) -> tuple[Trial, ...]:
     """The trials that may be fitted.  Raises ValueError: none."""
     trials = prepared.study.role("fit")

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from cell.cable.arrays import FloatArray
@@ -45,7 +44,7 @@ class HeldoutRows:
     """Whitened residuals of held-out trials, and what a fit leaves uncertain of them.
 
     predicted_m    per trial (times, markers, 2)
-    residual       (rows,) of all trials; ends (trials,) where each trial's end
+    residual       (rows,) of all trials
     by_parameters  (rows, p) change per unit of the fit's coordinates
     by_states      (rows, unknowns) change by a standard deviation of each unknown of the trials'
                    initial states
@@ -55,7 +54,6 @@ class HeldoutRows:
 
     predicted_m: dict[str, FloatArray]
     residual: FloatArray
-    ends: NDArray[np.int_]
     by_parameters: FloatArray
     by_states: FloatArray
     spread: FloatArray
@@ -122,9 +120,8 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     by_state = [moved[name][:, : s.count] / s.step * s.std for name, s in states.items()]
     by_states = np.asarray(block_diag(*by_state))
     spread = np.hstack([by_parameters @ parameters_root(fit.covariance), by_states])
-    ends = np.cumsum([len(r) for r in white])
     residual = np.concatenate(white)
-    return HeldoutRows(predicted, residual, ends, by_parameters, by_states, spread, likeliest)
+    return HeldoutRows(predicted, residual, by_parameters, by_states, spread, likeliest)
 
 
 def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:

@@ -8,8 +8,8 @@ import numpy as np
 
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
-from cell.lab.data.rival import Rival
 from cell.lab.data.work import Budget, Work
+from cell.lab.fit.fitting import Rival
 from cell.lab.fit.shared import PASSES, SharedFit
 
 #: Fits whose χ² is within this factor of the best are taken to convergence.

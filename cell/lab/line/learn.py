@@ -19,9 +19,8 @@ from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.rival import Rival
 from cell.lab.data.thresholds import SIGNIFICANCE
-from cell.lab.fit.fitting import space_with
+from cell.lab.fit.fitting import Rival, space_with
 from cell.lab.fit.shared import SharedFit, Spread, along_lines, fit_shared, prepared_cycle
 from cell.lab.line.cables_space import SECOND, CablesSpace, Progress, on_all
 from cell.lab.line.effect_fit import EffectFit, LearningBudget, is_tied

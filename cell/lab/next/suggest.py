@@ -22,8 +22,8 @@ from cell.identify.gaussian import covariance_root, marginal_chi2
 from cell.identify.parameters import ParameterSpace, difference_points
 from cell.identify.whitener import Whitener
 from cell.lab.data.prepared import PreparedStudy, whiteners_of
-from cell.lab.data.rival import Rival
 from cell.lab.data.work import Progress, no_progress
+from cell.lab.fit.fitting import Rival
 from cell.lab.fit.heldout import predict_whole_cable
 from cell.lab.fit.plausibility import is_no_model
 from cell.lab.next.asked import AskedEffect

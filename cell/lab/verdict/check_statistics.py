@@ -264,9 +264,8 @@ def _uncertain_m2(prepared: PreparedStudy, fit: Fit) -> float:
     if not np.all(np.isfinite(rows.spread)):
         return 0.0
     square, count = 0.0, 0
-    parts = np.split(rows.spread, rows.ends[:-1])
-    for trial, part in zip(prepared.study.role("validate"), parts, strict=True):
-        whitener = prepared.whiteners[trial.name]
+    for name, part in prepared.by_trial(prepared.study.role("validate"), rows.spread).items():
+        whitener = prepared.whiteners[name]
         count += whitener.count
         square += sum(float(np.nansum(whitener.error_m(column) ** 2)) for column in part.T)
     return square / max(count, 1)

@@ -139,9 +139,9 @@ def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     rows = heldout_rows(prepared, fit)
     if not (np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.spread))):
         return SmoothPart(np.inf, 1, len(rows.residual), prepared.noise_model.slow_dof)
-    coarse = _coarse(prepared, rows, rows.residual[None])
+    coarse = _coarse(prepared, rows.residual[None])
     level, dof = _heldout_level(prepared, rows)
-    chi2 = _chi2(coarse[0], _coarse(prepared, rows, rows.spread.T)) / level
+    chi2 = _chi2(coarse[0], _coarse(prepared, rows.spread.T)) / level
     return SmoothPart(chi2, coarse.shape[1], len(rows.residual), dof)
 
 
@@ -172,8 +172,8 @@ def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
     changes = [LEFT * doubt[None], *_each_alone(there)]
     changes += [_followed(fit, alone) @ rows.by_parameters.T for alone in _each_alone(fitted)]
     residual = (rows.residual + (1.0 + LEFT) * mesh)[None]
-    coarse = _coarse(prepared, rows, np.concatenate([residual, *changes]))
-    products = marginal_products(coarse, _coarse(prepared, rows, rows.spread.T).T)
+    coarse = _coarse(prepared, np.concatenate([residual, *changes]))
+    products = marginal_products(coarse, _coarse(prepared, rows.spread.T).T)
     level = _heldout_level(prepared, rows)
     expected = ExpectedSquare.of_white(seen.count, *level, products[1:, 1:], MOTIONS)
     chi2 = float(products[0, 0]) * seen.count / expected.mean
@@ -313,8 +313,8 @@ def _heldout_level(prepared: PreparedStudy, rows: HeldoutRows) -> tuple[float, f
     of_rest = noise_model.dof_in(trials, slow=True)
     if not prepared.levels:
         return 1.0, of_rest
-    parts = zip(trials, np.split(rows.residual, rows.ends[:-1]), strict=True)
-    fast = [FastPart.of(prepared.whiteners[t.name], part) for t, part in parts]
+    parts = prepared.by_trial(trials, rows.residual)
+    fast = [FastPart.of(prepared.whiteners[name], part) for name, part in parts.items()]
     return _slow_level(noise_model, fast, of_rest)
 
 
@@ -359,13 +359,10 @@ def _chi2(residual: FloatArray, spread: FloatArray) -> float:
     return marginal_chi2(residual, spread.T)[0]
 
 
-def _coarse(prepared: PreparedStudy, rows: HeldoutRows, white: FloatArray) -> FloatArray:
+def _coarse(prepared: PreparedStudy, white: FloatArray) -> FloatArray:
     """(n, modes of all trials) coordinates, white again, of (n, rows) in smooth functions."""
-    trials = prepared.study.role("validate")
-    parts = np.split(white.T, rows.ends[:-1])
-    return np.concatenate(
-        [_of_trial(prepared.whiteners[t.name], p) for t, p in zip(trials, parts, strict=True)]
-    ).T
+    parts = prepared.by_trial(prepared.study.role("validate"), white.T)
+    return np.concatenate([_of_trial(prepared.whiteners[n], p) for n, p in parts.items()]).T
 
 
 def _of_trial(whitener: Whitener, white: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,21 @@ def coloured(rng: np.random.Generator, shape: tuple[int, ...], ar1: float) -> np
     for i in range(1, len(noise)):
         noise[i] = ar1 * noise[i - 1] + np.sqrt(1 - ar1**2) * noise[i]
     return noise
+
+
+def with_markers(study: Study, change: Callable[[Trial], np.ndarray]) -> Study:
+    """The study with the markers (times, markers, 2), m, that a function makes of each trial."""
+    trials = [replace(t, markers=replace(t.markers, xy_m=change(t))) for t in study.trials]
+    return replace(study, trials=tuple(trials))
+
+
+def rounded(study: Study, step_m: float, origin_m: float = 0.0) -> Study:
+    """The study with its markers on a grid."""
+
+    def on_grid(trial: Trial) -> np.ndarray:
+        return origin_m + step_m * np.round((trial.markers.xy_m - origin_m) / step_m)
+
+    return with_markers(study, on_grid)
 
 
 @pytest.fixture(scope="session")

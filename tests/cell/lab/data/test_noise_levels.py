@@ -8,18 +8,18 @@ import pytest
 from cell.lab.data.noise_model import noise_model_of, with_level_in, with_levels
 from cell.lab.data.prepared import PreparedStudy
 from cell.study.data import Markers
+from tests.cell.lab.conftest import rounded, with_markers
 
 
 def noisier(study, factors, seed=0, std_m=1e-4, draw=np.random.Generator.standard_normal):
     """A study with white noise of so many times `std_m`, (trials, markers), beside its own."""
-    rng = np.random.default_rng(seed)
-    trials = []
-    for trial, factor in zip(study.trials, factors, strict=True):
-        noise = draw(rng, size=trial.markers.xy_m.shape) * std_m * factor[:, None]
-        trials.append(
-            replace(trial, markers=Markers(trial.markers.t_s, trial.markers.xy_m + noise))
-        )
-    return replace(study, trials=tuple(trials))
+    rng, each = np.random.default_rng(seed), iter(factors)
+
+    def noisy(trial):
+        noise = draw(rng, size=trial.markers.xy_m.shape) * std_m * next(each)[:, None]
+        return trial.markers.xy_m + noise
+
+    return with_markers(study, noisy)
 
 
 def heavy_tailed(rng, size):
@@ -69,12 +69,8 @@ def test_stated_noise_and_noise_hidden_by_rounding_have_one_level(make_study):
     noisy = noisier(study, factors)
     stated = replace(noisy, noise_std_m=1e-4)
     assert not with_levels(stated, noise_model_of(stated)).levels
-    coarse = tuple(
-        replace(t, markers=Markers(t.markers.t_s, np.round(t.markers.xy_m, 2)))
-        for t in noisy.trials
-    )
-    rounded = replace(noisy, trials=coarse)
-    assert not with_levels(rounded, noise_model_of(rounded)).levels
+    coarse = with_markers(noisy, lambda trial: np.round(trial.markers.xy_m, 2))
+    assert not with_levels(coarse, noise_model_of(coarse)).levels
 
 
 def test_whitened_noise_has_unit_size_in_every_marker(make_study):
@@ -133,12 +129,7 @@ def test_rounded_to_more_than_its_noise_no_marker_has_a_level_of_its_own(make_st
     """At rest one stays within a step, which it seems to be without noise, and one does not."""
     study = make_study(noise_m=1e-9)
     noisy = noisier(study, np.ones((len(study.trials), len(study.arc_length_m))))
-    step_m = 2.2e-4
-    rounded = tuple(
-        replace(t, markers=Markers(t.markers.t_s, np.round(t.markers.xy_m / step_m) * step_m))
-        for t in noisy.trials
-    )
-    coarse = replace(noisy, trials=rounded)
+    coarse = rounded(noisy, 2.2e-4)
     noise_model = noise_model_of(coarse)
     assert not noise_model.rest.is_hidden(noise_model.noise.std_m)
     assert with_levels(coarse, noise_model) is noise_model

@@ -16,7 +16,7 @@ from cell.lab.data.noise_model import (
     noise_model_of_residuals,
 )
 from cell.study.data import Markers
-from tests.cell.lab.conftest import coloured
+from tests.cell.lab.conftest import coloured, rounded, with_markers
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.5, 0.9])
@@ -29,14 +29,10 @@ def test_level_and_colour_are_recovered(make_study, colour):
 
 
 def test_a_settling_cable_does_not_count_as_noise(make_study):
-    study = make_study(ar1=0.0)
-    drifting = []
-    for trial in study.trials:
-        sag = 2e-3 * np.exp(-trial.markers.t_s / 0.15)[:, None, None]
-        drifting.append(
-            replace(trial, markers=Markers(trial.markers.t_s, trial.markers.xy_m + sag))
-        )
-    found = noise_model_of(replace(study, trials=tuple(drifting))).noise
+    def settling(trial):
+        return trial.markers.xy_m + 2e-3 * np.exp(-trial.markers.t_s / 0.15)[:, None, None]
+
+    found = noise_model_of(with_markers(make_study(ar1=0.0), settling)).noise
     assert found.std_m == pytest.approx(1e-4, rel=0.1)
     assert found.ar1 < 0.2
 
@@ -44,14 +40,15 @@ def test_a_settling_cable_does_not_count_as_noise(make_study):
 def test_lost_frames_and_markers_cost_no_more_than_themselves(make_study):
     """Every marker lost once at rest, and all of them in one frame."""
     study = make_study(ar1=0.5, noise_m=2e-4)
-    gappy = []
-    for trial in study.trials:
+
+    def gappy(trial):
         xy_m = trial.markers.xy_m.copy()
         xy_m[5] = np.nan
         for marker in range(xy_m.shape[1]):
             xy_m[8 + marker % 3, marker] = np.nan
-        gappy.append(replace(trial, markers=Markers(trial.markers.t_s, xy_m)))
-    noise_model, whole = noise_model_of(replace(study, trials=tuple(gappy))), noise_model_of(study)
+        return xy_m
+
+    noise_model, whole = noise_model_of(with_markers(study, gappy)), noise_model_of(study)
     assert noise_model.noise.std_m == pytest.approx(2e-4, rel=0.05)
     assert noise_model.noise.ar1 == pytest.approx(0.5, abs=0.1)
     assert 0.5 * whole.dof < noise_model.dof < whole.dof
@@ -159,14 +156,6 @@ def test_whether_the_rest_was_long_enough_is_told(make_study):
     long = noise_model_of_all_frames(noise_model_of(cut(study, 38, 2)), moving(1, 1e-4, 0.0))
     assert long.allowed_over_level < KNOWN_WITHIN
     assert long.range_m[0] < 1e-4 < long.range_m[1]
-
-
-def rounded(study, step_m):
-    trials = [
-        replace(t, markers=Markers(t.markers.t_s, step_m * np.round(t.markers.xy_m / step_m)))
-        for t in study.trials
-    ]
-    return replace(study, trials=tuple(trials))
 
 
 def test_values_rounded_to_more_than_they_vary_hide_their_error(make_study):

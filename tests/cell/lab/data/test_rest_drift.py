@@ -18,6 +18,7 @@ from cell.lab.diagnosis import diagnose
 from cell.lab.search.setup import fit_cache_of
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
+from tests.cell.lab.conftest import coloured
 
 pytestmark = pytest.mark.usefixtures("small")
 
@@ -28,11 +29,8 @@ NOISE_M = 1e-4
 SWINGS = {"up": (0.01, 0.1), "down": (-0.01, 0.08)}
 
 
-def coloured(shape, ar1, seed):
-    noise = np.random.default_rng(seed).normal(size=shape)
-    for i in range(1, len(noise)):
-        noise[i] = ar1 * noise[i - 1] + np.sqrt(1.0 - ar1**2) * noise[i]
-    return NOISE_M * noise
+def noise_m(shape, ar1, seed):
+    return NOISE_M * coloured(np.random.default_rng(seed), shape, ar1)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +45,7 @@ def swinging(small):
         modes = np.zeros((2, 4))
         modes[:, 0] = place, velocity
         seen = simulate(model, motion, t_s, ARCS_M, start="moving", bent=[modes])[0]
-        markers = Markers(t_s, seen + coloured(seen.shape, 0.3, seed))
+        markers = Markers(t_s, seen + noise_m(seen.shape, 0.3, seed))
         trials.append(Trial(name, "fit", "equilibrium", motion, markers))
     trials[1] = replace(trials[1], role="validate")
     return Study("swinging", CABLE, ARCS_M, tuple(trials))
@@ -100,8 +98,8 @@ def test_slow_noise_at_rest_is_no_drift(swinging, ar1):
     still = swinging.trials[0].markers.xy_m[:1]
     for seed in range(5):
         trial = swinging.trials[0]
-        noise_m = coloured(trial.markers.xy_m.shape, ar1, seed)
-        rests = replace(trial, markers=Markers(trial.markers.t_s, still + noise_m))
+        error_m = noise_m(trial.markers.xy_m.shape, ar1, seed)
+        rests = replace(trial, markers=Markers(trial.markers.t_s, still + error_m))
         assert not list(rest_drifts(replace(swinging, trials=(rests,))))
 
 

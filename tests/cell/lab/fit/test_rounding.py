@@ -1,14 +1,12 @@
 """What rounding adds on average is taken out, so that it is not taken for a misfit."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from cell.lab.data.prepared import as_measured
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.corrections import mean_rounding_error, rounding_error_m, without_rounding_error
-from tests.cell.lab.conftest import fits_of
+from tests.cell.lab.conftest import fits_of, rounded
 
 NOISE_M = 2e-5
 
@@ -26,21 +24,6 @@ def test_noise_as_large_as_a_step_hides_it():
     place = np.linspace(-1.0, 1.0, 41)
     for std in (1.0, 30.0):
         assert np.abs(mean_rounding_error(place, np.full(41, std))).max() < 1e-8
-
-
-def rounded(study, step_m, origin_m=0.0):
-    """Its markers on a grid."""
-    trials = [
-        replace(
-            t,
-            markers=replace(
-                t.markers,
-                xy_m=origin_m + step_m * np.round((t.markers.xy_m - origin_m) / step_m),
-            ),
-        )
-        for t in study.trials
-    ]
-    return replace(study, trials=tuple(trials))
 
 
 @pytest.mark.parametrize("origin_m", [0.0, 3.1e-5])

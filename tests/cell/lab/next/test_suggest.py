@@ -15,8 +15,8 @@ from cell.cable.solver import Solver
 from cell.files.input_error import InputError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.rival import Rival
 from cell.lab.diagnosis import diagnose
+from cell.lab.fit.fitting import Rival
 from cell.lab.fit.heldout import predict_whole_cable
 from cell.lab.next.motion_file import load_motion
 from cell.lab.next.suggest import (

@@ -83,6 +83,12 @@ def after(grip, begin_s):
     return Motion(grip.t_s[kept], grip.x_m[kept], grip.y_m[kept], grip.angle_rad[kept])
 
 
+@pytest.fixture(scope="module", params=[held, moving], ids=["held", "moving"])
+def begun(request):
+    """How studies are made whose trials begin bent, and one of them without hidden effects."""
+    return request.param, request.param()
+
+
 def examined(study, *names):
     candidates = {n: e for n, e in library().items() if n in names}
     return diagnose(fit_cache_of(study, EffectSelection((), candidates))).diagnosis
@@ -101,9 +107,8 @@ def test_a_release_noted_30_ms_early_is_found():
     assert fit.rms_m == pytest.approx(NOISE_M, rel=0.05)
 
 
-@pytest.mark.parametrize("made", [held, moving])
-def test_the_cable_is_found_however_it_begins(made):
-    study = made()
+def test_the_cable_is_found_however_it_begins(begun):
+    _, study = begun
     model, candidate, _ = fit_study(fit_cache_of(study, EffectSelection((), {})))
     found = {n: (q, s) for n, q, s in zip(
         model.space.names, model.mean, np.sqrt(np.diag(model.covariance)), strict=True
@@ -119,10 +124,10 @@ def test_the_cable_is_found_however_it_begins(made):
     assert compared.heldout_rms_m == pytest.approx(NOISE_M, rel=0.03)
 
 
-@pytest.mark.parametrize("made", [held, moving])
-def test_what_is_missing_is_named_and_a_right_model_complete(made):
+def test_what_is_missing_is_named_and_a_right_model_complete(begun):
+    made, study = begun
     tried = ("tip_mass", "air_drag", "natural_curvature")
-    assert examined(made(), *tried).verdict == "complete"
+    assert examined(study, *tried).verdict == "complete"
     found = examined(made(library()["tip_mass"].active(mass_kg=2.5e-5)), *tried)
     assert (found.verdict, [m.effect for m in found.missing]) == ("missing", ["tip_mass"])
     mass = found.missing[0].parameters["mass_kg"]
@@ -130,9 +135,8 @@ def test_what_is_missing_is_named_and_a_right_model_complete(made):
     assert mass.high - mass.low < 0.2 * 2.5e-5
 
 
-@pytest.mark.parametrize("made", [held, moving])
-def test_taken_for_a_start_at_rest_it_is_told_what_to_write(made, tmp_path):
-    study = made()
+def test_taken_for_a_start_at_rest_it_is_told_what_to_write(begun, tmp_path):
+    made, study = begun
     mistaken = [replace(t, start="equilibrium", release_s=None) for t in study.trials]
     if made is moving:  # records that begin when the gripper has stopped
         mistaken = [replace(t, grip=after(t.grip, t.markers.t_s[0])) for t in mistaken[1:]]

@@ -24,8 +24,7 @@ from cell.lab.search import partial
 from cell.lab.search.fit_cache import with_lower_baseline
 from cell.lab.search.fitted_model import model_of_fit
 from cell.lab.strength.compare import compare_model
-from cell.study.data import Markers
-from tests.cell.lab.conftest import fits_of
+from tests.cell.lab.conftest import fits_of, with_markers
 
 from .contradictions import contradictions
 
@@ -55,13 +54,12 @@ def wrong_in(diagnosis, text):
 @pytest.fixture(scope="module")
 def shaken(make_study):
     """Markers that follow the gripper, and of the swing only a third: no free end does that."""
-    study = make_study(seed=2)
-    trials = []
-    for trial in study.trials[:3]:
+
+    def following(trial):
         xy_m = trial.markers.xy_m
-        moved = xy_m[:, -1:] - xy_m[:1, -1:]
-        trials.append(replace(trial, markers=Markers(trial.markers.t_s, xy_m[:1] + moved * 0.5)))
-    return replace(study, trials=tuple(trials))
+        return xy_m[:1] + 0.5 * (xy_m[:, -1:] - xy_m[:1, -1:])
+
+    return with_markers(make_study(seed=2), following)
 
 
 def test_a_complete_study_is_described_without_contradiction(make_study):

@@ -20,7 +20,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.doubts import fit_doubts
 from cell.study.data import Markers
 from cell.study.folder import write_study
-from tests.cell.lab.conftest import fits_of
+from tests.cell.lab.conftest import fits_of, with_markers
 
 run = CliRunner().invoke
 
@@ -219,12 +219,8 @@ def test_a_held_out_trial_that_diverges_is_a_finding_not_an_end(loaded, tmp_path
 
 def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, monkeypatch):
     """Seen upside down: a minute went into effects that might make up for it."""
-    study = make_study(seed=2)
-    flipped = [
-        replace(t, markers=Markers(t.markers.t_s, t.markers.xy_m * [1.0, -1.0]))
-        for t in study.trials
-    ]
-    fits = fits_of(replace(study, trials=tuple(flipped)), ("tip_mass",))
+    flipped = with_markers(make_study(seed=2), lambda trial: trial.markers.xy_m * [1.0, -1.0])
+    fits = fits_of(flipped, ("tip_mass",))
     monkeypatch.setattr(FitCache, "fit_extended", None)
     found = diagnose(fits).diagnosis
     assert (found.verdict, found.missing, found.partial) == ("unexplained", (), ())

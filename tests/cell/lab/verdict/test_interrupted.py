@@ -15,9 +15,9 @@ from cell.cable.effects import library
 from cell.cli import app
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.rival import Rival
 from cell.lab.data.work import Work, WorkStoppedError
 from cell.lab.diagnosis import diagnose, with_limits
+from cell.lab.fit.fitting import Rival
 from cell.lab.next.suggest import distinguishing_motions
 from cell.lab.next.suggestion import Option
 from cell.lab.next.terms import admissible

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,8 @@ from cell.lab.data.check import read_own_checks
 from cell.lab.data.named_effects import candidates_in, select_effects
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.evidence import p_values
-from cell.study.data import Markers
 from cell.study.folder import write_study
+from tests.cell.lab.conftest import with_markers
 
 #: One marker errs more than the others: no effect explains that, and no check of the lab asks.
 MARKERS = '''"""Is every marker as noisy as the others?"""
@@ -73,14 +72,14 @@ def test_two_checks_are_corrected_for_being_two(make_study, checks: list[Path]) 
 def test_what_only_a_user_asks_makes_a_study_unexplained(
     make_study, checks: list[Path], tmp_path: Path
 ) -> None:
-    study = make_study(seed=7)
     rng = np.random.default_rng(1)
-    trials = []
-    for trial in study.trials:
+
+    def one_noisier(trial):
         xy_m = trial.markers.xy_m.copy()
         xy_m[:, 4] += rng.normal(0.0, 5e-5, xy_m[:, 4].shape)
-        trials.append(replace(trial, markers=Markers(trial.markers.t_s, xy_m)))
-    write_study(replace(study, trials=tuple(trials)), tmp_path / "study")
+        return xy_m
+
+    write_study(with_markers(make_study(seed=7), one_noisier), tmp_path / "study")
     verdicts = []
     for more in ([], ["--check", str(checks[0])]):
         out = tmp_path / "diagnosis.json"

@@ -72,11 +72,17 @@ def model(folder, effect_file, tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def without(folder, tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "without.json"
+    fit(folder, path)
+    return path
+
+
 def test_an_own_effect_is_fitted_and_the_error_falls_to_the_noise(
-    folder, effect_file, model, tmp_path
+    folder, effect_file, model, without, tmp_path
 ):
-    without = tmp_path / "without.json"
-    assert fit(folder, without)["effects"] == []
+    assert json.loads(without.read_text())["effects"] == []
     assert heldout_m(folder, without, tmp_path) > 3.0 * NOISE_M
     data = json.loads(model.read_text())
     found = {p["name"]: p["value"] for p in data["parameters"]}
@@ -133,9 +139,7 @@ def test_a_missing_file_of_a_models_effect_is_named_and_may_be_given_elsewhere(
     assert heldout_m(folder, moved, tmp_path) < 1.03 * NOISE_M
 
 
-def test_an_effect_that_no_model_has_is_refused(folder, effect_file, tmp_path):
-    without = tmp_path / "without.json"
-    fit(folder, without)
+def test_an_effect_that_no_model_has_is_refused(folder, effect_file, without, tmp_path):
     for name in (effect_file, "air_drag"):
         done = compare(folder, without, tmp_path / "out.json", "--with", name)
         assert done.exit_code == 2

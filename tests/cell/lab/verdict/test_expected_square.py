@@ -1,3 +1,5 @@
+"""The distribution of a sum of squares that noise and common errors shift."""
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
