@@ -191,7 +191,7 @@ class Work:
         self._origin, self.concluding = self.done, False
 
     def stop(self) -> None:
-        """Let the next simulation raise StoppedError, unless it was stopped before."""
+        """Let the next simulation raise WorkStoppedError, unless it was stopped before."""
         self.stopped = not self.concluding
 
     def conclude(self) -> None:
@@ -199,7 +199,7 @@ class Work:
         self.stopped, self.concluding = False, True
 
     def check(self) -> None:
-        """Raises StoppedError: no more simulations are wanted."""
+        """Raises WorkStoppedError: no more simulations are wanted."""
         if self.stopped:
             raise WorkStoppedError(self.known)
         if not self.concluding:
@@ -208,7 +208,7 @@ class Work:
                 raise SpentError(self.known)
 
     def add(self, models: int, duration_s: float, solver: Solver) -> None:
-        """Count a batch.  Raises StoppedError: no more are wanted; SpentError: nor afforded."""
+        """Count a batch.  Raises WorkStoppedError: no more are wanted; SpentError: nor afforded."""
         self.check()
         self.simulated_s += models * duration_s * self.cost(solver)
 
@@ -267,7 +267,7 @@ class SideBySide:
 
         unfinished  the result of a job whose share of the work was spent
         done    is told of each as it comes, by any thread
-        raises  StoppedError: no more simulations are wanted
+        raises  WorkStoppedError: no more simulations are wanted
         """
         work, here = self._work, os.getpid()
         before_s, parts = work.simulated_s, max(FEWEST_PARTS, len(jobs))

@@ -134,9 +134,7 @@ def make_study() -> MakeStudy:
     return make
 
 
-def fits_of(
-    study: Study, effects: Iterable[str | type[Effect]] = (), **options: Any
-) -> FitCache:
+def fits_of(study: Study, effects: Iterable[str | type[Effect]] = (), **options: Any) -> FitCache:
     """The baseline of a study, fitted; a search may add these effects, named or given.
 
     options  of `PreparedStudy.of`
