@@ -82,7 +82,7 @@ class Wait:
     stall_s: float = 0.0
 
 
-class Recorder:
+class KeepingCamera:
     """A camera that keeps what it gives."""
 
     def __init__(self, camera: Camera, clock: SimClock) -> None:
@@ -106,7 +106,7 @@ class Recorder:
         return frame
 
 
-class Player:
+class PlaybackCamera:
     """A camera that gives what another one kept, at the speed of the clock."""
 
     def __init__(self, clock: SimClock, frame_rate_hz: float) -> None:
@@ -149,7 +149,7 @@ def measured(
     end_in_order()
     take_precedence()  # as a cell does whose devices are real
     twins = build_twins(settings, seed, cycles)
-    player = Player(twins.world.clock, twins.camera.frame_rate_hz)
+    player = PlaybackCamera(twins.world.clock, twins.camera.frame_rate_hz)
     devices = replace(twin_devices(twins), camera=player)
     with tempfile.TemporaryDirectory() as runs:
         began: dict[str, tuple[float, float]] = {}
@@ -256,7 +256,7 @@ def waits(
     )
     child.start()
     twins = build_twins(settings, seed, cycles)
-    recorder = Recorder(twins.camera, twins.world.clock)
+    recorder = KeepingCamera(twins.camera, twins.world.clock)
     found = []
     with ExitStack() as stack:
         stack.enter_context(busy_cores(burners))

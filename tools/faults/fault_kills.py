@@ -21,7 +21,7 @@ STILL_S = 0.2
 
 
 @dataclass(frozen=True)
-class Kill:
+class KilledProcess:
     """A process that was killed, when, and how long the arm moved after that, s."""
 
     victim: str
@@ -32,7 +32,7 @@ class Kill:
 
 def kill_somebody(
     emulated: EmulatedCell, config: Path, runs: Path, victim: str, rng: random.Random
-) -> Kill:
+) -> KilledProcess:
     """Run a cell as a process of its own and kill one of its processes while the arm moves."""
     command = [sys.executable, "-m", "cell", "run", "--config", str(config), "--runs", str(runs)]
     cell = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -58,7 +58,7 @@ def kill_somebody(
         time.sleep(STILL_S + 0.1)
         moved_s = emulated.controller.request("state")["last_moved_s"] - killed_s
         speed = float(np.linalg.norm(state["speed"][:3]))
-        return Kill(victim, killed_s - began_s, speed, max(0.0, moved_s))
+        return KilledProcess(victim, killed_s - began_s, speed, max(0.0, moved_s))
     finally:
         cell.kill() if victim != "child" else cell.terminate()
         cell.wait()

@@ -41,7 +41,7 @@ class Kind:
 
 
 @dataclass
-class Trial:
+class FaultTrial:
     """A fault in a step, and what came of it.
 
     reaction_s  from the fault, or from the beginning of the step that needs the device, until the

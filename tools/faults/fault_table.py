@@ -10,21 +10,21 @@ from datetime import date
 
 import numpy as np
 
-from tools.faults.fault_kills import STILL_S, Kill
-from tools.faults.fault_kinds import Trial
+from tools.faults.fault_kills import STILL_S, KilledProcess
+from tools.faults.fault_kinds import FaultTrial
 
 #: Columns of the table; `goal`: 99 % of all trials stop within that.
 COLUMNS = ("condition", "n", "passed", "stop_median_ms", "stop_p99_ms", "stop_largest_ms", "goal",
            "largest_in_step", "still_largest_ms")  # fmt: skip
 
 
-def stop_percentiles_ms(trials: Sequence[Trial], *q: float) -> list[float]:
+def stop_percentiles_ms(trials: Sequence[FaultTrial], *q: float) -> list[float]:
     """Percentiles of the time from fault to stop; nan if nothing had to be stopped."""
     known = [1e3 * t.reaction_s for t in trials if t.reaction_s is not None]
     return list(np.percentile(known or [np.nan], q))
 
 
-def summary(trials: Sequence[Trial], kills: Sequence[Kill]) -> list[str]:
+def summary(trials: Sequence[FaultTrial], kills: Sequence[KilledProcess]) -> list[str]:
     """Sentences: how many passed, how fast all stood still, and how busy the computer is."""
     good, repeated = sum(not t.wrong for t in trials), sum(t.attempts > 1 for t in trials)
     lines = [f"{good} of {len(trials)} trials passed, {repeated} of them not at the first attempt."]
@@ -44,7 +44,9 @@ def summary(trials: Sequence[Trial], kills: Sequence[Kill]) -> list[str]:
     return [*lines, f"Load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores."]
 
 
-def table(trials: Sequence[Trial], kills: Sequence[Kill], goal_ms: float) -> list[tuple[str, ...]]:
+def table(
+    trials: Sequence[FaultTrial], kills: Sequence[KilledProcess], goal_ms: float
+) -> list[tuple[str, ...]]:
     """A line for all trials, for every device and fault, and for every process that was killed."""
     groups = {"all": list(trials)}
     for trial in trials:
@@ -58,7 +60,7 @@ def table(trials: Sequence[Trial], kills: Sequence[Kill], goal_ms: float) -> lis
     return lines
 
 
-def _line(name: str, some: Sequence[Trial], goal_ms: float) -> tuple[str, ...]:
+def _line(name: str, some: Sequence[FaultTrial], goal_ms: float) -> tuple[str, ...]:
     stop = [""] * 5
     stopped = {t.reaction_s: t.step for t in reversed(some) if t.reaction_s is not None}
     if stopped:
@@ -69,7 +71,7 @@ def _line(name: str, some: Sequence[Trial], goal_ms: float) -> tuple[str, ...]:
     return (name, str(len(some)), str(passed), *stop, f"{still_ms:.0f}")
 
 
-def failures(trials: Sequence[Trial]) -> list[str]:
+def failures(trials: Sequence[FaultTrial]) -> list[str]:
     """A line for each trial that did not pass."""
     return [f"- {t.name}: {'; '.join(t.wrong)}" for t in trials if t.wrong]
 

@@ -43,8 +43,8 @@ from cell.wiring.emulated import EmulatedCell
 from drivers.interfaces import Trajectory
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripperOptions
-from tools.faults.fault_kills import STILL_S, Kill, kill_somebody
-from tools.faults.fault_kinds import KINDS, Trial, Victim
+from tools.faults.fault_kills import STILL_S, KilledProcess, kill_somebody
+from tools.faults.fault_kinds import KINDS, FaultTrial, Victim
 from tools.faults.fault_table import (
     csv_text,
     failures,
@@ -69,16 +69,18 @@ MOVING = ("lower", "execute", "go_home")
 HOLDING = tuple(step.name for step in INSERTING.steps if step.holding)
 
 
-def all_trials() -> list[Trial]:
+def all_trials() -> list[FaultTrial]:
     found = []
     for kind in KINDS:
         if kind.fault == "refuses to connect":
-            found.append(Trial(kind, "connect"))
+            found.append(FaultTrial(kind, "connect"))
             continue
         steps = INSERTING.names
         if kind.drops_cable:
             steps = ("grasp", *HOLDING)
-        found += [Trial(kind, s) for s in dict.fromkeys(steps) if s not in ("warm_up", "start")]
+        found += [
+            FaultTrial(kind, s) for s in dict.fromkeys(steps) if s not in ("warm_up", "start")
+        ]
         if not kind.at_connect:
             found = [t for t in found if not (t.kind is kind and t.step == "connect")]
     return found
@@ -98,7 +100,7 @@ class FaultRig:
         self.victim = Victim(emulated, lambda: int(self.devices.arm._child.process.pid))
         self.stopped_s: list[float] = []
         self.began_s: dict[str, float] = {}
-        self.trial: Trial | None = None
+        self.trial: FaultTrial | None = None
         self.number = 0
         self.patience_s = settings.gripper.reply_s
         stop = self.devices.arm.stop
@@ -168,13 +170,13 @@ class FaultRig:
         else:
             self._give(trial)
 
-    def _give_in_motion(self, trial: Trial) -> None:
+    def _give_in_motion(self, trial: FaultTrial) -> None:
         until_s = time.monotonic() + 3.0
         while self.speed_m_per_s() < 0.05 and time.monotonic() < until_s:
             time.sleep(0.005)
         self._give(trial)
 
-    def _give(self, trial: Trial) -> None:
+    def _give(self, trial: FaultTrial) -> None:
         trial.held_before = self.emulated.gripper.observe().held
         trial.given_s = time.monotonic()
         trial.kind.cause(self.victim)
@@ -184,7 +186,7 @@ class FaultRig:
         return float(np.linalg.norm(speed[:3]))
 
 
-def run_trial(bench: FaultRig, trial: Trial) -> None:
+def run_trial(bench: FaultRig, trial: FaultTrial) -> None:
     """One cycle with the fault, the next if that one did not need the device, and one after."""
     trial.begin()
     if trial.step == "connect":
@@ -213,7 +215,7 @@ def run_trial(bench: FaultRig, trial: Trial) -> None:
         bench.cell.close()
 
 
-def judge(bench: FaultRig, trial: Trial, result: Result) -> None:
+def judge(bench: FaultRig, trial: FaultTrial, result: Result) -> None:
     assert trial.given_s is not None
     fault = result.fault
     if fault is None:
@@ -277,7 +279,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # children end, too
     only = arguments.only or [""]
     chosen = [t for t in all_trials() if any(word in t.name for word in only)]
-    kills: list[Kill] = []
+    kills: list[KilledProcess] = []
     if arguments.keep is not None and arguments.keep.exists():
         known = json.loads(arguments.keep.read_text(encoding="utf-8"))
         for trial in chosen:

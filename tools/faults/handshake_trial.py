@@ -47,7 +47,7 @@ _BEGIN_S = 180.0
 
 
 @dataclass(frozen=True)
-class Findings:
+class HandshakeFindings:
     """What the cell did, beside what it was asked for.
 
     wrong  one sentence for everything that it may not do
@@ -60,7 +60,7 @@ class Findings:
     wrong: tuple[str, ...]
 
 
-def compared(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> Findings:
+def compared(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> HandshakeFindings:
     """What the PLC said and was told, compared with what happened in the cell.
 
     said      lines of the scripted PLC
@@ -79,7 +79,9 @@ def compared(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> Find
     if len(results) != len(cycles):
         wrong.append(f"{len(cycles)} outcomes were told, and there were {len(results)}")
     suspensions = sum(n.data["state"] == CellState.SUSPENDED for n in states)
-    return Findings(len(cycles), len(starts), dict(Counter(results)), suspensions, tuple(wrong))
+    return HandshakeFindings(
+        len(cycles), len(starts), dict(Counter(results)), suspensions, tuple(wrong)
+    )
 
 
 def _wrong_starts(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> Iterator[str]:
@@ -140,7 +142,7 @@ class Follower:
                 self.is_idle.set()
 
 
-def trial(carrier: str, cycles: int, host: str, folder: Path) -> Findings:
+def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindings:
     """So many cycles over one carrier, in a folder of its own."""
     controller = carrier == "controller"
     port = free_port()
@@ -173,7 +175,7 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> Findings:
         (folder / "plc.jsonl").write_text(done.stdout, encoding="utf-8")
         found = compared(said, follower.happened)
         if done.returncode != 0:
-            found = Findings(**{**vars(found), "wrong": (*found.wrong, "the PLC gave up")})
+            found = HandshakeFindings(**{**vars(found), "wrong": (*found.wrong, "the PLC gave up")})
     return found
 
 

@@ -78,7 +78,7 @@ for number in range(1, 101):
 
 
 @dataclass(frozen=True)
-class Kill:
+class KilledCell:
     """What was left of one cell.
 
     after_s   since its first cable was grasped, by the computer's clock
@@ -106,7 +106,7 @@ class Kill:
 
 def kill_once(
     config: Path, runs: Path, number: int, after_s: float, both: bool, speed: float = 1.0
-) -> Kill:
+) -> KilledCell:
     """Run a cell, kill it so long after it grasps, and recover the recording.
 
     speed   of the simulated world; at 1 a busy computer falls behind, and then makes up for it
@@ -146,7 +146,7 @@ def kill_once(
     results = [f for f in folders if (f / "result.json").exists()]
     listed = _listed(runs)
     ended = [c for c in listed if c.outcome != UNFINISHED]
-    return Kill(
+    return KilledCell(
         number,
         after_s,
         both,
@@ -197,7 +197,7 @@ def _wait(child: subprocess.Popen[bytes], there: Callable[[], bool], seconds: fl
         time.sleep(0.005)
 
 
-def table(kills: list[Kill]) -> str:
+def table(kills: list[KilledCell]) -> str:
     """What was lost at most, in words."""
     lines = [f"{len(kills)} kills, {sum(k.both for k in kills)} of them with the recorder"]
     for what in ("poses", "frames"):
@@ -223,18 +223,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--speed", type=float, default=0.5, help="of the simulated world")
     parser.add_argument("--longest-s", type=float, default=14.0, help="after the first grasp")
-    given = parser.parse_args()
-    draw = random.Random(given.seed)
-    given.file.unlink(missing_ok=True)
+    options = parser.parse_args()
+    draw = random.Random(options.seed)
+    options.file.unlink(missing_ok=True)
 
-    def made() -> Iterator[Kill]:
-        for number in range(given.kills):
+    def made() -> Iterator[KilledCell]:
+        for number in range(options.kills):
             with tempfile.TemporaryDirectory() as folder:
-                after_s, runs = draw.uniform(0.0, given.longest_s), Path(folder) / "runs"
-                yield kill_once(given.config, runs, number, after_s, number % 2 == 1, given.speed)
+                after_s, runs = draw.uniform(0.0, options.longest_s), Path(folder) / "runs"
+                yield kill_once(
+                    options.config, runs, number, after_s, number % 2 == 1, options.speed
+                )
 
     kills = []
-    for kill in added_rows(given.file, Kill, made()):
+    for kill in added_rows(options.file, KilledCell, made()):
         kills.append(kill)
         print(kill, flush=True)
     print(table(kills))

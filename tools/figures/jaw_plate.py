@@ -91,11 +91,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--out", type=Path, default=Path("docs/images/jaw_plate.pdf"))
     parser.add_argument("--png", type=Path, help="a picture of it as well")
-    given = parser.parse_args()
+    options = parser.parse_args()
     figure = draw(JawMarks())
-    figure.savefig(given.out, metadata={"CreationDate": None})
-    if given.png:
-        figure.savefig(given.png, dpi=150)
+    figure.savefig(options.out, metadata={"CreationDate": None})
+    if options.png:
+        figure.savefig(options.png, dpi=150)
 
 
 if __name__ == "__main__":

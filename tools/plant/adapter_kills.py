@@ -39,13 +39,13 @@ SAME = ("cycle", "outcome", "offset_m", "margin_m", "reason")
 
 
 @dataclass(frozen=True)
-class Made:
+class MadeCycle:
     """A cycle: its result, and its steps in their order."""
 
     result: dict[str, Any]
     steps: tuple[str, ...]
 
-    def differs(self, other: Made) -> str:
+    def differs(self, other: MadeCycle) -> str:
         """In what it differs from another; empty = in nothing that matters."""
         names = [n for n in SAME if self.result.get(n) != other.result.get(n)]
         names += ["steps"] if self.steps != other.steps else []
@@ -73,7 +73,7 @@ def service(config: Path, runs: Path, log: Path) -> AbstractContextManager[objec
 
 def made(
     client: Client, messages: Iterator[Notice | Status], on_step: Callable[[str], None]
-) -> Made:
+) -> MadeCycle:
     """One cycle, from Idle; `on_step` is called when a step begins."""
     for message in messages:
         waits = message.data if isinstance(message, Notice) else vars(message)
@@ -89,7 +89,7 @@ def made(
             steps.append(message.data["step"])
             on_step(steps[-1])
         if message.kind is MessageKind.RESULT:
-            return Made(dict(message.data), tuple(steps))
+            return MadeCycle(dict(message.data), tuple(steps))
     raise RuntimeError("the client was closed")
 
 
@@ -97,7 +97,9 @@ def made(
 STEPS = [s.name for s in INSERTING.steps if s not in INSERTING.resetting and not s.once]
 
 
-def assigned(planned: list[tuple[str, str]], cycles: list[Made]) -> list[tuple[str, str] | None]:
+def assigned(
+    planned: list[tuple[str, str]], cycles: list[MadeCycle]
+) -> list[tuple[str, str] | None]:
     """Which kill each cycle gets: one in a step that it has; rare steps first."""
     count = Counter(step for cycle in cycles for step in set(cycle.steps))
     left = sorted(planned, key=lambda kill: count[kill[1]])
@@ -115,12 +117,12 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", default=list(ADAPTERS), help="these adapters")
     parser.add_argument("--steps", nargs="*", default=STEPS, choices=STEPS, help="in these steps")
     parser.add_argument("--quick", action="store_true", help="fewer and smaller pictures")
-    given = parser.parse_args()
-    adapters = [adapter for adapter in ADAPTERS if adapter in given.only]
-    planned, done, wrong = list(product(adapters, given.steps)), 0, 0
+    options = parser.parse_args()
+    adapters = [adapter for adapter in ADAPTERS if adapter in options.only]
+    planned, done, wrong = list(product(adapters, options.steps)), 0, 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        config = quick(folder / "quick.yaml") if given.quick else CONFIG
+        config = quick(folder / "quick.yaml") if options.quick else CONFIG
         with service(config, folder / "untouched" / "runs", folder / "log"):
             client = Client(folder / "untouched" / "runs", timeout_s=60.0).connect(120.0)
             messages = client.follow()
@@ -129,9 +131,11 @@ def main() -> int:
         runs = folder / "killed" / "runs"
         with ExitStack() as stack:
             stack.enter_context(service(config, runs, folder / "log"))
-            plant = stack.enter_context(Plant(folder / "plant", config, runs, adapters=given.only))
+            plant = stack.enter_context(
+                Plant(folder / "plant", config, runs, adapters=options.only)
+            )
             viewer = Viewer(plant.ports["serve"])
-            if "serve" in given.only:
+            if "serve" in options.only:
                 stack.enter_context(viewer).wait()
             client = Client(runs, timeout_s=60.0).connect(120.0)
             messages = client.follow()

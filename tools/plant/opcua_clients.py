@@ -73,10 +73,10 @@ def main() -> None:
     parser.add_argument("--clients", type=int, default=5)
     parser.add_argument("--interval-ms", type=float, default=100.0)
     parser.add_argument("--items", type=int, help="of all clients; default: every tag once each")
-    given = parser.parse_args()
+    options = parser.parse_args()
     os.nice(19)
-    items = given.clients * len(PATHS) if given.items is None else given.items
-    asyncio.run(_run(given.port, given.name, given.clients, given.interval_ms, items))
+    items = options.clients * len(PATHS) if options.items is None else options.items
+    asyncio.run(_run(options.port, options.name, options.clients, options.interval_ms, items))
 
 
 if __name__ == "__main__":

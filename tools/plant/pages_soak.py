@@ -248,7 +248,7 @@ def main() -> int:
     parser.add_argument("--hours", type=float, default=8.0, help="worth of updates")
     parser.add_argument("--speed", type=float, default=100.0, help="so many times faster")
     parser.add_argument("--cycle-s", type=float, default=15.0, help="a cycle of the cell takes")
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config = quick(folder / "cell.yaml")
@@ -256,8 +256,8 @@ def main() -> int:
         content["recording"] = {"keep_every": 1}
         config.write_text(yaml.safe_dump(content), encoding="utf-8")
         told = recorded(folder, config)
-        count = max(1, round(given.hours * 3600.0 / given.cycle_s))
-        return int(not soak(folder, told, config, count, given.cycle_s / given.speed))
+        count = max(1, round(options.hours * 3600.0 / options.cycle_s))
+        return int(not soak(folder, told, config, count, options.cycle_s / options.speed))
 
 
 if __name__ == "__main__":

@@ -98,10 +98,10 @@ def main() -> None:
     parser.add_argument("port", type=int)
     parser.add_argument("--viewers", type=int, default=5)
     parser.add_argument("--stalled", type=int, default=1)
-    given = parser.parse_args()
+    options = parser.parse_args()
     with ExitStack() as stack:
-        for number in range(given.viewers):
-            viewer = stack.enter_context(Viewer(given.port, stalled=number < given.stalled))
+        for number in range(options.viewers):
+            viewer = stack.enter_context(Viewer(options.port, stalled=number < options.stalled))
             viewer.wait()
         print("they look", flush=True)
         signal.pause()

@@ -10,7 +10,7 @@ from tools.worlds.known_truth import SHOWS, class_of
 
 
 @dataclass(frozen=True)
-class Row:
+class StudyAnswer:
     """A study and what was said of it.
 
     named, partial  effects joined by "+", ties by "|"; also of `cannot_tell`, which claims nothing

@@ -24,7 +24,7 @@ from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.ties import with_ties
-from tools.studies.answers import Row
+from tools.studies.answers import StudyAnswer
 
 PLAIN = ("bic", "heldout", "score")
 
@@ -63,7 +63,9 @@ def _evidence(examination: Examination) -> Evidence:
     return with_ties(Evidence(examination.fits, examination.accepted, DEFAULT_RULES))
 
 
-def verdict_of(row: Row, without: str = "", limits: Mapping[str, float] | None = None) -> str:
+def verdict_of(
+    row: StudyAnswer, without: str = "", limits: Mapping[str, float] | None = None
+) -> str:
     """Verdict that follows from a row's statistics, without a check or with other limits."""
     if row.verdict in ("refused", "crash", "not made"):
         return row.verdict
@@ -78,7 +80,7 @@ def verdict_of(row: Row, without: str = "", limits: Mapping[str, float] | None =
     return worst_verdict(outcomes, is_base=not json.loads(row.strategies)["search"])
 
 
-def answer(row: Row, verdict: str, named: str) -> str:
+def answer(row: StudyAnswer, verdict: str, named: str) -> str:
     """`right`, `wrong` (something is claimed that is not so) or `no answer`."""
     claim = replace(row, verdict=verdict, named=named)
     if claim.right:
@@ -87,7 +89,7 @@ def answer(row: Row, verdict: str, named: str) -> str:
     return "wrong" if claim.wrong or claim.false_complete or false_alarm else "no answer"
 
 
-def table(rows: Sequence[Row], limits: Mapping[str, float]) -> Iterator[str]:
+def table(rows: Sequence[StudyAnswer], limits: Mapping[str, float]) -> Iterator[str]:
     """Lines in Markdown: answers by kind with every check, without each, and of plain strategies.
 
     limits  other limits of checks, by name; a line each
@@ -95,19 +97,21 @@ def table(rows: Sequence[Row], limits: Mapping[str, float]) -> Iterator[str]:
     counted = [r for r in rows if r.seen and r.verdict not in ("crash", "not made")]
     kinds = list(dict.fromkeys(r.kind for r in counted))
 
-    def with_checks(row: Row, without: str = "", other: Mapping[str, float] | None = None) -> str:
+    def with_checks(
+        row: StudyAnswer, without: str = "", other: Mapping[str, float] | None = None
+    ) -> str:
         if row.verdict == "refused":
             return "no answer"
         named = json.loads(row.strategies)["search"]
         return answer(row, verdict_of(row, without, other), named)
 
-    def by_plain(row: Row, strategy: str) -> str:
+    def by_plain(row: StudyAnswer, strategy: str) -> str:
         if row.verdict == "refused":
             return "no answer"
         named = json.loads(row.strategies)[strategy]
         return answer(row, "missing" if named else "complete", named)
 
-    def line(name: str, answer_to: Callable[[Row], str]) -> str:
+    def line(name: str, answer_to: Callable[[StudyAnswer], str]) -> str:
         each = {k: [answer_to(r) for r in counted if r.kind == k] for k in kinds}
         cells = [f"{a.count('right')} / {a.count('wrong')} of {len(a)}" for a in each.values()]
         both = [(answer_to(r), with_checks(r)) for r in counted]

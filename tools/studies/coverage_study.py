@@ -42,7 +42,7 @@ PLACES_M = np.linspace(0.0, 0.1, 51)
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CableCoverage:
     """Relative errors and whether the 95 % intervals cover, of one cable."""
 
     rigidity_error: FloatArray
@@ -113,7 +113,7 @@ def photographed(
     )
 
 
-def judge(model: CableModel, found: Identified, motion: Motion) -> Outcome:
+def judge(model: CableModel, found: Identified, motion: Motion) -> CableCoverage:
     """Compare what was found with the truth."""
     still = simulate(model, motion, motion.t_s[:2], PLACES_M, solver=WORLD)[0, 0]
     heading = np.unwrap(np.arctan2(*np.diff(still, axis=0).T[::-1]))
@@ -123,7 +123,7 @@ def judge(model: CableModel, found: Identified, motion: Motion) -> Outcome:
     error = np.log(found.model.rigidity_at(places) / model.rigidity_at(places))
     low, high = found.interval()
     exponent, viscosity = model.exponent, model.viscosity_n_m2_s
-    return Outcome(
+    return CableCoverage(
         error,
         np.abs(error) <= 1.96 * found.rigidity_log_std(places),
         found.values[-2] - exponent,
@@ -141,7 +141,7 @@ def study(
     errors: Errors,
     options: IdentifyOptions,
     look: Callable[[CableModel, Motion, Errors, np.random.Generator], Trial] = measured,
-) -> list[Outcome]:
+) -> list[CableCoverage]:
     """Identify `cables` random cables."""
     motion = hold()
     outcomes = []
@@ -154,7 +154,7 @@ def study(
     return outcomes
 
 
-def report(outcomes: list[Outcome]) -> Table:
+def report(outcomes: list[CableCoverage]) -> Table:
     """Coverage with its own 95 % interval, and the size of errors."""
     table = Table(title=f"95 % intervals of `map`, {len(outcomes)} cables")
     for column in ("", "covered", "of 100 %, 95 % sure", "rms error", "worst error"):

@@ -48,14 +48,14 @@ from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.results import MissingEffect
 from tools.processes import own_cpu_s
 from tools.studies import check_ablation
-from tools.studies.answers import Row
+from tools.studies.answers import StudyAnswer
 from tools.studies.rows import added_rows, read_rows
-from tools.worlds.cases import BREADTH, MADE, MUJOCO, RIGS, SHARED, Case, Made, made
+from tools.worlds.cases import BREADTH, MADE, MUJOCO, RIGS, SHARED, Case, MadeStudy, made
 
 
-def judged(case: Case, checks: bool) -> Row:
+def judged(case: Case, checks: bool) -> StudyAnswer:
     """Make a study and diagnose it; a crash is an outcome, and counts."""
-    blank = Row(case.source, case.kind, case.number, "", "", 0.0, "not made")
+    blank = StudyAnswer(case.source, case.kind, case.number, "", "", 0.0, "not made")
     try:
         with made(case) as there:
             return _diagnosed(case, there, checks)
@@ -65,9 +65,11 @@ def judged(case: Case, checks: bool) -> Row:
         return replace(blank, verdict="crash", refused=f"{type(error).__name__}: {_short(error)}")
 
 
-def _diagnosed(case: Case, there: Made, checks: bool) -> Row:
+def _diagnosed(case: Case, there: MadeStudy, checks: bool) -> StudyAnswer:
     names, unsaid = "+".join(there.hidden), "+".join(there.unsaid)
-    row = Row(case.source, case.kind, case.number, names, unsaid, round(there.power, 3), "refused")
+    row = StudyAnswer(
+        case.source, case.kind, case.number, names, unsaid, round(there.power, 3), "refused"
+    )
     row = replace(row, conditions=json.dumps(there.conditions))
     before_s = own_cpu_s()
     try:
@@ -116,24 +118,24 @@ def _short(error: Exception, folder: Path | str = "") -> str:
     return str(error).replace(str(folder) or "\0", "").replace("\n", " ")[:200]
 
 
-def cases(given: argparse.Namespace) -> list[Case]:
+def cases(options: argparse.Namespace) -> list[Case]:
     """All studies that are asked for, in order."""
     found = []
-    for kind, count in given.made:
-        seeds = range(given.first, given.first + count)
+    for kind, count in options.made:
+        seeds = range(options.first, options.first + count)
         found += [Case("made", kind, str(seed)) for seed in seeds]
-    changed = {n: v for n in CHANGED if (v := getattr(given, n)) is not None}
-    for kind, count in given.breadth:
+    changed = {n: v for n in CHANGED if (v := getattr(options, n)) is not None}
+    for kind, count in options.breadth:
         numbers = range(count)
-        found += [Case("breadth", kind, str(n), given.seed, count, changed) for n in numbers]
-    for source, counts_of in (("rigs", given.rigs), ("mujoco", given.mujoco)):
+        found += [Case("breadth", kind, str(n), options.seed, count, changed) for n in numbers]
+    for source, counts_of in (("rigs", options.rigs), ("mujoco", options.mujoco)):
         for kind, count in counts_of:
-            seeds = range(given.first, given.first + count)
+            seeds = range(options.first, options.first + count)
             found += [Case(source, kind, str(seed)) for seed in seeds]
-    if given.practice is not None:
+    if options.practice is not None:
         truth = json.loads((SHARED / "practice" / "truth.json").read_text(encoding="utf-8"))
-        found += [Case("practice", "all", name) for name in given.practice or truth]
-    if given.real:
+        found += [Case("practice", "all", name) for name in options.practice or truth]
+    if options.real:
         folders = sorted((SHARED / "real").glob("*/study.yaml"))
         found += [Case("real", "all", f.parent.name) for f in folders]
     return found
@@ -141,15 +143,15 @@ def cases(given: argparse.Namespace) -> list[Case]:
 
 def run(file: Path, wanted: Sequence[Case], workers: int, checks: bool = False) -> None:
     """Diagnose the studies that the file lacks."""
-    done = {(r.source, r.kind, r.number) for r in read_rows(file, Row)}
+    done = {(r.source, r.kind, r.number) for r in read_rows(file, StudyAnswer)}
     todo = [c for c in wanted if (c.source, c.kind, c.number) not in done]
-    for count, row in enumerate(added_rows(file, Row, _rows(todo, workers, checks)), 1):
+    for count, row in enumerate(added_rows(file, StudyAnswer, _rows(todo, workers, checks)), 1):
         print(f"{count:4d} of {len(todo)}  {row.source} {row.kind} {row.number} "
               f"{row.hidden or 'nothing'}: {row.verdict} {row.named} {row.warnings} "
               f"{row.refused} ({row.cpu_s:.0f} s)", flush=True)  # fmt: skip
 
 
-def _rows(todo: Sequence[Case], workers: int, checks: bool) -> Iterator[Row]:
+def _rows(todo: Sequence[Case], workers: int, checks: bool) -> Iterator[StudyAnswer]:
     """As they are known; with one worker in this process, so that CPU seconds are its own."""
     if workers == 1:
         yield from (judged(case, checks) for case in todo)
@@ -190,7 +192,7 @@ COLUMNS = ("studies", "seen", "right", "wrong", "named right", "right in part", 
            "unexplained", "cannot_tell", "noise unknown", "refused")  # fmt: skip
 
 
-def counts(rows: Iterable[Row]) -> dict[str, int]:
+def counts(rows: Iterable[StudyAnswer]) -> dict[str, int]:
     """How many of some rows are so; all but the first of those that are seen."""
     made = [r for r in rows if r.verdict != "not made"]
     seen = [r for r in made if r.seen]
@@ -204,7 +206,7 @@ def counts(rows: Iterable[Row]) -> dict[str, int]:
     ), strict=True))  # fmt: skip
 
 
-def table(rows: Sequence[Row], before: Sequence[Row] = ()) -> Iterator[str]:
+def table(rows: Sequence[StudyAnswer], before: Sequence[StudyAnswer] = ()) -> Iterator[str]:
     """Lines of a table in Markdown, CPU seconds, and every verdict that differs from before."""
     yield "| studies | " + " | ".join(COLUMNS) + " | right, 95 % |"
     yield "|---|" + "---|" * (len(COLUMNS) + 1)
@@ -231,7 +233,7 @@ def table(rows: Sequence[Row], before: Sequence[Row] = ()) -> Iterator[str]:
                    f"{was.partial} -> {r.verdict} {r.named} {r.partial}")  # fmt: skip
 
 
-def _line(name: str, rows: Sequence[Row]) -> str:
+def _line(name: str, rows: Sequence[StudyAnswer]) -> str:
     found = counts(rows)
     sure = "–"
     if found["seen"]:
@@ -272,14 +274,16 @@ def main() -> int:
     parser.add_argument("--before", type=Path, help="an earlier file: verdicts that differ")
     parser.add_argument("--checks", action="store_true", help="what each check is worth, too")
     parser.add_argument("--limit", nargs="*", default=[], metavar="CHECK=VALUE")
-    given = parser.parse_args()
-    if not given.table:
-        run(given.file, cases(given), given.workers, given.checks)
-    rows = read_rows(given.file, Row)
-    for line in table(rows, read_rows(given.before, Row) if given.before else ()):
+    options = parser.parse_args()
+    if not options.table:
+        run(options.file, cases(options), options.workers, options.checks)
+    rows = read_rows(options.file, StudyAnswer)
+    for line in table(rows, read_rows(options.before, StudyAnswer) if options.before else ()):
         print(line)
-    if given.checks:
-        limits = {name: float(value) for name, _, value in (v.partition("=") for v in given.limit)}
+    if options.checks:
+        limits = {
+            name: float(value) for name, _, value in (v.partition("=") for v in options.limit)
+        }
         with_values = [r for r in rows if r.statistics != "{}" or r.verdict == "refused"]
         print("", *check_ablation.table(with_values, limits), sep="\n")
     return 1 if any(r.wrong or r.verdict == "crash" for r in rows) else 0

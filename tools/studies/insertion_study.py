@@ -68,7 +68,7 @@ PUFF_S, PUFF = 0.4, {"wind_x_m_per_s": 0.5, "wind_y_m_per_s": 0.5}
 
 
 @dataclass(frozen=True)
-class Row:
+class InsertedCable:
     """One cable, once.
 
     error_mm  of the forecast in the opening, in truth; `miss_mm` of the tip from its middle
@@ -111,7 +111,9 @@ def hidden_in(settings: Settings, world: str, seed: int, cable: int) -> CableMod
     return replace(hidden, effects=(*hidden.effects, puff))
 
 
-def tried(settings: Settings, world: str, half_mm: float, way: str, seed: int, cable: int) -> Row:
+def tried(
+    settings: Settings, world: str, half_mm: float, way: str, seed: int, cable: int
+) -> InsertedCable:
     """What becomes of one cable."""
     there = settings_of(with_opening(settings, half_mm), world)
     task = cell_task(there)
@@ -126,7 +128,7 @@ def tried(settings: Settings, world: str, half_mm: float, way: str, seed: int, c
         only_chosen=True,
         flown=replace(EVENTS.get(world, NOTHING), feedback=way == "feedback"),
     )
-    return Row(
+    return InsertedCable(
         world,
         half_mm,
         way,
@@ -141,7 +143,7 @@ def tried(settings: Settings, world: str, half_mm: float, way: str, seed: int, c
     )
 
 
-def table(rows: list[Row]) -> str:
+def table(rows: list[InsertedCable]) -> str:
     """Outcomes, stated and true share of those executed, and the tip in the opening."""
     lines = [
         f"{'world':22}{'± mm':>6} {'way':11}{'inserted':>14}{'95 %':>12}{'missed':>7}"
@@ -179,13 +181,13 @@ def main() -> int:
     worlds = (*EVENTS, *EFFECTS)
     parser.add_argument("--worlds", nargs="+", choices=worlds, default=["complete"])
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
-    given = parser.parse_args()
-    settings = load_settings(given.config)
-    given.file.unlink(missing_ok=True)
-    for world in given.worlds:
-        each = product(given.half_mm, range(1, given.cables + 1), given.ways)
-        made = (tried(settings, world, h, way, given.seed, cable) for h, cable, way in each)
-        print(table(list(added_rows(given.file, Row, made))), flush=True)
+    options = parser.parse_args()
+    settings = load_settings(options.config)
+    options.file.unlink(missing_ok=True)
+    for world in options.worlds:
+        each = product(options.half_mm, range(1, options.cables + 1), options.ways)
+        made = (tried(settings, world, h, way, options.seed, cable) for h, cable, way in each)
+        print(table(list(added_rows(options.file, InsertedCable, made))), flush=True)
     return 0
 
 

@@ -109,15 +109,15 @@ def main() -> None:
     parser.add_argument("--unknown", action="store_true")
     parser.add_argument("--all-trials", action="store_true")
     parser.add_argument("--rig", choices=tuple(KINDS))
-    given = parser.parse_args()
+    options = parser.parse_args()
     good: Counter[str] = Counter()
     count: Counter[str] = Counter()
-    for seed in range(given.first, given.first + given.studies):
-        if given.rig:
-            words, fits, truth = drawn_rig(seed, given.rig)
+    for seed in range(options.first, options.first + options.studies):
+        if options.rig:
+            words, fits, truth = drawn_rig(seed, options.rig)
         else:
-            words, fits, truth = drawn(seed, given.size, given.unknown)
-        if given.all_trials or given.rig:
+            words, fits, truth = drawn(seed, options.size, options.unknown)
+        if options.all_trials or options.rig:
             asked = held_by_all(fits, truth)
         else:
             model, *_ = fit_study(fits)

@@ -48,7 +48,7 @@ def _minutes(seconds: float) -> str:
 
 
 @dataclass(frozen=True)
-class Step:
+class CyclesOfModel:
     """Cycles of the same cables with one model: outcomes, and errors of forecast and fit, mm."""
 
     title: str
@@ -125,7 +125,7 @@ def config_in(folder: Path, effect: str, size: float) -> Path:
     return path
 
 
-def draw(before: Step, after: Step, effect: str, path: Path) -> None:
+def draw(before: CyclesOfModel, after: CyclesOfModel, effect: str, path: Path) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.2), constrained_layout=True)
     noise = after.mean_mm("noise_m")
     bars = [before.mean_mm("residual_rms_m"), after.mean_mm("residual_rms_m"), noise]
@@ -139,7 +139,7 @@ def draw(before: Step, after: Step, effect: str, path: Path) -> None:
     print(f"picture: {path}")
 
 
-def _draw_tip(axes: plt.Axes, before: Step, after: Step) -> None:
+def _draw_tip(axes: plt.Axes, before: CyclesOfModel, after: CyclesOfModel) -> None:
     """Where the first inserted cable's tip went, and what both models forecast of it."""
     record = next(
         r
@@ -216,8 +216,8 @@ def main() -> int:
         commands.taken_s.append(0.0)  # there is nothing to promote
     commands.run("run", "--config", config, *again, "--runs", folder / "after")
     print(f"\nall of it took {_minutes(sum(commands.taken_s))}")
-    before = Step("before", old, folder / "before")
-    after = Step("after", config, folder / "after")
+    before = CyclesOfModel("before", old, folder / "before")
+    after = CyclesOfModel("after", config, folder / "after")
     print(f"\n{before.summary()}\n{after.summary()}")
     model = load_settings(config).model.effects
     found = ", ".join(e.effect for e in model) or "nothing"

@@ -67,7 +67,7 @@ SHIFT_M = 3e-4
 
 
 @dataclass(frozen=True)
-class World:
+class LearnedWorld:
     """What became of one world.
 
     effect                  hidden in the world; two are joined by `+`
@@ -150,7 +150,7 @@ def world(
     cables: int,
     seed: int,
     laws: bool = False,
-) -> World:
+) -> LearnedWorld:
     """One world from the first cable to the last."""
     parts = [] if effect == "none" else effect.split("+")
     known = LAWS | library()
@@ -172,7 +172,7 @@ def world(
     if promoted:
         new = settings.model_copy(update={"model": section(result, settings.model)})
         after = run(new, cell_task(new), seed, later, there)
-    return World(
+    return LearnedWorld(
         effect,
         size,
         seed,
@@ -290,7 +290,9 @@ def run(
 # --- through rendered pictures, by the commands of a person ---------------------------------------
 
 
-def world_of_pictures(folder: Path, effect: str, size: float, cables: int, seed: int) -> World:
+def world_of_pictures(
+    folder: Path, effect: str, size: float, cables: int, seed: int
+) -> LearnedWorld:
     """One world from the first cable to the last; its commands' output goes to a log."""
     folder.mkdir()
     parts = [] if effect == "none" else effect.split("+")
@@ -315,7 +317,7 @@ def world_of_pictures(folder: Path, effect: str, size: float, cables: int, seed:
         after = None
         if promoted:
             after = _run_cell(commands, config, folder / "after", seed + 1, cables)
-    return World(
+    return LearnedWorld(
         effect,
         size,
         seed,
@@ -362,7 +364,7 @@ def _run_cell(commands: Commands, config: Path, out: Path, seed: int, cables: in
 # --- all of it ------------------------------------------------------------------------------------
 
 
-def summary(worlds: Sequence[World]) -> list[str]:
+def summary(worlds: Sequence[LearnedWorld]) -> list[str]:
     """The bars: right class, error after, inserted after, nothing worse, nothing in vain."""
     hidden = [w for w in worlds if w.effect != "none" and w.effect not in LAWS]
     seen = [w for w in hidden if w.shift_m > SHIFT_M]
@@ -394,7 +396,7 @@ def summary(worlds: Sequence[World]) -> list[str]:
     ]
 
 
-def _three_times_lower(title: str, worlds: Sequence[World]) -> str:
+def _three_times_lower(title: str, worlds: Sequence[LearnedWorld]) -> str:
     """In how many the error fell to a third; a complete world's bounds what it can fall to."""
     can = [w for w in worlds if w.complete.error_m <= w.before.error_m / 3.0]
     lower = [w for w in worlds if w.after and w.after.error_m <= w.before.error_m / 3.0]

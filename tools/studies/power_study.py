@@ -50,7 +50,7 @@ CASES = (
 
 
 @dataclass(frozen=True)
-class Row:
+class PowerCase:
     """A case and what was found; noise in m."""
 
     case: int
@@ -89,7 +89,7 @@ def study_of(case: int) -> Study:
     return replace(study, trials=kept)
 
 
-def one(case: int, before: Row | None, copies: int) -> Row:
+def one(case: int, before: PowerCase | None, copies: int) -> PowerCase:
     """A case with so many more copies."""
     began = time.process_time()
     name, share, motions = CASES[case]
@@ -109,7 +109,7 @@ def one(case: int, before: Row | None, copies: int) -> Row:
     chances = forecast(fits, replace(asked, size=size), linear).chances
     assert chances is not None
     noise = fits.prepared.noise_model.noise
-    row = before or Row(
+    row = before or PowerCase(
         case, name, asked.parameter.name, size, motions, noise.std_m, noise.ar1, 0.0
     )
     found = recover(fits, asked.at(size), copies, first=row.copies)
@@ -133,13 +133,13 @@ def main() -> int:
     parser.add_argument("--copies", type=int, default=10)
     parser.add_argument("--case", type=int, nargs="*", default=range(len(CASES)))
     parser.add_argument("--alone", action="store_true", help="one core")
-    given = parser.parse_args()
-    rows = {row.case: row for row in read_rows(given.file, Row)}
-    with one_core() if given.alone else nullcontext():
-        for case in [*given.case] * given.rounds:
-            rows[case] = one(case, rows.get(case), given.copies)
-            given.file.unlink(missing_ok=True)
-            list(added_rows(given.file, Row, (rows[k] for k in sorted(rows))))
+    options = parser.parse_args()
+    rows = {row.case: row for row in read_rows(options.file, PowerCase)}
+    with one_core() if options.alone else nullcontext():
+        for case in [*options.case] * options.rounds:
+            rows[case] = one(case, rows.get(case), options.copies)
+            options.file.unlink(missing_ok=True)
+            list(added_rows(options.file, PowerCase, (rows[k] for k in sorted(rows))))
             print(rows[case].words, flush=True)
     count = sum(r.copies for r in rows.values())
     expected = sum(r.forecast * r.copies for r in rows.values()) / max(count, 1)

@@ -29,7 +29,7 @@ TRIALS = ("identify", "deep")
 UPDATES = 4
 
 
-def beside_bad_prior(seed: int, kind: str) -> tuple[Study, tuple[str, ...], Identified]:
+def with_bad_prior(seed: int, kind: str) -> tuple[Study, tuple[str, ...], Identified]:
     """A study, the effects hidden in it, and an earlier cable's model of a kind."""
     rng = np.random.default_rng([seed, 3])
     known = library()

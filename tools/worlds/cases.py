@@ -19,7 +19,7 @@ from cell.lab.data.prepared import PreparedStudy, all_fitted
 from cell.lab.data.results import write_json
 from cell.study.data import Study
 from cell.study.folder import write_study
-from tools.worlds.bad_priors import BAD_PRIORS, beside_bad_prior
+from tools.worlds.bad_priors import BAD_PRIORS, with_bad_prior
 from tools.worlds.breadth_world import Conditions, World, hypercube
 from tools.worlds.known_truth import (
     class_of,
@@ -60,7 +60,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class MadeStudy:
     """A study in a folder, what is hidden in it, and what the lab is offered.
 
     hidden   effects that are to be named; `unsaid`: such that are there and may be named
@@ -79,7 +79,7 @@ class Made:
 
 
 @contextmanager
-def made(case: Case) -> Iterator[Made]:
+def made(case: Case) -> Iterator[MadeStudy]:
     """The study of a case, in a folder that is removed afterwards.
 
     raises  DivergedError, UnsettledError: no cable swings so
@@ -98,28 +98,28 @@ def made(case: Case) -> Iterator[Made]:
         yield found
 
 
-def _given(case: Case) -> Made:
+def _given(case: Case) -> MadeStudy:
     folder = SHARED / case.source / case.number
     if case.source == "real":
-        return Made(folder, EffectSelection((), library()))
+        return MadeStudy(folder, EffectSelection((), library()))
     truth = json.loads((folder.parent / "truth.json").read_text(encoding="utf-8"))
     effects = tuple(e for e in truth[case.number]["effects"] if e != "none")
-    return Made(folder, EffectSelection((), library()), effects)
+    return MadeStudy(folder, EffectSelection((), library()), effects)
 
 
-def _usual(case: Case, folder: Path) -> tuple[Study, Made]:
+def _usual(case: Case, folder: Path) -> tuple[Study, MadeStudy]:
     known, seed = library(), int(case.number)
     if case.kind in ("complete", "step"):
         step = Step.drawn(seed) if case.kind == "step" else None
         conditions = {} if step is None else asdict(step)
         study = make_study(seed, step=step)
-        return study, Made(folder, EffectSelection((), known), conditions=conditions)
+        return study, MadeStudy(folder, EffectSelection((), known), conditions=conditions)
     if case.kind == "prior":
         kind = BAD_PRIORS[seed % len(BAD_PRIORS)]
-        study, names, model = beside_bad_prior(seed, kind)
+        study, names, model = with_bad_prior(seed, kind)
         prior = folder.with_name("earlier.json")
         write_json(model.to_dict(), prior)
-        return study, Made(folder, EffectSelection((), known), names, prior=prior)
+        return study, MadeStudy(folder, EffectSelection((), known), names, prior=prior)
     effects, sizes = drawn(seed, case.kind, known)
     active = [hidden(e, size) for e, size in zip(effects, sizes, strict=True)]
     names = tuple(e.name for e in effects)
@@ -133,10 +133,10 @@ def _usual(case: Case, folder: Path) -> tuple[Study, Made]:
     quiet = without_noise(clean, PreparedStudy.of(study).noise)
     power = min(power_of(evidence(quiet, s), quiet, len(known)) for s in spaces)
     count = 1 if case.kind == "mixed" else len(names)
-    return study, Made(folder, selection, names[:count], names[count:], power)
+    return study, MadeStudy(folder, selection, names[:count], names[count:], power)
 
 
-def _by_mujoco(case: Case, folder: Path) -> Made:
+def _by_mujoco(case: Case, folder: Path) -> MadeStudy:
     """A study by MuJoCo, with a step of EI, a mass between clamp and tip, or neither."""
     from tools.worlds import mujoco_studies as mujoco  # needs mujoco
 
@@ -154,7 +154,7 @@ def _by_mujoco(case: Case, folder: Path) -> Made:
     links = mujoco.LINKS * (2 if case.kind == "mass" else 1)
     mujoco.write_study(folder, cable, seed=seed, step_s=2.0 * mujoco.STEP_S, links=links)
     conditions = dict(zip(("factor", "place"), step, strict=True))
-    return Made(folder, EffectSelection((), library()), names, conditions=conditions)
+    return MadeStudy(folder, EffectSelection((), library()), names, conditions=conditions)
 
 
 def drawn(
@@ -174,7 +174,7 @@ def drawn(
     return effects, [float(rng.uniform(low, high)) for low, high in ranges]
 
 
-def _broad(case: Case, folder: Path) -> tuple[Study, Made]:
+def _broad(case: Case, folder: Path) -> tuple[Study, MadeStudy]:
     place, known = BREADTH.index(case.kind), library()
     conditions = hypercube(case.count, 100 * case.seed + place)[int(case.number)]
     conditions = replace(conditions, **case.changed)
@@ -191,7 +191,7 @@ def _broad(case: Case, folder: Path) -> tuple[Study, Made]:
     told = {k: v for k, v in asdict(conditions).items() if k != "number"}
     study = world.study(clean, case.seed)
     selection = EffectSelection((), offered)
-    return study, Made(folder, selection, names, (), power, noise_m, None, told)
+    return study, MadeStudy(folder, selection, names, (), power, noise_m, None, told)
 
 
 def true_noise_m(conditions: Conditions) -> float:
@@ -222,7 +222,7 @@ def _breadth_power(world: World, clean: Sequence[np.ndarray], seed: int, tests: 
     return power_of(evidence(quiet, ParameterSpace.of(study.cable)), quiet, tests)
 
 
-def _of_rig(case: Case, folder: Path) -> tuple[Study, Made]:
+def _of_rig(case: Case, folder: Path) -> tuple[Study, MadeStudy]:
     known, seed = library(), int(case.number)
     name = sorted(known)[seed % len(known)]
     rig = RIG_KINDS[case.kind](seed) if case.kind in RIG_KINDS else Rig.drawn(seed, name)
@@ -232,4 +232,4 @@ def _of_rig(case: Case, folder: Path) -> tuple[Study, Made]:
     selection = EffectSelection(tuple(a.effect for a in rig.known), known)
     names = () if effect is None else (effect.effect.name,)
     unsaid = tuple(a.effect.name for a in rig.unsaid)
-    return rig_study(rig, effect), Made(folder, selection, names, unsaid, power)
+    return rig_study(rig, effect), MadeStudy(folder, selection, names, unsaid, power)

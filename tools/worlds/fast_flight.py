@@ -16,7 +16,7 @@ from cell.plan.response import expected_nodes
 from cell.run.candidates import Executing
 from cell.run.station import Task, Timing
 from drivers.interfaces import Trajectory
-from tools.worlds.fast_truth import Bias, Errors, pictured, whole_motion
+from tools.worlds.fast_truth import Bias, Errors, full_motion, pictured
 from tools.worlds.made_studies import WORLD
 
 
@@ -61,7 +61,7 @@ class View:
 
     def motion(self, path: Trajectory, flown: Flown) -> Motion:
         """The gripper's true one, the hold before included."""
-        motion = whole_motion(self.task, self.down, path, self.start_s, self.timing.arm_lag_s)
+        motion = full_motion(self.task, self.down, path, self.start_s, self.timing.arm_lag_s)
         if flown.knock is None:
             return motion
         at_s, right_m, up_m = flown.knock

@@ -35,9 +35,7 @@ class Errors:
     angle_rad: float = 1e-4
 
 
-def whole_motion(
-    task: Task, down: Motion, path: Trajectory, start_s: float, lag_s: float
-) -> Motion:
+def full_motion(task: Task, down: Motion, path: Trajectory, start_s: float, lag_s: float) -> Motion:
     """The gripper's true motion when it follows a path after a hold."""
     late = executed_motion(path, lag_s, settle_s=task.settle_s)
     rows = np.column_stack([late.t_s + start_s, late.x_m, late.y_m, late.angle_rad])
@@ -97,7 +95,7 @@ def truths(
     for offset_m, delay_s, pace, further_m in table:
         limits, advance_m = task.insertion.slowed(pace), task.advance_m + further_m
         path = insertion_path(task.lowered, offset_m, advance_m, limits, RATE_HZ, delay_s=delay_s)
-        motions.append(whole_motion(task, down, path, start_s, lag_s))
+        motions.append(full_motion(task, down, path, start_s, lag_s))
     return Truths(task, hidden, motions, start_s)
 
 

@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 from cell.plant.client import Client
-from tools.plant.adapter_kills import CONFIG, STEPS, Made, assigned
+from tools.plant.adapter_kills import CONFIG, STEPS, MadeCycle, assigned
 from tools.plant.around import ADAPTERS, Plant, published
 from tools.plant.pages_soak import MIB, report_growth
 from tools.plant.viewer import Viewer
 from tools.processes import wait_until
 
 
-def made(*steps: str, **result: object) -> Made:
-    return Made({"cycle": 1, "outcome": "inserted", **result}, steps)
+def made(*steps: str, **result: object) -> MadeCycle:
+    return MadeCycle({"cycle": 1, "outcome": "inserted", **result}, steps)
 
 
 def test_every_kill_gets_a_cycle_that_has_its_step_and_rare_steps_come_first() -> None:

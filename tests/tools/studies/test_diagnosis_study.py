@@ -12,7 +12,7 @@ import pytest
 
 from cell.lab.verdict.checks import CHECKS
 from tools.studies import diagnosis_study
-from tools.studies.answers import Row
+from tools.studies.answers import StudyAnswer
 from tools.studies.check_ablation import answer, table, verdict_of
 from tools.studies.diagnosis_study import counts
 from tools.studies.rows import added_rows, read_rows
@@ -24,7 +24,7 @@ TIED = "camera_latency|robot_lag"
 
 def row(kind="one", verdict="missing", named="", hidden="", unsaid="", power=1.0, source="made",
         partial=""):  # fmt: skip
-    return Row(source, kind, "0", hidden, unsaid, power, verdict, named, partial)
+    return StudyAnswer(source, kind, "0", hidden, unsaid, power, verdict, named, partial)
 
 
 def rig(*named, verdict="missing", partial="", unsaid="natural_curvature"):
@@ -75,10 +75,10 @@ def test_only_what_can_be_seen_is_counted():
 def test_a_study_that_was_stopped_goes_on_and_its_table_names_what_changed(tmp_path):
     file, before = tmp_path / "now.csv", tmp_path / "before.csv"
     for path, verdict in ((file, "complete"), (before, "unexplained")):
-        list(added_rows(path, Row, [row("complete", verdict)]))
+        list(added_rows(path, StudyAnswer, [row("complete", verdict)]))
     diagnosis_study.run(file, [Case("made", "complete", "0")], 1)
-    (now,) = read_rows(file, Row)
-    lines = "\n".join(diagnosis_study.table([now], read_rows(before, Row)))
+    (now,) = read_rows(file, StudyAnswer)
+    lines = "\n".join(diagnosis_study.table([now], read_rows(before, StudyAnswer)))
     assert "made complete 0 (): unexplained" in lines
 
 
@@ -90,9 +90,9 @@ def test_a_study_is_made_diagnosed_and_counted_by_the_command(tmp_path):
     assert "| made complete | 1 | 1 | 1 | 0 |" in done.stdout
 
 
-def ended(**statistics: float) -> Row:
+def ended(**statistics: float) -> StudyAnswer:
     """A row of a study whose search ended at the effect that is hidden."""
-    return Row("made", "one", "0", "tip_mass", "", 1.0, "missing", "tip_mass",
+    return StudyAnswer("made", "one", "0", "tip_mass", "", 1.0, "missing", "tip_mass",
                statistics=json.dumps(statistics), strategies='{"search": "tip_mass"}')  # fmt: skip
 
 
