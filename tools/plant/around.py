@@ -22,7 +22,8 @@ from tools.processes import Program, free_port, listens, wait_until
 
 #: All that there is; `serve` are the pages.
 ADAPTERS = ("opcua", "mqtt", "handshake", "serve")
-NAME = "Cell"
+#: Name of the unit, `plant.opcua.name`.
+UNIT = "Cell"
 #: A step of the cycle that `published` makes up, s.
 _STEP_S = 0.25
 
@@ -32,7 +33,7 @@ class Plant:
 
     base      settings of the cell; a section `plant` is added to a copy in `folder`
     adapters  which run
-    clients   of OPC UA, each subscribed to all that changes, every `interval_ms`
+    clients   of OPC UA, each subscribed to all that changes, every 100 ms
     viewers   of the live page, one of which reads nothing of it
     """
 
@@ -44,18 +45,16 @@ class Plant:
         *,
         adapters: Sequence[str] = ADAPTERS,
         clients: int = 0,
-        interval_ms: float = 100.0,
         viewers: int = 0,
     ) -> None:
         self._folder, self._runs = folder, runs
-        self._names, self._clients, self._interval_ms = adapters, clients, interval_ms
-        self._viewers = viewers
+        self._names, self._clients, self._viewers = adapters, clients, viewers
         self.ports = {name: free_port() for name in ADAPTERS}
         self.config = folder / "plant.yaml"
         folder.mkdir(parents=True, exist_ok=True)
         content = yaml.safe_load(base.read_text(encoding="utf-8"))
         content["plant"] = {
-            "opcua": {"port": self.ports["opcua"], "folder": str(folder / "opcua"), "name": NAME},
+            "opcua": {"port": self.ports["opcua"], "folder": str(folder / "opcua"), "name": UNIT},
             "mqtt": {"broker": "127.0.0.1", "port": self.ports["mqtt"], "retry_s": 0.5},
             "handshake": {"port": self.ports["handshake"]},
         }
@@ -73,8 +72,7 @@ class Plant:
             for name in self._names:
                 self.wait_for(name)
             if self._clients:
-                at = [str(self.ports["opcua"]), "--name", NAME, "--clients", str(self._clients)]
-                at += ["--interval-ms", str(self._interval_ms)]
+                at = [str(self.ports["opcua"]), "--clients", str(self._clients)]
                 clients = Program([sys.executable, "-m", "tools.plant.opcua_clients", *at])
                 self.running["clients"] = clients
                 clients.until("subscribed")

@@ -1,6 +1,6 @@
 """Clients of the OPC UA server that subscribe to what the cell shows, in a process of their own.
 
-    python -m tools.plant.opcua_clients PORT --clients 5 --interval-ms 100 [--items 10000]
+    python -m tools.plant.opcua_clients PORT --clients 5
 
 It prints a line when all have subscribed, and computes after everybody else: in a plant these
 clients are on other computers.
@@ -12,11 +12,11 @@ import argparse
 import asyncio
 import os
 from contextlib import AsyncExitStack
-from itertools import cycle, islice
 
 from asyncua import Client, ua
 
 from cell.plant.opcua.server import OWN_URI
+from tools.plant.around import UNIT
 
 #: What each client looks at, below the unit.
 PATHS = (
@@ -33,35 +33,27 @@ PATHS = (
     "Status.StateCurrent",
     "Admin.ProdConsumedCount",
 )
-#: Items of a subscription, as clients make them.
-_ITEMS = 500
+#: So often a client is notified, ms.
+INTERVAL_MS = 100.0
 
 
-class _Counted:
-    """Counts what it is told."""
-
-    changes = 0
+class _Ignores:
+    """Takes the changes that it is notified of."""
 
     def datachange_notification(self, node: object, value: object, data: object) -> None:
-        _Counted.changes += 1
+        pass
 
 
-async def _subscribe(client: Client, name: str, interval_ms: float, items: int) -> None:
-    own = (await client.get_namespace_array()).index(OWN_URI)
-    nodes = [client.get_node(ua.NodeId(f"{name}.{path}", own)) for path in PATHS]
-    left = items
-    while left > 0:
-        subscription = await client.create_subscription(interval_ms, _Counted())
-        await subscription.subscribe_data_change(islice(cycle(nodes), min(_ITEMS, left)))
-        left -= _ITEMS
-
-
-async def _run(port: int, name: str, clients: int, interval_ms: float, items: int) -> None:
+async def _run(port: int, clients: int) -> None:
     async with AsyncExitStack() as stack:
         for _ in range(clients):
             client = Client(f"opc.tcp://127.0.0.1:{port}", timeout=60)
             await stack.enter_async_context(client)
-            await _subscribe(client, name, interval_ms, items // clients)
+            own = (await client.get_namespace_array()).index(OWN_URI)
+            subscription = await client.create_subscription(INTERVAL_MS, _Ignores())
+            await subscription.subscribe_data_change(
+                [client.get_node(ua.NodeId(f"{UNIT}.{path}", own)) for path in PATHS]
+            )
         print("subscribed", flush=True)
         await asyncio.Event().wait()
 
@@ -69,14 +61,10 @@ async def _run(port: int, name: str, clients: int, interval_ms: float, items: in
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("port", type=int)
-    parser.add_argument("--name", default="Cell", help="of the unit: plant.opcua.name")
     parser.add_argument("--clients", type=int, default=5)
-    parser.add_argument("--interval-ms", type=float, default=100.0)
-    parser.add_argument("--items", type=int, help="of all clients; default: every tag once each")
     options = parser.parse_args()
     os.nice(19)
-    items = options.clients * len(PATHS) if options.items is None else options.items
-    asyncio.run(_run(options.port, options.name, options.clients, options.interval_ms, items))
+    asyncio.run(_run(options.port, options.clients))
 
 
 if __name__ == "__main__":
