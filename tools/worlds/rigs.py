@@ -27,7 +27,7 @@ from tools.worlds.made_studies import (
     random_model,
     stroke,
 )
-from tools.worlds.sensed_hands import arc, by_accelerometer, by_encoder, drift_of, turning
+from tools.worlds.sensed_grippers import arc, by_accelerometer, by_encoder, drift_of, turning
 
 #: How many rigs have a feature.
 SHARES = {"slow": 0.4, "shapes": 0.4, "connector": 0.3, "curved": 0.3, "glitches": 0.4,
