@@ -56,11 +56,12 @@ def report(name: str, rows: list[ResourceUse]) -> bool:
     for what, unit, most, values in zip(("memory", "threads", "handles"), ("KiB", "", ""), FLAT,
                                         columns, strict=True):  # fmt: skip
         fit = linregress(np.arange(len(values)), values)
-        holds = 500.0 * (fit.slope - 2.0 * fit.stderr) <= most
+        error = float(np.nan_to_num(fit.stderr))  # nan where nothing changes
+        holds = 500.0 * (fit.slope - 2.0 * error) <= most
         flat &= bool(holds)
         print(
             f"  {name:6s} {what:8s} {values[0]:8d} → {values[-1]:8d} {unit:4s} "
-            f"slope {fit.slope:+.4f} ± {2.0 * fit.stderr:.4f} per cycle  "
+            f"slope {fit.slope:+.4f} ± {2.0 * error:.4f} per cycle  "
             f"{'flat' if holds else 'GROWS'}"
         )
     return flat
