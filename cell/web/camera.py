@@ -8,6 +8,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from cell.records.recording import form
@@ -122,7 +123,6 @@ class Films:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._busy = threading.BoundedSemaphore(_AT_ONCE)
-        self._films: OrderedDict[_FrameKey, RecordedFilm] = OrderedDict()
         self._newest: dict[_FrameKey, FilmFrame] = {}  # of a film: the next one is near
         self._frames: OrderedDict[tuple[_FrameKey, int], bytes] = OrderedDict()
         self.bytes = 0
@@ -161,13 +161,10 @@ class Films:
         path = folder / form.FILE
         found = path.stat()
         known = (path, found.st_mtime_ns, found.st_size)
-        with self._lock:
-            if (film := self._films.get(known)) is not None:
-                return known, film
-        with self._busy:
-            film = read_film(path)
-        with self._lock:
-            self._films[known] = film
-            while len(self._films) > _FILMS:
-                self._films.popitem(last=False)
-        return known, film
+        return known, _known_film(*known)
+
+
+@lru_cache(_FILMS)
+def _known_film(path: Path, stamp_ns: int, size_bytes: int) -> RecordedFilm:
+    """Frames of a recording as long as it is not written to."""
+    return read_film(path)

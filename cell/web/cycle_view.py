@@ -12,7 +12,7 @@ import numpy as np
 
 from cell.files.input_error import InputError
 from cell.files.table import TableData
-from cell.records.cycle_page import how_it_ended, numbers_table, parameters_table
+from cell.records.cycle_page import cycle_page, how_it_ended, numbers_table, parameters_table
 from cell.records.folder import Recorded, cycle_of, pictures_in, read_record, started_of
 from cell.records.recording import form
 from cell.records.recording.film import why_no_film
@@ -86,13 +86,12 @@ def _tip(
     decision: Mapping[str, Any] | None,
     destination: Mapping[str, Sequence[float]] | None,
 ) -> dict[str, list[list[float]]]:
-    lines = {}
+    lines, study = {}, record.study
     if decision is not None and decision.get("tip_m"):
         lines["predicted"] = _mm(decision["tip_m"])
-    trials = () if record.study is None else record.study.trials
-    for trial in trials:
-        if trial.name == "execute" and record.study is not None:
-            tip = int(np.argmax(record.study.arc_length_m))
+    for trial in () if study is None else study.trials:
+        if study is not None and trial.name == "execute":
+            tip = int(np.argmax(study.arc_length_m))
             lines["seen"] = _mm(trial.markers.xy_m[:, tip])
     if destination is not None and lines:
         (x0, x1), (y0, y1) = destination["x_m"], destination["y_m"]
@@ -111,20 +110,17 @@ def tip_chart(tip: Mapping[str, list[list[float]]], names: Mapping[str, str]) ->
 
     names  of the lines, in the legend
     """
-    grey = "#8a94a3"
     axis = {
         "type": "value",
         "scale": True,
         "nameLocation": "middle",
         "nameGap": 28,
-        "nameTextStyle": {"color": grey},
-        "axisLabel": {"color": grey},
-        "splitLine": {"lineStyle": {"color": f"{grey}55"}},
+        "splitLine": {"lineStyle": {"color": "#8a94a355"}},
     }
     return {
         "animation": False,
         "grid": {"left": 60, "right": 15, "top": 40, "bottom": 45},
-        "legend": {"top": 0, "textStyle": {"color": grey}},
+        "legend": {"top": 0},
         "tooltip": {},
         "xAxis": {**axis, "name": "x, mm"},
         "yAxis": {**axis, "name": "y, mm", "nameGap": 42},
@@ -163,10 +159,5 @@ def picture(folder: Path, name: str) -> Path | None:
 
 def report(folder: Path) -> str:
     """The page of `cell report`.  Raises InputError: the folder cannot be read."""
-    from cell.records.cycle_page import cycle_page
-    from cell.records.folder import read_record
-    from cell.records.recording import form
-    from cell.records.recording.reading import read_recording
-
     film = folder / form.FILE
     return cycle_page(read_record(folder), read_recording(film) if film.exists() else None)

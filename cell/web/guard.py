@@ -1,4 +1,4 @@
-"""What every request must pass before a page sees it: host, origin, size, session, role."""
+"""What every request must pass before a page sees it: host, origin, size, session, role, pace."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import urlsplit
+
+from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from cell.computer.peers import user_of_peer
 from cell.plant.users import Users
@@ -33,6 +35,11 @@ _POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; connect-src 'self'; "
     "frame-ancestors 'self'; base-uri 'self'; form-action 'self'; object-src 'none'"
 )
+#: Headers of pages that commands wrote: their scripts may do nothing with these pages.
+SANDBOX = {
+    "content-security-policy": "sandbox allow-scripts; default-src 'unsafe-inline' data:; "
+    "frame-ancestors 'self'"
+}
 _HEADERS = (
     (b"content-security-policy", _POLICY.encode()),
     (b"x-content-type-options", b"nosniff"),
@@ -222,3 +229,52 @@ async def _refuse(scope: Scope, send: Send, status: int) -> None:
         503: b"users were added: start cell serve again, and log in",
     }
     await send({"type": "http.response.body", "body": said.get(status, b"not this host")})
+
+
+#: The head of a request must have come so long after the connection or the last answer, s.
+HEAD_S = 10.0
+
+
+class TimedHttp(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+    """uvicorn's protocol, which alone waits for ever for the rest of a request's head."""
+
+    _timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Wait for the first request."""
+        super().connection_made(transport)
+        self._start_timer()
+
+    def data_received(self, data: bytes) -> None:
+        """Take data; the clock runs from the first piece of a head to its end."""
+        super().data_received(data)
+        if self._has_request():
+            self._stop_timer()
+        elif self._timer is None and self.transport.get_protocol() is self:
+            self._start_timer()
+
+    def handle_websocket_upgrade(self, *event: Any) -> None:
+        """Hand the connection over to a socket, which has pings."""
+        self._stop_timer()
+        super().handle_websocket_upgrade(*event)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the clock."""
+        self._stop_timer()
+        super().connection_lost(exc)
+
+    def _has_request(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def _start_timer(self) -> None:
+        self._timer = self.loop.call_later(HEAD_S, self._close)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _close(self) -> None:
+        self._timer = None
+        if not self._has_request():
+            self.transport.close()

@@ -30,6 +30,7 @@ _SCRIPT = """
   const words = WORDS, key = 'cell-given';
   const now = () => performance.now();
   let asked = -1e9, answered = true, seen = 0, beat = 0, count = 0, lost = false;
+  document.body.classList.add('unheard');  // what is pressed before the server listens is lost
   let given = [], gone = JSON.parse(sessionStorage.getItem(key) || '[]');
   const keep = () => sessionStorage.setItem(key, JSON.stringify([...gone, ...given]));
   const clock = (t) => new Date(t).toLocaleTimeString(document.documentElement.lang,
@@ -70,10 +71,11 @@ _SCRIPT = """
     heard(question, number) {
       answered ||= question === asked;
       if (question > seen) [seen, beat] = [question, number];
+      document.body.classList.remove('unheard');
       show();
     },
     give(emit, what) {
-      if (lost) return;
+      if (lost || !beat) return;
       gone = [];
       given.push({what, number: ++count, at: Date.now(), since: now()});
       keep();
@@ -124,7 +126,8 @@ def begin(heartbeats: Heartbeats, t: Translate) -> None:
     for name, seconds in (("LOST", LOST_S), ("EVERY", _EVERY_S), ("AGAIN", _AGAIN_S)):
         script = script.replace(name, f"{1e3 * seconds:g}")
     ui.add_body_html(script)
-    with ui.element("div").classes("no-connection-plate").props("role=alert data-test=unknown"):
+    plate = ui.element("div").classes("no-connection-plate no-data")
+    with plate.props("role=alert data-test=unknown"):
         ui.label(t(N_("No connection"))).classes("state-plate")
         ui.label().classes("text-xl").props("id=no-connection-since")
     ui.label().classes("no-answer-said wrong").props("role=alert id=no-answer data-test=no-answer")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -77,8 +78,6 @@ class JobTask:
     @property
     def typed(self) -> str:
         """The commands as a person types them, a line each."""
-        import shlex
-
         return "\n".join(shlex.join(["cell", *words]) for words in self.commands)
 
 
@@ -138,9 +137,13 @@ def child(words: Sequence[str]) -> subprocess.Popen[str]:
 
 def end(process: subprocess.Popen[str]) -> None:
     """End a child and all that it has started."""
+    _kill_group(process)
+    process.wait()
+
+
+def _kill_group(process: subprocess.Popen[str]) -> None:
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
 
 
 def run_command(words: Sequence[str], within_s: float) -> CompletedCommand:
@@ -230,13 +233,11 @@ class Jobs:
             elif job.state is JobState.RUNNING:
                 self._put(replace(job, state=JobState.CANCELLING))
                 if process is not None:
-                    with suppress(ProcessLookupError):
-                        process.send_signal(signal.SIGTERM)  # as Ctrl-C, and never ignored
+                    process.send_signal(signal.SIGTERM)  # as Ctrl-C, and never ignored
                     if not job.task.moves:
                         self._kill_later(process)
             elif process is not None:
-                with suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)
+                _kill_group(process)
         return ""
 
     def __enter__(self) -> Jobs:
@@ -250,11 +251,10 @@ class Jobs:
                     self._put(replace(job, state=JobState.CANCELLED, ended_s=time.time()))
             if self._process is not None:
                 moves = any(j.task.moves and j.state in OPEN for j in self._jobs.values())
-                with suppress(ProcessLookupError):
-                    if moves:  # it stops the arm, and closes its record
-                        self._process.send_signal(signal.SIGTERM)
-                    else:
-                        os.killpg(self._process.pid, signal.SIGKILL)
+                if moves:  # it stops the arm, and closes its record
+                    self._process.send_signal(signal.SIGTERM)
+                else:
+                    _kill_group(self._process)
             self._changed.notify_all()
         if self._thread is not None:
             self._thread.join(10.0)
@@ -268,8 +268,7 @@ class Jobs:
         def kill() -> None:
             with self._changed:
                 if self._process is process:
-                    with suppress(ProcessLookupError):
-                        os.killpg(process.pid, signal.SIGKILL)
+                    _kill_group(process)
 
         timer = threading.Timer(self._answering_s, kill)
         timer.daemon = True

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
 
 from cell.cable.effects.remote import MARK
 from cell.files.atomic import write_atomic
@@ -59,12 +59,7 @@ class Lab:
     def __enter__(self) -> Lab:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *of_error: object) -> None:
         self.jobs.__exit__()
 
     def check_effect(self, name: str, text: str) -> CheckedFile:
@@ -151,8 +146,6 @@ def named_files(mapping: object) -> list[str]:
 
 
 def _law(printed: str, name: str) -> str:
-    import json
-
     try:
         return str(json.loads(printed)["effects"][-1]["law"])
     except (ValueError, LookupError, TypeError):

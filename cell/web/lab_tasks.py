@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,30 +39,6 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class CableEntries:
-    """What is stated of a cable beside its files, SI units; None = not stated."""
-
-    free_length_m: float | None = None
-    line_density_kg_per_m: float | None = None
-    width_m: float | None = None
-    thickness_m: float | None = None
-    diameter_m: float | None = None
-    rate_hz: float | None = None
-
-    def words(self) -> tuple[str, ...]:
-        """Options of `cell import`."""
-        given = (
-            ("--free-length", self.free_length_m),
-            ("--line-density", self.line_density_kg_per_m),
-            ("--width", self.width_m),
-            ("--thickness", self.thickness_m),
-            ("--diameter", self.diameter_m),
-            ("--rate", self.rate_hz),
-        )
-        return tuple(w for name, v in given if v is not None for w in (name, f"{v:g}"))
-
-
-@dataclass(frozen=True)
 class LabTasks:
     """Makes tasks of one workspace and one cell's settings."""
 
@@ -84,14 +60,22 @@ class LabTasks:
         )
 
     def propose(
-        self, upload: str, files: Sequence[str], hands: Sequence[str], entries: CableEntries
+        self,
+        upload: str,
+        files: Sequence[str],
+        gripper_logs: Sequence[str],
+        stated: Mapping[str, float],
     ) -> JobTask:
-        """Propose a mapping of uploaded tables."""
+        """Propose a mapping of uploaded tables.
+
+        stated  of the cable, what the files do not hold: option of `cell import` → SI units
+        """
         folder = self.workspace.uploads / upload
-        of_hands = (w for name in hands for w in ("--hand", str(folder / name)))
+        logs = _each("--hand", [str(folder / name) for name in gripper_logs])
+        options = (w for name, value in stated.items() for w in (name, f"{value:g}"))
         out = self.workspace.studies / upload
         paths = (str(folder / name) for name in files)
-        words = ("import", *paths, *of_hands, "-o", str(out), *entries.words(), "--force")
+        words = ("import", *paths, *logs, "-o", str(out), *options, "--force")
         return JobTask(N_("Import"), upload, (words,), _SHOWN, out / "import.txt")
 
     def write_study(self, subject: Subject) -> JobTask:

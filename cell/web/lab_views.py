@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,6 @@ Option = dict[str, Any]
 
 #: A longer result is not shown, bytes: a comparison has some 30 kB a trial.
 _MOST_BYTES = 20 << 20
-_GREY = "#8a94a3"
 #: Colours of models, in their order; readable on light and dark.
 _COLOURS = ("#8a94a3", "#0b7fab", "#e08a00", "#7a5cc0", "#2c9e4b", "#c2410c")
 _FITTED, _HELD_OUT = "#8fb8d9", "#0b57a4"
@@ -29,11 +29,17 @@ VERDICTS = {
     "unexplained": N_("Unexplained: something is missing, and no effect explains it."),
     "cannot_tell": N_("Cannot tell: these trials cannot decide."),
 }
-#: Views of where a model fails: key, x, factor of x, its label, y, logarithmic.
+#: Views of where a model fails: their headings; x, y, factor of x, label of x.
 PLACES = {
-    "by_time": ("t_s", "rms_m", 1.0, N_("Time, s")),
-    "by_arc_length": ("arc_length_m", "rms_m", 1e3, N_("Arc length, mm")),
-    "by_frequency": ("frequency_hz", "residual_m2_per_hz", 1.0, N_("Frequency, Hz")),
+    "by_time": (N_("By time"), "t_s", "rms_m", 1.0, N_("Time, s")),
+    "by_arc_length": (
+        *(N_("By arc length"), "arc_length_m", "rms_m", 1e3),
+        N_("Arc length, mm"),
+    ),
+    "by_frequency": (
+        *(N_("By frequency"), "frequency_hz", "residual_m2_per_hz", 1.0),
+        N_("Frequency, Hz"),
+    ),
 }
 
 
@@ -98,7 +104,7 @@ def error_bars(steps: Sequence[tuple[str, Data]], noise_m: float | None, t: Tran
             "barMaxWidth": 60,
             "data": [_mm(model.get(key)) for _, model in steps],
             "itemStyle": {"color": colour},
-            "label": {"show": True, "position": "top", "color": _GREY},
+            "label": {"show": True, "position": "top"},
         }
         for name, key, colour in (
             (t("Fitted"), "fit_rms_m", _FITTED),
@@ -109,27 +115,24 @@ def error_bars(steps: Sequence[tuple[str, Data]], noise_m: float | None, t: Tran
     if noise_m:
         line = {"yAxis": _mm(noise_m), "lineStyle": {"color": "#c2410c", "type": "dashed"}}
         label = {"formatter": f"{t('Noise')} {_mm(noise_m)}", "position": "insideEndTop"}
-        series[0]["markLine"] = {
-            "silent": True,
-            "symbol": "none",
-            "data": [{**line, "label": {**label, "color": "#c2410c"}}],
-        }
+        data = [{**line, "label": label}]
+        series[0]["markLine"] = {"silent": True, "symbol": "none", "data": data}
     low = 10 ** _floor_log(min(shown) * 0.7)
     return {
         **_frame(t("Error, mm rms per coordinate")),
         "xAxis": {
             "type": "category",
             "data": [name for name, _ in steps],
-            "axisLabel": {"color": _GREY, "interval": 0},
+            "axisLabel": {"interval": 0},
         },
-        "yAxis": {**_axis(), "type": "log", "min": low, "startValue": low},
+        "yAxis": {**_AXIS, "type": "log", "min": low, "startValue": low},
         "series": series,
     }
 
 
 def failing_places(comparison: Data, place: str, trial: str, t: Translate) -> Option:
     """Where models fail in a trial: their errors over time, arc length or frequency."""
-    x, y, scale, label = PLACES[place]
+    _, x, y, scale, label = PLACES[place]
     lines: list[Option] = []
     spectrum = place == "by_frequency"
     for number, model in enumerate(comparison["models"]):
@@ -144,15 +147,8 @@ def failing_places(comparison: Data, place: str, trial: str, t: Translate) -> Op
     unit = t("Error, mm²/Hz") if spectrum else t("Error, mm rms")
     return {
         **_frame(unit),
-        "legend": {"top": 0, "right": 0, "textStyle": {"color": _GREY}},
-        "xAxis": {
-            "type": "value",
-            "name": t(label),
-            "nameLocation": "middle",
-            "nameGap": 26,
-            "axisLabel": {"color": _GREY},
-        },
-        "yAxis": {**_axis(), "type": "log"} if spectrum else {**_axis(), "type": "value"},
+        "xAxis": {"type": "value", "name": t(label), "nameLocation": "middle", "nameGap": 26},
+        "yAxis": {**_AXIS, "type": "log" if spectrum else "value"},
         "series": lines,
     }
 
@@ -277,15 +273,14 @@ def _line(name: str, points: list[list[float]], colour: str, *, dashed: bool = F
 def _frame(title: str) -> Option:
     return {
         "animation": False,
-        "title": {"text": title, "left": 0, "textStyle": {"color": _GREY, "fontSize": 13}},
+        "title": {"text": title, "left": 0, "textStyle": {"fontSize": 13}},
         "grid": {"left": 65, "right": 20, "top": 45, "bottom": 48},
-        "legend": {"top": 0, "right": 0, "textStyle": {"color": _GREY}},
+        "legend": {"top": 0, "right": 0},
         "tooltip": {"trigger": "axis"},
     }
 
 
-def _axis() -> Option:
-    return {"axisLabel": {"color": _GREY}, "splitLine": {"lineStyle": {"color": "#8a94a355"}}}
+_AXIS: Option = {"splitLine": {"lineStyle": {"color": "#8a94a355"}}}
 
 
 def _mm(value: float | None) -> float | None:
@@ -293,8 +288,6 @@ def _mm(value: float | None) -> float | None:
 
 
 def _floor_log(value: float) -> int:
-    import math
-
     return math.floor(math.log10(max(value, 1e-9)))
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from urllib.parse import urlsplit
 
 import uvicorn
@@ -17,8 +17,15 @@ from fastapi import FastAPI
 from jinja2 import Environment, FileSystemLoader
 from nicegui import ui
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
+from starlette.responses import (
+    FileResponse,
+    HTMLResponse,
+    JSONResponse,
+    RedirectResponse,
+    Response,
+)
 from starlette.staticfiles import StaticFiles
 
 from calib.store import KINDS
@@ -26,15 +33,14 @@ from cell.calibration import assistants
 from cell.files.input_error import InputError
 from cell.plant.users import Role, Users
 from cell.settings import load_settings
-from cell.web import cycle_view, heartbeat, unsaved
-from cell.web.guard import COOKIE, LOGIN, Guard
-from cell.web.lab_routes import lab_routes
+from cell.web import cycle_view, heartbeat, lab_tasks
+from cell.web.guard import COOKIE, LOGIN, SANDBOX, Guard, TimedHttp
 from cell.web.pages import calibration, history, lab, live, settings
 from cell.web.pages.cycle import build as build_cycle
-from cell.web.theme import CSS, MANUAL, N_, manual_page
-from cell.web.timed_http import TimedHttp
+from cell.web.theme import CSS, MANUAL, N_, UNSAVED, manual_page
 from cell.web.visit import PagesContext, Visit
 from cell.web.wording import languages, preferred, translation
+from cell.web.workspace import MOST_FILES, UploadError, UploadResult, is_name
 
 
 @dataclass(frozen=True)
@@ -69,11 +75,6 @@ _THEMES: dict[str, bool | None] = {"auto": None, "dark": True, "light": False}
 _YEAR_S = 365 * 86400
 #: A browser keeps a frame of a film so long, s.
 _FRAME_S = 600
-#: Pages of reports may do nothing with these pages.
-_SANDBOX = {
-    "content-security-policy": "sandbox allow-scripts; default-src 'unsafe-inline' data:; "
-    "frame-ancestors 'self'"
-}
 
 
 def serve(
@@ -85,9 +86,8 @@ def serve(
     raises  OSError: the address is taken
     """
     app = Guard(application(room, users, tls is not None), room.sessions, tls is not None, users)
-    options: dict[str, Any] = {}
-    if tls is not None:
-        options = {"ssl_certfile": str(tls[0]), "ssl_keyfile": str(tls[1])}
+    files = () if tls is None else zip(("ssl_certfile", "ssl_keyfile"), map(str, tls), strict=True)
+    options: dict[str, Any] = dict(files)
     # uvicorn gives the signal again once it has closed: what is open here must still be closed
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with room.watch, room.lab:
@@ -138,7 +138,7 @@ def _page_route(room: PagesContext, page: Page) -> None:
     def built(request: Request) -> None:
         visit = _visit(room, request)
         _framed(visit, request)
-        with ui.column().classes("w-full max-w-7xl mx-auto p-2 gap-4"):
+        with ui.column().classes("page w-full max-w-7xl mx-auto p-2 gap-4"):
             if visit.has_role(page.role):
                 page.build(visit)
             else:
@@ -184,7 +184,7 @@ def _framed(visit: Visit, request: Request) -> None:
         if visit.room.sessions is not None:
             ui.link(f"{t('Log out')} {visit.name}", "/logout").classes(small)
     heartbeat.begin(visit.heartbeats, t)
-    unsaved.begin()
+    ui.add_body_html(UNSAVED)
 
 
 def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) -> None:
@@ -255,11 +255,18 @@ def _came_from(request: Request) -> str:
 
 
 def _cycle_routes(app: FastAPI, room: PagesContext) -> None:
-    @app.get("/cycles/{name}/newest")
-    def picture(name: str) -> Response:
+    def file_of(name: str, find: Callable[[Path], Path | None]) -> Response:
         folder = cycle_view.cycle_folder(room.runs, name)
-        path = None if folder is None else cycle_view.newest_picture(folder)
+        path = None if folder is None else find(folder)
         return Response(status_code=404) if path is None else FileResponse(path)
+
+    @app.get("/cycles/{name}/newest")
+    def newest(name: str) -> Response:
+        return file_of(name, cycle_view.newest_picture)
+
+    @app.get("/cycles/{name}/pictures/{picture}")
+    def one(name: str, picture: str) -> Response:
+        return file_of(name, lambda folder: cycle_view.picture(folder, picture))
 
     @app.get("/live/{number}.jpg")
     def live(number: int) -> Response:
@@ -281,12 +288,6 @@ def _cycle_routes(app: FastAPI, room: PagesContext) -> None:
         headers = {"cache-control": f"private, max-age={_FRAME_S}"}
         return Response(picture, media_type="image/jpeg", headers=headers)
 
-    @app.get("/cycles/{name}/pictures/{picture}")
-    def one(name: str, picture: str) -> Response:
-        folder = cycle_view.cycle_folder(room.runs, name)
-        path = None if folder is None else cycle_view.picture(folder, picture)
-        return Response(status_code=404) if path is None else FileResponse(path)
-
     @app.get("/cycles/{name}/report")
     def report(name: str) -> Response:
         folder = cycle_view.cycle_folder(room.runs, name)
@@ -294,7 +295,7 @@ def _cycle_routes(app: FastAPI, room: PagesContext) -> None:
             return Response(status_code=404)
         with suppress(OSError):
             try:
-                return HTMLResponse(cycle_view.report(folder), headers=_SANDBOX)
+                return HTMLResponse(cycle_view.report(folder), headers=SANDBOX)
             except InputError as error:
                 return Response(str(error), 422, media_type="text/plain")
         return Response("cannot be read", 422, media_type="text/plain")
@@ -316,7 +317,7 @@ def _calibration_routes(app: FastAPI, room: PagesContext) -> None:
             headers = {"cache-control": "no-store"}
             return FileResponse(given.folder / name, headers=headers)
         if name in reports and (given.folder / f"{name}.html").is_file():
-            return FileResponse(given.folder / f"{name}.html", headers=_SANDBOX)
+            return FileResponse(given.folder / f"{name}.html", headers=SANDBOX)
         return Response(status_code=404)
 
 
@@ -329,3 +330,58 @@ def may_be_served(host: str, tls: bool, users: int, loopback: bool) -> str:
     if not users:
         return f"--host {host}: beyond loopback users are needed: cell user add NAME"
     return ""
+
+
+def lab_routes(app: FastAPI, room: PagesContext) -> None:
+    """Uploads of the lab's page, and pages that its commands wrote."""
+
+    @app.post("/lab/upload")
+    async def upload(request: Request) -> Response:
+        visit = Visit(room, request.state.session, "", "en", str)
+        if not visit.has_role(Role.engineer):  # before anything of it is read
+            return JSONResponse({"error": visit.do("lab upload", Role.engineer, str)}, 403)
+        async with request.form(max_files=MOST_FILES, max_fields=1) as form:
+            given = [f for f in form.getlist("files") if isinstance(f, UploadFile)]
+            files = [(f.filename or "", f.file) for f in given]
+            return await run_in_threadpool(_take, visit, files)
+
+    @app.get("/lab/results/{name}/{page}")
+    def result(request: Request, name: str, page: str) -> Response:
+        if not Visit(room, request.state.session, "", "en", str).has_role(Role.engineer):
+            return Response(status_code=403)
+        workspace = room.lab.workspace
+        path: Path | None = None
+        if is_name(name) and page in lab_tasks.PAGES:
+            path = workspace.results(name) / page
+        elif is_name(name) and page == lab_tasks.PREVIEW:
+            path = workspace.studies / name / page
+        if path is None or not path.is_file() or not workspace.inside(path):
+            return Response(status_code=404)
+        headers = {**SANDBOX, "cache-control": "no-store"}
+        return FileResponse(path, media_type="text/html", headers=headers)
+
+
+def _take(visit: Visit, files: Sequence[tuple[str, IO[bytes]]]) -> Response:
+    """Keep an upload, and have a study looked at."""
+    lab = visit.room.lab
+    taken: list[UploadResult] = []
+
+    def act() -> str:
+        try:
+            lab.tidy()
+            taken.append(lab.workspace.take(files))
+        except (UploadError, OSError) as error:
+            return str(error)
+        return ""
+
+    note = ", ".join(ascii(name[:80]) for name, _ in files[:5])
+    if refused := visit.do("lab upload", Role.engineer, act, note):
+        return JSONResponse({"error": refused}, 422)
+    (found,) = taken
+    if found.is_study:
+        subject = lab_tasks.Subject(found.name, lab.workspace.studies / found.name)
+        lab.jobs.submit(
+            lab_tasks.LabTasks(lab.workspace, visit.room.config).show_study(subject), visit.name
+        )
+    answer = {"name": found.name, "is_study": found.is_study, "files": list(found.files)}
+    return JSONResponse(answer)

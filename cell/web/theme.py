@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from nicegui import ui
 
 from cell.run.machine import CellState
+from cell.web.wording import Translate
 
-#: Background of a state with white or black letters on it: contrast ≥ 4.5 with either.
-GREEN, BLUE, AMBER, RED, _GREY = "#146c2e", "#0b57a4", "#f5b301", "#b3261e", "#4a5563"
+#: Grounds of buttons and icons with white or black letters on them: contrast ≥ 4.5 with either.
+GREEN, BLUE, AMBER, RED = "#146c2e", "#0b57a4", "#f5b301", "#b3261e"
+#: Classes of style, after ISA-101: grey unless a person is needed, or nothing is known.
+NORMAL, WAITS, ALARM, NO_DATA = "normal", "waits", "alarm", "no-data"
 
 
 @dataclass(frozen=True)
 class StateStyle:
-    """How a state is shown: its word in English, colours of ground and letters."""
+    """How a state is shown: its word in English, and its class of style."""
 
     word: str
-    ground: str
-    letters: str
+    level: str = NORMAL
 
 
 def N_(message: str) -> str:  # noqa: N802 - the name that gettext's tools look for
@@ -29,29 +33,18 @@ def N_(message: str) -> str:  # noqa: N802 - the name that gettext's tools look 
 
 
 _S = CellState
+_WAITING = frozenset({_S.HOLDING, _S.HELD, _S.UNHOLDING})
+_STOPPED = frozenset({_S.STOPPING, _S.STOPPED, _S.ABORTING, _S.ABORTED, _S.CLEARING})
 LOOKS: dict[CellState, StateStyle] = {
-    _S.IDLE: StateStyle(N_("Idle"), BLUE, "#ffffff"),
-    _S.STARTING: StateStyle(N_("Starting"), GREEN, "#ffffff"),
-    _S.EXECUTE: StateStyle(N_("Execute"), GREEN, "#ffffff"),
-    _S.COMPLETING: StateStyle(N_("Completing"), GREEN, "#ffffff"),
-    _S.COMPLETE: StateStyle(N_("Complete"), GREEN, "#ffffff"),
-    _S.RESETTING: StateStyle(N_("Resetting"), BLUE, "#ffffff"),
-    _S.HOLDING: StateStyle(N_("Holding"), AMBER, "#000000"),
-    _S.HELD: StateStyle(N_("Held"), AMBER, "#000000"),
-    _S.UNHOLDING: StateStyle(N_("Unholding"), AMBER, "#000000"),
-    _S.SUSPENDING: StateStyle(N_("Suspending"), AMBER, "#000000"),
-    _S.SUSPENDED: StateStyle(N_("Suspended"), AMBER, "#000000"),
-    _S.UNSUSPENDING: StateStyle(N_("Unsuspending"), AMBER, "#000000"),
-    _S.STOPPING: StateStyle(N_("Stopping"), RED, "#ffffff"),
-    _S.STOPPED: StateStyle(N_("Stopped"), RED, "#ffffff"),
-    _S.ABORTING: StateStyle(N_("Aborting"), RED, "#ffffff"),
-    _S.ABORTED: StateStyle(N_("Aborted"), RED, "#ffffff"),
-    _S.CLEARING: StateStyle(N_("Clearing"), RED, "#ffffff"),
+    s: StateStyle(
+        s.value.capitalize(), ALARM if s in _STOPPED else WAITS if s in _WAITING else NORMAL
+    )
+    for s in CellState
 }
 #: No cell is there.
-AWAY = StateStyle(N_("No cell runs"), _GREY, "#ffffff")
+AWAY = StateStyle(N_("No cell runs"), NO_DATA)
 #: A cell may be there, and says nothing.
-UNKNOWN = StateStyle(N_("No connection"), _GREY, "#ffffff")
+UNKNOWN = StateStyle(N_("No connection"), NO_DATA)
 
 #: Where `make docs-site` and wheels have the manual.
 MANUAL = Path(__file__).parents[1] / "manual"
@@ -61,14 +54,18 @@ CSS = """
 .big-button { min-height: 4.5rem; min-width: 7rem; font-size: 1.35rem; font-weight: 600; }
 .q-btn.disabled, .q-btn:disabled { filter: grayscale(1); opacity: 0.45 !important; }
 .body--dark .q-btn:disabled { filter: grayscale(1) brightness(0.55); }
+.normal { background: #e4e7eb; color: #1d232b; }
+.body--dark .normal { background: #2b323b; color: #eef1f5; }
+.waits { background: #f5b301; color: #000000; }
+.alarm { background: #b3261e; color: #ffffff; }
+.no-data { background: #4a5563; color: #ffffff; }
 .no-connection-plate { display: none; width: calc(100% - 1rem); max-width: 79rem; margin: 0 auto;
-  padding: 1rem; border-radius: 4px; background-color: #4a5563; color: #ffffff;
-  position: sticky; top: 3.5rem; z-index: 20; }
+  padding: 1rem; border-radius: 4px; position: sticky; top: 3.5rem; z-index: 20; }
 .no-answer-said { display: none; }
 body.no-connection .no-connection-plate, body.no-answer .no-answer-said { display: block; }
-body.no-connection #state-card { display: none; }
-.state-plate { font-size: clamp(2rem, 7vw, 4rem); font-weight: 700; line-height: 1.1; }
-.figure { font-size: 1.6rem; font-weight: 600; font-variant-numeric: tabular-nums; }
+body.no-connection .live-state { display: none; }
+body.unheard main button { pointer-events: none; opacity: 0.45; }
+.state-plate { font-size: clamp(2.5rem, 4.5vw, 4.5rem); font-weight: 700; line-height: 1.2; }
 .unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
 .body--light { --q-primary: #0b57a4 !important; }
 .body--dark { --q-primary: #8ab8f0 !important; }
@@ -78,6 +75,8 @@ header .nicegui-link { color: #ffffff; }
 .body--dark .quiet { color: #b4bcc8; }
 .wrong { color: #b3261e; white-space: pre-line; }
 .body--dark .wrong { color: #ff9b94; }
+.trend text { fill: #4a5563; }
+.body--dark .trend text { fill: #b4bcc8; }
 .plain-table { border-collapse: collapse; width: 100%; }
 .plain-table th, .plain-table td { padding: 0.15rem 0.5rem; border-bottom: 1px solid #8a94a355; }
 .plain-table th { text-align: left; font-weight: 600; }
@@ -101,6 +100,77 @@ def manual_page(page: str) -> str:
     return f"/manual/{page}" if (MANUAL / page).exists() else ""
 
 
+#: The browser asks before it leaves a page on which something is typed and not kept.
+UNSAVED = """
+<script>
+window.unsaved = new Set();
+window.addEventListener('beforeunload', (e) => { if (unsaved.size) e.preventDefault(); });
+</script>
+"""
+
+
+class Unsaved:
+    """Whether something of this name would be lost with the page."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self._is_typed = name, False
+
+    def set(self, is_typed: bool) -> None:
+        """Tell the browser, if that has changed."""
+        if is_typed != self._is_typed:
+            self._is_typed = is_typed
+            change = "add" if is_typed else "delete"
+            ui.run_javascript(f"unsaved.{change}({json.dumps(self._name)})")
+
+
+def heading(text: str) -> None:
+    """Heading of a part of a page."""
+    ui.label(text).classes("text-xl font-bold").props("role=heading aria-level=2")
+
+
+def columns(*named: tuple[str, str]) -> list[dict[str, Any]]:
+    """Columns of a `ui.table`: keys of its rows, with headings."""
+    return [{"name": k, "label": title, "field": k, "align": "left"} for k, title in named]
+
+
+def chart(option: dict[str, Any], height: str = "h-64") -> ui.echart:
+    """A chart whose words have the colour of the theme, which letters on a canvas would not."""
+    return ui.echart(option, renderer="svg").classes(f"trend w-full {height}")
+
+
+def show_option(place: ui.echart, option: dict[str, Any]) -> None:
+    """Show something else in a chart."""
+    place.options.clear()
+    place.options.update(option)
+
+
+def notify_refusal(refused: str | None, t: Translate) -> None:
+    """Say why something was not done, if there is a reason."""
+    if refused:
+        ui.notify(
+            t(refused),
+            type="negative",
+            position="top",
+            multi_line=True,
+            close_button=t("Close"),
+            classes="whitespace-pre-line",
+            attrs={"data-test": "refused"},
+        )
+
+
+async def confirmed(question: str, answer: str, t: Translate, test: str) -> bool:
+    """Whether a person says yes to a question; `answer` is on the button that does."""
+    with ui.dialog() as asked, ui.card():
+        ui.label(question)
+        with ui.row():
+            ui.button(t("Close"), on_click=lambda: asked.submit(False)).props("outline")
+            yes = ui.button(answer, color=BLUE, on_click=lambda: asked.submit(True))
+            yes.props(f"text-color=white data-test={test}")
+    sure = bool(await asked)
+    asked.delete()
+    return sure
+
+
 def table(
     title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], numbers: Collection[int]
 ) -> None:
@@ -109,7 +179,7 @@ def table(
     numbers  columns that stand to the right
     """
     with ui.card().classes("w-full overflow-x-auto"):
-        ui.label(title).classes("text-xl font-bold").props("role=heading aria-level=2")
+        heading(title)
         with ui.element("table").classes("plain-table"):
             with ui.element("thead"), ui.element("tr"):
                 for number, head in enumerate(heads):

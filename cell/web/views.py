@@ -8,12 +8,26 @@ from pathlib import Path
 from typing import Any
 
 from cell.files.quantity import percent
+from cell.plant.messages import FaultNotice
 from cell.records.ledger.ledger import ListedCycle
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 from cell.run.machine import MachineEvent
-from cell.web.theme import AWAY, LOOKS, N_, UNKNOWN, StateStyle
-from cell.web.watching import WatchedState
+from cell.settings.model import Settings
+from cell.web.theme import (
+    ALARM,
+    AMBER,
+    AWAY,
+    LOOKS,
+    N_,
+    NO_DATA,
+    NORMAL,
+    RED,
+    UNKNOWN,
+    WAITS,
+    StateStyle,
+)
+from cell.web.watching import CABLES, WatchedState
 from cell.web.wording import Translate
 
 #: Words of the steps of a cycle.
@@ -55,54 +69,53 @@ WORDS = {
     "part": N_("a part"),
     "downstream": N_("the next machine"),
 }
+#: How outcomes are shown where there is room for one character, and their class of style.
+OUTCOME_MARKS: Mapping[str, tuple[str, str]] = {
+    Outcome.INSERTED: ("✓", NORMAL),
+    Outcome.MISSED: ("✗", WAITS),
+    Outcome.REJECTED: ("–", WAITS),
+    Outcome.FAILED: ("!", ALARM),
+    Outcome.UNFIT: ("!", ALARM),
+}
 #: Programs between the cell and the plant.
 ADAPTERS = {"opcua": "OPC UA", "mqtt": "MQTT", "handshake": N_("Handshake with the PLC")}
-
-
-@dataclass(frozen=True)
-class FaultView:
-    """A fault that waits for a person: where, why, and what can be done."""
-
-    device: str
-    step: str
-    cause: str
-    remedies: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class LiveView:
     """The live page at one moment; texts that are words of the source are still to be translated.
 
+    step_share  time of the step, as a share of what it took last time, at most 1
     buttons   commands that the present state accepts
     waiting   what the cell waits for; starts are asked for by the button itself
     fault     None = there is none to acknowledge
-    adapters  troubles with the programs between the cell and the plant: name → what is wrong
+    adapters  as of `Status`
     reason    why the newest cable was rejected or missed
     result    of the newest cycle: heading of a figure → its text
     unknown_s since when nothing is known of the cell, Unix time; None = it says what it does
-    has_planned_time  whether the shift has one, without which there is no OEE
+    newest    the newest cables, oldest first
     """
 
     style: StateStyle
     step: str
     step_s: float | None
+    step_share: float
     cycle: int
     part: str
     product: str
     waiting: tuple[str, ...]
     buttons: frozenset[MachineEvent]
-    fault: FaultView | None
+    fault: FaultNotice | None
     adapters: Mapping[str, str]
     outcome: str
     reason: str
     result: Mapping[str, str]
     counts: Mapping[str, int]
     shift: Mapping[str, str]
-    reasons: tuple[tuple[str, int, str], ...]
     note: str
     folder: str
     unknown_s: float | None = None
-    has_planned_time: bool = True
+    newest: tuple[ListedCycle, ...] = ()
 
 
 def live_view(seen: WatchedState, now_s: float) -> LiveView:
@@ -112,27 +125,26 @@ def live_view(seen: WatchedState, now_s: float) -> LiveView:
     """
     status, there = seen.status, seen.connected
     step = (status.step if status else None) or ""
-    last = (status.last if status else None) or {}
-    fault = None
-    if status is not None and status.fault is not None:
-        f = status.fault
-        where = STEPS.get(f.step, f.step.replace("_", " "))
-        fault = FaultView(f.device or "", where, f.cause, tuple(filter(None, (f.remedy, f.cable))))
     figures = seen.figures
+    newest = figures.newest if figures else ()
+    last = (status.last if status else None) or (newest[-1].to_json() if newest else {})
+    step_s = max(0.0, now_s - seen.step_since_s) if seen.step_since_s and there else None
+    usual_s = (last.get("seconds") or {}).get(step) or 0.0
     look = LOOKS[status.state] if status and there else AWAY
     if seen.unknown_s is not None:
         look = UNKNOWN
     return LiveView(
         style=look,
-        step=STEPS.get(step, step.replace("_", " ")) if there else "",
-        step_s=max(0.0, now_s - seen.step_since_s) if seen.step_since_s and there else None,
+        step=step_word(step) if there else "",
+        step_s=step_s,
+        step_share=min(1.0, step_s / usual_s) if step_s and usual_s else 0.0,
         cycle=status.cycle if status else 0,
         part=(status.part if status else None) or "",
         product=(status.product if status else None) or "",
         waiting=tuple(w for w in status.waiting_for if w != "start") if status and there else (),
         buttons=frozenset(status.possible) if status and there else frozenset(),
-        fault=fault,
-        adapters=adapter_troubles(status.adapters) if status and there else {},
+        fault=status.fault if status else None,
+        adapters=status.adapters if status and there else {},
         outcome=str(last.get("outcome", "")),
         reason=str(last.get("reason") or ""),
         result=result_figures(last),
@@ -141,12 +153,20 @@ def live_view(seen: WatchedState, now_s: float) -> LiveView:
             has_cycle=bool(step) and there,
         ),
         shift=shift_texts(seen),
-        has_planned_time=figures is None or figures.is_planned,
-        reasons=figures.reasons if figures else (),
         note=seen.note,
         folder=Path(str(last.get("folder", ""))).name,
         unknown_s=seen.unknown_s,
+        newest=newest,
     )
+
+
+def why_disabled(event: MachineEvent, view: LiveView, *, in_control: bool) -> str:
+    """Why a command cannot be given now, in English; "" = it can."""
+    if view.style.level == NO_DATA:
+        return view.style.word
+    if not in_control and event is not MachineEvent.STOP:
+        return N_("Take control first.")
+    return "" if event in view.buttons else N_("Not possible in this state.")
 
 
 def ordered_counts(counts: Mapping[str, int], *, has_cycle: bool) -> dict[str, int]:
@@ -162,9 +182,9 @@ def ordered_counts(counts: Mapping[str, int], *, has_cycle: bool) -> dict[str, i
     return {outcome: n for outcome, n in found.items() if n}
 
 
-def adapter_troubles(adapters: Mapping[str, str]) -> dict[str, str]:
-    """What is wrong with each program between the cell and the plant, by its name for people."""
-    return {ADAPTERS.get(name, name): trouble for name, trouble in sorted(adapters.items())}
+def step_word(step: str) -> str:
+    """Word of a step of a cycle, in English."""
+    return STEPS.get(step, step.replace("_", " "))
 
 
 def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
@@ -199,19 +219,21 @@ def shift_texts(seen: WatchedState) -> dict[str, str]:
     return {name: "–" if share is None else f"{share:.0%}" for name, share in shares}
 
 
-def fault_texts(fault: FaultView, t: Translate) -> tuple[str, str, str]:
+def fault_texts(fault: FaultNotice, t: Translate) -> tuple[str, str, str]:
     """Heading, cause, and what can be done, a line each, in a language."""
-    where = ", ".join(filter(None, (t(fault.device), t(fault.step))))
-    return f"{t('Fault')}: {where}", t(fault.cause), "\n".join(map(t, fault.remedies))
+    where = ", ".join(filter(None, (t(fault.device or ""), t(step_word(fault.step)))))
+    remedies = "\n".join(map(t, filter(None, (fault.remedy, fault.cable))))
+    return f"{t('Fault')}: {where}", t(fault.cause), remedies
 
 
 def adapters_text(adapters: Mapping[str, str], t: Translate) -> str:
     """What is wrong with programs between the cell and the plant, a line each, in a language."""
-    return "\n".join(f"{t(name)} {t(trouble)}" for name, trouble in adapters.items())
+    named = sorted(adapters.items())
+    return "\n".join(f"{t(ADAPTERS.get(name, name))} {t(trouble)}" for name, trouble in named)
 
 
 def reasons_text(reasons: Sequence[tuple[str, int, str]], t: Translate) -> str:
-    """Why cables were not inserted, a line each, in a language; `reasons` as in `LiveView`."""
+    """Why cables were not inserted, a line each, in a language; reasons as in `ShiftFigures`."""
     return "\n".join(f"{n} × {t(WORDS.get(code, code))}: {t(why)}" for code, n, why in reasons)
 
 
@@ -237,35 +259,69 @@ def history_row(cycle: ListedCycle, t: Translate) -> dict[str, str]:
     }
 
 
-def error_chart(
-    cycles: list[ListedCycle], seen: str, expected: str, not_executed: str, axis: str
-) -> dict[str, Any]:
-    """Errors of the forecasts over the cables, with what they expect, as an ECharts option.
+#: Words of a chart over cables: values, their limits, cables not executed, the x axis.
+ChartWords = tuple[str, str, str, str]
 
-    seen, expected, not_executed  names in the legend: the last is of cables rejected and failed
-    axis                          name of the cables' numbers
+
+def error_chart(cycles: Sequence[ListedCycle], words: ChartWords) -> dict[str, Any]:
+    """Errors of the forecasts over the cables, with three standard deviations on either side."""
+    deviations = [c.numbers.get("predicted_std_m") or 0.0 for c in cycles]
+    errors = [_forecast_error_m(c) for c in cycles]
+    limits = [None if e is None else 3.0 * s for e, s in zip(errors, deviations, strict=True)]
+    return _chart(cycles, errors, limits, words)
+
+
+def miss_chart(
+    cycles: Sequence[ListedCycle],
+    words: ChartWords,
+    products: Mapping[str, Settings],
+    usual: Settings,
+) -> dict[str, Any]:
+    """Where the tip entered the opening, above its middle, with the edges of the opening.
+
+    products, usual  settings of each product, and those of cables of none
     """
-    rows = [(c, _forecast_error_mm(c)) for c in cycles if c.outcome in _CABLES]
-    if all(error is None for _, error in rows):
-        rows = []
-    errors = [None if e is None else round(e, 4) for _, e in rows]
-    limits = [
-        None if e is None else round(3e3 * (c.numbers.get("predicted_std_m") or 0.0), 4)
-        for c, e in rows
+    misses = [c.numbers.get("measured_miss_m") for c in cycles]
+    openings = [products.get(c.product or "", usual).destination.y_m for c in cycles]
+    return _chart(cycles, misses, [(high - low) / 2.0 for low, high in openings], words)
+
+
+def compact(chart: dict[str, Any]) -> dict[str, Any]:
+    """The same without words: for a small place."""
+    grid = {"left": 60, "right": 10, "top": 8, "bottom": 8}
+    axis = {**chart["xAxis"], "show": False, "name": ""}
+    y_axis = {**chart["yAxis"], "splitNumber": 2}
+    return {**chart, "grid": grid, "legend": {"show": False}, "xAxis": axis, "yAxis": y_axis}
+
+
+def _chart(
+    cycles: Sequence[ListedCycle],
+    values_m: Sequence[float | None],
+    limits_m: Sequence[float | None],
+    words: ChartWords,
+) -> dict[str, Any]:
+    """Values over the cables and their limits on either side, mm, as an ECharts option.
+
+    A value beyond its limit is red; a cable that was not executed is a triangle at 0.
+    """
+    rows = [
+        (c, _mm(v), _mm(limit))
+        for c, v, limit in zip(cycles, values_m, limits_m, strict=True)
+        if c.outcome in CABLES
     ]
-    band = {"type": "line", "symbol": "none", "lineStyle": {"type": "dashed", "color": "#8a94a3"}}
+    if all(value is None for _, value, _ in rows):
+        rows = []
+    of_values, of_limits, not_executed, axis = words
+    line = {"type": "line", "symbol": "none", "lineStyle": {"type": "dashed", "color": "#8a94a3"}}
+    grey = {"color": "#6b7684"}
     return {
         "animation": False,
         "grid": {"left": 75, "right": 15, "top": 40, "bottom": 45},
-        "legend": {
-            "top": 0,
-            "data": [seen, expected, not_executed],
-            "textStyle": {"color": "#8a94a3"},
-        },
+        "legend": {"top": 0, "data": [of_values, of_limits, not_executed]},
         "tooltip": {"trigger": "axis"},
         "xAxis": {
             "type": "category",
-            "data": [str(c.cycle) for c, _ in rows],
+            "data": [str(c.cycle) for c, _, _ in rows],
             "name": axis,
             "nameLocation": "middle",
             "nameGap": 26,
@@ -277,30 +333,44 @@ def error_chart(
         },
         "series": [
             {
-                "name": seen,
+                "name": of_values,
                 "type": "line",
-                "data": errors,
-                "itemStyle": {"color": "#0b7fab"},
+                "symbolSize": 6,
+                "data": [_point(value, limit) for _, value, limit in rows],
+                "lineStyle": grey,
+                "itemStyle": grey,
             },
-            {**band, "name": expected, "data": limits},
-            {**band, "name": f"{expected} ", "data": [None if s is None else -s for s in limits]},
+            {**line, "name": of_limits, "data": [limit for _, _, limit in rows]},
+            {
+                **line,
+                "name": f"{of_limits} ",
+                "data": [None if limit is None else -limit for _, _, limit in rows],
+            },
             {
                 "name": not_executed,
                 "type": "scatter",
                 "symbol": "triangle",
-                "data": [0.0 if c.outcome in _NOT_EXECUTED else None for c, _ in rows],
-                "itemStyle": {"color": "#b3261e"},
+                "data": [0.0 if c.outcome in _NOT_EXECUTED else None for c, _, _ in rows],
+                "itemStyle": {"color": AMBER},
             },
         ],
     }
 
 
+def _point(value: float | None, limit: float | None) -> float | dict[str, Any] | None:
+    if value is None or limit is None or abs(value) <= limit:
+        return value
+    return {"value": value, "symbolSize": 10, "itemStyle": {"color": RED}}
+
+
 _NOT_EXECUTED = frozenset({Outcome.REJECTED, Outcome.FAILED})
-#: Outcomes of cycles that were to insert a cable.
-_CABLES = frozenset({Outcome.INSERTED, Outcome.MISSED, *_NOT_EXECUTED})
 
 
-def _forecast_error_mm(cycle: ListedCycle) -> float | None:
+def _forecast_error_m(cycle: ListedCycle) -> float | None:
     measured = cycle.numbers.get("measured_miss_m")
     predicted = cycle.numbers.get("predicted_miss_m")
-    return None if measured is None or predicted is None else 1e3 * (measured - predicted)
+    return None if measured is None or predicted is None else measured - predicted
+
+
+def _mm(length_m: float | None) -> float | None:
+    return None if length_m is None else round(1e3 * length_m, 4)

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from nicegui import run
+
 from cell.plant.client import Client
 from cell.plant.messages import Request
 from cell.plant.users import Role
@@ -21,6 +23,7 @@ from cell.web.guided import Guided
 from cell.web.heartbeat import Heartbeats
 from cell.web.lab import Lab
 from cell.web.sessions import Control, LoginSession, Sessions
+from cell.web.theme import notify_refusal
 from cell.web.watching import CellWatch
 from cell.web.wording import Translate
 from cell.web.workspace import Workspace
@@ -159,3 +162,18 @@ class Visit:
             return "" if answer.accepted else answer.reason
 
         return self.do(what, Role.operate, act, request.note)
+
+
+async def do(
+    visit: Visit,
+    what: str,
+    role: Role,
+    act: Callable[[], str],
+    note: str = "",
+    *,
+    asked_s: float | None = None,
+) -> bool:
+    """`Visit.do` in a thread; a refusal is shown.  Whether it was done."""
+    refused = await run.io_bound(visit.do, what, role, act, note, asked_s=asked_s)
+    notify_refusal(refused, visit.t)
+    return not refused

@@ -5,10 +5,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import datetime
 from datetime import time as time_of_day
 from pathlib import Path
+from typing import Any, TypeVar
 
 from cell.plant.client import Client
 from cell.plant.messages import MessageKind, Notice, Status
@@ -17,19 +20,23 @@ from cell.plant.wire import NoCellError, ProtocolError
 from cell.records.ledger.actions import take_over
 from cell.records.ledger.effectiveness import Shift, shift_start, shifts
 from cell.records.ledger.entry import LedgerError
-from cell.records.ledger.ledger import Ledger, LedgerQuery
+from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
+from cell.records.result import Outcome
 from cell.settings.model import Settings
 from cell.settings.provenance import line_name
-from cell.settings.records import LedgerSettings as LedgerSettings
 from cell.web.audit import audit_file
 from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
+Read = TypeVar("Read")
 
 #: A cell that says nothing for so long is shown as unknown, s; a sign of life is sent every 0.4 s.
 UNKNOWN_S = 1.3
 #: The ledger is asked again after so long, s: after a result, and in between.
 _ASK_S = 2.0
+#: Outcomes of cycles that were to insert a cable, and how many of the newest are shown.
+CABLES = (Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED, Outcome.FAILED)
+MOST_CABLES = 20
 
 
 @dataclass(frozen=True)
@@ -39,12 +46,14 @@ class ShiftFigures:
     counts   cycles by outcome
     reasons  code of a fault, or "rejected" or "missed"; number of cycles, newest cause; most first
     is_planned  whether the settings say when shifts begin: else no time was planned for work
+    newest   the newest cables, whenever they were, oldest first
     """
 
     counts: dict[str, int]
     shift: Shift | None
     reasons: tuple[tuple[str, int, str], ...]
     is_planned: bool = True
+    newest: tuple[ListedCycle, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -106,13 +115,15 @@ class CellWatch:
 
     def lost(self) -> None:
         """The cell is there no more: for the client's `on_lost`."""
-        with self._lock:
-            self._seen = replace(self._seen, connected=False)
+        self._set(connected=False)
 
     def reconnected(self) -> None:
         """It is there again as it was: for the client's `on_there`."""
+        self._set(connected=True)
+
+    def _set(self, **known: Any) -> None:
         with self._lock:
-            self._seen = replace(self._seen, connected=True)
+            self._seen = replace(self._seen, **known)
 
     def _follow(self) -> None:
         try:
@@ -123,23 +134,19 @@ class CellWatch:
                     self._ask.set()
         except ProtocolError as error:
             _LOG.warning("%s", error)
-            with self._lock:
-                self._seen = replace(self._seen, connected=False, note=str(error))
+            self._set(connected=False, note=str(error))
 
     def _blind(self, error: BaseException) -> None:
-        with self._lock:
-            self._seen = replace(self._seen, connected=False, note=said(error))
+        self._set(connected=False, note=said(error))
 
     def _uncounted(self, error: BaseException) -> None:
-        with self._lock:
-            self._seen = replace(self._seen, figures=None)
+        self._set(figures=None)
 
     def _count(self) -> None:
         while not self._over:
             figures = shift_figures(self._settings, self._runs, datetime.now().astimezone())
             self._list_actions()
-            with self._lock:
-                self._seen = replace(self._seen, figures=figures)
+            self._set(figures=figures)
             self._ask.wait(_ASK_S)
             self._ask.clear()
 
@@ -172,25 +179,39 @@ def state_after(seen: WatchedState, message: Notice | Status) -> WatchedState:
     return replace(seen, status=status, connected=True, step_since_s=begun)
 
 
+def read_ledger(
+    settings: Settings, runs: Path, read: Callable[[Ledger], Read]
+) -> tuple[Read | None, str]:
+    """What `read` finds in the ledger; None, and why, if there is none or it cannot be read."""
+    if settings.ledger is None:
+        return None, "the settings say `ledger: null`: no cycles are listed"
+    try:
+        with closing(Ledger(settings.ledger.url or runs)) as ledger:
+            return read(ledger), ""
+    except LedgerError as error:
+        return None, str(error)
+
+
 def shift_figures(settings: Settings, runs: Path, now: datetime) -> ShiftFigures | None:
     """Figures of the shift under way; None = there is no ledger, or it cannot be read."""
     if settings.ledger is None:
         return None
-    given: LedgerSettings = settings.ledger
-    begins = [time_of_day.fromisoformat(t) for t in given.shifts]
-    begun = shift_start(begins, now)
-    wanted = LedgerQuery(since=begun, line=line_name(settings))
-    try:
-        ledger = Ledger(given.url or runs)
-        try:
-            found = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
-            told = [*ledger.faults(replace(wanted, fault="")), *ledger.not_inserted(wanted)]
-            reasons = tuple(sorted(told, key=lambda reason: -reason[1]))
-            newest = found[-1] if found else None
-            is_planned = "shifts" in given.model_fields_set
-            return ShiftFigures(ledger.count(wanted), newest, reasons, is_planned)
-        finally:
-            ledger.close()
-    except LedgerError as error:
+    options, line = settings.ledger, line_name(settings)
+    begins = [time_of_day.fromisoformat(t) for t in options.shifts]
+    query = LedgerQuery(since=shift_start(begins, now), line=line)
+
+    def read(ledger: Ledger) -> ShiftFigures:
+        listed = shifts(ledger, query, begins, now, options.ideal_cycle_s)
+        reasons = [*ledger.faults(replace(query, fault="")), *ledger.not_inserted(query)]
+        return ShiftFigures(
+            ledger.count(query),
+            listed[-1] if listed else None,
+            tuple(sorted(reasons, key=lambda reason: -reason[1])),
+            "shifts" in options.model_fields_set,
+            tuple(ledger.listed(LedgerQuery(line=line, outcomes=CABLES), MOST_CABLES)),
+        )
+
+    figures, error = read_ledger(settings, runs, read)
+    if error:
         _LOG.info("%s", error)
-        return None
+    return figures

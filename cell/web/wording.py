@@ -68,11 +68,6 @@ class Template:
         return tuple(parts_of(self.translated))
 
     @cached_property
-    def kinds(self) -> Mapping[str, str]:
-        """Kind of each place by its name."""
-        return {p.name: p.kind for p in self.parts if isinstance(p, Placeholder)}
-
-    @cached_property
     def literal(self) -> int:
         """How many characters are not those of values."""
         return sum(len(p) for p in self.parts if isinstance(p, str))
@@ -129,7 +124,7 @@ class Sentences:
     """
 
     def __init__(self, known: Mapping[str, str], decimal: str = ".") -> None:
-        self._known = {message: said for message, said in known.items() if said}
+        self._known = {message: said for message, said in known.items() if message and said}
         self._decimal = decimal
         made = [Template(m, said) for m, said in self._known.items() if _PLACE.search(m)]
         self._templates = sorted(made, key=lambda t: -t.literal)
@@ -187,17 +182,15 @@ class _Search:
     def _translated(self, template: Template, values: Mapping[str, str]) -> Translation:
         literal, said = template.literal, dict(values)
         kept: tuple[str, ...] = ()
-        for name, kind in template.kinds.items():
-            if kind == "number":
-                said[name] = values[name].replace(".", self._decimal)
-            elif kind == "sentence" and (found := self.text(values[name])) is not None:
-                said[name], literal, kept = (
-                    found.text,
-                    literal + found.literal,
-                    kept + found.untranslated,
-                )
+        for place in (p for p in template.parts if isinstance(p, Placeholder)):
+            value = values[place.name]
+            if place.kind == "number":
+                said[place.name] = value.replace(".", self._decimal)
+            elif place.kind == "sentence" and (found := self.text(value)) is not None:
+                said[place.name] = found.text
+                literal, kept = literal + found.literal, kept + found.untranslated
             else:
-                kept += (values[name],)
+                kept += (value,)
         parts = (p if isinstance(p, str) else said[p.name] for p in template.translated_parts)
         return Translation(literal, "".join(parts), kept)
 
@@ -250,26 +243,18 @@ def translation(language: str) -> Translate:
 @lru_cache
 def sentences(language: str) -> Sentences:
     """Messages and sentences of a language.  Raises OSError: there is none."""
-    entries = _entries((_LOCALES / language / _FILE).read_text(encoding="utf-8"))
-    decimal = re.search(r"^X-Decimal: *(\S)", entries.pop("", ""), re.MULTILINE)
+    entries = catalogue(language)
+    decimal = re.search(r"^X-Decimal: *(\S)", entries.get("", ""), re.MULTILINE)
     return Sentences(entries, decimal[1] if decimal else ".")
 
 
-@lru_cache
-def catalogue(language: str) -> Mapping[str, str]:
-    """Messages of a language's file.  Raises OSError: there is none."""
+def catalogue(language: str) -> dict[str, str]:
+    """Messages of a language's file, and its head, whose msgid is empty.  Raises OSError."""
     return read_po((_LOCALES / language / _FILE).read_text(encoding="utf-8"))
 
 
 def read_po(text: str) -> dict[str, str]:
     """Messages of a catalogue: msgid and msgstr, each of one or more quoted lines."""
-    found = _entries(text)
-    found.pop("", None)
-    return found
-
-
-def _entries(text: str) -> dict[str, str]:
-    """Messages of a catalogue, and its head, whose msgid is empty."""
     found: dict[str, str] = {}
     parts = {"msgid": "", "msgstr": ""}
     key = ""

@@ -86,10 +86,18 @@ def placed(name: str) -> PurePosixPath | None:
 
 
 class Workspace:
-    """Folder of the lab's page; made when it is first written to."""
+    """Folder of the lab's page; made when it is first written to.
+
+    studies     a folder each
+    uploads     files for `cell import`, a folder for each upload
+    effects     that were typed
+    candidates  models that `cell learn` proposes
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.studies, self.uploads = folder / "studies", folder / "uploads"
+        self.effects, self.candidates = folder / "effects", folder / "candidates"
 
     @classmethod
     def of_runs(cls, runs: Path) -> Workspace:
@@ -98,26 +106,6 @@ class Workspace:
         folder = whole.with_name(f"{whole.name}.lab")
         here = Path.cwd()
         return cls(folder.relative_to(here) if folder.is_relative_to(here) else folder)
-
-    @property
-    def studies(self) -> Path:
-        """Studies, a folder each."""
-        return self.folder / "studies"
-
-    @property
-    def uploads(self) -> Path:
-        """Files for `cell import`, a folder for each upload."""
-        return self.folder / "uploads"
-
-    @property
-    def effects(self) -> Path:
-        """Effects that were typed."""
-        return self.folder / "effects"
-
-    @property
-    def candidates(self) -> Path:
-        """Models that `cell learn` proposes."""
-        return self.folder / "candidates"
 
     def results(self, study: str) -> Path:
         """Folder of what was found in a study, or in a recorded cycle, of this name."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 
-from nicegui import run, ui
+from nicegui import ui
 
 from calib.store import KINDS, CalibrationFileError, StoredCalibration, load
+from cell.calibration import assistants
 from cell.files.input_error import InputError
 from cell.plant.users import Role
 from cell.settings import load_settings
@@ -18,8 +20,8 @@ from cell.settings.loading import products_of
 from cell.settings.model import Settings
 from cell.web.guided import OpenQuestion, calibrate_command
 from cell.web.heartbeat import on_press
-from cell.web.theme import BLUE, GREEN, N_, RED, table
-from cell.web.visit import Visit
+from cell.web.theme import BLUE, GREEN, N_, RED, heading, table
+from cell.web.visit import Visit, do
 
 #: Words of what is calibrated.
 WORDS = {
@@ -68,17 +70,17 @@ def _part(kind: str, settings: Settings, now: datetime) -> CalibrationPart:
     assert wanted is not None
     most_h = wanted.time_max_age_h if kind == "time" else 24.0 * wanted.max_age_days
     path = calibration_file(settings, kind)
-    name = path.stem
+    missing = CalibrationPart(kind, path.stem, None, math.nan, most_h, False, "", ())
     if not path.exists():
-        return CalibrationPart(kind, name, None, math.nan, most_h, False, "", ())
+        return missing
     try:
         stored = load(path, kind)
         why = complaint_of(stored, wanted, settings, now) or ""
         errors = _errors(stored, settings)
     except (CalibrationFileError, ValueError) as error:
-        return CalibrationPart(kind, name, None, math.nan, most_h, False, str(error), ())
-    made = stored.made.astimezone()
-    return CalibrationPart(kind, name, made, stored.age_h(now), most_h, not why, why, errors)
+        return replace(missing, why=str(error))
+    made, age_h = stored.made.astimezone(), stored.age_h(now)
+    return CalibrationPart(kind, path.stem, made, age_h, most_h, not why, why, errors)
 
 
 def _errors(stored: StoredCalibration, settings: Settings) -> tuple[tuple[str, str], ...]:
@@ -176,18 +178,14 @@ class _CalibrationPage:
                     ui.link(f"{t('Report')}: {p.name}", f"/calibration/{p.name}", new_tab=True)
 
     def _state(self, part: CalibrationPart) -> str:
-        t = self._t
-        if part.valid:
-            return t("valid")
         missing = part.made is None and not part.why
-        return f"{t('missing') if missing else t('not valid')} {t(part.why)}"
+        word = N_("valid") if part.valid else N_("missing") if missing else N_("not valid")
+        return f"{self._t(word)} {self._t(part.why)}".strip()
 
     def _starts(self) -> None:
         t, room = self._t, self._visit.room
         with ui.card().classes("w-full"):
-            ui.label(t("Calibrate anew")).classes("text-xl font-bold").props(
-                "role=heading aria-level=2"
-            )
+            heading(t("Calibrate anew"))
             words = t("Needs the devices: end the cell first. The gripper moves within the limits.")
             ui.label(words)
             runs = ui.label(t("A cell runs now: end it first.")).classes("wrong")
@@ -222,9 +220,7 @@ class _CalibrationPage:
             def act() -> str:
                 return visit.room.with_devices(lambda: visit.room.guided.start(title, command))
 
-            self._notify_refusal(
-                await run.io_bound(visit.do, title, Role.engineer, act, asked_s=asked_s)
-            )
+            await do(visit, title, Role.engineer, act, asked_s=asked_s)
 
         return start
 
@@ -277,40 +273,23 @@ class _CalibrationPage:
 
     def _coverage_s(self) -> float:
         """When the picture of the coverage was written, Unix time; 0 = never."""
-        from cell.calibration.assistants import FILE
-
         assert self._settings.calibration is not None
         try:
-            return (self._settings.calibration.folder / FILE).stat().st_mtime
+            return (self._settings.calibration.folder / assistants.FILE).stat().st_mtime
         except OSError:
             return 0.0
 
     def _answer(self, words: str) -> Callable[[float], Awaitable[None]]:
         async def answer(asked_s: float) -> None:
             to = self._visit.room.guided.state.ask
-            self._notify_refusal(
-                await run.io_bound(
-                    self._visit.do,
-                    "answer calibration",
-                    Role.engineer,
-                    lambda: self._question.answer(words),
-                    f"{to} {words or 'done'}",
-                    asked_s=asked_s,
-                )
-            )
+            note, act = f"{to} {words or 'done'}", partial(self._question.answer, words)
+            await do(self._visit, "answer calibration", Role.engineer, act, note, asked_s=asked_s)
 
         return answer
 
     async def _cancel(self) -> None:
-        guided = self._visit.room.guided
-        self._notify_refusal(
-            await run.io_bound(self._visit.do, "cancel calibration", Role.engineer, guided.cancel)
-        )
-
-    def _notify_refusal(self, refused: str | None) -> None:
-        if refused:
-            words = self._t(refused)
-            ui.notify(words, type="negative", multi_line=True, close_button=self._t("Close"))
+        cancel = self._visit.room.guided.cancel
+        await do(self._visit, "cancel calibration", Role.engineer, cancel)
 
 
 def _hours(hours: float) -> str:

@@ -19,9 +19,9 @@ from cell.run.machine import CellState
 from cell.settings import load_settings
 from cell.settings.translate import picture_size
 from cell.web.cycle_view import CycleView, cycle_folder, cycle_view, tip_chart
-from cell.web.theme import BLUE, LOOKS, N_, RED, table
-from cell.web.views import STEPS
-from cell.web.visit import Visit
+from cell.web.theme import BLUE, LOOKS, N_, chart, confirmed, heading, table
+from cell.web.views import step_word
+from cell.web.visit import Visit, do
 
 #: The film is played so much slower than reality.
 _SLOWER = 10
@@ -119,7 +119,7 @@ class _CyclePage:
     def _film(self, view: CycleView, times: tuple[float, ...]) -> None:
         t = self._t
         with ui.card().classes("w-full"):
-            ui.label(t("Film")).classes("text-xl font-bold").props("role=heading aria-level=2")
+            heading(t("Film"))
             if view.no_film or not times:
                 said = view.no_film or N_("the recording has no frames")
                 ui.label(t(said)).classes("break-words").props("data-test=no-film")
@@ -167,23 +167,17 @@ class _CyclePage:
             ui.button(label, on_click=keep).props("outline data-test=keep")
             if kept:
                 return
-            with ui.dialog() as dialog, ui.card():
-                ui.label(t("Remove the film of this cycle? Its tables and pictures stay."))
 
-                async def remove() -> None:
-                    dialog.close()
-                    at = f"{datetime.now():%Y-%m-%d}"
-                    why = f"by {self._visit.name} at the pages, {at}"
+            async def remove() -> None:
+                question = t("Remove the film of this cycle? Its tables and pictures stay.")
+                if await confirmed(question, t("Remove"), t, "remove-sure"):
+                    why = f"by {self._visit.name} at the pages, {datetime.now():%Y-%m-%d}"
                     await self._did(
                         "remove recording", lambda folder: remove_recording(folder / form.FILE, why)
                     )
                     await self.fill()
 
-                with ui.row():
-                    sure = ui.button(t("Remove"), color=RED, on_click=remove)
-                    sure.props("text-color=white data-test=remove-sure")
-                    ui.button(t("Close"), on_click=dialog.close).props("outline")
-            ui.button(t("Remove"), on_click=dialog.open).props("outline data-test=remove")
+            ui.button(t("Remove"), on_click=remove).props("outline data-test=remove")
 
     async def _did(self, what: str, change: Callable[[Path], None]) -> None:
         def act() -> str:
@@ -196,22 +190,17 @@ class _CyclePage:
                 return f"{error.filename}: {error.strerror}"
             return ""
 
-        refused = await run.io_bound(self._visit.do, what, Role.engineer, act, self._name)
-        if refused:
-            words = self._t(refused)
-            ui.notify(words, type="negative", multi_line=True, close_button=self._t("Close"))
+        await do(self._visit, what, Role.engineer, act, self._name)
 
     def _tip(self, view: CycleView) -> None:
         t = self._t
         if not view.tip:
             return
         with ui.card().classes("w-full"):
-            ui.label(t("Path of the tip")).classes("text-xl font-bold").props(
-                "role=heading aria-level=2"
-            )
+            heading(t("Path of the tip"))
             names = {key: t(word) for key, word in _LINES.items()}
-            chart = ui.echart(tip_chart(view.tip, names)).classes("w-full h-96")
-            chart.props(f'role=img aria-label="{t("Path of the tip")}"')
+            path = chart(tip_chart(view.tip, names), "h-96")
+            path.props(f'role=img aria-label="{t("Path of the tip")}"')
 
     def _table(self, title: str, data: TableData | None) -> None:
         if data is None or not data.rows:
@@ -251,7 +240,7 @@ class _CyclePage:
 def _word(t: Callable[[str], str], kind: str, name: str) -> str:
     if kind == "state" and name in set(CellState):
         return t(LOOKS[CellState(name)].word)
-    return t(STEPS.get(name, name.replace("_", " ")))
+    return t(step_word(name))
 
 
 def _load_cycle(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...], float | None]:

@@ -8,14 +8,15 @@ from nicegui import run, ui
 
 from cell.plant.users import Role
 from cell.records.chart import signals
-from cell.records.ledger.entry import LedgerError
 from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
 from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 from cell.settings.model import Settings
 from cell.settings.provenance import line_name
-from cell.web.views import WORDS, error_chart, history_row
+from cell.web.theme import chart, columns, show_option
+from cell.web.views import WORDS, error_chart, history_row, reasons_text
 from cell.web.visit import Visit
+from cell.web.watching import read_ledger
 from cell.web.wording import Translate
 
 #: The newest cycles are shown, so many.
@@ -28,8 +29,6 @@ _LINK = """
   <a :href="`/cycle/${props.row.name}`" class="underline whitespace-nowrap">{{ props.value }}</a>
 </q-td>
 """
-
-HistoryRows = tuple[list[ListedCycle], list[str], str]
 
 
 def build(visit: Visit) -> None:
@@ -51,21 +50,24 @@ def build(visit: Visit) -> None:
         )
         product.classes("w-40").set_visibility(bool(made))
     said = ui.label().classes("whitespace-pre-line")
-    chart = ui.echart(error_chart([], "", "", "", "")).classes("w-full h-64")
-    columns = [
-        {"name": key, "label": label, "field": key, "align": "left", "sortable": True}
-        for key, label in (
-            ("started", t("Begun")),
-            ("cycle", t("Cable")),
-            ("part", t("Part")),
-            *([("product", t("Product"))] if made else []),
-            ("outcome", t("Outcome")),
-            ("predicted", t("Tip predicted") + ", mm"),
-            ("measured", t("Tip seen") + ", mm"),
-            ("why", t("Reason")),
-        )
-    ]
-    table = ui.table(columns=columns, rows=[], row_key="name", pagination=20).classes("w-full")
+    reasons = ui.label().classes("whitespace-pre-line break-words").props("data-test=reasons")
+    errors = chart({})
+    heads = columns(
+        ("started", t("Begun")),
+        ("cycle", t("Cable")),
+        ("part", t("Part")),
+        *([("product", t("Product"))] if made else []),
+        ("outcome", t("Outcome")),
+        ("predicted", t("Tip predicted") + ", mm"),
+        ("measured", t("Tip seen") + ", mm"),
+        ("why", t("Reason")),
+    )
+    table = ui.table(
+        columns=[{**head, "sortable": True} for head in heads],
+        rows=[],
+        row_key="name",
+        pagination=20,
+    ).classes("w-full")
     no_data = t("No such cycles")
     table.props(
         f'wrap-cells data-test=cycles no-data-label="{no_data}" rows-per-page-label="{t("Rows")}"'
@@ -92,35 +94,30 @@ def build(visit: Visit) -> None:
         cycles, changes, error = found
         table.rows = [history_row(c, t) for c in reversed(cycles)]
         names = (t("Error of the forecast"), t("± 3 σ expected"), t("Rejected or failed"))
-        options = error_chart(cycles, *names, t("Cable"))
-        chart.set_visibility(bool(options["xAxis"]["data"]))
-        chart.options.clear()
-        chart.options.update(options)
+        options = error_chart(cycles, (*names, t("Cable")))
+        errors.set_visibility(bool(options["xAxis"]["data"]))
+        show_option(errors, options)
         nothing = t("Nothing has changed in the newest cycles.")
         said.text = t(error) or "\n".join(changes) or nothing
+        figures = visit.room.watch.state.figures
+        lines = reasons_text(figures.reasons, t) if figures else ""
+        reasons.text = f"{t('This shift')}:\n{lines}" if lines else ""
 
     for filtered in (outcome, days, part, product):
         filtered.on_value_change(refresh)
     ui.timer(0.05, refresh, once=True)
 
 
-def _query(visit: Visit, wanted: LedgerQuery) -> HistoryRows:
+def _query(visit: Visit, wanted: LedgerQuery) -> tuple[list[ListedCycle], list[str], str]:
     """Cycles that are asked for, what charts say of the line, and why there are none."""
     settings = visit.room.settings
-    if settings.ledger is None:
-        return [], [], "the settings say `ledger: null`: no cycles are listed"
-    try:
-        ledger = Ledger(settings.ledger.url or visit.room.runs)
-        try:
-            return (
-                ledger.listed(wanted, MOST),
-                changes_of(ledger, settings, wanted.product, visit.t),
-                "",
-            )
-        finally:
-            ledger.close()
-    except LedgerError as error:
-        return [], [], str(error)
+
+    def read(ledger: Ledger) -> tuple[list[ListedCycle], list[str]]:
+        changes = changes_of(ledger, settings, wanted.product, visit.t)
+        return ledger.listed(wanted, MOST), changes
+
+    found, error = read_ledger(settings, visit.room.runs, read)
+    return *(found or ([], [])), error
 
 
 def changes_of(ledger: Ledger, settings: Settings, product: str | None, t: Translate) -> list[str]:

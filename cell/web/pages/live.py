@@ -1,25 +1,36 @@
-"""The line's page: state, step, buttons, fault, newest cable, figures of the shift."""
+"""The line's page, on one screen: state, picture, newest cables, commands; a fault if there is one.
+
+After ISA-101 (human machine interfaces for process automation systems) all is grey but what needs
+a person; after IEC 60204-1 Start is white and Stop black, and no button of a screen is a red one.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from datetime import datetime
+from typing import Any
 
 from nicegui import run, ui
 
 from cell.plant.users import Role
+from cell.records.ledger.ledger import ListedCycle
 from cell.run.machine import MachineEvent
+from cell.settings.loading import products_of
 from cell.web.cycle_view import cycle_folder, newest_picture
 from cell.web.heartbeat import on_press
-from cell.web.theme import AMBER, AWAY, BLUE, GREEN, N_, RED
+from cell.web.theme import AMBER, AWAY, BLUE, N_, NORMAL, chart, notify_refusal, show_option
 from cell.web.views import (
+    OUTCOME_MARKS,
     WORDS,
     LiveView,
     adapters_text,
+    compact,
+    error_chart,
     fault_texts,
     live_view,
-    reasons_text,
+    miss_chart,
+    why_disabled,
 )
 from cell.web.visit import Visit
 
@@ -27,11 +38,64 @@ from cell.web.visit import Visit
 _EVERY_S = 0.4
 
 _BUTTONS = (
-    (MachineEvent.START, N_("Start"), "play_arrow", GREEN),
-    (MachineEvent.HOLD, N_("Hold"), "pause", AMBER),
-    (MachineEvent.UNHOLD, N_("Continue"), "play_arrow", GREEN),
-    (MachineEvent.STOP, N_("Stop"), "stop", RED),
+    (MachineEvent.START, N_("Start"), "play_arrow"),
+    (MachineEvent.HOLD, N_("Hold"), "pause"),
+    (MachineEvent.UNHOLD, N_("Continue"), "play_arrow"),
+    (MachineEvent.STOP, N_("Stop"), "stop"),
 )
+_CSS = """
+.page:has(.live) { max-width: none; padding: 0; }
+.live { display: flex; flex-direction: column; gap: 0.5rem; width: 100%; }
+.live-state, .live-person, .live-outcome { border-radius: 4px; padding: 0.25rem 0.75rem; }
+.live-state .q-linear-progress { color: inherit; opacity: 0.6; }
+.live-cut { display: -webkit-box; -webkit-box-orient: vertical; -webkit-line-clamp: 2;
+  overflow: hidden; overflow-wrap: anywhere; }
+.live-picture { display: flex; flex-direction: column; align-items: center; }
+.live-picture img { width: 100%; object-fit: contain; }
+.live-person { border: 3px solid #b3261e; display: grid; gap: 0 1rem; }
+.live-person .big-button { min-height: 3.5rem; font-size: 1.1rem; }
+.live-side { display: flex; flex-direction: column; gap: 0.25rem; }
+.live-outcome { font-size: 2.5rem; font-weight: 700; line-height: 1.2; }
+.live-outcome:empty { display: none; }
+.live-strip { display: grid; grid-template-columns: repeat(20, minmax(0, 1fr)); gap: 2px; }
+.live-strip a { text-align: center; line-height: 2rem; height: 2rem; border-radius: 2px; }
+.live-strip a.normal { color: inherit; }
+.live-strip a.waits { color: #000000; }
+.live-strip a.alarm { color: #ffffff; }
+.live-side .trend { width: 100%; height: 7rem; }
+.live-bar { display: flex; flex-direction: column; gap: 0.25rem; }
+.live-bar .big-button { flex: 1; min-width: 0; border: 2px solid #8a94a3; padding: 0 0.25rem;
+  font-size: clamp(1rem, 1.3vw, 1.35rem); }
+.live-bar .big-button { background: #ffffff; color: #1d232b; }
+.live-bar .big-button[data-test=stop] { background: #1d232b; color: #ffffff; }
+.live-bar .big-button[data-test]:disabled { background: transparent; border-style: dashed;
+  color: inherit; filter: none; opacity: 0.6 !important; }
+.live-bar .big-button .q-btn__content { flex-direction: column; line-height: 1.2; }
+.live-bar .big-button .q-icon { margin: 0; }
+.live-column { display: contents; }
+.live-buttons { display: flex; gap: 0.5rem; width: 100%; }
+@media (max-width: 899px) {
+  .live { padding-bottom: 5.5rem; }
+  .live-buttons { position: fixed; left: 0; bottom: 0; z-index: 5; padding: 0.5rem;
+    background: #ffffff; }
+  .body--dark .live-buttons { background: #121212; }
+  .live-state { order: -3; } .live-person { order: -2; } .live-bar { order: -1; }
+}
+@media (min-width: 900px) and (min-height: 640px) {
+  .q-page:has(.live) { position: relative; }
+  .nicegui-content:has(.live) { position: absolute; inset: 0; padding: 0.5rem; gap: 0.5rem;
+    flex-wrap: nowrap; }
+  .page:has(.live), .live { flex: 1; min-height: 0; }
+  .live { flex-direction: row; }
+  .live-column { display: flex; flex-direction: column; gap: 0.5rem; min-width: 0; }
+  .live-column:first-child { flex: 1; }
+  .live-column:last-child { width: clamp(20rem, 34vw, 40rem); }
+  .live-picture, .live-side { flex: 1; min-height: 0; }
+  .live-picture img { flex: 1 1 0; min-height: 0; }
+  .live-side .trend { flex: 1 1 0; height: auto; min-height: 3.5rem; max-height: 16rem; }
+}
+@media (min-width: 1200px) { .live-person { grid-template-columns: 1fr 1fr; } }
+"""
 
 
 def build(visit: Visit) -> None:
@@ -48,19 +112,18 @@ class _Live:
 
     def build(self) -> None:
         """Make the elements, and keep them up to date."""
+        ui.add_css(_CSS)
         heading = ui.label(self._t("Live")).classes("unseen")
         heading.props("role=heading aria-level=1")
-        with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-3 gap-4"):
-            with ui.column().classes("lg:col-span-2 w-full gap-4"):
+        with ui.element("div").classes("live"):
+            with ui.element("div").classes("live-column"):
                 self._state()
-                self._fault()
-                self._adapters()
+                self._picture()
+                self._person()
+            with ui.element("div").classes("live-column"):
+                self._cables()
                 if self._visit.has_role(Role.operate):
                     self._commands()
-                self._camera()
-                self._newest()
-            with ui.column().classes("w-full gap-4"):
-                self._shift()
         page, control = self._visit.page, self._visit.room.control
         ui.context.client.on_delete(lambda: control.release(page))
         ui.timer(_EVERY_S, self._update)
@@ -75,77 +138,220 @@ class _Live:
             update(view)
 
     def _state(self) -> None:
-        with ui.card().classes("w-full gap-1").props("id=state-card") as card:
-            word = ui.label().classes("state-plate").props("role=status data-test=state")
-            step = ui.label().classes("text-xl").props("data-test=step")
-            cycle = ui.label().classes("text-xl").props("data-test=cycle")
-            unrecorded = ui.label(self._t("This cycle is not recorded."))
-            unrecorded.classes("text-xl").props("data-test=unrecorded")
+        with ui.element("div") as plate:
+            with ui.element("div").classes("flex items-baseline gap-x-6"):
+                word = ui.label().classes("state-plate").props("role=status data-test=state")
+                step = ui.label().classes("text-xl").props("data-test=step")
+                cycle = ui.label().classes("text-xl live-cut ml-auto").props("data-test=cycle")
+            bar = ui.linear_progress(0.0, show_value=False, size="6px", color=None)
+            bar.props(f'aria-label="{self._t("Progress")}"')
 
         def update(view: LiveView) -> None:
-            card.style(f"background-color: {view.style.ground}; color: {view.style.letters}")
+            plate.classes(replace=f"live-state {view.style.level}")
             word.text = self._t(view.style.word)
-            seconds = "" if view.step_s is None else f" · {view.step_s:.0f} s"
-            waits = ", ".join(self._t(WORDS.get(w, w)) for w in view.waiting)
-            step.text = f"{self._t(view.step)}{seconds}" if view.step else self._t(view.note)
-            if waits and not view.step:
-                step.text = f"{self._t('Waits for')} {waits}"
-            if view.style is AWAY:
-                step.text = self._t(view.note) or self._t(
-                    "Start it with cell run --cycles forever."
-                )
-            if view.unknown_s is not None:
-                at = datetime.fromtimestamp(view.unknown_s).astimezone()
-                step.text = f"{self._t('State unknown since')} {at:%H:%M:%S}"
+            step.text = self._step_text(view)
+            bar.value = round(view.step_share, 2)
             named = [f"{self._t('Cable')} {view.cycle}"] if view.cycle else []
             named += [f"{self._t('Part')} {view.part}"] if view.part else []
             cycle.text = " · ".join([*named, *([view.product] if view.product else [])])
-            unrecorded.set_visibility(bool(view.step) and self._visit.room.camera.unrecorded)
+
+        self._updates.append(update)
+
+    def _step_text(self, view: LiveView) -> str:
+        """The step under way with its time, else why there is none."""
+        t = self._t
+        if view.unknown_s is not None:
+            at = datetime.fromtimestamp(view.unknown_s).astimezone()
+            return f"{t('State unknown since')} {at:%H:%M:%S}"
+        if view.style is AWAY:
+            return t(view.note) or t("Start it with cell run --cycles forever.")
+        if view.step:
+            seconds = "" if view.step_s is None else f" · {view.step_s:.0f} s"
+            return f"{t(view.step)}{seconds}"
+        waits = ", ".join(t(WORDS.get(w, w)) for w in view.waiting)
+        return f"{t('Waits for')} {waits}" if waits else t(view.note)
+
+    def _picture(self) -> None:
+        """The camera's newest picture while it comes, else the newest cable's."""
+        t, room = self._t, self._visit.room
+        with ui.element("div").classes("live-picture"):
+            picture = ui.element("img").props("data-test=camera")
+            caption = ui.label().classes("quiet").props("data-test=age")
+            unrecorded = ui.label(t("This cycle is not recorded.")).classes("quiet")
+            unrecorded.props("data-test=unrecorded")
+        former: dict[str, str] = {}  # the newest cycle's folder → address of its picture
+        shown = [""]
+
+        def update(view: LiveView) -> None:
+            if view.folder not in former:
+                former.clear()
+                folder = cycle_folder(room.runs, view.folder)
+                there = folder is not None and newest_picture(folder) is not None
+                former[view.folder] = f"/cycles/{view.folder}/newest" if there else ""
+            source, words = former[view.folder], N_("Newest picture")
+            newest = room.camera.ask() if view.step else None
+            unrecorded.set_visibility(bool(view.step) and room.camera.unrecorded)
+            caption.text = t(words) if source else ""
+            if newest is not None:
+                seconds = max(0.0, time.time() - newest.taken_s)
+                source, words = (
+                    f"/live/{newest.number}.jpg",
+                    N_("Camera picture of the cycle under way"),
+                )
+                caption.text = f"{t('Picture as recorded, two a second; its age:')} {seconds:.0f} s"
+            picture.set_visibility(bool(source))
+            if source != shown[0]:
+                shown[0] = source
+                picture.props(f'src="{source}" alt="{t(words)}"')
+
+        self._updates.append(update)
+
+    def _person(self) -> None:
+        """What needs a person: a fault, or a stop; and troubles of programs beside the cell."""
+        t = self._t
+        with ui.element("div").classes("live-person") as card:
+            with ui.element("div").props("role=alert"):
+                heading = ui.label().classes("text-xl font-bold")
+                cause = ui.label().classes("text-lg break-words").props("data-test=cause")
+                remedy = ui.label().classes("whitespace-pre-line break-words")
+                adapters = ui.label().classes("quiet whitespace-pre-line break-words")
+                adapters.props("data-test=adapters")
+            answer = self._acknowledgement() if self._visit.has_role(Role.operate) else None
+
+        def update(view: LiveView) -> None:
+            asked = MachineEvent.CLEAR in view.buttons or "acknowledgement" in view.waiting
+            may_reset = MachineEvent.RESET in view.buttons and view.style.word == "Stopped"
+            is_stopped = view.fault is not None or asked or may_reset
+            card.set_visibility(is_stopped or bool(view.adapters))
+            if answer is not None:
+                answer(asked, may_reset and not asked)
+            heading.text = cause.text = remedy.text = ""
+            if view.fault is not None:
+                heading.text, cause.text, remedy.text = fault_texts(view.fault, t)
+            elif is_stopped:
+                heading.text = t("A person must look first.") if asked else t("Acknowledged.")
+            adapters.text = adapters_text(view.adapters, t)
+
+        self._updates.append(update)
+
+    def _acknowledgement(self) -> Callable[[bool, bool], None]:
+        """Fields and buttons after a fault; a function that shows those that are needed."""
+        t, visit = self._t, self._visit
+        with ui.element("div").classes("flex flex-col gap-1"):
+            with ui.element("div").classes("flex gap-4") as fields:
+                name = "" if visit.room.sessions is None else visit.name
+                by = ui.input(t("Your name"), value=name).classes("w-40")
+                by.props("dense maxlength=60 data-test=by")
+                note = ui.input(t("What you found and did")).classes("grow")
+                note.props("dense maxlength=500 data-test=note")
+
+            async def acknowledge(asked_s: float) -> None:
+                if not (by.value.strip() and note.value.strip()):
+                    notify_refusal("Give your name, and what you found and did.", t)
+                    return
+                words = (by.value.strip(), note.value.strip())
+                refused = await run.io_bound(visit.acknowledge, asked_s, *words)
+                notify_refusal(refused, t)
+                if not refused:
+                    note.value = ""
+                self._update()
+
+            word = N_("Acknowledge: nothing moves")
+            clear = ui.button(t(word), color=BLUE)
+            on_press(visit.heartbeats, clear, t(word), acknowledge)
+            clear.classes("big-button").props("text-color=white data-test=acknowledge")
+            word = N_("Reset: the jaws open, the gripper goes home")
+            reset = ui.button(t(word), color=AMBER)
+            on_press(visit.heartbeats, reset, t(word), self._command(MachineEvent.RESET))
+            reset.classes("big-button").props("text-color=black data-test=reset")
+
+        def show(is_asked: bool, may_reset: bool) -> None:
+            fields.set_visibility(is_asked)
+            clear.set_visibility(is_asked)
+            reset.set_visibility(may_reset)
+
+        return show
+
+    def _cables(self) -> None:
+        """The newest cable, the outcomes of the newest ones, trends, figures of the shift."""
+        t, settings = self._t, self._visit.room.settings
+        products = products_of(settings)
+        errors_of = (t("Error of the forecast"), t("± 3 σ expected"), "", t("Cable"))
+        misses_of = (t("Tip seen"), "", "", t("Cable"))
+        with ui.element("div").classes("live-side"):
+            with ui.element("div").classes("flex justify-between w-full"):
+                ui.label(t("Newest cable")).classes("quiet")
+                link = ui.link(t("All of this cycle"), "/history")
+            outcome = ui.label().props("data-test=outcome")
+            why = ui.label().classes("break-words").props("data-test=why")
+            figures = ui.label().classes("text-sm").props("data-test=figures")
+            with ui.element("div").classes("contents") as trends:
+                strip = ui.element("div").classes("live-strip").props("data-test=strip")
+                ui.label(t("Tip between the edges of the opening"))
+                misses = chart({}).props(f'role=img aria-label="{misses_of[0]}"')
+                ui.label(", ".join(errors_of[:2]))
+                errors = chart({}).props(f'role=img aria-label="{errors_of[0]}"')
+            shift = ui.label().props("data-test=shift")
+            unplanned = ui.label(t("No OEE without `ledger.shifts`."))
+            unplanned.classes("quiet").props("data-test=unplanned")
+        shown: list[tuple[ListedCycle, ...]] = [()]
+
+        def update(view: LiveView) -> None:
+            _, level = OUTCOME_MARKS.get(view.outcome, ("", NORMAL))
+            outcome.text = t(WORDS.get(view.outcome, view.outcome))
+            outcome.classes(replace=f"live-outcome {level}")
+            why.text = t(view.reason)
+            figures.text = _joined(t, view.result)
+            link.props(f'href="/cycle/{view.folder}"').set_visibility(bool(view.folder))
+            counts = {WORDS.get(k, k): str(n) for k, n in view.counts.items()}
+            shift.text = f"{t('This shift')}: {_joined(t, {**counts, **view.shift})}"
+            unplanned.set_visibility(bool(view.shift) and "OEE" not in view.shift)
+            trends.set_visibility(bool(view.newest))
+            if view.newest != shown[0]:
+                shown[0] = view.newest
+                _fill_strip(strip, view.newest, t)
+                show_option(misses, compact(miss_chart(view.newest, misses_of, products, settings)))
+                show_option(errors, compact(error_chart(view.newest, errors_of)))
 
         self._updates.append(update)
 
     def _commands(self) -> None:
         visit, t = self._visit, self._t
         page = visit.page
-        with ui.card().classes("w-full"):
-            with ui.row().classes("items-center w-full"):
-                who = ui.label().classes("text-lg").props("data-test=control")
+        with ui.element("div").classes("live-bar"):
+            with ui.element("div").classes("flex items-center gap-x-4"):
+                who = ui.label().props("data-test=control")
                 take = ui.button(t("Take control"), color=BLUE, on_click=self._take)
-                take.props("text-color=white data-test=take")
+                take.props("text-color=white data-test=take padding='xs md'")
                 release = ui.button(
                     t("Release control"), on_click=lambda: visit.room.control.release(page)
-                ).props("outline")
-            part = (
-                ui.input(t("Part id, if it has one"))
-                .props("maxlength=200 data-test=part")
-                .classes("w-full")
-            )
-            buttons: dict[MachineEvent, ui.button] = {}
-            with ui.row().classes("gap-3 w-full"):
-                for event, word, icon, colour in _BUTTONS:
-                    button = ui.button(t(word), icon=icon, color=colour)
-                    button.classes("big-button").props(f"data-test={event.value}")
-                    button.props(f"text-color={'black' if event is MachineEvent.HOLD else 'white'}")
-                    on_press(visit.heartbeats, button, t(word), self._command_handler(event, part))
-                    buttons[event] = button
+                ).props("outline padding='xs md'")
+            part = ui.input(t("Part id, if it has one")).classes("w-full")
+            part.props("dense maxlength=200 data-test=part")
             ui.label(t("Stop is not an emergency stop: that is the red button at the robot."))
+            buttons: dict[MachineEvent, ui.button] = {}
+            with ui.element("div").classes("live-buttons"):
+                for event, word, icon in _BUTTONS:
+                    button = ui.button(t(word), icon=icon, color=None).classes("big-button")
+                    button.props(f"data-test={event.value}")
+                    of_start = part if event is MachineEvent.START else None
+                    on_press(visit.heartbeats, button, t(word), self._command(event, of_start))
+                    buttons[event] = button
 
         def update(view: LiveView) -> None:
             holder = visit.room.control.keep_alive(page)
             mine = holder is not None and holder.page == page
-            who.text = (
-                t("You have control.")
-                if mine
-                else t("Nobody has control.")
-                if holder is None
-                else f"{holder.name} {t('has control.')}"
-            )
+            other = f"{holder.name} {t('has control.')}" if holder else t("Nobody has control.")
+            who.text = t("You have control.") if mine else other
             take.set_visibility(not mine and (holder is None or holder.name == visit.name))
             release.set_visibility(mine)
             part.set_enabled(mine)
             for event, button in buttons.items():
-                stop = event is MachineEvent.STOP
-                button.set_enabled(event in view.buttons and (mine or stop))
+                why = t(why_disabled(event, view, in_control=mine))
+                button.set_enabled(not why)
+                if button.props.get("title", "") != why:
+                    button.props["title"] = button.props["aria-description"] = why
+                    button.update()
 
         self._updates.append(update)
 
@@ -156,191 +362,39 @@ class _Live:
             holder = visit.room.control.take(visit.page, visit.name)
             return "" if holder.page == visit.page else f"{holder.name} has control"
 
-        self._notify_refusal(visit.do("take control", Role.operate, act))
+        notify_refusal(visit.do("take control", Role.operate, act), self._t)
         self._update()
 
-    def _command_handler(
-        self, event: MachineEvent, part: ui.input
+    def _command(
+        self, event: MachineEvent, part: ui.input | None = None
     ) -> Callable[[float], Awaitable[None]]:
+        """Handler of a button that gives a command; `part` names the cable of a start."""
+
         async def give(asked_s: float) -> None:
-            code = (part.value or "").strip() if event is MachineEvent.START else ""
-            self._notify_refusal(await run.io_bound(self._visit.command, event, asked_s, code))
-            if event is MachineEvent.START:
+            code = "" if part is None else (part.value or "").strip()
+            refused = await run.io_bound(self._visit.command, event, asked_s, code)
+            notify_refusal(refused, self._t)
+            if part is not None:
                 part.value = ""
             self._update()
 
         return give
 
-    def _notify_refusal(self, refused: str | None) -> None:
-        if refused:
-            words = self._t(refused)
-            ui.notify(words, type="negative", multi_line=True, close_button=self._t("Close"))
 
-    def _fault(self) -> None:
-        t = self._t
-        with ui.card().classes("w-full border-4 border-red-700").props("role=alert") as card:
-            heading = ui.label().classes("text-xl font-bold")
-            cause = ui.label().classes("text-lg break-words").props("data-test=cause")
-            remedy = ui.label().classes("whitespace-pre-line break-words")
-            operates = self._visit.has_role(Role.operate)
-            if operates:
-                by = ui.input(
-                    t("Your name"),
-                    value="" if self._visit.room.sessions is None else self._visit.name,
-                ).classes("w-full")
-                note = ui.input(t("What you found and did")).classes("w-full")
-                by.props("maxlength=60 data-test=by")
-                note.props("maxlength=500 data-test=note")
-
-                async def acknowledge(asked_s: float) -> None:
-                    if not (by.value.strip() and note.value.strip()):
-                        self._notify_refusal(t("Give your name, and what you found and did."))
-                        return
-                    words = (by.value.strip(), note.value.strip())
-                    refused = await run.io_bound(self._visit.acknowledge, asked_s, *words)
-                    self._notify_refusal(refused)
-                    if not refused:
-                        note.value = ""
-                    self._update()
-
-                async def reset(asked_s: float) -> None:
-                    self._notify_refusal(
-                        await run.io_bound(self._visit.command, MachineEvent.RESET, asked_s)
-                    )
-                    self._update()
-
-                word = N_("Acknowledge: nothing moves")
-                saying = ui.button(t(word), color=BLUE)
-                on_press(self._visit.heartbeats, saying, t(word), acknowledge)
-                saying.classes("big-button").props("text-color=white data-test=acknowledge")
-                word = N_("Reset: the jaws open, the gripper goes home")
-                moving = ui.button(t(word), color=AMBER)
-                on_press(self._visit.heartbeats, moving, t(word), reset)
-                moving.classes("big-button").props("text-color=black data-test=reset")
-
-        def update(view: LiveView) -> None:
-            asked = MachineEvent.CLEAR in view.buttons or "acknowledgement" in view.waiting
-            may_reset = MachineEvent.RESET in view.buttons and view.style.word == "Stopped"
-            card.set_visibility(view.fault is not None or asked or may_reset)
-            if operates:
-                for element in (by, note, saying):
-                    element.set_visibility(asked)
-                moving.set_visibility(may_reset and not asked)
-            heading.text = t("A person must look first.") if asked else t("Acknowledged.")
-            cause.text = remedy.text = ""
-            if view.fault is not None:
-                heading.text, cause.text, remedy.text = fault_texts(view.fault, t)
-
-        self._updates.append(update)
-
-    def _camera(self) -> None:
-        t, camera = self._t, self._visit.room.camera
-        with ui.card().classes("w-full") as card:
-            ui.label(t("Camera")).classes("text-xl font-bold")
-            age = ui.label().classes("quiet").props("data-test=age")
-            picture = ui.element("img").classes("w-full max-w-xl")
-            picture.props(f'alt="{t("Camera picture of the cycle under way")}" data-test=camera')
-        shown = [0]
-
-        def update(view: LiveView) -> None:
-            newest = camera.ask() if view.step else None
-            card.set_visibility(newest is not None)
-            if newest is None:
-                return
-            seconds = max(0.0, time.time() - newest.taken_s)
-            age.text = f"{t('Picture as recorded, two a second; its age:')} {seconds:.0f} s"
-            if newest.number != shown[0]:
-                shown[0] = newest.number
-                picture.props(f'src="/live/{newest.number}.jpg"')
-
-        self._updates.append(update)
-
-    def _adapters(self) -> None:
-        """Troubles with programs between the cell and the plant: quiet, nobody need acknowledge."""
-        with ui.card().classes("w-full py-2").props("role=status") as card:
-            said = ui.label().classes("quiet whitespace-pre-line break-words")
-            said.props("data-test=adapters")
-
-        def update(view: LiveView) -> None:
-            card.set_visibility(bool(view.adapters))
-            said.text = adapters_text(view.adapters, self._t)
-
-        self._updates.append(update)
-
-    def _newest(self) -> None:
-        t = self._t
-        with ui.card().classes("w-full") as card:
-            outcome = ui.label().classes("text-xl font-bold").props("data-test=outcome")
-            why = ui.label().classes("break-words").props("data-test=why")
-            figures = _Figures(t)
-            picture = (
-                ui.image("")
-                .classes("w-full max-w-3xl")
-                .props(f'alt="{t("Newest picture")}" no-spinner')
-            )
-            link = ui.link(t("All of this cycle"), "/history")
-        shown = [""]
-
-        def update(view: LiveView) -> None:
-            outcome.text = f"{t('Newest cable')}: {t(WORDS.get(view.outcome, view.outcome))}"
-            why.text = t(view.reason)
-            why.set_visibility(bool(view.reason))
-            figures.show(view.result)
-            if view.folder != shown[0]:
-                shown[0] = view.folder
-                folder = cycle_folder(self._visit.room.runs, view.folder)
-                there = folder is not None and newest_picture(folder) is not None
-                picture.set_visibility(there)
-                picture.set_source(f"/cycles/{view.folder}/newest" if there else "")
-                link.props(f'href="/cycle/{view.folder}"')
-            card.set_visibility(bool(view.folder))
-
-        self._updates.append(update)
-
-    def _shift(self) -> None:
-        t = self._t
-        with ui.card().classes("w-full"):
-            ui.label(t("This shift")).classes("text-xl font-bold")
-            counts, shares = _Figures(t), _Figures(t)
-            unplanned = ui.label(
-                t("No OEE: set `ledger.shifts`, the times at which shifts begin, to plan the time.")
-            )
-            unplanned.classes("quiet").props("data-test=unplanned")
-        with ui.card().classes("w-full") as card:
-            ui.label(t("Reasons")).classes("text-xl font-bold")
-            reasons = ui.label().classes("whitespace-pre-line break-words")
-            reasons.props("data-test=reasons")
-
-        def update(view: LiveView) -> None:
-            counts.show({WORDS.get(k, k): str(n) for k, n in view.counts.items()})
-            shares.show(view.shift)
-            unplanned.set_visibility(not view.has_planned_time)
-            card.set_visibility(bool(view.reasons))
-            reasons.text = reasons_text(view.reasons, t)
-
-        self._updates.append(update)
+def _joined(t: Callable[[str], str], figures: Any) -> str:
+    """Figures with their headings, in a line."""
+    each = (f"{t(heading)} {t(text)}" for heading, text in figures.items())
+    return " · ".join(words.replace(" ", "\u00a0") for words in each)
 
 
-class _Figures:
-    """Figures with their headings in a row; elements are made once for each heading."""
-
-    def __init__(self, t: Callable[[str], str]) -> None:
-        self._t = t
-        self._shown: dict[str, tuple[ui.element, ui.label]] = {}
-        self._row = ui.row().classes("gap-x-6 gap-y-2 w-full")
-
-    def show(self, figures: Mapping[str, str]) -> None:
-        """Show these in their order, in place of those before."""
-        is_new = False
-        for heading, text in figures.items():
-            if heading not in self._shown:
-                with self._row, ui.element("div").classes("flex flex-col") as place:
-                    ui.label(self._t(heading)).classes("text-sm")
-                    self._shown[heading] = (place, ui.label().classes("figure"))
-                    is_new = True
-            self._shown[heading][1].text = self._t(text)
-        if is_new:
-            for at, heading in enumerate(figures):
-                self._shown[heading][0].move(target_index=at)
-        for heading, (place, _) in self._shown.items():
-            place.set_visibility(heading in figures)
+def _fill_strip(
+    strip: ui.element, cycles: tuple[ListedCycle, ...], t: Callable[[str], str]
+) -> None:
+    """A mark for each cable, which leads to its cycle."""
+    strip.clear()
+    with strip:
+        for cycle in cycles:
+            mark, level = OUTCOME_MARKS.get(cycle.outcome, ("", NORMAL))
+            words = f"{t('Cable')} {cycle.cycle}: {t(WORDS.get(cycle.outcome, cycle.outcome))}"
+            link = ui.link(mark, f"/cycle/{cycle.folder.name}").classes(f"no-underline {level}")
+            link.props(f'title="{words}" aria-label="{words}"')

@@ -15,8 +15,7 @@ from cell.plant.users import Role
 from cell.settings.entries import SettingsEntry, SettingsForm
 from cell.settings.promotion import ChangedMeanwhileError, read_exactly, replace_settings, versions
 from cell.web.draft import Draft, differences, value_text
-from cell.web.theme import BLUE
-from cell.web.unsaved import Unsaved
+from cell.web.theme import BLUE, Unsaved, heading, notify_refusal
 from cell.web.visit import Visit
 from cell.web.wording import Translate
 
@@ -210,7 +209,9 @@ class _SettingsPage:
             with ui.row():
                 show = ui.button(t("Show differences"), on_click=self._differences, color=BLUE)
                 show.props("text-color=white data-test=differences")
-                self._discard = ui.button(t("Discard"), on_click=self._discarded).props("outline")
+                self._discard = ui.button(
+                    t("Discard"), on_click=lambda: self._load(self._draft.base)
+                ).props("outline")
         self._rows.build_rows()
         self._earlier()
         self._fill()
@@ -261,9 +262,6 @@ class _SettingsPage:
         ui.navigate.to("/login")
         return False
 
-    def _discarded(self) -> None:
-        self._load(self._draft.base)
-
     def _load(self, text: str) -> None:
         self._draft = Draft(self._draft.config, text)
         self._fill()
@@ -281,7 +279,7 @@ class _SettingsPage:
         """Show differences, and write if a person says so."""
         t = self._t
         with ui.dialog() as dialog, ui.card().classes("w-full max-w-4xl"):
-            ui.label(t("Differences")).classes("text-xl").props("role=heading aria-level=2")
+            heading(t("Differences"))
             _diff(differences(before, after, self._draft.config.name))
             ui.label(t("A running cell takes changes up at its next start."))
             with ui.row():
@@ -316,7 +314,7 @@ class _SettingsPage:
         if meanwhile:
             self._changed_meanwhile(meanwhile[0])
         elif refused:
-            ui.notify(refused, type="negative", multi_line=True, close_button=self._t("Close"))
+            notify_refusal(refused, self._t)
         elif refused is not None:
             ui.notify(self._t("The settings are written."), type="positive")
             self._load(after)
@@ -336,7 +334,7 @@ class _SettingsPage:
                 try:
                     self._draft = draft.on(present)
                 except InputError as error:
-                    ui.notify(str(error), type="negative", multi_line=True)
+                    notify_refusal(str(error), t)
                     return
                 with self._rows.place:
                     self._fill()
@@ -361,7 +359,7 @@ class _SettingsPage:
         if not kept:
             return
         with ui.card().classes("w-full"):
-            ui.label(t("Earlier versions")).classes("text-xl").props("role=heading aria-level=2")
+            heading(t("Earlier versions"))
             names = {str(p): _version(p) for p in kept}
             chosen = ui.select(names, value=str(kept[0]), label=t("Replaced at"))
             chosen.classes("w-full")
@@ -373,7 +371,7 @@ class _SettingsPage:
                 try:
                     present, former = read_exactly(config), read_exactly(file)
                 except (OSError, ValueError) as error:
-                    ui.notify(str(error), type="negative")
+                    notify_refusal(str(error), t)
                     return
                 self._confirm(present, former, f"as in {file.name}")
 

@@ -29,7 +29,7 @@ from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
 from cell.web.camera import Films, LiveCamera
 from cell.web.cycle_view import cycle_folder
-from cell.web.guard import MOST_BYTES, Guard
+from cell.web.guard import MOST_BYTES, Guard, TimedHttp
 from cell.web.guided import Guided
 from cell.web.jobs import Jobs, JobTask
 from cell.web.serve import may_be_served
@@ -45,7 +45,6 @@ from cell.web.sessions import (
     Sessions,
     local_session,
 )
-from cell.web.timed_http import TimedHttp
 from cell.web.visit import PagesContext, Visit
 from cell.web.watching import CellWatch
 
@@ -216,7 +215,7 @@ def test_a_body_that_stops_half_way_is_refused(monkeypatch: pytest.MonkeyPatch) 
 def test_a_head_that_stops_half_way_is_closed(
     monkeypatch: pytest.MonkeyPatch, heads: tuple[bytes, ...]
 ) -> None:
-    monkeypatch.setattr("cell.web.timed_http.HEAD_S", 0.2)
+    monkeypatch.setattr("cell.web.guard.HEAD_S", 0.2)
 
     async def answer(scope: Any, receive: Any, send: Any) -> None:
         await send({"type": "http.response.start", "status": 204, "headers": []})

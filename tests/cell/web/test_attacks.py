@@ -24,11 +24,10 @@ from cell.run.machine import CellState, MachineEvent
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
 from cell.web.camera import Films, LiveCamera
-from cell.web.guard import COOKIE, Guard
+from cell.web.guard import COOKIE, Guard, TimedHttp
 from cell.web.guided import Guided
 from cell.web.serve import application, serve
 from cell.web.sessions import IDLE_S, MOST_WRONG, Control, Sessions
-from cell.web.timed_http import TimedHttp
 from cell.web.visit import PagesContext, Visit
 from cell.web.watching import CellWatch, WatchedState
 

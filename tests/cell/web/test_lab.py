@@ -12,7 +12,7 @@ from cell.cable.effects.remote import is_confined
 from cell.files.yaml_document import yaml_text
 from cell.lab.verdict.checks import CHECKS
 from cell.web.lab import Lab, named_files
-from cell.web.lab_tasks import CableEntries, LabTasks, Subject
+from cell.web.lab_tasks import LabTasks, Subject
 from cell.web.lab_views import (
     NOT_APPLICABLE,
     candidate_table,
@@ -103,8 +103,8 @@ def test_what_is_asked_for_is_a_command(tasks: LabTasks) -> None:
     assert compared[2:6] == ("--model", before[-1], "--model", after[-1])
     before, after, _ = tasks.fit_own(study, "baseline", []).commands
     assert before[-1] != after[-1], "whatever an effect is called, two models are two files"
-    entries = CableEntries(free_length_m=0.1, thickness_m=1e-4)
-    assert tasks.propose("x", ["a.csv"], ["h.csv"], entries).typed == (
+    stated = {"--free-length": 0.1, "--thickness": 1e-4}
+    assert tasks.propose("x", ["a.csv"], ["h.csv"], stated).typed == (
         "cell import runs.lab/uploads/x/a.csv --hand runs.lab/uploads/x/h.csv "
         "-o runs.lab/studies/x --free-length 0.1 --thickness 0.0001 --force"
     )

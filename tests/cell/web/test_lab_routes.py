@@ -22,7 +22,7 @@ from cell.web.audit import Audit, audit_file
 from cell.web.camera import Films, LiveCamera
 from cell.web.guard import COOKIE, MOST_BYTES, Guard
 from cell.web.guided import Guided
-from cell.web.lab_routes import lab_routes
+from cell.web.serve import lab_routes
 from cell.web.sessions import Control, Sessions
 from cell.web.visit import PagesContext
 from cell.web.watching import CellWatch

@@ -16,6 +16,7 @@ from cell.records.result import Result
 from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING
 from cell.settings import load_settings
+from cell.settings.loading import products_of
 from cell.settings.provenance import line_name
 from cell.web import theme
 from cell.web.pages import history
@@ -27,11 +28,13 @@ from cell.web.views import (
     fault_texts,
     history_row,
     live_view,
+    miss_chart,
     reasons_text,
     result_figures,
+    why_disabled,
 )
-from cell.web.watching import ShiftFigures, WatchedState, state_after
-from cell.web.wording import translation
+from cell.web.watching import ShiftFigures, WatchedState, shift_figures, state_after
+from cell.web.wording import sentences, translation
 from drivers.interfaces import ArmMode, too_late
 from tests.cell.records.ledger.conftest import ended
 
@@ -53,6 +56,8 @@ def notice(kind: MessageKind, at_s: float = 0.0, **data: object) -> Notice:
 
 def test_every_state_has_a_look_and_every_step_a_word() -> None:
     assert set(LOOKS) == set(CellState)
+    known = sentences("de")
+    assert all(known.find(style.word) for style in LOOKS.values())
     assert set(INSERTING.names) <= set(STEPS)
 
 
@@ -69,6 +74,11 @@ def test_a_step_is_shown_with_its_time_until_the_state_changes() -> None:
     seen = state_after(seen, notice(MessageKind.STEP, 5.0, step="lower", cycle=3))
     view = live_view(seen, 7.5)
     assert (view.style.word, view.step, view.step_s, view.cycle) == ("Execute", "lowering", 2.5, 3)
+    assert view.step_share == 0.0  # nobody knows how long it takes
+    for usual_s, share in ((10.0, 0.25), (2.0, 1.0)):
+        ended = {**RESULT, "seconds": {"lower": usual_s}}
+        known = replace(seen, status=replace(seen.status, last=ended))
+        assert live_view(known, 7.5).step_share == share
     assert live_view(seen, 4.0).step_s == 0.0  # clocks differ a little
     seen = state_after(seen, notice(MessageKind.STATE, state="held", step=None, since=9.0))
     assert live_view(seen, 9.0).step_s is None
@@ -91,8 +101,8 @@ def test_a_fault_is_shown_with_cause_and_remedy_until_it_is_acknowledged() -> No
     seen = state_after(WatchedState(), replace(IDLE, fault=fault, waiting_for=("acknowledgement",)))
     view = live_view(seen, 0.0)
     assert view.fault is not None
-    assert (view.fault.device, view.fault.step, view.fault.cause) == ("arm", "lowering", "limit")
-    assert view.fault.remedies == ("move it back", "a cable is in the jaws")
+    remedies = "move it back\na cable is in the jaws"
+    assert fault_texts(view.fault, str) == ("Fault: arm, lowering", "limit", remedies)
     assert view.waiting == ("acknowledgement",)
     seen = state_after(seen, notice(MessageKind.ACKNOWLEDGED, by="Ada", note="looked"))
     assert live_view(seen, 0.0).fault is None
@@ -102,7 +112,7 @@ def test_an_adapter_in_trouble_is_named_until_it_runs_again() -> None:
     trouble = "has ended: signal 9; it is started again"
     seen = state_after(WatchedState(), IDLE)
     seen = state_after(seen, notice(MessageKind.ADAPTER, adapter="opcua", trouble=trouble))
-    assert live_view(seen, 0.0).adapters == {"OPC UA": trouble}
+    assert adapters_text(live_view(seen, 0.0).adapters, str) == f"OPC UA {trouble}"
     assert live_view(replace(seen, connected=False), 0.0).adapters == {}
     seen = state_after(seen, notice(MessageKind.ADAPTER, adapter="opcua", trouble=""))
     assert live_view(seen, 0.0).adapters == {}
@@ -115,10 +125,8 @@ def test_figures_of_the_shift_come_from_the_ledger() -> None:
     view = live_view(seen, 0.0)
     texts = {"Yield": "75%", "Availability": "50%", "Performance": "80%", "OEE": "30%"}
     assert view.shift == texts
-    assert view.reasons == (("arm.limit", 2, "limit"),)
     unplanned = replace(seen, figures=replace(seen.figures, is_planned=False))
     assert live_view(unplanned, 0.0).shift == {"Yield": "75%", "Performance": "80%"}
-    assert not live_view(unplanned, 0.0).has_planned_time
     none = replace(shift, cables=0, inserted=0, running_s=0.0)
     seen = WatchedState(figures=ShiftFigures({}, none, ()))
     assert live_view(seen, 0.0).shift["Yield"] == "–"
@@ -147,12 +155,44 @@ def test_cycles_as_rows_and_errors_as_a_chart() -> None:
         "too stiff",
     )
     cycles = [replace(good, cycle=41), replace(unknown, cycle=42)]
-    chart = error_chart(cycles, "seen", "expected", "none", "cable")
+    chart = error_chart(cycles, ("error", "expected", "none", "cable"))
     assert chart["xAxis"]["data"] == ["41", "42"]
     errors, high, low, none = (s["data"] for s in chart["series"])
-    assert (errors, high, low) == ([0.5, None], [0.3, None], [-0.3, None])
+    assert (errors[0]["value"], errors[0]["itemStyle"]) == (0.5, {"color": theme.RED})
+    assert (errors[1], high, low) == (None, [0.3, None], [-0.3, None])
     assert none == [None, 0.0]
-    assert error_chart([unknown], "", "", "", "")["xAxis"]["data"] == []
+    assert error_chart([unknown], ("", "", "", ""))["xAxis"]["data"] == []
+    products = products_of(load_settings(ROOT / "config" / "products.yaml"))
+    (name, stiff), usual = list(products.items())[-1], load_settings(ROOT / "config" / "fake.yaml")
+    cycles += [replace(good, product=name)]
+    chart = miss_chart(cycles, ("", "", "", ""), {name: stiff}, usual)
+    misses, high, *_ = (s["data"] for s in chart["series"])
+    halves = [0.5e3 * (s.destination.y_m[1] - s.destination.y_m[0]) for s in (usual, stiff)]
+    assert misses == [1.5, None, 1.5]
+    assert high == pytest.approx([halves[0], halves[0], halves[1]])
+
+
+def test_a_button_that_cannot_be_pressed_says_why() -> None:
+    view = live_view(state_after(WatchedState(), IDLE), 0.0)
+    assert why_disabled(MachineEvent.START, view, in_control=True) == ""
+    assert why_disabled(MachineEvent.START, view, in_control=False) == "Take control first."
+    assert why_disabled(MachineEvent.STOP, view, in_control=False) == ""
+    assert why_disabled(MachineEvent.HOLD, view, in_control=True) == "Not possible in this state."
+    nothing = live_view(WatchedState(), 0.0)
+    assert why_disabled(MachineEvent.STOP, nothing, in_control=True) == "No cell runs"
+
+
+def test_without_a_cell_the_newest_cable_is_that_of_the_ledger(tmp_path: Path) -> None:
+    settings = load_settings(ROOT / "config" / "fake.yaml")
+    runs = tmp_path / "runs"
+    ledger = Ledger(runs, create=True)
+    made = [ended(n, line=line_name(settings), product=None) for n in range(1, 24)]
+    ledger.write(made)
+    ledger.close()
+    figures = shift_figures(settings, runs, datetime.now().astimezone())
+    view = live_view(WatchedState(figures=figures), 0.0)
+    assert [c.cycle for c in view.newest] == list(range(4, 24))
+    assert (view.outcome, view.folder) == (view.newest[-1].outcome, view.newest[-1].folder.name)
 
 
 def test_counts_have_one_order_and_a_cycle_under_way_is_no_killed_one() -> None:
@@ -187,7 +227,7 @@ def test_a_german_page_says_causes_remedies_and_reasons_in_german() -> None:
     assert adapters_text(view.adapters, t) == (
         f"Handshake mit der SPS endete: Rückgabewert 1; {again}"
     )
-    assert reasons_text(view.reasons, t) == (
+    assert reasons_text(figures.reasons, t) == (
         f"2 × verfehlt: die Spitze verfehlte das Ziel um 1,20 mm\n1 × arm.limit: {late}"
     )
     at = datetime(2026, 11, 25, 6, tzinfo=UTC)

@@ -10,15 +10,9 @@ from nicegui import run, ui
 from cell.cable.effects import library
 from cell.web.lab_tasks import BASELINE
 from cell.web.lab_views import PLACES, Data, failing_places, model_errors, read_result, trials_of
-from cell.web.pages.lab.desk import Desk, NeedsStudy, first_lines, frame, heading, output
-from cell.web.theme import BLUE, N_
+from cell.web.pages.lab.desk import Desk, NeedsStudy, first_lines, frame, output, set_names
+from cell.web.theme import BLUE, chart, heading, show_option
 from cell.web.workspace import is_name
-
-_PLACES = {
-    "by_time": N_("By time"),
-    "by_arc_length": N_("By arc length"),
-    "by_frequency": N_("By frequency"),
-}
 
 
 class ModelsPanel:
@@ -53,24 +47,21 @@ class ModelsPanel:
 
     async def _refresh(self) -> None:
         self._needs_study.refresh()
-        self._effects.set_options([*self._desk.own_effects(), *library()], value=self._chosen())
+        set_names(self._effects, [*self._desk.own_effects(), *library()])
         models = self._desk.models()
         kept = [m for m in self._models.value or [] if m in models]
         self._models.set_options(models, value=kept or models)
         await self._shown.refresh()
 
-    def _chosen(self) -> list[str]:
-        return list(self._effects.value or [])
-
     def _fit(self) -> None:
         desk, name = self._desk, str(self._name.value or "").strip()
-        if desk.subject is None:
-            desk.notify_refusal(self._t("Choose a study first."))
-        elif not is_name(name):
+        if (subject := desk.subject_or_refusal()) is None:
+            return
+        if not is_name(name):
             desk.notify_refusal(self._t("A name has letters, digits, _, - and dots."))
         else:
-            effects = [desk.effect_file(e) for e in self._chosen()]
-            desk.ask(desk.tasks.fit(desk.subject, name, effects, bool(self._line.value)))
+            effects = [desk.effect_file(e) for e in self._effects.value or []]
+            desk.ask(desk.tasks.fit(subject, name, effects, bool(self._line.value)))
 
     def _compare(self) -> None:
         desk, models = self._desk, list(self._models.value or [])
@@ -107,7 +98,7 @@ class ComparePanel:
             log = desk.result(f"{self._file}.txt")
             for line in first_lines(log):
                 ui.label(line).classes("break-words text-lg").props("data-test=sentence")
-            ui.echart(model_errors(data, t)).classes("w-full h-72").props("data-test=errors")
+            chart(model_errors(data, t), "h-72").props("data-test=errors")
             page = desk.result(f"{self._file}.html")
             if page is not None:
                 title = t("Every trial with a time slider")
@@ -119,15 +110,14 @@ class ComparePanel:
             trial = ui.select(trials, value=trials[0], label=t("Trial")).classes("w-64")
             with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-3 gap-4"):
                 charts: dict[str, Any] = {}
-                for place, words in _PLACES.items():
+                for place, (words, *_) in PLACES.items():
                     with ui.column().classes("w-full gap-0"):
                         ui.label(t(words)).classes("font-bold")
                         option = failing_places(data, place, trials[0], t)
-                        charts[place] = ui.echart(option).classes("w-full h-64")
+                        charts[place] = chart(option)
 
             def choose() -> None:
                 for place in PLACES:
-                    charts[place].options.clear()
-                    charts[place].options.update(failing_places(data, place, trial.value, t))
+                    show_option(charts[place], failing_places(data, place, trial.value, t))
 
             trial.on_value_change(choose)

@@ -8,14 +8,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from nicegui import run, ui
+from nicegui import ui
 
 from cell.plant.users import Role
 from cell.web.cycle_view import cycle_folder
 from cell.web.jobs import JobTask
 from cell.web.lab_tasks import PREVIEW, LabTasks, Subject
-from cell.web.theme import N_
-from cell.web.visit import Visit
+from cell.web.theme import N_, notify_refusal
+from cell.web.visit import Visit, do
 from cell.web.workspace import is_name
 
 #: What a part of the page does when a study was chosen, or a job has ended.
@@ -113,23 +113,20 @@ class Desk:
             return "" if ran.code == 0 else ran.output.strip() or "it took too long"
 
         typed = shlex.join(["cell", *words])
-        refused = await run.io_bound(self.visit.do, f"lab {words[0]}", Role.engineer, act, typed)
-        self.notify_refusal(refused)
-        if not refused and said:
+        done = await do(self.visit, f"lab {words[0]}", Role.engineer, act, typed)
+        if done and said:
             ui.notify(said[0], type="positive", multi_line=True, close_button=self.t("Close"))
-        return not refused
+        return done
 
     def notify_refusal(self, refused: str | None) -> None:
         """Say why something was not done."""
-        if refused:
-            ui.notify(
-                refused,
-                type="negative",
-                multi_line=True,
-                close_button=self.t("Close"),
-                classes="whitespace-pre-line",
-                attrs={"data-test": "refused"},
-            )
+        notify_refusal(refused, self.t)
+
+    def subject_or_refusal(self) -> Subject | None:
+        """The study chosen; without one a person is told to choose one."""
+        if self.subject is None:
+            self.notify_refusal("Choose a study first.")
+        return self.subject
 
     def result(self, file: str) -> Path | None:
         """A file of results of the study chosen; None = no study is."""
@@ -149,9 +146,10 @@ class Desk:
         path = self.workspace.effects / f"{name}.py"
         return str(path) if path.exists() else name
 
-    @property
-    def _name(self) -> str:
-        return "" if self.subject is None else self.subject.name
+
+def set_names(choice: ui.select, names: Sequence[str]) -> None:
+    """Offer these names in a choice of several; those that were chosen stay so."""
+    choice.set_options(list(names), value=[n for n in choice.value or [] if n in names])
 
 
 class NeedsStudy:
@@ -236,8 +234,3 @@ def _lines(log: Path | None) -> list[str]:
         return [] if log is None else log.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):
         return []
-
-
-def heading(text: str) -> None:
-    """Heading of a part of the page."""
-    ui.label(text).classes("text-xl font-bold").props("role=heading aria-level=2")

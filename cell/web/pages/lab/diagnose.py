@@ -23,11 +23,11 @@ from cell.web.pages.lab.desk import (
     NeedsStudy,
     first_lines,
     frame,
-    heading,
     output,
     printed,
+    set_names,
 )
-from cell.web.theme import BLUE, manual_page
+from cell.web.theme import BLUE, chart, columns, heading, manual_page
 
 _PASSED = """
 <q-td :props="props">
@@ -76,25 +76,19 @@ class DiagnosePanel:
 
     def _diagnose(self) -> None:
         desk = self._desk
-        if desk.subject is None:
-            desk.notify_refusal(self._t("Choose a study first."))
-            return
-        desk.ask(desk.tasks.diagnose(desk.subject, *self._names(), bool(self._line.value)))
+        if (subject := desk.subject_or_refusal()) is not None:
+            desk.ask(desk.tasks.diagnose(subject, *self._names(), bool(self._line.value)))
 
     def _suggest(self) -> None:
         desk = self._desk
-        if desk.subject is None:
-            desk.notify_refusal(self._t("Choose a study first."))
-            return
-        desk.ask(desk.tasks.suggest(desk.subject, *self._names()))
+        if (subject := desk.subject_or_refusal()) is not None:
+            desk.ask(desk.tasks.suggest(subject, *self._names()))
 
     async def _refresh(self) -> None:
         self._needs_study.refresh()
         own = self._desk.own_effects()
-        self._tried.set_options(own, value=[e for e in self._tried.value or [] if e in own])
-        all_of_them = [*own, *library()]
-        known = [e for e in self._known.value or [] if e in all_of_them]
-        self._known.set_options(all_of_them, value=known)
+        set_names(self._tried, own)
+        set_names(self._known, [*own, *library()])
         names = ("diagnosis.json", "motion.yaml", "suggest.txt")
         files = [p for name in names if (p := self._desk.result(name)) is not None]
         seen = tuple((p, p.stat().st_mtime_ns) for p in files if p.exists())
@@ -124,7 +118,7 @@ class DiagnosePanel:
                 if entry and effect in library() | unscreened():
                     words = f"{effect}: {t('law, limits and remedy')}"
                     ui.link(words, f"{entry}#{effect}", new_tab=True)
-            ui.echart(error_steps(data, t)).classes("w-full h-72").props("data-test=falling")
+            chart(error_steps(data, t), "h-72").props("data-test=falling")
             page = desk.result("diagnosis.html")
             if page is not None:
                 frame(desk, "diagnosis.html", t("Report with the evidence"), page)
@@ -135,31 +129,25 @@ class DiagnosePanel:
                 self._checks(data)
             with ui.card().classes("w-full"):
                 heading(t("Effects, each alone"))
-                columns = [
-                    {"name": k, "label": label, "field": k, "align": "left"}
-                    for k, label in (
-                        ("effect", t("Effect")),
-                        ("score", t("χ² explained")),
-                        ("p", "p"),
-                        ("status", t("Status")),
-                    )
-                ]
-                table = ui.table(columns=columns, rows=ranking_rows(data), row_key="effect")
+                heads = columns(
+                    ("effect", t("Effect")),
+                    ("score", t("χ² explained")),
+                    ("p", "p"),
+                    ("status", t("Status")),
+                )
+                table = ui.table(columns=heads, rows=ranking_rows(data), row_key="effect")
                 table.classes("w-full").props("dense flat data-test=ranking")
 
     def _checks(self, data: Data) -> None:
         t = self._t
-        columns = [
-            {"name": k, "label": label, "field": k, "align": "left"}
-            for k, label in (
-                ("question", t("Question")),
-                ("statistic", t("Statistic")),
-                ("limit", t("Limit")),
-                ("result", t("Result")),
-                ("said", t("What it says")),
-            )
-        ]
-        table = ui.table(columns=columns, rows=check_rows(data, t), row_key="name")
+        heads = columns(
+            ("question", t("Question")),
+            ("statistic", t("Statistic")),
+            ("limit", t("Limit")),
+            ("result", t("Result")),
+            ("said", t("What it says")),
+        )
+        table = ui.table(columns=heads, rows=check_rows(data, t), row_key="name")
         table.classes("w-full").props("dense flat wrap-cells data-test=checks")
         table.add_slot("body-cell-result", _PASSED)
 

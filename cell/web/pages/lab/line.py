@@ -8,10 +8,11 @@ from typing import Any
 
 from nicegui import run, ui
 
-from cell.settings.promotion import history_of
+from cell.files.input_error import InputError
+from cell.settings.promotion import history_of, section_of
 from cell.web.lab_views import candidate_table
-from cell.web.pages.lab.desk import Desk, first_lines, heading, output
-from cell.web.theme import BLUE
+from cell.web.pages.lab.desk import Desk, first_lines, output, set_names
+from cell.web.theme import BLUE, confirmed, heading
 from cell.web.workspace import is_name
 
 #: So many candidates are shown beside each other, the newest.
@@ -68,8 +69,7 @@ class LinePanel:
 
     async def _refresh(self) -> None:
         desk = self._desk
-        own = desk.own_effects()
-        self._own.set_options(own, value=[e for e in self._own.value or [] if e in own])
+        set_names(self._own, desk.own_effects())
         folder = desk.workspace.candidates
         names = [n for n in desk.workspace.names(folder, ".yaml") if not n.endswith("_motion")]
         paths = {name: folder / f"{name}.yaml" for name in names[:_SHOWN]}
@@ -106,24 +106,13 @@ class LinePanel:
 
     async def _promote(self, name: str) -> None:
         question = f"{self._t('Give the line this model?')} {name}"
-        sure = await self._confirmed(question, self._t("Promote"), "promote-yes")
+        sure = await confirmed(question, self._t("Promote"), self._t, "promote-yes")
         if sure and await self._desk.run_promotion(self._desk.tasks.promote(name)):
             await self._desk.changed()
 
-    async def _confirmed(self, question: str, answer: str, test: str) -> bool:
-        with ui.dialog() as asked, ui.card():
-            ui.label(question)
-            with ui.row():
-                ui.button(self._t("Cancel"), on_click=lambda: asked.submit(False)).props("outline")
-                yes = ui.button(answer, color=BLUE, on_click=lambda: asked.submit(True))
-                yes.props(f"text-color=white data-test={test}")
-        sure = bool(await asked)
-        asked.delete()
-        return sure
-
     async def _undo(self) -> None:
         question = self._t("Give the line its former model again?")
-        sure = await self._confirmed(question, self._t("Undo"), "undo-yes")
+        sure = await confirmed(question, self._t("Undo"), self._t, "undo-yes")
         if sure and await self._desk.run_promotion(self._desk.tasks.undo()):
             await self._desk.changed()
 
@@ -136,9 +125,6 @@ def former_models(config: Path) -> int:
 
 def model_text(config: Path) -> str:
     """The section `model` of the settings as the file has it, and how often it was changed."""
-    from cell.files.input_error import InputError
-    from cell.settings.promotion import section_of
-
     try:
         section = section_of(config, config.read_text(encoding="utf-8"))
         count = former_models(config)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from nicegui import run, ui
@@ -14,9 +15,9 @@ from cell.plant.users import Role
 from cell.web.lab import CheckedFile
 from cell.web.lab_views import fitted_lines, read_result
 from cell.web.pages.lab.compare import ComparePanel
-from cell.web.pages.lab.desk import Desk, NeedsStudy, heading, output
-from cell.web.theme import BLUE
-from cell.web.unsaved import Unsaved
+from cell.web.pages.lab.desk import Desk, NeedsStudy, output, set_names
+from cell.web.theme import BLUE, Unsaved, heading
+from cell.web.visit import do
 
 #: A text is checked when nothing was typed for so long, s.
 _PAUSE_S = 0.5
@@ -95,9 +96,7 @@ class OwnEffectPanel:
     async def _refresh(self) -> None:
         own = self._desk.own_effects()
         self._saved.set_options(own, value=self._saved.value if self._saved.value in own else None)
-        names = [*own, *library()]
-        kept = [b for b in self._beside.value or [] if b in names]
-        self._beside.set_options(names, value=kept)
+        set_names(self._beside, [*own, *library()])
         self._needs_study.refresh()
         self._inferred.clear()
         with self._inferred:
@@ -160,31 +159,21 @@ class OwnEffectPanel:
 
     def _infer(self) -> None:
         desk = self._desk
-        if desk.subject is None:
-            desk.notify_refusal(self._t("Choose a study first."))
-            return
-        beside = [desk.effect_file(str(b)) for b in self._beside.value or []]
-        desk.ask(desk.tasks.discover(desk.subject, free_name(desk.own_effects()), beside))
+        if (subject := desk.subject_or_refusal()) is not None:
+            beside = [desk.effect_file(str(b)) for b in self._beside.value or []]
+            desk.ask(desk.tasks.discover(subject, free_name(desk.own_effects()), beside))
 
     async def _fit(self) -> None:
         desk, text = self._desk, str(self._editor.value)
-        if desk.subject is None:
-            desk.notify_refusal(self._t("Choose a study first."))
+        if (subject := desk.subject_or_refusal()) is None:
             return
         name = named(text)
-        refused = await run.io_bound(
-            desk.visit.do,
-            "lab effect",
-            Role.engineer,
-            lambda: desk.lab.save_effect(name, text),
-            f"{name}.py",
-        )
-        desk.notify_refusal(refused)
-        if not refused:
+        save = partial(desk.lab.save_effect, name, text)
+        if await do(desk.visit, "lab effect", Role.engineer, save, f"{name}.py"):
             self._kept = text
             self._unsaved.set(self._editor.value != text)
             beside = [desk.effect_file(str(b)) for b in self._beside.value or [] if b != name]
-            desk.ask(desk.tasks.fit_own(desk.subject, name, beside))
+            desk.ask(desk.tasks.fit_own(subject, name, beside))
             await desk.changed()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from nicegui import ui
 
 from cell.plant.users import Role
@@ -105,9 +107,6 @@ class _StripRow:
 
     def _cancelled(self) -> None:
         desk, number = self._desk, self._number
-        desk.notify_refusal(
-            desk.visit.do(
-                "lab cancel", Role.engineer, lambda: desk.lab.jobs.cancel(number), str(number)
-            )
-        )
+        cancel = partial(desk.lab.jobs.cancel, number)
+        desk.notify_refusal(desk.visit.do("lab cancel", Role.engineer, cancel, str(number)))
         desk.asked()

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any
 
 from nicegui import run, ui
 
 from cell.plant.users import Role
-from cell.records.ledger.entry import LedgerError
-from cell.records.ledger.ledger import Ledger, LedgerQuery
+from cell.records.ledger.ledger import LedgerQuery
 from cell.settings.provenance import line_name
 from cell.web.cycle_view import cycle_folder
 from cell.web.guard import MOST_BYTES
-from cell.web.lab_tasks import MAPPING, PREVIEW, CableEntries, Subject
-from cell.web.pages.lab.desk import (
-    Desk,
-    frame,
-    heading,
-    notes_after_tables,
-    output,
-)
-from cell.web.theme import BLUE, N_
+from cell.web.lab_tasks import MAPPING, PREVIEW, Subject
+from cell.web.pages.lab.desk import Desk, frame, notes_after_tables, output
+from cell.web.theme import BLUE, N_, columns, heading
 from cell.web.views import history_row
+from cell.web.visit import do
+from cell.web.watching import read_ledger
 from cell.web.workspace import plain
 
 _SCRIPT = """
@@ -125,14 +121,14 @@ def drop_zone(desk: Desk, uploaded: Callable[[dict[str, Any]], Awaitable[None]])
 _MOST_CYCLES = 200
 #: How the line ends that names the page of pictures, which is shown.
 _PICTURES = "pictures of every trial"
-#: Entries of a cable that files do not hold: name, what it is, unit, its size in SI units.
+#: What files do not hold: option of `cell import`, what it is, unit, its size in SI units.
 _ENTRIES = (
-    ("free_length_m", N_("Free length"), "mm", 1e-3),
-    ("line_density_kg_per_m", N_("Mass per length"), "g/m", 1e-3),
-    ("width_m", N_("Width"), "mm", 1e-3),
-    ("thickness_m", N_("Thickness"), "mm", 1e-3),
-    ("diameter_m", N_("Diameter, if round"), "mm", 1e-3),
-    ("rate_hz", N_("Rows a second, without times"), "1/s", 1.0),
+    ("--free-length", N_("Free length"), "mm", 1e-3),
+    ("--line-density", N_("Mass per length"), "g/m", 1e-3),
+    ("--width", N_("Width"), "mm", 1e-3),
+    ("--thickness", N_("Thickness"), "mm", 1e-3),
+    ("--diameter", N_("Diameter, if round"), "mm", 1e-3),
+    ("--rate", N_("Rows a second, without times"), "1/s", 1.0),
 )
 
 
@@ -222,15 +218,8 @@ class StudyPanel:
         editor.style("height: 26rem").props("data-test=mapping")
 
         async def write() -> None:
-            refused = await run.io_bound(
-                desk.visit.do,
-                "lab mapping",
-                Role.engineer,
-                lambda: desk.lab.save_mapping(path, editor.value),
-                subject.name,
-            )
-            desk.notify_refusal(refused)
-            if not refused:
+            save = partial(desk.lab.save_mapping, path, editor.value)
+            if await do(desk.visit, "lab mapping", Role.engineer, save, subject.name):
                 desk.ask(desk.tasks.write_study(subject))
 
         button = ui.button(t("Make the study"), icon="done", color=BLUE, on_click=write)
@@ -250,10 +239,10 @@ class _ImportForm:
             with ui.row().classes("gap-4"):
                 for key, words, unit, size in _ENTRIES:
                     entry = ui.number(f"{t(words)}, {unit}", min=0).classes("w-48")
-                    entry.props(f"data-test=entry-{key}")
+                    entry.props(f"data-test=entry{key}")
                     self._entries[key] = (entry, size)
-            self._hands = ui.select([], label=t("Files of the gripper, if apart"), multiple=True)
-            self._hands.classes("w-full").props("use-chips")
+            self._logs = ui.select([], label=t("Files of the gripper, if apart"), multiple=True)
+            self._logs.classes("w-full").props("use-chips")
             button = ui.button(t("Propose a mapping"), icon="table_view", color=BLUE)
             button.props("text-color=white data-test=propose").on_click(self._propose)
         self._place.set_visibility(False)
@@ -262,7 +251,7 @@ class _ImportForm:
         """Ask about the files of an upload."""
         self._upload, self._files = upload, files
         self._what.text = f"{upload}: {', '.join(files[:10])}{' …' if len(files) > 10 else ''}"
-        self._hands.set_options(files, value=[])
+        self._logs.set_options(files, value=[])
         self._place.set_visibility(True)
 
     def hide_if_made(self, study: str) -> None:
@@ -271,13 +260,14 @@ class _ImportForm:
             self._place.set_visibility(False)
 
     async def _propose(self) -> None:
-        desk, hands = self._desk, list(self._hands.value or [])
-        files = [f for f in self._files if f not in hands]
-        values = {
-            key: None if not entry.value else float(entry.value) * size
-            for key, (entry, size) in self._entries.items()
+        desk, logs = self._desk, list(self._logs.value or [])
+        files = [f for f in self._files if f not in logs]
+        stated = {
+            option: float(entry.value) * size
+            for option, (entry, size) in self._entries.items()
+            if entry.value
         }
-        task = desk.tasks.propose(self._upload, files, hands, CableEntries(**values))
+        task = desk.tasks.propose(self._upload, files, logs, stated)
         if desk.ask(task):  # the form stays until there is a study: what was stated may be wrong
             desk.choose_when_made(self._upload)
 
@@ -294,17 +284,14 @@ class _Cycles:
         with ui.expansion(t("Recorded cycles"), icon="history").classes("w-full") as opened:
             opened.props("data-test=cycles-open")
             self._said = ui.label()
-            names = (
+            heads = columns(
                 ("started", t("Begun")),
                 ("part", t("Part")),
                 ("outcome", t("Outcome")),
                 ("name", t("Folder")),
             )
-            columns = [
-                {"name": k, "label": label, "field": k, "align": "left"} for k, label in names
-            ]
             self._table = ui.table(
-                columns=columns, rows=[], row_key="name", selection="multiple", pagination=8
+                columns=heads, rows=[], row_key="name", selection="multiple", pagination=8
             ).classes("w-full")
             self._table.props(f'data-test=cycles rows-per-page-label="{t("Rows")}"')
             self._table.on_select(self._selected)
@@ -326,18 +313,11 @@ class _Cycles:
 
     def _query(self) -> tuple[list[dict[str, str]], str]:
         room = self._desk.visit.room
-        if room.settings.ledger is None:
-            return [], self._t("the settings say `ledger: null`: no cycles are listed")
-        try:
-            ledger = Ledger(room.settings.ledger.url or room.runs)
-            try:
-                wanted = LedgerQuery(line=line_name(room.settings))
-                cycles = reversed(ledger.listed(wanted, _MOST_CYCLES))
-                return [history_row(cycle, self._t) for cycle in cycles], ""
-            finally:
-                ledger.close()
-        except LedgerError as error:
-            return [], self._t(str(error))
+        query = LedgerQuery(line=line_name(room.settings))
+        cycles, error = read_ledger(
+            room.settings, room.runs, lambda ledger: ledger.listed(query, _MOST_CYCLES)
+        )
+        return [history_row(cycle, self._t) for cycle in reversed(cycles or [])], self._t(error)
 
     def _selected(self) -> None:
         runs = self._desk.visit.room.runs
