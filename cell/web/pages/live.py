@@ -350,7 +350,7 @@ class _Live:
                 why = t(why_disabled(event, view, in_control=mine))
                 button.set_enabled(not why)
                 if button.props.get("title", "") != why:
-                    button.props["title"] = button.props["aria-description"] = why
+                    button.props["title"] = why  # the tooltip, which screen readers say, too
                     button.update()
 
         self._updates.append(update)
