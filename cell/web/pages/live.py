@@ -64,7 +64,7 @@ _CSS = """
 .live-strip a.alarm { color: #ffffff; }
 .live-side .trend { width: 100%; height: 7rem; }
 .live-bar { display: flex; flex-direction: column; gap: 0.25rem; }
-.live-bar .big-button { flex: 1; min-width: 0; border: 2px solid #8a94a3; padding: 0 0.25rem;
+.live-bar .big-button { flex: 1 1 auto; min-width: 0; border: 2px solid #8a94a3; padding: 0 0.25rem;
   font-size: clamp(1rem, 1.3vw, 1.35rem); }
 .live-bar .big-button { background: #ffffff; color: #1d232b; }
 .live-bar .big-button[data-test=stop] { background: #1d232b; color: #ffffff; }
