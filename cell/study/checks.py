@@ -39,8 +39,7 @@ LOG_GAP = DataCheck(
     _LOG_LIMIT,
     "refused",
     "the gripper is not seen from {from_s:.6g} to {to_s:.6g} s, limit {limit_s:.2g} s while it "
-    "moves: "
-    "{moved_mm:.3g} mm and {turned_rad:.2g} rad in between;",
+    "moves: {moved_mm:.3g} mm and {turned_rad:.2g} rad in between;",
     "log the whole motion, or cut the trial before it or after it",
     plausible.log_gap,
 )
@@ -51,8 +50,7 @@ LOG_ENDS = DataCheck(
     _LOG_LIMIT,
     "refused",
     "the log ends at {log_s:.6g} s, while the gripper moves at {speed:.2g} {unit}/s, yet the "
-    "markers "
-    "are seen until {film_s:.6g} s;",
+    "markers are seen until {film_s:.6g} s;",
     "log the gripper until it rests, or cut the frames after the log's end",
     plausible.log_ends,
 )
@@ -96,8 +94,7 @@ CABLE_AHEAD = DataCheck(
     f"{_CLOCK_LIMIT}; refused if a marker is too far from the gripper too",
     "noted",
     "the cable moves at {cable_s:.3g} s, its gripper only at {hand_s:.3g} s; if both are one "
-    "motion "
-    "the clocks differ:",
+    "motion the clocks differ:",
     "add {late_s:.2g} s to t_s of markers.csv; if the cable was let go, give `start: held` with "
     "release_s: {cable_s:.3g} in study.yaml",
     plausible.cable_ahead,
@@ -257,9 +254,8 @@ IMPORT_REFUSALS = (
         "span of a marker over the largest of all",
         f"{plausible.STAYS:g}, while the gripper moves",
         "refused",
-        "{name!r} moves by {moved_mm:.2g} mm in all rows, the gripper by {hand_mm:.3g} mm: it "
-        "is not "
-        "on the cable;",
+        "{name!r} moves by {moved_mm:.2g} mm in all rows, the gripper by {hand_mm:.3g} mm: it is "
+        "not on the cable;",
         "remove it from markers",
         plausible.not_on_cable,
     ),
@@ -272,9 +268,8 @@ IMPORT_SHAPE = (
         "span of the marker next to the hand over that of the gripper",
         f"{plausible.TIMES_FARTHER:g} or its inverse, where both move alike",
         "refused",
-        "the gripper moves by {hand_m:.3g} m, and {name!r} next to it as it does by "
-        "{marker_m:.3g} m: "
-        "its unit is another one;",
+        "the gripper moves by {hand_m:.3g} m, and {name!r} next to it as it does by {marker_m:.3g} "
+        "m: its unit is another one;",
         "correct metres_per_unit of hand in the mapping",
         plausible.hand_scale,
     ),

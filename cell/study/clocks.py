@@ -46,8 +46,7 @@ def pull_m_per_s2(study: Study) -> float | None:
     if seen_hz is None:
         raise ValueError(
             "gravity in the plane is weak, and no trial shows a swing after the gripper has "
-            "stopped: "
-            "nothing tells the rigidity; record three swings after the motion"
+            "stopped: nothing tells the rigidity; record three swings after the motion"
         )
     return (2.0 * np.pi * seen_hz) ** 2 * study.cable.free_length_m / (_SUPPOSED * _FIRST_MODE)
 

@@ -48,9 +48,8 @@ def _trial_name(name: str) -> str:
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     plain = re.sub(r"[^A-Za-z0-9_.-]+", "_", plain).strip("_.-")[:100] or "trial_1"
     raise ValueError(
-        f"{reprlib.repr(name)} names a folder: it must begin with a letter A to Z or a digit, "
-        "and hold only these, '_', '.' and '-', 100 at most; "
-        f"write {plain!r}, and rename the folder"
+        f"{reprlib.repr(name)} names a folder: it must begin with a letter A to Z or a digit, and "
+        f"hold only these, '_', '.' and '-', 100 at most; write {plain!r}, and rename the folder"
     )
 
 

@@ -59,9 +59,8 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
     rows_given = text.count("\n")
     if rows_given > MAX_ROWS:
         message = (
-            f"has {counted(rows_given, 'row')}, limit {MAX_ROWS}; cut it to the motion and "
-            "the swing after "
-            "it, a few seconds, or leave out rows: 200 a second are plenty"
+            f"has {counted(rows_given, 'row')}, limit {MAX_ROWS}; cut it to the motion and the "
+            "swing after it, a few seconds, or leave out rows: 200 a second are plenty"
         )
         raise _error(path, MAX_ROWS, "", message)
     reader = _cells(path, text)

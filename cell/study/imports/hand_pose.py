@@ -100,8 +100,7 @@ def clamp_angle(
     angle = round(root.rest_rad, 4) + 0.0
     sentence = (
         "no angle of the gripper is in the file: it is taken as constant, "
-        f"{np.degrees(angle):.2f}°, "
-        "as the markers show at rest"
+        f"{np.degrees(angle):.2f}°, as the markers show at rest"
     )
     if root.is_line:
         sentence += "; that is the line to the only marker, from which a cable droops: measure it"

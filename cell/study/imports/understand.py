@@ -341,8 +341,7 @@ def _with_origin(
     x_m, y_m = (round(float(v), 5) for v in origin_m)
     sentence = (
         f"the gripper's places have another origin: [{x_m:g}, {y_m:g}] m are added, so that the "
-        "curve "
-        "through the markers at rest begins at the gripper; measure hand.origin_m"
+        "curve through the markers at rest begins at the gripper; measure hand.origin_m"
     )
     return hand.model_copy(update={"origin_m": (x_m, y_m)}), [
         Finding("hand.origin_m", sentence, Sure.GUESSED)
