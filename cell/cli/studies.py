@@ -138,11 +138,11 @@ def _look(folder: Path) -> StudyOverview:
     from cell.files.input_error import InputError
     from cell.lab.data.opened_study import open_study, rest_drifts
     from cell.lab.report.look_page import StudyOverview
-    from cell.study.checks import oddities
     from cell.study.facts import facts_of
     from cell.study.folder import study_as_it_is, study_folder
     from cell.study.independence import Independence
     from cell.study.left_out import notes_of_samples
+    from cell.study.record_checks import oddities
     from cell.study.wrench import wrench_facts
 
     study, problems = study_as_it_is(study_folder(folder))

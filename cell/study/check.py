@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, Literal, TypeVar
 
 EvidenceT = TypeVar("EvidenceT")
@@ -46,6 +47,24 @@ class DataCheck(Generic[EvidenceT]):
     def sentence(self, values: Mapping[str, Any]) -> str:
         """What is wrong, and the remedy."""
         return f"{self.says} {self.remedy}".rstrip().format_map(values)
+
+
+Outcome = Literal["refused", "noted"]
+
+
+def _check(
+    outcome: Outcome, statistic: str, limit: str, says: str, remedy: str
+) -> Callable[[Callable[[EvidenceT], Failure | None]], DataCheck[EvidenceT]]:
+    def of(failure: Callable[[EvidenceT], Failure | None]) -> DataCheck[EvidenceT]:
+        name, question = failure.__name__, failure.__doc__ or ""
+        return DataCheck(name, question, statistic, limit, outcome, says, remedy, failure)
+
+    return of
+
+
+#: Decorators that make a check of a function.  Its name is the check's, its docstring the question;
+#: the other entries are statistic, limit, sentence and remedy.
+refused, noted = partial(_check, "refused"), partial(_check, "noted")
 
 
 def failures(

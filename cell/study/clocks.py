@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.cable.geometry import ROUGHLY_STILL, Cable
+from cell.cable.geometry import ROUGHLY_STILL, Cable, moves_from_s
 from cell.study.data import Study, Trial
 from cell.study.facts import trial_facts
 from cell.study.rest_shape import WEAK_M_PER_S2
-from cell.study.series import forward_filled
+from cell.study.series import first_lasting, forward_filled
 
 #: ω² = 12.362 EI/(ρ L⁴) of a uniform clamped strip (β₁L = 1.8751), and the rigidity 0.4 ρ a L³ that
 #: a fit supposes first of a cable pulled by a.
@@ -84,7 +84,7 @@ class Gap:
 
     @property
     def values(self) -> dict[str, object]:
-        """As a sentence of `cell.study.checks` names them."""
+        """As a sentence of a check names them."""
         limit_s = max(GAP_S, GAP_STEPS * self.usual_s)
         return {**asdict(self), "moved_mm": self.moved_m * 1e3, "limit_s": limit_s}
 
@@ -105,7 +105,7 @@ class CutOff:
 
     @property
     def values(self) -> dict[str, object]:
-        """As a sentence of `cell.study.checks` names them."""
+        """As a sentence of a check names them."""
         return {**asdict(self), "unit": "rad" if self.turns else "m"}
 
 
@@ -311,9 +311,8 @@ def _noise_m(series_m: FloatArray) -> float:
 
 def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:
     """When something leaves its place to stay away; None if it never does."""
-    ahead = np.concatenate([away, np.repeat(away[-1:], _STAYS - 1)])
-    stays = np.lib.stride_tricks.sliding_window_view(ahead, _STAYS).all(axis=1)
-    return float(t_s[np.argmax(stays)]) if stays.any() else None
+    row = first_lasting(away, _STAYS)
+    return None if row is None else float(t_s[row])
 
 
 def _gripper_start_s(
@@ -333,3 +332,48 @@ def _gripper_start_s(
     moved_m = np.stack([x_m - x_m[0], y_m - y_m[0]])[measured]
     turned_m = lever_m * np.abs(grip.angle_rad[later] - grip.angle_rad[later][0])
     return _begins(grip.t_s[later], np.linalg.norm(moved_m, axis=0) + turned_m > away_m)
+
+
+#: A cable at rest does not move by this share of its free length while its gripper is still, and no
+#: noise that a study may have does so in medians of so many frames.
+FIRST_MOTION = 0.05
+MEDIAN_OF = 5
+FEWEST_STILL = 10
+
+
+def at_rest(trial: Trial) -> NDArray[np.bool_]:
+    """(T,) frames before the gripper moves, of a cable that nothing else holds or swings."""
+    if trial.bent:
+        return np.zeros(len(trial.markers.t_s), dtype=bool)
+    return trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
+
+
+@dataclass(frozen=True)
+class FirstMotion:
+    """How far a cable moves before its gripper does, and from which of its frames on."""
+
+    reach_m: float
+    row: int
+
+    @property
+    def from_first(self) -> bool:
+        """Whether it moves from the first frame on: it is not let go later."""
+        return self.row < FEWEST_STILL
+
+
+def first_motion(trial: Trial, cable: Cable) -> FirstMotion | None:
+    """That a cable said to begin in equilibrium moves, by a share of it, before its gripper
+    does."""
+    still = at_rest(trial)
+    if trial.start != "equilibrium" or np.count_nonzero(still) < FEWEST_STILL:
+        return None
+    markers = trial.markers
+    away_m = (markers.xy_m - trial.gripper_m(markers.t_s)[:, None])[still]
+    # Medians of five: a glitch of two frames is none of the cable's.  What is lost sorts last.
+    windows = np.sort(np.lib.stride_tricks.sliding_window_view(away_m, MEDIAN_OF, axis=0), axis=-1)
+    smooth_m = windows[..., MEDIAN_OF // 2]
+    from_first_m = np.nan_to_num(np.linalg.norm(smooth_m - smooth_m[:1], axis=2))
+    reach_m = float(from_first_m.max())
+    if reach_m < FIRST_MOTION * cable.length_m:
+        return None
+    return FirstMotion(reach_m, int(np.argmax(np.any(from_first_m > 0.1 * reach_m, axis=1))))

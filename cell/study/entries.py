@@ -24,17 +24,23 @@ MAX_NOISE_FRACTION = 0.2
 #: of 0.1 m with a radius as long).
 MAX_ARC_STD_FRACTION = 0.02
 
-_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
-class ConnectorEntry(BaseModel):
-    """A rigid body at the cable's end; without an inertia it is a rod's."""
+class SectionPart(BaseModel):
+    """A section of a file; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    mass_kg: _Positive
-    length_m: _Positive
-    inertia_kg_m2: _Positive | None = None
+
+class ConnectorEntry(SectionPart):
+    """A rigid body at the cable's end; without an inertia it is a rod's."""
+
+    mass_kg: Positive
+    length_m: Positive
+    inertia_kg_m2: Positive | None = None
 
 
 #: Where in the description a complaint belongs, and what it says.

@@ -1,4 +1,4 @@
-"""What a trial shows before any model; and the statistics of it that make a fit weak or wrong."""
+"""What a trial shows before any model."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, moves_from_s
 from cell.files.plain import plain
 from cell.files.words import counted
-from cell.study.check import Failure
 from cell.study.data import Trial
 from cell.study.rest_shape import ClampedEnd, SwingScale, clamped_end, swing_scale
-from cell.study.series import span_m
+from cell.study.series import noise_m, span_m
 
 #: A frequency is told of at least so many swings and frames after the gripper has stopped.
 FEWEST_SWINGS, FEWEST_FRAMES = 1.5, 16
@@ -25,12 +24,6 @@ _FINER = 8
 #: resolutions apart: nearer ones are side lobes of one.
 _SHARE, MOST_FREQUENCIES, _APART = 0.1, 3, 2.0
 EARTH = (0.0, -9.81)
-#: Of 384 trials of real and simulated cables the slowest swing had 0.44 to 1.67 times the frequency
-#: that the droop tells, and all were faster than a hanging chain.
-OF_DROOP, OF_CHAIN = 2.5, 0.8
-#: Of 331 trials of whatever effects none begins at rest by this share of its length from its
-#: gripping point, has a marker so far from a smooth curve, or leaves by this angle from the stated.
-ROOT_AWAY, OFF_CURVE, ROOT_TURNED_RAD = 0.03, 0.015, np.radians(20.0)
 #: A record of white noise shows a peak with this probability.
 _BY_CHANCE = 1e-3
 
@@ -162,17 +155,6 @@ def facts_of(
     return tuple(trial_facts(trial, arc_length_m, gravity_m_per_s2) for trial in trials)
 
 
-def noise_m(still_m: FloatArray) -> float:
-    """Noise of one coordinate in one frame (T, …) at rest, by second differences; nan = too few.
-
-    Slow errors do not show in it.
-    """
-    bends = np.abs(np.diff(still_m, 2, axis=0)) / np.sqrt(6.0)
-    if len(bends) < 3 or not np.isfinite(bends).any():
-        return float("nan")
-    return 1.4826 * float(np.nanmedian(bends))
-
-
 def swing_spectrum(
     t_s: FloatArray, tip_m: FloatArray, from_s: float, noise_m: float = np.nan
 ) -> SwingSpectrum | None:
@@ -253,191 +235,3 @@ def _tip(xy_m: FloatArray, arc_length_m: FloatArray) -> int:
     if not np.isfinite(arc_length_m).all():
         return int(np.argmax(seen))
     return int(np.argmax(np.where(seen, arc_length_m, -1.0)))
-
-
-#: Frames at rest with which the level of a noise is known to a fifth, at two coordinates.
-REST_FRAMES = 12
-#: Frames of a swing below which its shape is lost between them.
-FRAMES_PER_SWING = 8.0
-#: Swings after the gripper has stopped with which damping is told.
-DAMPING_SWINGS = 3.0
-#: Less than this share of the values seen, and more than this share of steps uneven, is noted.
-LEAST_SEEN, MOST_UNEVEN = 0.9, 0.05
-#: The first frequency of one cable differs less between trials: a nonlinear swing of twice the size
-#: changes it by some percent.
-FREQUENCY = 0.15
-#: Stated noise over that from frame to frame at rest: less cannot be, for that is a part of it;
-#: more may be, as of a camera that filters or a lens that is not straightened, but not by so much.
-STATED_NOISE = (1.0 / 3.0, 20.0)
-#: A tip that moves by less than so many times the noise shows nothing.
-SPAN_OF_NOISE = 20.0
-
-
-@dataclass(frozen=True)
-class TrialRecord:
-    """Facts of a trial, and the noise that its study states; None = it states none."""
-
-    facts: TrialFacts
-    noise_std_m: float | None
-
-    @property
-    def after_s(self) -> float:
-        """How long the record goes on after the gripper has stopped."""
-        f = self.facts
-        return f.to_s - (f.from_s if f.moves_s is None else f.moves_s[1])
-
-    @property
-    def peaks_hz(self) -> tuple[float, ...]:
-        """Frequencies of the swing after that, the strongest first; none = it shows none."""
-        spectrum = self.facts.spectrum
-        return () if spectrum is None or self.after_s <= 0.0 else spectrum.peaks_hz
-
-    @property
-    def shows_nothing(self) -> bool:
-        """Whether nothing moves the cable, and it does not swing."""
-        spectrum = self.facts.spectrum
-        swings = spectrum is not None and spectrum.peaks_hz
-        return never_moves(self) is not None and not swings
-
-
-def never_moves(record: TrialRecord) -> Failure | None:
-    """A gripper that rests all the time, of a cable that is not let go."""
-    facts = record.facts
-    return Failure({}) if facts.moves_s is None and facts.start == "equilibrium" else None
-
-
-def few_at_rest(record: TrialRecord) -> Failure | None:
-    """Too few frames at rest, where the noise must be known from these."""
-    facts = record.facts
-    stated = record.noise_std_m is not None or facts.start == "moving"
-    if stated or facts.rest_frames >= REST_FRAMES:
-        return None
-    return Failure({"shown": counted(facts.rest_frames, "frame shows", "frames show")})
-
-
-def lost_values(record: TrialRecord) -> Failure | None:
-    """Values that are not seen."""
-    seen = record.facts.seen
-    return Failure({"seen": seen}) if seen < LEAST_SEEN else None
-
-
-def uneven_steps(record: TrialRecord) -> Failure | None:
-    """Steps of time that differ from the usual one."""
-    irregular = record.facts.irregular
-    return Failure({"irregular": irregular}) if irregular > MOST_UNEVEN else None
-
-
-def small_motion(record: TrialRecord) -> Failure | None:
-    """A tip that hardly moves more than its noise."""
-    tip_m, noise_m = record.facts.tip_m, record.facts.noise_m
-    if not np.isfinite(noise_m) or tip_m >= SPAN_OF_NOISE * noise_m:
-        return None
-    return Failure({"tip_mm": tip_m * 1e3, "times": tip_m / noise_m})
-
-
-def root_away(record: TrialRecord) -> Failure | None:
-    """A cable that does not begin at the gripping point."""
-    end = record.facts.clamped_end
-    if end is None or end.away_m <= ROOT_AWAY * end.length_m:
-        return None
-    return Failure({"away_mm": end.away_m * 1e3, "limit_mm": ROOT_AWAY * end.length_m * 1e3})
-
-
-def off_curve(record: TrialRecord) -> Failure | None:
-    """A marker that is beside the smooth curve through all."""
-    end = record.facts.clamped_end
-    if end is None or end.worst_m <= OFF_CURVE * end.length_m:
-        return None
-    limit_mm = OFF_CURVE * end.length_m * 1e3
-    return Failure({"arc_m": end.worst_arc_m, "off_mm": end.worst_m * 1e3, "limit_mm": limit_mm})
-
-
-def root_turned(record: TrialRecord) -> Failure | None:
-    """A cable that leaves its clamp in another direction than that of its angle."""
-    end = record.facts.clamped_end
-    if end is None or abs(end.turned_rad) <= ROOT_TURNED_RAD:
-        return None
-    return Failure({"turned_deg": np.degrees(end.turned_rad)})
-
-
-def moves_at_end(record: TrialRecord) -> Failure | None:
-    """A record that ends before the gripper has stopped."""
-    return Failure({}) if record.after_s <= 0.0 else None
-
-
-def no_swing(record: TrialRecord) -> Failure | None:
-    """A record that ends too soon after the gripper has stopped to show a swing."""
-    shown = record.after_s <= 0.0 or record.peaks_hz
-    return None if shown else Failure({"after_s": record.after_s})
-
-
-def slow_swing(record: TrialRecord) -> Failure | None:
-    """A swing that is slower than any cable of this length."""
-    scale = record.facts.swings
-    if scale is None or not record.peaks_hz:
-        return None
-    slow = min(record.peaks_hz) < OF_CHAIN * scale.slowest_hz
-    values = {"hz": min(record.peaks_hz), "slowest_hz": scale.slowest_hz}
-    return Failure(values) if slow else None
-
-
-def unlike_droop(record: TrialRecord) -> Failure | None:
-    """A swing that is much faster or slower than the droop at rest says."""
-    scale = record.facts.swings
-    if scale is None or not record.peaks_hz or slow_swing(record) is not None:
-        return None
-    ratio = min(record.peaks_hz) / scale.droops_hz
-    if not np.isfinite(ratio) or 1.0 / OF_DROOP < ratio < OF_DROOP:
-        return None
-    values = {"droop_mm": scale.droop_m * 1e3, "droops_hz": scale.droops_hz}
-    return Failure({"hz": min(record.peaks_hz), **values})
-
-
-def few_per_swing(record: TrialRecord) -> Failure | None:
-    """Frames that are too few for the strongest swing."""
-    rate_hz = record.facts.rate_hz
-    if not record.peaks_hz or rate_hz >= FRAMES_PER_SWING * record.peaks_hz[0]:
-        return None
-    times = rate_hz / record.peaks_hz[0]
-    return Failure({"rate_hz": rate_hz, "times": times, "hz": record.peaks_hz[0]})
-
-
-def few_swings(record: TrialRecord) -> Failure | None:
-    """A record of the swing that is too short to show how it dies away."""
-    if not record.peaks_hz or record.after_s * record.peaks_hz[0] >= DAMPING_SWINGS:
-        return None
-    swings = record.after_s * record.peaks_hz[0]
-    return Failure({"after_s": record.after_s, "swings": swings, "hz": record.peaks_hz[0]})
-
-
-#: Facts of all trials, and the noise that their study states.
-StudyRecord = tuple[Sequence[TrialFacts], float | None]
-
-
-def stated_noise(record: StudyRecord) -> Failure | None:
-    """A stated noise that is much larger, or smaller, than that of the frames at rest."""
-    trials, noise_std_m = record
-    seen_m = [f.noise_m for f in trials if np.isfinite(f.noise_m) and f.noise_m > 0.0]
-    if noise_std_m is None or not seen_m:
-        return None
-    at_rest_m = float(np.median(seen_m))
-    if STATED_NOISE[0] * at_rest_m <= noise_std_m <= STATED_NOISE[1] * at_rest_m:
-        return None
-    what = "hides what the model lacks" if noise_std_m > at_rest_m else "no model can be as right"
-    values = {"stated_mm": noise_std_m * 1e3, "shown_mm": at_rest_m * 1e3}
-    return Failure({**values, "what": what})
-
-
-def frequencies_differ(record: StudyRecord) -> Failure | None:
-    """Trials whose strongest frequencies are not of one cable."""
-    seen = [
-        (f.spectrum.peaks_hz[0], f.spectrum.resolution_hz, f.name)
-        for f in record[0]
-        if f.spectrum is not None and f.spectrum.peaks_hz
-    ]
-    if len(seen) < 2:
-        return None
-    (low_hz, rough_hz, low), (high_hz, also_hz, high) = min(seen), max(seen)
-    if high_hz - low_hz < max(FREQUENCY * low_hz, rough_hz, also_hz):
-        return None
-    return Failure({"low_hz": low_hz, "low": low, "high_hz": high_hz, "high": high})

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
 from cell.cable.geometry import Cable, Motion, Start
 from cell.files.atomic import write_all
@@ -18,20 +18,30 @@ from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_text
 from cell.files.words import counted
 from cell.files.yaml_document import Document, Key, document_of, read_yaml, validate, yaml_text
-from cell.study.checks import LOG_BEGINS, LOG_ENDS, LOG_GAP, force_problems, trial_problems
 from cell.study.clocks import cut_off, gap
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import (
     Complaint,
     ConnectorEntry,
+    Finite,
+    Positive,
+    SectionPart,
     TrialName,
     datasheet_of,
     implausible_entries,
 )
 from cell.study.hand_drift import HandDriftSection, drift_complaint
+from cell.study.import_checks import log_begins, log_ends, log_gap
 from cell.study.table import MAX_BYTES, Table, check_times, read_table, table_text
+from cell.study.trial_checks import trial_problems
 from cell.study.wrench import FILE as WRENCH_FILE
-from cell.study.wrench import SensorEntry, read_wrench, sensor_entry, wrench_text
+from cell.study.wrench import (
+    SensorEntry,
+    force_problems,
+    read_wrench,
+    sensor_entry,
+    wrench_text,
+)
 
 FORMAT = "cable-study/1"
 GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
@@ -48,56 +58,49 @@ MAX_FRAMES = 5_000
 MAX_MARKERS = 200
 MAX_TRIALS = 500
 
-_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-
 
 def _each(given: object) -> object:
     """One number for all markers is a list of one."""
     return [given] if isinstance(given, int | float | str) else given
 
 
-class _StrictStudy(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class _Cable(_StrictStudy):
-    free_length_m: _Positive
-    line_density_kg_per_m: _Positive
-    width_m: _Positive | None = None
-    thickness_m: _Positive | None = None
-    diameter_m: _Positive | None = None
+class _Cable(SectionPart):
+    free_length_m: Positive
+    line_density_kg_per_m: Positive
+    width_m: Positive | None = None
+    thickness_m: Positive | None = None
+    diameter_m: Positive | None = None
     connector: ConnectorEntry | None = None
 
 
-class _Markers(_StrictStudy):
-    arc_length_m: Annotated[list[_Finite], Field(min_length=1, max_length=MAX_MARKERS)]
-    arc_length_std_m: Annotated[list[_Finite], BeforeValidator(_each)] | None = None
+class _Markers(SectionPart):
+    arc_length_m: Annotated[list[Finite], Field(min_length=1, max_length=MAX_MARKERS)]
+    arc_length_std_m: Annotated[list[Finite], BeforeValidator(_each)] | None = None
 
 
-class _TrialSection(_StrictStudy):
+class _TrialSection(SectionPart):
     name: TrialName
     role: Literal["fit", "validate"]
     start: Start
-    release_s: _Finite | None = None
+    release_s: Finite | None = None
     hand_drift: HandDriftSection | None = None
 
 
-class _WrittenTable(_StrictStudy):
+class _WrittenTable(SectionPart):
     rows: Annotated[int, Field(ge=0)]
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
-class _Study(_StrictStudy):
+class _Study(SectionPart):
     format: Literal["cable-study/1"]
     name: Annotated[str, Field(min_length=1)]
     cable: _Cable
-    gravity_m_per_s2: tuple[_Finite, _Finite] = (0.0, -9.81)
+    gravity_m_per_s2: tuple[Finite, Finite] = (0.0, -9.81)
     markers: _Markers
-    noise_std_m: _Positive | None = None
+    noise_std_m: Positive | None = None
     wrench: SensorEntry | None = None
     trials: Annotated[list[_TrialSection], Field(min_length=1, max_length=MAX_TRIALS)]
-    tables: dict[str, _WrittenTable] = {}
+    tables: dict[str, _WrittenTable] = Field(default_factory=dict)
 
 
 def read_study(folder: Path) -> Study:
@@ -394,7 +397,7 @@ def _check_continuous(log: Table) -> None:
         )
     found = gap(log.values)
     if found is not None:
-        raise log.error(log.lines[found.row], "t_s", LOG_GAP.sentence(found.values))
+        raise log.error(log.lines[found.row], "t_s", log_gap.sentence(found.values))
 
 
 def _check_covers(log: Table, markers: Markers) -> None:
@@ -403,7 +406,7 @@ def _check_covers(log: Table, markers: Markers) -> None:
     seen_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
     found = cut_off(log.values, float(seen_s[0]), float(seen_s[-1]))
     if found is not None:
-        row, check = (-1, LOG_ENDS) if found.at_end else (0, LOG_BEGINS)
+        row, check = (-1, log_ends) if found.at_end else (0, log_begins)
         raise log.error(log.lines[row], "t_s", check.sentence(found.values))
 
 

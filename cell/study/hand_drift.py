@@ -11,10 +11,11 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
+from cell.study.entries import Finite, SectionPart
 
 #: Pieces of constant acceleration error over a motion, and shapes that are left out of the error's
 #: variance with less than this share.
@@ -22,22 +23,19 @@ _PIECES, _LEAST = 32, 1e-4
 #: In this share of a motion an encoder's error at rest is no more.
 _GONE = 0.1
 
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Density = Annotated[float, Field(ge=0.0, le=10.0)]
 
 
-class HandDriftSection(BaseModel):
+class HandDriftSection(SectionPart):
     """Entry `hand_drift` of a trial."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    from_s: _Finite
-    to_s: _Finite
+    from_s: Finite
+    to_s: Finite
     noise_m_per_s2_per_rt_hz: tuple[_Density, _Density] = (0.0, 0.0)
     gain_std: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
     ends_known: bool = False
     turn_std_rad: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-    axle_m: tuple[_Finite, _Finite] = (0.0, 0.0)
+    axle_m: tuple[Finite, Finite] = (0.0, 0.0)
     clamp_turns: bool = True
 
     def drift(self) -> HandDrift:

@@ -13,8 +13,8 @@ from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem
 from cell.study.data import Source, Study, Trial
 from cell.study.independence import without_copies
+from cell.study.sample_outliers import outlier_distances
 from cell.study.wrench import COLUMNS, FILE, UNITS
-from cell.study.wrong_samples import outlier_distances
 
 #: A marker that is wrong in a larger share of its rows is badly tracked: that is no slip, and no
 #: noise either.  So many rows always may be wrong, as in a short trial.
@@ -155,29 +155,23 @@ def without_wrench_outliers(study: Study, folder: Path) -> Study:
             continue
         values, t_s = trial.wrench.values, trial.wrench.t_s
         apart = np.concatenate([outlier_distances(t_s, values[:, c]) for c in _TOGETHER], axis=1)
-        there, file = np.isfinite(apart), folder / trial.name / FILE
-        if there.any():
+        outliers, file = np.isfinite(apart), folder / trial.name / FILE
+        if outliers.any():
             notes.append(_note_of_wrench(file, apart))
-        problems += _too_many_of_wrench(file, trial, there)
-        left = replace(trial.wrench, values=np.where(there, np.nan, values))
-        trials.append(replace(trial, wrench=left))
-    if problems:
-        raise InputError(problems)
-    return replace(study, trials=tuple(trials), notes=tuple(notes))
-
-
-def _too_many_of_wrench(file: Path, trial: Trial, there: NDArray[np.bool_]) -> list[Problem]:
-    assert trial.wrench is not None
-    seen = np.isfinite(trial.wrench.values).sum(axis=0)
-    count, most = there.sum(axis=0), most_outliers(seen)
-    for i, name in enumerate(COLUMNS):
-        if count[i] > most[i]:
+        seen, count = np.isfinite(values).sum(axis=0), outliers.sum(axis=0)
+        most = most_outliers(seen)
+        for i in np.flatnonzero(count > most)[:1]:
             message = (
                 f"lies apart from the rows before and after it, as do {count[i]} of {seen[i]} "
                 f"rows; {limit_text(most[i])}: mend the sensor's record, or leave the column out"
             )
-            return [Problem(file, int(np.argmax(there[:, i])) + 2, None, name, message)]
-    return []
+            line = int(np.argmax(outliers[:, i])) + 2
+            problems.append(Problem(file, line, None, COLUMNS[i], message))
+        kept = replace(trial.wrench, values=np.where(outliers, np.nan, values))
+        trials.append(replace(trial, wrench=kept))
+    if problems:
+        raise InputError(problems)
+    return replace(study, trials=tuple(trials), notes=tuple(notes))
 
 
 def _note_of_wrench(file: Path, apart: FloatArray) -> str:

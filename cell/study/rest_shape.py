@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from cell.cable.arrays import FloatArray
 from cell.study.data import Trial
+from cell.study.series import wrapped
 
 #: Gravity in the plane below this is no scale: a level plane that is 6° off has as much, m/s².
 WEAK_M_PER_S2 = 1.0
@@ -107,7 +108,7 @@ def clamped_end(trial: Trial, rest: int, arc_length_m: FloatArray) -> ClampedEnd
 
     fits = [least_squares(missed, [*clamp, at, 0.0, 0.0]) for at in (angle, seen_angle)]
     best = min(fits, key=lambda fit: float(fit.cost)).x
-    turned = float((best[2] - angle + np.pi) % (2.0 * np.pi) - np.pi)
+    turned = wrapped(float(best[2]) - angle)
     apart = np.linalg.norm(missed(best).reshape(-1, 2), axis=1)
     worst = int(np.argmax(apart))
     return ClampedEnd(

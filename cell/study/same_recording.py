@@ -24,6 +24,7 @@ from scipy.special import betainc
 
 from cell.cable.arrays import FloatArray
 from cell.study.data import Markers
+from cell.study.series import by_missing_pattern, interpolated
 
 #: Rows of a block, from which polynomials of half as many degrees are taken off: these follow what
 #: swings up to a tenth as fast as rows come.
@@ -114,12 +115,8 @@ class _Prepared:
 
     def spline(self, markers: NDArray[np.intp]) -> CubicSpline:
         """Of (times, markers, 2) values, smoothly between rows and over gaps; nan beyond them."""
-        xy = np.empty((len(self.t_s), len(markers), 2))
-        for k, marker in enumerate(markers):
-            seen = np.isfinite(self.xy[:, marker, 0])
-            for axis in range(2):
-                xy[:, k, axis] = np.interp(self.t_s, self.t_s[seen], self.xy[seen, marker, axis])
-        return CubicSpline(self.t_s, xy, extrapolate=False)
+        each = [interpolated(self.t_s, self.t_s, self.xy[:, marker]) for marker in markers]
+        return CubicSpline(self.t_s, np.stack(each, axis=1), extrapolate=False)
 
     def differences(self, start_s: float, step_s: float) -> FloatArray:
         """(times, markers, 2) of high order at equal steps, of variance 1; 0 where not seen."""
@@ -320,11 +317,8 @@ def _high_degrees(t_s: FloatArray, values: FloatArray) -> list[FloatArray]:
     values  (T, markers, channels), nan = not seen
     """
     good = np.logical_and.reduce(np.isfinite(values), axis=2)
-    alike: dict[bytes, list[int]] = {}
-    for marker, seen in enumerate(good.T):
-        alike.setdefault(seen.tobytes(), []).append(marker)
     found: list[FloatArray] = []
-    for markers in alike.values():
+    for markers in by_missing_pattern(good):
         seen = good[:, markers[0]]
         times, channels = t_s[seen], values[seen][:, markers]
         if len(times) < LEAST_ROWS:

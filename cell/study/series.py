@@ -37,3 +37,47 @@ def rounding_step_m(values_m: FloatArray) -> float:
     """Smallest difference of two values (…): their step, if they are rounded; 0 = all are equal."""
     steps = np.diff(np.unique(values_m[np.isfinite(values_m)]))
     return float(np.min(steps)) if steps.size else 0.0
+
+
+def first_lasting(flags: NDArray[np.bool_], count: int) -> int | None:
+    """Index of the first of so many true values (T,) in a row; None = there is none.
+
+    The last value is taken to go on.
+    """
+    ahead = np.concatenate([flags, np.repeat(flags[-1:], count - 1)])
+    lasts = np.lib.stride_tricks.sliding_window_view(ahead, count).all(axis=1)
+    return int(np.argmax(lasts)) if lasts.any() else None
+
+
+def interpolated(at_s: FloatArray, t_s: FloatArray, values: FloatArray) -> FloatArray:
+    """(at, d) values (T, d) at other times, each between those that are seen; nan = none is."""
+    between = np.full((len(at_s), values.shape[1]), np.nan)
+    for channel, series in enumerate(values.T):
+        seen = np.isfinite(series)
+        if seen.any():
+            between[:, channel] = np.interp(at_s, t_s[seen], series[seen])
+    return between
+
+
+def by_missing_pattern(seen: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Channels (T, channels) that are seen in the same rows, pattern by pattern."""
+    alike: dict[bytes, list[int]] = {}
+    for channel, rows in enumerate(seen.T):
+        alike.setdefault(rows.tobytes(), []).append(channel)
+    return [np.array(channels) for channels in alike.values()]
+
+
+def noise_m(still_m: FloatArray) -> float:
+    """Noise of one coordinate in one frame (T, …) at rest, by second differences; nan = too few.
+
+    Slow errors do not show in it.
+    """
+    bends = np.abs(np.diff(still_m, 2, axis=0)) / np.sqrt(6.0)
+    if len(bends) < 3 or not np.isfinite(bends).any():
+        return float("nan")
+    return 1.4826 * float(np.nanmedian(bends))
+
+
+def wrapped(angle_rad: float) -> float:
+    """The same angle between −π and π."""
+    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)

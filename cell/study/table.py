@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.files.input_error import InputError, Problem
+from cell.files.input_error import InputError
 from cell.files.text_file import read_text
 from cell.files.words import counted
 
@@ -35,7 +35,7 @@ class Table:
 
     def error(self, line: int, column: str | None, message: str) -> InputError:
         """A complaint about one place of the table, to be raised."""
-        return InputError([Problem(self.path, line, None, column or "", message)])
+        return InputError.at(self.path, message, line=line, key=column or "")
 
     def check(self, good: NDArray[np.bool_], complaint: Callable[[str], str]) -> None:
         """Raise InputError at the first cell that is not `good` (rows, columns)."""
@@ -62,7 +62,7 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
             f"has {counted(rows_given, 'row')}, limit {MAX_ROWS}; cut it to the motion and the "
             "swing after it, a few seconds, or leave out rows: 200 a second are plenty"
         )
-        raise _error(path, MAX_ROWS, "", message)
+        raise InputError.at(path, message, line=MAX_ROWS)
     reader = _cells(path, text)
     given = [name.strip() for name in next(reader, (1, []))[1]]
     header = [name for name in given if name]
@@ -77,13 +77,9 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
             rows.append([float(cell) if cell.strip() else np.nan for cell in cells])
         except ValueError:
             bad = next(i for i, cell in enumerate(cells) if not _is_number(cell))
-            raise _error(
-                path,
-                line,
-                header[bad],
-                f"{reprlib.repr(cells[bad])} is not a number; give one, or nan or nothing where "
-                "nothing was seen",
-            ) from None
+            message = f"{reprlib.repr(cells[bad])} is not a number; give one, or nan or nothing "
+            message += "where nothing was seen"
+            raise InputError.at(path, message, line=line, key=header[bad]) from None
         lines.append(line)
     values = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
     ordered = np.ascontiguousarray(values[:, [header.index(name) for name in columns]])
@@ -94,10 +90,6 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
     return table
 
 
-def _error(path: Path, line: int, column: str, message: str) -> InputError:
-    return InputError([Problem(path, line, None, column, message)])
-
-
 def _all_columns(
     path: Path, header: Sequence[str], columns: Sequence[str], optional: Sequence[str]
 ) -> list[str]:
@@ -106,24 +98,22 @@ def _all_columns(
     raises  InputError: one is missing, unknown or given twice
     """
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise _error(path, 1, "", "columns must be separated by commas, with decimal points")
+        raise InputError.at(path, "columns must be separated by commas, with decimal points")
     missing = [name for name in columns if name not in header]
     columns = [*columns, *(name for name in optional if name in header)]
     unknown = [name for name in header if name not in columns]
     if missing:
         close = difflib.get_close_matches(missing[0], unknown, 1, 0.5)
         hint = f"; is {close[0]!r} meant for it?" if close else ""
-        raise _error(
-            path, 1, "", f"column {missing[0]} is missing ({len(missing)} in all){hint}; "
-            f"needed: {_listed(columns)}"
-        )  # fmt: skip
+        message = f"column {missing[0]} is missing ({len(missing)} in all){hint}; needed: "
+        raise InputError.at(path, f"{message}{_listed(columns)}")
     if unknown:
         also = f"; possible: {_listed(optional)}" if optional else ""
         message = f"unknown column; needed: {_listed(columns)}{also}; remove it"
-        raise _error(path, 1, unknown[0], message)
+        raise InputError.at(path, message, key=unknown[0])
     if len(set(header)) < len(header):
         twice = next(name for name in header if header.count(name) > 1)
-        raise _error(path, 1, twice, "column given twice; remove one")
+        raise InputError.at(path, "column given twice; remove one", key=twice)
     return columns
 
 
@@ -133,17 +123,12 @@ def _named(path: Path, line: int, cells: Sequence[str], given: Sequence[str]) ->
     raises  InputError: there are too few, or something stands where no name is
     """
     if any(cell.strip() for cell in cells[len(given) :]) or any(given[len(cells) :]):
-        raise _error(
-            path,
-            line,
-            "",
-            f"has {len(cells)} cells, the header has {len(given)}; give one for each name, "
-            "1.5 and not 1,5 as a number",
-        )
+        message = f"has {len(cells)} cells, the header has {len(given)}; give one for each name, "
+        raise InputError.at(path, f"{message}1.5 and not 1,5 as a number", line=line)
     for i, (name, cell) in enumerate(zip(given, cells, strict=False)):
         if not name and cell.strip():
             message = f"has no name, yet {reprlib.repr(cell)} stands in it; empty it or name it"
-            raise _error(path, line, f"column {i + 1}", message)
+            raise InputError.at(path, message, line=line, key=f"column {i + 1}")
     return [cell for name, cell in zip(given, cells, strict=False) if name]
 
 

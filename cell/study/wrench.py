@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, Cable, Motion, moves_from_s
 from cell.cable.wrench import Gauge, Tool
+from cell.files.input_error import Problem
 from cell.files.plain import plain
-from cell.study.check import Failure
+from cell.study.check import Failure, failures, noted
 from cell.study.data import Trial, Wrench, WrenchSensor
-from cell.study.facts import noise_m
+from cell.study.entries import NotNegative, Positive, SectionPart
+from cell.study.series import interpolated, noise_m
 from cell.study.table import check_times, read_table, table_text
 
 COLUMNS = ("force_x_n", "force_y_n", "moment_nm")
@@ -26,30 +29,24 @@ FILE = "wrench.csv"
 LIMITS = {"force_x_n": 1e3, "force_y_n": 1e3, "moment_nm": 1e2}
 UNITS = {"force_x_n": "N", "force_y_n": "N", "moment_nm": "N·m"}
 
-_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-_NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 #: Farther from the gripping point no tool has its centre of mass, m.
 _Near = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 
-class _StrictWrench(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class ToolEntry(_StrictWrench):
+class ToolEntry(SectionPart):
     """The key `wrench.tool` of `study.yaml`."""
 
-    mass_kg: _Positive
+    mass_kg: Positive
     centre_m: tuple[_Near, _Near] = (0.0, 0.0)
-    inertia_kg_m2: _NotNegative = 0.0
+    inertia_kg_m2: NotNegative = 0.0
 
 
-class SensorEntry(_StrictWrench):
+class SensorEntry(SectionPart):
     """The key `wrench` of `study.yaml`."""
 
     axes: Literal["plane", "hand"] = "plane"
-    force_std_n: _Positive | None = None
-    moment_std_nm: _Positive | None = None
+    force_std_n: Positive | None = None
+    moment_std_nm: Positive | None = None
     gain_std: Annotated[float, Field(ge=0.0, le=0.5)] = WrenchSensor.gain_std
     tool: ToolEntry | None = None
 
@@ -63,16 +60,16 @@ class SensorEntry(_StrictWrench):
 def sensor_entry(sensor: WrenchSensor) -> Mapping[str, Any]:
     """The key `wrench` of `study.yaml`, what is usual left out."""
     tool = sensor.gauge.tool
-    entry: dict[str, Any] = {}
-    if sensor.gauge.turns:
-        entry["axes"] = "hand"
-    stated = {"force_std_n": sensor.force_std_n, "moment_std_nm": sensor.moment_std_nm}
-    entry |= {key: float(value) for key, value in stated.items() if value is not None}
-    if sensor.gain_std != WrenchSensor.gain_std:
-        entry["gain_std"] = float(sensor.gain_std)
+    entry = SensorEntry(
+        axes="hand" if sensor.gauge.turns else "plane",
+        force_std_n=sensor.force_std_n,
+        moment_std_nm=sensor.moment_std_nm,
+        gain_std=sensor.gain_std,
+    )
+    section = entry.model_dump(exclude_defaults=True)
     if tool.mass_kg > 0.0:
-        entry["tool"] = {**vars(tool), "centre_m": list(tool.centre_m)}
-    return entry
+        section["tool"] = {**vars(tool), "centre_m": list(tool.centre_m)}
+    return section
 
 
 def read_wrench(path: Path, grip: Motion) -> Wrench:
@@ -165,22 +162,77 @@ def force_factor(
     return ForceFactor(*max(judged)[1:]) if judged else None
 
 
-def force_below(force: ForceFactor, limit: float) -> Failure | None:
-    """A force that is smaller than what moves the masses."""
-    small = 0.0 <= force.factor < limit
-    return Failure({"factor": force.factor, "limit": limit}) if small else None
+_FORCE = "twice integrated force over that of the masses by hand and markers"
+_IS_FORCE = "is {factor:.2g} times what moves cable and tool as gripper and markers show, limit"
 
 
-def force_above(force: ForceFactor, limit: float) -> Failure | None:
-    """A force that is larger than what moves the masses."""
-    large = force.factor > limit
-    return Failure({"factor": force.factor, "limit": limit}) if large else None
+def _beyond(force: ForceFactor, limit: float) -> Failure | None:
+    """A force that is larger than a limit."""
+    values = {"factor": force.factor, "limit": limit}
+    return Failure(values) if force.factor > limit else None
 
 
-def force_reversed(force: ForceFactor, limit: float) -> Failure | None:
-    """A force that points the other way."""
-    back = force.factor < limit
-    return Failure({"factor": force.factor, "limit": FORCE_REFUSED[0]}) if back else None
+def _points_back(force: ForceFactor, limit: float) -> Failure | None:
+    """A force whose factor is less than a limit."""
+    values = {"factor": force.factor, "limit": FORCE_REFUSED[0]}
+    return Failure(values) if force.factor < limit else None
+
+
+@noted(
+    _FORCE,
+    f"0; {FORCE_REFUSED[0]:.2g} is refused",
+    f"{_IS_FORCE} {{limit:.2g}}: it points the other way;",
+    "give the force that gripper and clamp exert on the cable, which at rest points up",
+)
+def force_reversed(force: ForceFactor) -> Failure | None:
+    """Does the force point as that which moves the cable?"""
+    return _points_back(force, 0.0)
+
+
+@noted(
+    _FORCE,
+    f"{FORCE_NOTED[1]:g}; {FORCE_REFUSED[1]:g} is refused",
+    f"{_IS_FORCE} {{limit:g}};",
+    "give N, not mN, and the mass that the sensor carries as wrench.tool in study.yaml",
+)
+def force_large(force: ForceFactor) -> Failure | None:
+    """Is the force no larger than what moves the masses?"""
+    return _beyond(force, FORCE_NOTED[1])
+
+
+@noted(
+    _FORCE,
+    f"{FORCE_NOTED[0]:g}",
+    f"{_IS_FORCE} {{limit:g}};",
+    "see whether it is in N, on the clock of grip.csv, and whether wrench.tool and the cable's "
+    "line density are right",
+)
+def force_small(force: ForceFactor) -> Failure | None:
+    """Is the force no smaller than what moves the masses?"""
+    values = {"factor": force.factor, "limit": FORCE_NOTED[0]}
+    return Failure(values) if 0.0 <= force.factor < FORCE_NOTED[0] else None
+
+
+FORCE_REFUSALS = (
+    replace(force_reversed, failure=partial(_points_back, limit=FORCE_REFUSED[0])),
+    replace(force_large, failure=partial(_beyond, limit=FORCE_REFUSED[1])),
+)
+FORCE_NOTES = (force_reversed, force_large, force_small)
+
+
+def force_problems(
+    trial: Trial, cable: Cable, outermost_m: float, sensor: WrenchSensor, file: Path
+) -> tuple[list[Problem], list[str]]:
+    """What of a trial's wrench is refused, and what is noted.
+
+    outermost_m  arc length of the outermost marker
+    """
+    force = force_factor(trial, cable, outermost_m, sensor)
+    if force is None:
+        return [], []
+    for _, sentence in failures(FORCE_REFUSALS, force):
+        return [Problem(file, 2, None, force.column, sentence)], []
+    return [], [f"{file}: {force.column} {s}" for _, s in failures(FORCE_NOTES, force)]
 
 
 def _factor(t_s: FloatArray, force: FloatArray, way: FloatArray) -> tuple[float, float]:
@@ -203,13 +255,8 @@ def _mass_moment(
     assert trial.wrench is not None
     t_s, markers = trial.wrench.t_s, trial.markers
     hand = trial.gripper_m(t_s)
-    outermost = np.full(hand.shape, np.nan)
-    for axis, series in enumerate(markers.xy_m[:, 0].T):
-        seen = np.isfinite(series)
-        if seen.any():
-            inside = (t_s >= markers.t_s[0]) & (t_s <= markers.t_s[-1])
-            along = np.interp(t_s, markers.t_s[seen], series[seen])
-            outermost[:, axis] = np.where(inside, along, np.nan)
+    outermost = interpolated(t_s, markers.t_s, markers.xy_m[:, 0])
+    outermost[(t_s < markers.t_s[0]) | (t_s > markers.t_s[-1])] = np.nan
     mass_kg = cable.line_density_kg_per_m * cable.free_length_m
     at_end_kg = cable.connector.mass_kg if cable.connector else 0.0
     end = hand + (outermost - hand) * min(cable.length_m / max(outermost_m, 1e-9), _FARTHER)

@@ -16,7 +16,7 @@ from cell.files.atomic import write_all
 from cell.study.data import Study, Trial
 from cell.study.hand_drift import HandDrift
 from cell.study.imports.convert import read_captures, study_of
-from cell.study.imports.hand_section import (
+from cell.study.imports.gripper_section import (
     AccelerationSection,
     AngleSection,
     AxesSection,

@@ -14,14 +14,13 @@ from cell.identify.noise import still_frames
 from cell.lab.data.noise_likelihood import DRIFT_DEGREE, RestFrames, resolution_m
 from cell.lab.data.noise_model import still_blocks
 from cell.lab.data.unknown_start import MODES
-from cell.study.checks import stated_oddly
-from cell.study.clocks import with_pull
+from cell.study.clocks import first_motion, with_pull
 from cell.study.data import Study, Trial
 from cell.study.facts import facts_of, trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.independence import without_copies
 from cell.study.left_out import without_outliers, without_wrench_outliers
-from cell.study.plausible import first_motion
+from cell.study.record_checks import stated_oddly
 from cell.study.rest_shape import SWING, WEAK_M_PER_S2
 
 #: A rest drifts if a smooth course is so much likelier than a standstill: 2 ln of odds of 1000,

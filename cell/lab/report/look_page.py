@@ -19,7 +19,6 @@ from cell.files.table import TableData
 from cell.files.words import counted
 from cell.files.yaml_document import Document
 from cell.lab.report.wrench_report import wrench_facts_table, wrench_figure
-from cell.study.checks import oddities
 from cell.study.data import Trial
 from cell.study.facts import TrialFacts, facts_of
 from cell.study.imports.capture import Sure
@@ -29,6 +28,7 @@ from cell.study.imports.trials import Files
 from cell.study.imports.understand import Understanding
 from cell.study.independence import Independence
 from cell.study.left_out import notes_of_samples
+from cell.study.record_checks import oddities
 from cell.study.wrench import WrenchFacts
 
 #: Shapes of a film strip, and of a line of it.

@@ -29,7 +29,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import residuals_m
 from cell.study.data import Study
 from cell.study.left_out import without_samples
-from cell.study.wrong_samples import outlier_distances
+from cell.study.sample_outliers import outlier_distances
 
 #: An outlier that is left out shows others, which the fit had followed.
 _MOST_ROUNDS = 3

@@ -12,14 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
 from cell.cable.arrays import FloatArray
 from cell.study.hand_drift import HandDrift
-
-Flags = NDArray[np.bool_]
 
 #: A rest is at least so many rows and so many seconds.
 REST_ROWS, REST_S = 10, 0.05

@@ -8,10 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture, Finding, Sure
 from cell.study.imports.contents import Contents, Point
-from cell.study.imports.shape import chain, lost_rows, means_lost, middle, rest_rows
+from cell.study.imports.shape import (
+    chain,
+    lost_rows,
+    means_lost,
+    middle,
+    reach_of,
+    rest_rows,
+)
 
 #: A point stays if it moves by less than this share of what the farthest moves.
 STAYS = 1e-3
@@ -138,12 +144,8 @@ def detected_places(
 def _same_dimension(capture: Capture, inside: Contents) -> list[Point]:
     """Points with as many coordinates as most have.  Raises InputError: there are none."""
     if not inside.points:
-        raise InputError([
-            capture.problem(
-                0, "names no points: no two columns are the x and y of one; name them as tip_x and "
-                f"tip_y. Columns: {', '.join(capture.names[:12])}"
-            )
-        ])  # fmt: skip
+        message = "names no points: no two columns are the x and y of one; name them as tip_x and "
+        raise capture.error(0, f"{message}tip_y. Columns: {', '.join(capture.names[:12])}")
     sizes = [len(p.columns) for p in inside.points]
     usual = max(set(sizes), key=sizes.count)
     return [p for p in inside.points if len(p.columns) == usual]
@@ -164,7 +166,7 @@ def _moving(
     cable: Sequence[Point], raw: dict[str, FloatArray]
 ) -> tuple[list[Point], Point | None, list[Finding]]:
     """Points that move; the one that stays and is an end of the chain; what is left out."""
-    reach = {p.name: _reach(raw[p.name]) for p in cable}
+    reach = {p.name: reach_of(raw[p.name]) for p in cable}
     most = max(reach.values(), default=0.0)
     stay = [p for p in cable if reach[p.name] <= STAYS * most or not np.isfinite(reach[p.name])]
     moving = [p for p in cable if p not in stay]
@@ -175,11 +177,6 @@ def _moving(
         for p in left_out
     ]
     return moving, held, findings
-
-
-def _reach(places: FloatArray) -> float:
-    seen = places[np.isfinite(places).all(axis=1)]
-    return float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) else float("nan")
 
 
 def _gripper_points(
@@ -220,7 +217,7 @@ def _from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]
         orders, key=lambda o: float(np.linalg.norm(np.diff(places[o], axis=0), axis=1).sum())
     )
     late = slice(int((1.0 - _LATE) * len(raw[cable[0].name])), None)
-    first, last = (_reach(raw[cable[i].name][late]) for i in (order[0], order[-1]))
+    first, last = (reach_of(raw[cable[i].name][late]) for i in (order[0], order[-1]))
     return [cable[i] for i in (order if not first > last else order[::-1])]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from datetime import date, datetime, time
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import NOT_SEEN, Capture, CapturedColumn, number
+from cell.study.imports.capture import NOT_SEEN, Capture, CapturedColumn, is_number
 from cell.study.imports.column_names import ColumnKind, meaning
+from cell.study.imports.delimited import Row, captured
 from cell.study.imports.header import read_header
 from cell.study.imports.long_tables import pivoted
 from cell.study.imports.units import METRES, unit_of
@@ -66,81 +67,41 @@ def _sheet(path: Path) -> Capture:
     book = load_workbook(path, read_only=True, data_only=True)
     try:
         for page in book.worksheets:
-            rows = [(k, row) for k, row in enumerate(page.iter_rows(values_only=True), 1)]
-            if (made := _table_of_cells(path, rows)) is not None:
+            each = enumerate(page.iter_rows(values_only=True), 1)
+            rows = [Row(line, tuple(_word(cell) for cell in cells)) for line, cells in each]
+            if (made := _table_of_sheet(path, [row for row in rows if not row.blank])) is not None:
                 return made
     finally:
         book.close()
     raise InputError.at(path, "no sheet holds rows of numbers; give a line of names above them")
 
 
-def _table_of_cells(path: Path, rows: Sequence[tuple[int, Sequence[object]]]) -> Capture | None:
-    rows = [(line, row) for line, row in rows if any(c is not None for c in row)]
-    first = next((i for i, (_, row) in enumerate(rows[:_MOST_HEADER]) if _is_data(row)), None)
+def _table_of_sheet(path: Path, rows: Sequence[Row]) -> Capture | None:
+    """The table that begins in the first row with two numbers, and no more other words."""
+    first = next((i for i, row in enumerate(rows[:_MOST_HEADER]) if _begins_table(row)), None)
     if first is None:
         return None
-    width = max(i for i, c in enumerate(rows[first][1], 1) if c is not None)
-    for _, row in rows[:first]:
-        named = [i for i, c in enumerate(row, 1) if c is not None]
+    width = max(i for i, cell in enumerate(rows[first].cells, 1) if cell)
+    for row in rows[:first]:
+        named = [i for i, cell in enumerate(row.cells, 1) if cell]
         width = max(width, len(named) if len(named) > 2 else 0)
-    above = [(line, tuple(_word(c) for c in row[:width])) for line, row in rows[:first]]
-    table = [(line, row[:width]) for line, row in rows[first:]]
-    header = read_header(path, above, tuple(_word(c) for c in table[0][1]))
-    values = [[_number(c) for c in row] for _, row in table]
-    lines = np.array([line for line, _ in table], dtype=np.intp)
-    numeric = [
-        2 * sum(v is not None for v in column) >= len(column)
-        for column in zip(*values, strict=True)
-    ]
-    for (line, row), found in zip(table, values, strict=True):
-        for k, value in enumerate(found):
-            if numeric[k] and value is None:
-                message = f"{_word(row[k])!r} is not a number; give one, or leave the cell empty"
-                raise InputError.at(path, message, line=line, key=header.columns[k].name)
-    chosen = [k for k, is_one in enumerate(numeric) if is_one]
-    words = {
-        header.columns[k].name: [_word(row[k]) for _, row in table]
-        for k, is_one in enumerate(numeric)
-        if not is_one
-    }
-    made = Capture(
-        path,
-        tuple(header.columns[k] for k in chosen),
-        np.array([[row[k] for k in chosen] for row in values], dtype=np.float64),
-        lines,
-        header.rate_hz,
-        header.unit,
-    )
-    return pivoted(made, words)
+    above = [(row.line, row.cells[:width]) for row in rows[:first]]
+    table = [Row(row.line, row.cells[:width]) for row in rows[first:]]
+    header = read_header(path, above, table[0].cells)
+    return pivoted(*captured(path, header, table, "."))
+
+
+def _begins_table(row: Row) -> bool:
+    filled = [cell for cell in row.cells if cell.lower() not in NOT_SEEN]
+    numbers = sum(is_number(cell, ".") for cell in filled)
+    return numbers >= 2 and 2 * numbers >= len(filled)
 
 
 def _word(cell: object) -> str:
-    return "" if cell is None else str(cell).strip()
-
-
-def _number(cell: object) -> float | None:
-    """As `number` reads it from text; a date with a time becomes seconds since 1970."""
-    match cell:
-        case None:
-            return float("nan")
-        case bool():
-            return float(cell)
-        case int() | float():
-            return float(cell)
-        case datetime():
-            return cell.timestamp()
-        case time():
-            return 3600.0 * cell.hour + 60.0 * cell.minute + cell.second + 1e-6 * cell.microsecond
-        case date():
-            return None
-    return number(str(cell), ".")
-
-
-def _is_data(row: Sequence[object]) -> bool:
-    """Whether a row holds two numbers, and at least as many numbers as other words."""
-    filled = [c for c in row if _word(c).lower() not in NOT_SEEN]
-    found = [v for v in map(_number, filled) if v is not None and v == v]
-    return len(found) >= 2 and 2 * len(found) >= len(filled)
+    """A cell as text that `number` reads."""
+    if cell is None:
+        return ""
+    return str(int(cell)) if isinstance(cell, bool) else str(cell).strip()
 
 
 def _mat(path: Path) -> Capture:
@@ -174,7 +135,8 @@ def _parquet(path: Path) -> Capture:
 def _series(values: Sequence[object]) -> NDArray[Any]:
     """Numbers where all are; else words."""
     if all(v is None or isinstance(v, bool | int | float | datetime) for v in values):
-        return np.array([_number(v) for v in values], dtype=np.float64)
+        seconds = [v.timestamp() if isinstance(v, datetime) else v for v in values]
+        return np.array(seconds, dtype=np.float64)
     return np.array([_word(v) for v in values], dtype=object)
 
 

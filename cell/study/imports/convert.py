@@ -15,17 +15,17 @@ from cell.files.input_error import InputError, Problem
 from cell.files.words import counted
 from cell.files.yaml_document import Key
 from cell.study.check import Failure, failures
-from cell.study.checks import IMPORT_NOTES, IMPORT_REFUSALS, IMPORT_SHAPE, trial_problems
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
+from cell.study.import_checks import IMPORT_NOTES, IMPORT_REFUSALS, IMPORT_SHAPE
 from cell.study.imports.capture import Capture
-from cell.study.imports.hand_path import GripperPath, gripper_path
-from cell.study.imports.hand_section import TimeSection
+from cell.study.imports.gripper_path import GripperPath, gripper_path
+from cell.study.imports.gripper_section import TimeSection
 from cell.study.imports.mapping import Mapping, ReadMapping, TrialEntry
 from cell.study.imports.places import out_of_plane_m, places_m
 from cell.study.imports.read import read_capture
 from cell.study.imports.scales import WRONG_UNIT, is_coarse, other_rate
-from cell.study.plausible import TrialEvidence
+from cell.study.trial_checks import TrialEvidence, trial_problems
 
 #: A unit of angles below this is no radian.
 _DEGREES = 0.1

@@ -260,27 +260,35 @@ def _read_table(
     first, last = _block(path, rows, form)
     table = _without_end(rows[:first], rows[first:last])
     header = read_header(path, [(r.line, r.cells) for r in rows[:first]], table[0].cells)
-    grouped = any(is_grouped(c.strip(), form.decimal) for row in table[:_SAMPLE] for c in row.cells)
-    numeric = _numeric_columns(table, form.decimal, grouped)
-    values = _values(path, table, header, numeric, form.decimal, grouped)
-    labels = {
-        header.columns[c].name: [row.cells[c].strip() for row in table]
-        for c in range(len(header.columns))
-        if not numeric[c]
-    }
-    columns = [c for c, is_one in zip(header.columns, numeric, strict=True) if is_one]
-    lines = np.array([row.line for row in table], dtype=np.intp)
+    made, labels = captured(path, header, table, form.decimal)
     if below is not None:
-        if last < len(rows) or not all(numeric) or len(numeric) != below.shape[1]:
+        if last < len(rows) or labels or len(made.columns) != below.shape[1]:
             raise InputError.at(path, "another table begins; read it apart", line=rows[-1].line)
-        values = np.vstack([values, below])
-        lines = np.append(lines, lines[-1] + 1 + np.arange(len(below)))
+        lines = np.append(made.lines, made.lines[-1] + 1 + np.arange(len(below)))
+        made = replace(made, values=np.vstack([made.values, below]), lines=lines)
     rest = [row.line for row in rows[last:] if not row.blank]
     notes = [f"{path}:{rest[0]}: another table begins here; it is not read"] if rest else []
-    made = Capture(
-        path, tuple(columns), values, lines, header.rate_hz, header.unit, form, tuple(notes)
-    )
-    return pivoted(made, labels)
+    return pivoted(replace(made, form=form, notes=tuple(notes)), labels)
+
+
+def captured(
+    path: Path, header: Header, table: Sequence[Row], decimal: Decimal
+) -> tuple[Capture, dict[str, list[str]]]:
+    """Columns of numbers, and columns of words by name.
+
+    raises  InputError: a cell of a column of numbers is none
+    """
+    grouped = any(is_grouped(c.strip(), decimal) for row in table[:_SAMPLE] for c in row.cells)
+    numeric = _numeric_columns(table, decimal, grouped)
+    values = _values(path, table, header, numeric, decimal, grouped)
+    labels = {
+        column.name: [row.cells[c].strip() for row in table]
+        for c, column in enumerate(header.columns)
+        if not numeric[c]
+    }
+    columns = tuple(c for c, is_one in zip(header.columns, numeric, strict=True) if is_one)
+    lines = np.array([row.line for row in table], dtype=np.intp)
+    return Capture(path, columns, values, lines, header.rate_hz, header.unit), labels
 
 
 def text_form(text: str) -> TextForm:

@@ -8,7 +8,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Finding, Sure
-from cell.study.imports.hand_section import AxesSection
+from cell.study.imports.gripper_section import AxesSection
 from cell.study.imports.shape import bend
 
 #: An axis of the file is in the plane if this share of it is.

@@ -17,17 +17,21 @@ from cell.files.input_error import InputError
 from cell.files.words import counted
 from cell.files.yaml_document import Document, Key, read_yaml, validate
 from cell.study.data import Study, Wrench
-from cell.study.entries import Complaint, ConnectorEntry, TrialName
-from cell.study.hand_drift import HandDriftSection, drift_complaint
-from cell.study.imports.capture import Capture
-from cell.study.imports.hand_section import (
-    AxesSection,
-    Columns,
+from cell.study.entries import (
+    Complaint,
+    ConnectorEntry,
     Finite,
-    GripperSection,
-    Name,
     Positive,
     SectionPart,
+    TrialName,
+)
+from cell.study.hand_drift import HandDriftSection, drift_complaint
+from cell.study.imports.capture import Capture
+from cell.study.imports.gripper_section import (
+    AxesSection,
+    Columns,
+    GripperSection,
+    Name,
     TextSection,
     TimeSection,
     entries_to_fill_in,

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture
-from cell.study.imports.hand_section import AngleSection, AxesSection
+from cell.study.imports.gripper_section import AngleSection, AxesSection
 from cell.study.imports.shape import lost_rows
 
 #: Angles of either count of a turn, ±180° or 0 to 360°, are left as they are up to so much; what is

@@ -141,30 +141,21 @@ def _first_frame(content: Any) -> int:
 
 #: Endings of names of text tables.
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".log", ".sto", ".mot", ".lvm")
-KINDS = (*TABLES, ".trc", ".c3d", ".mcap", *CONTAINERS)
+_READERS = {".trc": read_trc, ".c3d": read_c3d, ".mcap": read_mcap}
+_READERS |= dict.fromkeys(CONTAINERS, read_container)
+KINDS = (*TABLES, *_READERS)
 
 
 def read_capture(path: Path, form: TextForm | None = None) -> Capture:
-    """Read a table, a TRC, C3D or MCAP file, or a file of arrays.
+    """Read a table, a TRC, C3D or MCAP file, or a file of arrays, by the ending of its name.
 
     form    of a text table; None = found from the text
     raises  InputError: it cannot be read
     """
-    return with_quaternions(without_unsure(_of_kind(path, form)))
-
-
-def _of_kind(path: Path, form: TextForm | None) -> Capture:
-    """A file by the ending of its name.  Raises InputError."""
     ending = path.suffix.lower()
-    if ending in TABLES:
-        return read_delimited(path, form)
-    if ending == ".trc":
-        return read_trc(path)
-    if ending == ".c3d":
-        return read_c3d(path)
-    if ending == ".mcap":
-        return read_mcap(path)
-    if ending in CONTAINERS:
-        return read_container(path)
-    message = f"{ending or 'no ending'} is no kind of file that is read; give {', '.join(KINDS)}"
-    raise InputError.at(path, f"{message}, or a video with --config and --hand")
+    if ending not in KINDS:
+        message = f"{ending or 'no ending'} is no kind of file that is read; give "
+        message += f"{', '.join(KINDS)}, or a video with --config and --hand"
+        raise InputError.at(path, message)
+    capture = read_delimited(path, form) if ending in TABLES else _READERS[ending](path)
+    return with_quaternions(without_unsure(capture))

@@ -9,9 +9,10 @@ from cell.study.entries import MAX_ARC_STD_FRACTION, MAX_LENGTH_M
 from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn, Finding, Sure
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import Contents
-from cell.study.imports.hand_section import TimeSection
+from cell.study.imports.gripper_section import TimeSection
 from cell.study.imports.shape import arc_lengths, middle, resting
 from cell.study.imports.units import METRES, SECONDS
+from cell.study.series import noise_m
 
 #: Rows a second of which films and logs are; the first unit that gives such a rate is taken.
 _RATES_HZ = (2.0, 20_000.0)
@@ -225,12 +226,12 @@ def arc_length_stds(places_m: FloatArray, length_m: float, from_hand: bool) -> F
     count = arcs.shape[1]
     own = _of_mean(arcs)
     alike = np.sqrt(count) * _of_mean(arcs.mean(axis=1, keepdims=True))
-    noise_m = np.maximum(own, max(float(np.sqrt(np.mean(own**2))), float(alike[0])))
+    noise_std_m = np.maximum(own, max(float(np.sqrt(np.mean(own**2))), float(alike[0])))
     rest = resting(places_m)
     shape = middle(places_m if rest is None else rest)
     curve_m = _between_points(shape, length_m) + added_m
     rounded = (ROUNDED_M**2 + _step_m(places_m) ** 2) / 12.0
-    std_m = np.sqrt(noise_m**2 + count * curve_m**2 + rounded)
+    std_m = np.sqrt(noise_std_m**2 + count * curve_m**2 + rounded)
     return np.array([min(float(f"{s:.2g}"), most_m) for s in std_m])
 
 
@@ -248,8 +249,8 @@ def _lengths_by_block(places_m: FloatArray) -> tuple[FloatArray, float]:
     lengths = np.array([arc_lengths(block) for block in blocks])
     whole, added_m = places_m[np.isfinite(places_m).all(axis=(1, 2))], 0.0
     if len(whole) > _TWO:  # each row's curve is that of noisy points
-        noise_m = 1.4826 * float(np.median(np.abs(np.diff(whole, 2, axis=0)))) / np.sqrt(6.0)
-        noisier = whole + np.random.default_rng(0).normal(0.0, noise_m, whole.shape)
+        std_m = float(np.nan_to_num(noise_m(whole)))
+        noisier = whole + np.random.default_rng(0).normal(0.0, std_m, whole.shape)
         added_m = float(abs(arc_lengths(noisier)[-1] - arc_lengths(whole)[-1]))
     return lengths[np.isfinite(lengths).all(axis=1)], added_m
 

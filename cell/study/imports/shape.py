@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cell.cable.arrays import FloatArray
+from cell.study.series import first_lasting, noise_m, span_m
 
 Ends = Literal["not-a-knot", "natural"]
 
@@ -74,13 +75,19 @@ def _begin(places: FloatArray) -> int:
     if not len(seen):
         return 0
     extent = np.ptp(seen, axis=0).max()
-    bends = np.abs(np.diff(places[: 4 * FEWEST_REST], 2, axis=0)) / np.sqrt(6.0)
-    noise = 1.4826 * float(np.nanmedian(bends)) if np.isfinite(bends).any() else 0.0
+    noise = float(np.nan_to_num(noise_m(places[: 4 * FEWEST_REST])))
     limit = max(AWAY * float(extent), OF_NOISE * noise)
     far = np.nan_to_num(away).max(axis=1) > limit
-    ahead = np.concatenate([far, np.repeat(far[-1:], STAYS - 1)])
-    stays = np.lib.stride_tricks.sliding_window_view(ahead, STAYS).all(axis=1)
-    return int(np.argmax(stays)) if stays.any() else len(places)
+    begin = first_lasting(far, STAYS)
+    return len(places) if begin is None else begin
+
+
+def reach_of(places: FloatArray, cut: float = 0.0) -> float:
+    """How far apart places (rows, d) are in rows that show all coordinates; nan = none does.
+
+    cut  share of the smallest and of the largest values that do not count
+    """
+    return span_m(places[np.isfinite(places).all(axis=1)], cut)
 
 
 def chain(places: FloatArray, start: int) -> list[int]:
@@ -158,8 +165,6 @@ def _chords(shape: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps, 1e-9 + 1e-9 * steps.sum()))])
 
 
-Flags = NDArray[np.bool_]
-
 #: A point that is lost jumps by so many of the longest steps that it makes otherwise, of which so
 #: many may be wrong samples.
 _JUMP, _WRONG = 3.0, 2
@@ -185,7 +190,7 @@ def means_lost(value: float, raw: FloatArray) -> bool:
     return bool(both_sides and _jumps(raw, value, there)[there].all())
 
 
-def lost_rows(raw: FloatArray, values: Sequence[float], of_hand: bool) -> Flags:
+def lost_rows(raw: FloatArray, values: Sequence[float], of_hand: bool) -> NDArray[np.bool_]:
     """(rows,) of a point (rows, d) that are one of the values in all coordinates.
 
     of_hand  a gripper may rest at a value that means that a marker was lost, such as 0: of it only
@@ -198,7 +203,7 @@ def lost_rows(raw: FloatArray, values: Sequence[float], of_hand: bool) -> Flags:
     return lost
 
 
-def _jumps(raw: FloatArray, value: float, there: Flags) -> Flags:
+def _jumps(raw: FloatArray, value: float, there: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Those of the rows between which and the rows beside them a point jumps."""
     known = np.flatnonzero(~there & np.isfinite(raw).all(axis=1))
     if not there.any() or not len(known):

@@ -15,11 +15,12 @@ from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture, Finding, Sure
 from cell.study.imports.contents import contents
 from cell.study.imports.convert import times_s
-from cell.study.imports.hand_section import TextSection, TimeSection
+from cell.study.imports.gripper_section import TextSection, TimeSection
 from cell.study.imports.mapping import Mapping, TrialEntry
 from cell.study.imports.places import places_m
 from cell.study.imports.scales import time_section
 from cell.study.imports.shape import FEWEST_REST, rest_rows
+from cell.study.series import span_m
 
 
 @dataclass(frozen=True)
@@ -271,9 +272,7 @@ def clock_shift_s(
     """
     good = np.isfinite(seen_m).all(axis=1)
     seen_s, seen_m = seen_s[good], seen_m[good]
-    reach = [
-        float(np.linalg.norm(np.ptp(m, axis=0))) if len(m) > 3 else 0.0 for m in (hand_m, seen_m)
-    ]
+    reach = [span_m(m) if len(m) > 3 else 0.0 for m in (hand_m, seen_m)]
     if min(reach) == 0.0 or reach[0] < _MOVING * reach[1]:
         return None
     lasts_s = min(np.ptp(hand_s), np.ptp(seen_s))

@@ -12,16 +12,12 @@ from cell.cable.arrays import FloatArray
 from cell.study.entries import MAX_ARC_STD_FRACTION
 from cell.study.imports.capture import Capture, Finding, Sure
 from cell.study.imports.choosing import Chosen, choose, detected_places
+from cell.study.imports.clamp_angle import Root, clamp_angle
 from cell.study.imports.column_names import is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.directions import find_axes
-from cell.study.imports.hand_pose import Root, clamp_angle
-from cell.study.imports.hand_section import AngleSection, AxesSection, GripperSection, TextSection
-from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
-from cell.study.imports.places import angle_of, places_m
-from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
-from cell.study.imports.sensed_hand import (
+from cell.study.imports.gripper_proposal import (
     TIP,
     GripperFile,
     NearestMarker,
@@ -31,6 +27,15 @@ from cell.study.imports.sensed_hand import (
     section_of_file,
     sensor_section,
 )
+from cell.study.imports.gripper_section import (
+    AngleSection,
+    AxesSection,
+    GripperSection,
+    TextSection,
+)
+from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
+from cell.study.imports.places import angle_of, places_m
+from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
 from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
 from cell.study.imports.trials import Files, trial_entries
 

@@ -19,7 +19,7 @@ from cell.study.data import Study, Trial
 from cell.study.folder import read_study, thinned, write_study
 from cell.study.hand_drift import HandDriftSection
 from cell.study.imports.capture import Finding, Sure
-from cell.study.imports.hand_section import (
+from cell.study.imports.gripper_section import (
     AngleSection,
     AxesSection,
     GripperSection,

@@ -10,22 +10,21 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Cable, Motion
-from cell.study import facts, plausible
 from cell.study.check import DataCheck, failures
-from cell.study.checks import (
-    CHECKS,
-    FORCE_NOTES,
-    FORCE_REFUSALS,
+from cell.study.checks import CHECKS
+from cell.study.data import Markers, Trial
+from cell.study.facts import trial_facts
+from cell.study.import_checks import (
     IMPORT_NOTES,
     IMPORT_REFUSALS,
     IMPORT_SHAPE,
-    RECORD_NOTES,
-    STUDY_NOTES,
-    TRIAL_NOTES,
-    TRIAL_REFUSALS,
+    log_begins,
+    log_ends,
+    log_gap,
 )
-from cell.study.data import Markers, Trial
-from cell.study.plausible import TrialEvidence
+from cell.study.record_checks import RECORD_NOTES, STUDY_NOTES, TrialRecord
+from cell.study.trial_checks import TRIAL_NOTES, TRIAL_REFUSALS, TrialEvidence
+from cell.study.wrench import FORCE_NOTES, FORCE_REFUSALS
 
 #: Where the rows' sentences are filled in by; of these every name must be one of the failure's.
 GROUPS = (
@@ -115,7 +114,7 @@ def test_what_no_cable_does_fails_the_check_of_its_name(name: str) -> None:
 
 def test_a_swing_is_asked_for_once() -> None:
     """A record that shows no swing is told of that, not of what a swing would lack."""
-    record = facts.TrialRecord(facts.trial_facts(evidence().trial, ARCS_M), 1e-4)
+    record = TrialRecord(trial_facts(evidence().trial, ARCS_M), 1e-4)
     short = replace(record, facts=replace(record.facts, spectrum=None))
     names = [c.name for c in RECORD_NOTES if c.failure(short) is not None]
     assert [n for n in names if n in ("no_swing", "few_swings", "few_per_swing")] == ["no_swing"]
@@ -127,5 +126,5 @@ def test_a_cut_off_log_is_not_told_of_one_with_a_gap() -> None:
     grip = given.trial.grip
     log = Motion(*(v[keep] for v in (grip.t_s, grip.x_m, grip.y_m, grip.angle_rad)))
     gapped = replace(given, trial=replace(given.trial, grip=log))
-    assert plausible.log_gap(gapped) is not None
-    assert plausible.log_ends(gapped) is None and plausible.log_begins(gapped) is None
+    assert log_gap.failure(gapped) is not None
+    assert log_ends.failure(gapped) is None and log_begins.failure(gapped) is None

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Motion
-from cell.study.checks import oddities, stated_oddly
 from cell.study.data import Markers, Trial, Wrench
 from cell.study.facts import (
     noise_m,
@@ -18,6 +17,7 @@ from cell.study.facts import (
     trial_facts,
 )
 from cell.study.hand_drift import HandDrift
+from cell.study.record_checks import oddities, stated_oddly
 from cell.study.wrench import wrench_facts
 from tests.cell.study.imports.made import ARCS_M, RATE_HZ, made
 

@@ -42,25 +42,17 @@ def study(*trials: Trial) -> Study:
 
 
 def same(a: Study, b: Study) -> None:
-    assert (a.name, a.cable, a.gravity_m_per_s2, a.noise_std_m) == (
-        b.name,
-        b.cable,
-        b.gravity_m_per_s2,
-        b.noise_std_m,
-    )
-    np.testing.assert_array_equal(a.arc_length_m, b.arc_length_m)
+    for field in ("name", "cable", "gravity_m_per_s2", "noise_std_m"):
+        assert getattr(a, field) == getattr(b, field)
     assert (a.arc_length_std_m is None) == (b.arc_length_std_m is None)
-    if a.arc_length_std_m is not None:
-        np.testing.assert_array_equal(a.arc_length_std_m, b.arc_length_std_m)
-    assert len(a.trials) == len(b.trials)
+    for one, other in (
+        (a.arc_length_m, b.arc_length_m),
+        (np.array(a.arc_length_std_m), np.array(b.arc_length_std_m)),
+    ):
+        np.testing.assert_array_equal(one, other)
     for left, right in zip(a.trials, b.trials, strict=True):
-        assert (left.name, left.role, left.start, left.release_s) == (
-            right.name,
-            right.role,
-            right.start,
-            right.release_s,
-        )
-        assert left.hand_drift == right.hand_drift
+        for field in ("name", "role", "start", "release_s", "hand_drift"):
+            assert getattr(left, field) == getattr(right, field)
         for field in ("t_s", "x_m", "y_m", "angle_rad"):
             np.testing.assert_array_equal(getattr(left.grip, field), getattr(right.grip, field))
         np.testing.assert_array_equal(left.markers.t_s, right.markers.t_s)

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from cell.cable.geometry import Cable, Motion
-from cell.study.checks import oddities, trial_problems
 from cell.study.data import Markers, Trial
 from cell.study.facts import facts_of
+from cell.study.record_checks import oddities
 from cell.study.rest_shape import clamped_end, swing_scale
+from cell.study.trial_checks import trial_problems
 
 LENGTH_M, DROOP = 0.1, 0.028
 GRAVITY = (0.0, -9.81)

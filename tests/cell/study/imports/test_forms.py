@@ -1,4 +1,4 @@
-"""Twelve programs' files of one trial are one study; a study goes out as tables and comes back."""
+"""Files of one trial in several forms are one study; it goes out as tables and comes back."""
 
 from __future__ import annotations
 
@@ -11,28 +11,26 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
-from cell.study.data import Study
 from cell.study.folder import read_study
 from cell.study.imports.mapping import read_mapping
 from cell.study.imports.scales import metres_per_unit
-from tests.cell.study.imports.made import ARCS_M, CABLE, FORMS, LENGTH_M, Made, made, text
+from tests.cell.study.imports.made import (
+    ARCS_M,
+    CABLE,
+    FORMS,
+    LENGTH_M,
+    Made,
+    imported,
+    made,
+    run,
+    text,
+)
+from tests.cell.study.test_folder import same
 
 #: Of numbers with 7 decimals of a millimetre, of 32 bits in C3D, and of a plane fitted to noise.
 ROUNDING_M, ROUNDING_RAD = 1e-7, 2e-6
 #: Arc lengths are proposed from shapes whose noise is 50 µm: right to 0.05 % of the cable.
 ARC_M = 5e-5
-
-
-def imported(arguments: list[str], folder: Path) -> Study:
-    """The study of the two commands."""
-    runner = CliRunner()
-    proposed = runner.invoke(app, ["import", *arguments, "-o", str(folder), *CABLE])
-    assert proposed.exit_code == 0, proposed.output
-    assert not (folder / "study.yaml").exists()
-    assert (folder / "preview.html").exists()
-    written = runner.invoke(app, ["import", str(folder / "import.yaml")])
-    assert written.exit_code == 0, written.output
-    return read_study(folder)
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda f: f.__name__)
@@ -75,16 +73,14 @@ def test_a_newcomer_s_table_is_a_study_in_two_commands(tmp_path: Path) -> None:
     names = ["pic", *(f"{n} {a}" for n in ("pinch", "A", "B", "C", "D", "end") for a in "xy")]
     table = tmp_path / "monday 3.csv"
     table.write_text(text([names, *([k, *row] for k, row in enumerate(flat.tolist()))]))
-    runner = CliRunner()
     command = ["import", str(table), "-o", str(tmp_path / "my_study"), *CABLE, "--rate", "200"]
-    proposed = runner.invoke(app, [*command, "--json"])
+    proposed = CliRunner().invoke(app, [*command, "--json"])
     assert proposed.exit_code == 0, proposed.output
     found = {f["entry"]: f for f in json.loads(proposed.stdout)["findings"]}
     assert found["metres_per_unit"]["sentence"].startswith("lengths are in mm")
     assert "'pinch'" in found["hand"]["sentence"]
     assert found["hand"]["sure"] == found["hand.angle"]["sure"] == "guessed"
-    written = runner.invoke(app, ["import", str(tmp_path / "my_study" / "import.yaml")])
-    assert written.exit_code == 0, written.output
+    run(tmp_path / "my_study" / "import.yaml")
     (trial,) = read_study(tmp_path / "my_study").trials
     assert trial.name == "monday_3"
     lost = np.isnan(trial.markers.xy_m[:, 2]).all(axis=1)
@@ -106,41 +102,24 @@ def test_several_files_are_several_trials(tmp_path: Path) -> None:
 
 def test_a_study_goes_out_as_wide_tables_and_comes_back_to_the_last_bit(tmp_path: Path) -> None:
     study = imported(FORMS[0](made(), tmp_path), tmp_path / "study")
-    runner = CliRunner()
-    out = runner.invoke(app, ["study", str(tmp_path / "study"), "--csv", str(tmp_path / "tables")])
+    command = ["study", str(tmp_path / "study"), "--csv", str(tmp_path / "tables")]
+    out = CliRunner().invoke(app, command)
     assert out.exit_code == 0, out.output
-    back = runner.invoke(
-        app, ["import", str(tmp_path / "tables" / "import.yaml"), "-o", str(tmp_path / "again")]
-    )
-    assert back.exit_code == 0, back.output
+    run(tmp_path / "tables" / "import.yaml", "-o", tmp_path / "again")
     again = read_study(tmp_path / "again")
-    assert (again.name, again.cable) == (study.name, study.cable)
-    np.testing.assert_array_equal(again.arc_length_m, study.arc_length_m)
-    for left, right in zip(study.trials, again.trials, strict=True):
-        assert (left.name, left.role, left.start) == (right.name, right.role, right.start)
-        for field in ("t_s", "x_m", "y_m", "angle_rad"):
-            np.testing.assert_array_equal(getattr(left.grip, field), getattr(right.grip, field))
-        np.testing.assert_array_equal(left.markers.t_s, right.markers.t_s)
-        np.testing.assert_array_equal(left.markers.xy_m, right.markers.xy_m)
+    same(again, study)
 
 
 def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     arguments = FORMS[0](made(), tmp_path)
     imported(arguments, tmp_path / "study")
-    runner = CliRunner()
     mapping = tmp_path / "study" / "import.yaml"
     edited = mapping.read_text() + "# mine\n"
     mapping.write_text(edited)
-    for command in (
-        ["import", *arguments, "-o", str(tmp_path / "study")],
-        ["import", str(mapping)],
-    ):
-        again = runner.invoke(app, command)
-        assert again.exit_code == 2
-        assert "--force" in again.output
+    assert "--force" in run(*arguments, "-o", tmp_path / "study", code=2)
+    assert "--force" in run(mapping, code=2)
     assert mapping.read_text() == edited
-    forced = runner.invoke(app, ["import", str(mapping), "--force"])
-    assert forced.exit_code == 0, forced.output
+    run(mapping, "--force")
 
 
 def test_the_hand_s_clock_is_proposed_from_the_motion(tmp_path: Path) -> None:
@@ -163,11 +142,8 @@ def test_one_marker_on_rows_of_its_own_does_not_turn_the_clamp(tmp_path: Path) -
         lines.append(f"{t},{x},{y},{angle},,,,,,,")
         lines.append(f"{t + 0.001},,,,{tip[0]},{tip[1]},0.1,0.2,0.01,,")
     (tmp_path / "one.csv").write_text("\n".join(lines) + "\n")
-    done = CliRunner().invoke(
-        app, ["import", str(tmp_path / "one.csv"), "-o", str(tmp_path / "study"), *CABLE]
-    )
-    assert done.exit_code == 0, done.output
-    assert "an offset is added" not in done.stdout
-    assert "a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}" in done.stdout
+    said = run(tmp_path / "one.csv", "-o", tmp_path / "study", *CABLE)
+    assert "an offset is added" not in said
+    assert "a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}" in said
     mapping = read_mapping(tmp_path / "study" / "import.yaml").mapping
     assert mapping.hand.angle.offset_rad == 0.0

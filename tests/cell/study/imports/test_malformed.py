@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.cli import app
-from tests.cell.study.imports.made import CABLE, FORMS, made
+from tests.cell.study.imports.made import CABLE, long_table, made, run, wide_metres
 
 Lines = list[str]
 
@@ -144,7 +144,7 @@ def refused(file: Path, *more: str) -> str:
 def test_a_malformed_table_is_refused_with_line_and_remedy(
     edit: Callable[[Lines], Lines], place: str, remedy: str, tmp_path: Path
 ) -> None:
-    (name,) = FORMS[0](made(), tmp_path)
+    (name,) = wide_metres(made(), tmp_path)
     file = Path(name)
     file.write_text("\n".join(edit(file.read_text().splitlines())) + "\n")
     said = refused(file)
@@ -160,12 +160,10 @@ def test_decimal_commas_that_are_not_quoted_are_told_as_such(tmp_path: Path) -> 
 
 
 def test_a_preview_is_there_of_what_is_refused(tmp_path: Path) -> None:
-    (name,) = FORMS[0](made(), tmp_path)
+    (name,) = wide_metres(made(), tmp_path)
     file = Path(name)
     file.write_text("\n".join(exchanged(file.read_text().splitlines())) + "\n")
-    proposed = CliRunner().invoke(app, ["import", name, "-o", str(tmp_path / "s"), *CABLE])
-    assert proposed.exit_code == 1
-    assert "To be mended:" in proposed.output
+    assert "To be mended:" in run(name, "-o", tmp_path / "s", *CABLE, code=1)
     assert "To be mended" in (tmp_path / "s" / "preview.html").read_text()
 
 
@@ -190,7 +188,7 @@ def test_a_file_of_no_known_kind_is_refused(
 
 
 def test_a_long_table_with_a_marker_twice_at_one_time_is_refused(tmp_path: Path) -> None:
-    (name,) = FORMS[3](made(), tmp_path)
+    (name,) = long_table(made(), tmp_path)
     file = Path(name)
     lines = file.read_text().splitlines()
     file.write_text("\n".join([*lines[:40], lines[39], *lines[40:]]) + "\n")
@@ -203,9 +201,8 @@ def test_a_long_table_with_a_marker_twice_at_one_time_is_refused(tmp_path: Path)
 def proposed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a file, and in `s` the mapping that is proposed for it."""
     folder = tmp_path_factory.mktemp("proposed")
-    (name,) = FORMS[0](made(), folder)
-    command = ["import", name, "-o", str(folder / "s"), *CABLE]
-    assert not CliRunner().invoke(app, command).exit_code
+    (name,) = wide_metres(made(), folder)
+    run(name, "-o", folder / "s", *CABLE)
     return folder
 
 
@@ -235,19 +232,13 @@ def test_a_mapping_that_is_wrong_or_contradicts_the_file_is_refused(
     text = mapping.read_text()
     assert old in text, text
     mapping.write_text(text.replace(old, new))
-    said = CliRunner().invoke(app, ["import", str(mapping)])
-    assert said.exit_code == 2, said.output
-    assert key in said.output, said.output
-    assert remedy in said.output, said.output
+    said = run(mapping, code=2)
+    assert key in said and remedy in said, said
 
 
 def test_what_only_a_person_knows_is_asked_for_at_its_place(tmp_path: Path) -> None:
-    (name,) = FORMS[0](made(), tmp_path)
-    runner = CliRunner()
-    proposed = runner.invoke(app, ["import", name, "-o", str(tmp_path / "s")])
-    assert proposed.exit_code == 0, proposed.output
-    assert "To be filled in:" in proposed.output
-    mapping = tmp_path / "s" / "import.yaml"
-    said = runner.invoke(app, ["import", str(mapping)]).output
+    (name,) = wide_metres(made(), tmp_path)
+    assert "To be filled in:" in run(name, "-o", tmp_path / "s")
+    said = run(tmp_path / "s" / "import.yaml", code=2)
     assert re.search(r"import\.yaml:\d+:\d+: cable\.line_density_kg_per_m: .*weigh a piece", said)
     assert re.search(r"import\.yaml:\d+:\d+: cable: .*diameter_m of a round one", said)

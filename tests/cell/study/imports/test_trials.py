@@ -6,20 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cell.cli import app
 from cell.study.folder import read_study
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.mapping import read_mapping
-from tests.cell.study.imports.made import CABLE, RATE_HZ, made, two_files, vicon, wide_metres
-
-
-def run(*words: str, code: int = 0) -> str:
-    """What a command says, in one line."""
-    done = CliRunner().invoke(app, ["import", *words])
-    assert done.exit_code == code, done.output
-    return " ".join(done.output.split())
+from tests.cell.study.imports.made import CABLE, RATE_HZ, made, run, two_files, vicon, wide_metres
 
 
 def in_folder(folder: Path, name: str) -> Path:

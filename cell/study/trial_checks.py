@@ -1,37 +1,45 @@
-"""Statistics of a trial that show whether it is of the cable described: frame, reach, clock, units.
+"""Checks of a trial, whether it is of the cable described: frame, reach, clock, units.
 
-A model can be fitted to mirrored or reversed markers too, with intervals and all.  Each function
-returns the numbers of a check that fails, None if all is well; `cell.study.checks` has the table.
+A model can be fitted to mirrored or reversed markers too, with intervals and all.  A check that is
+`refused` fails by what no cable does: the study is not read.  One that is `noted` fails by what
+only a rare cable does: the reader decides.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.cable.geometry import ROUGHLY_STILL, Cable, moves_from_s
-from cell.study.check import Failure
-from cell.study.clocks import CutOff, Gap, Offset, cut_off, gap, offset
+from cell.cable.geometry import Cable
+from cell.files.input_error import Problem
+from cell.study.check import Failure, failures, noted, refused
+from cell.study.clocks import (
+    FIRST_MOTION,
+    MEDIAN_OF,
+    WITHIN,
+    WITHIN_S,
+    CutOff,
+    Gap,
+    Offset,
+    at_rest,
+    cut_off,
+    first_motion,
+    gap,
+    offset,
+)
 from cell.study.data import Source, Trial
 from cell.study.rest_shape import WEAK_M_PER_S2
-from cell.study.series import span_m
-from cell.study.table import MAX_TRIAL_S
-from cell.study.tracks import exchanges, frozen, identical, repeated_rows
+from cell.study.series import interpolated, span_m
+from cell.study.tracks import FROZEN_ROWS, NEARER, exchanges, frozen
 
 #: Room for noise, a slipping grip and a camera whose scale is off, as a share of the free length.
 SLACK = 0.1
 #: Of a clamp steeper than this nobody can say to which side the cable leaves it, rad.
 SIDEWAYS_RAD = np.pi / 3
-#: A cable at rest does not move by this share of its free length while its gripper is still, and no
-#: noise that a study may have does so in medians of so many frames.
-MOVES = 0.05
-MEDIAN_OF = 5
-FEWEST_STILL = 10
 #: Both ends are held if the farthest marker stays within this share of what the gripper, or the
 #: cable between, moves: a bead on a thread follows by more, unless it is shaken seven times as fast
 #: as it swings.  What moves must do so by a share of the cable, for what hardly moves shows
@@ -50,15 +58,8 @@ OTHER_UNIT = 30.0
 #: A lost marker is in the outer part of the cable, and the gripper or another one moves by this
 #: share of the free length: a cable that is held at its clamp moves there by 1 % of it.
 OUTER_SHARE, MOVES_SHARE = 0.3, 0.1
-#: A marker is on no moving cable if it stays within this share of what the others move.
-STAYS = 1e-3
-#: In so many rows a distance along the cable may be too long before it is no single slip.
-MOST_SLIPS = 0.02
-#: Out of the plane a cable may be by so much of its length: noted, and refused.
-NOTED_ACROSS, REFUSED_ACROSS = 0.02, 0.2
-#: The marker next to the gripper follows it, by how well their paths agree, and moves by no more
-#: than so many times as far, in so many rows.
-MOVES_ALIKE, TIMES_FARTHER, FEWEST_ROWS = 0.8, 8.0, 20
+
+_CLOCK_LIMIT = f"{WITHIN_S:g} s or {WITHIN:g} √(L/g), and two frames"
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +110,7 @@ class TrialEvidence:
     @cached_property
     def at_rest(self) -> NDArray[np.bool_]:
         """(T,) frames before the gripper moves, of a cable that nothing else holds or swings."""
-        return _at_rest(self.trial)
+        return at_rest(self.trial)
 
     @cached_property
     def offset(self) -> Offset | None:
@@ -142,8 +143,14 @@ class TrialEvidence:
         return int(np.argmax(np.where(seen, self.arc_length_m, -1.0)))
 
 
+@refused(
+    "span of the gripper's places over that of markers and cable",
+    f"{OTHER_UNIT:g}",
+    "the gripper's places are up to {hand_m:.3g} m apart, those of the markers {reach_m:.3g} m;",
+    "give metres, not millimetres",
+)
 def hand_unit(e: TrialEvidence) -> Failure | None:
-    """A gripper whose places span far more than the markers and the cable do."""
+    """Is the gripper given in metres, as its markers are?"""
     reach_m = _widest_m(e.trial.markers.xy_m[:, e.is_far.any(axis=0)])
     hand_m = _widest_m(e.hand_m)
     if not e.is_far.any() or hand_m <= OTHER_UNIT * max(reach_m, e.cable.length_m):
@@ -158,35 +165,56 @@ def _widest_m(xy_m: FloatArray) -> float:
     return max(float(np.ptp(v)) if v.size else 0.0 for v in axes)
 
 
+@refused(
+    "time from the gripper's first motion to the cable's, s",
+    _CLOCK_LIMIT,
+    "the cable rests until {cable_s:.3g} s, yet its gripper moves at {hand_s:.3g} s, and no cable "
+    "waits so long: the clocks differ by {late_s:.2g} s;",
+    "subtract this from t_s of markers.csv",
+)
 def cable_waits(e: TrialEvidence) -> Failure | None:
-    """A cable that stays at rest long after its gripper has moved."""
+    """Does the cable move soon after its gripper?"""
     return None if e.offset is None or e.offset.late_s <= 0.0 else _of_clocks(e, e.offset)
 
 
+@noted(
+    "time from the cable's first motion to the gripper's, s",
+    f"{_CLOCK_LIMIT}; refused if a marker is too far from the gripper too",
+    "the cable moves at {cable_s:.3g} s, its gripper only at {hand_s:.3g} s; if both are one "
+    "motion the clocks differ:",
+    "add {late_s:.2g} s to t_s of markers.csv; if the cable was let go, give `start: held` with "
+    "release_s: {cable_s:.3g} in study.yaml",
+)
 def cable_ahead(e: TrialEvidence) -> Failure | None:
-    """A cable at rest that moves long before its gripper does."""
+    """Does the cable rest until its gripper moves?"""
     return None if e.offset is None or e.offset.late_s > 0.0 else _of_clocks(e, e.offset)
 
 
-def cable_ahead_and_far(e: TrialEvidence) -> Failure | None:
+def _cable_ahead_and_far(e: TrialEvidence) -> Failure | None:
     """The same of one that is out of the gripper's reach."""
-    return cable_ahead(e) if e.is_far.any() else None
+    return cable_ahead.failure(e) if e.is_far.any() else None
 
 
-def cable_ahead_and_too_far(e: TrialEvidence) -> Failure | None:
+def _cable_ahead_and_too_far(e: TrialEvidence) -> Failure | None:
     """The same of one that is farther from the gripper than its length."""
-    return None if reversed_arcs(e) is None and too_far(e) is None else cable_ahead(e)
+    return None if _farther_than_arc(e) is None else cable_ahead.failure(e)
 
 
-def _of_clocks(e: TrialEvidence, found: Offset) -> Failure:
-    row = int(np.searchsorted(e.trial.markers.t_s, found.cable_s))
-    late_s = abs(found.late_s)
-    values = {"cable_s": found.cable_s, "hand_s": found.hand_s, "late_s": late_s}
+def _of_clocks(e: TrialEvidence, apart: Offset) -> Failure:
+    row = int(np.searchsorted(e.trial.markers.t_s, apart.cable_s))
+    values = {"cable_s": apart.cable_s, "hand_s": apart.hand_s, "late_s": abs(apart.late_s)}
     return Failure(values, row, "t_s")
 
 
+@refused(
+    "largest distance of a marker from the gripping point, free lengths",
+    f"{FARTHEST:g}",
+    f"{{x_m:g}} lies more than {{limit_m:g}} m ({FARTHEST:g} free lengths) from the gripping "
+    "point;",
+    "give metres, in the frame of grip.csv",
+)
 def out_of_reach(e: TrialEvidence) -> Failure | None:
-    """The first marker that is farther from the gripper than any of this cable can be."""
+    """Is every marker within the gripper's reach?"""
     if not e.is_far.any():
         return None
     row = int(np.argmax(e.is_far.any(axis=1)))
@@ -195,8 +223,14 @@ def out_of_reach(e: TrialEvidence) -> Failure | None:
     return Failure(values, row, e.source.column(marker, 0))
 
 
+@refused(
+    "distance to its own place over that to another's",
+    f"{NEARER:g}, for both of two markers",
+    "{first} is where {second} was in the row before, and {second} where {first} was{more};",
+    "exchange the columns of the two in the rows from here to line {last}",
+)
 def exchanged(e: TrialEvidence) -> Failure | None:
-    """The first two markers that change places, and until where."""
+    """Does every marker go on where it was?"""
     found = exchanges(e.trial.markers.xy_m)
     if not found:
         return None
@@ -211,8 +245,16 @@ def exchanged(e: TrialEvidence) -> Failure | None:
     return Failure(values, first.row, e.source.column(first.first, 0))
 
 
+@refused(
+    "span of the outermost marker over that of what moves",
+    f"{HELD_STAYS:g}",
+    "the marker at arc length {arc_m:g} m stays within {tip_mm:.2g} mm while {what} by "
+    "{most_mm:.3g} mm: both ends of this cable are held, and only a cable with a free tip can be "
+    "modelled;",
+    "let the tip go",
+)
 def both_ends_held(e: TrialEvidence) -> Failure | None:
-    """The marker farthest from the gripper stays in place while gripper or cable move."""
+    """Is the tip free?"""
     trial, length_m = e.trial, e.cable.length_m
     t_s, xy_m = trial.markers.t_s, trial.markers.xy_m
     seen = np.array([np.isfinite(_spread_m(xy_m[:, m])) for m in range(xy_m.shape[1])])
@@ -220,13 +262,14 @@ def both_ends_held(e: TrialEvidence) -> Failure | None:
         return None
     tip = e.tip(seen)
     axes = np.isfinite(xy_m[:, tip]).any(axis=0)  # those in which the tip is not seen say nothing
-    # a free tip follows within a quarter of a swing: a frame tells of what moves before that
+    # a free tip follows within a quarter of a swing: a frame shows what moves before that
     follows_s = 0.25 * SLOWEST * np.sqrt(length_m / GRAVITY_M_PER_S2)
-    told_s = t_s[np.isfinite(xy_m[:, tip][:, axes]).all(axis=1)] - follows_s
-    told_s = told_s[told_s >= t_s[0]]
-    hand_m = _spread_m(trial.gripper_m(told_s)[:, axes])
-    others = [_at(told_s, t_s, xy_m[:, m, axes]) for m in range(xy_m.shape[1]) if m != tip]
-    inner_m = float(np.max(np.nan_to_num([_spread_m(other) for other in others]), initial=0.0))
+    shown_s = t_s[np.isfinite(xy_m[:, tip][:, axes]).all(axis=1)] - follows_s
+    shown_s = shown_s[shown_s >= t_s[0]]
+    hand_m = _spread_m(trial.gripper_m(shown_s)[:, axes])
+    others = np.delete(xy_m[..., axes], tip, axis=1).swapaxes(0, 1)
+    inner = [_spread_m(interpolated(shown_s, t_s, other_m)) for other_m in others]
+    inner_m = float(np.max(np.nan_to_num(inner), initial=0.0))
     tip_m = _spread_m(xy_m[:, tip, axes])
     most_m = max(np.nan_to_num(hand_m), inner_m)
     if e.arc_length_m[tip] < OUTER * length_m or most_m < HELD_MOVES * length_m:
@@ -238,16 +281,6 @@ def both_ends_held(e: TrialEvidence) -> Failure | None:
     return Failure({"arc_m": e.arc_length_m[tip], **values}, 0)
 
 
-def _at(at_s: FloatArray, t_s: FloatArray, places_m: FloatArray) -> FloatArray:
-    """(at, axes) a point's places at other times, between those at which it was seen."""
-    found = np.full((len(at_s), places_m.shape[1]), np.nan)
-    for axis, series_m in enumerate(places_m.T):
-        seen = np.isfinite(series_m)
-        if seen.any():
-            found[:, axis] = np.interp(at_s, t_s[seen], series_m[seen])
-    return found
-
-
 def _spread_m(xy_m: FloatArray) -> float:
     """How far apart the middle 90 % of a point's places are; nan where too few rows show it."""
     good = xy_m[:, np.isfinite(xy_m).any(axis=0)]
@@ -256,8 +289,15 @@ def _spread_m(xy_m: FloatArray) -> float:
     return span_m(xy_m, 0.05)
 
 
+@refused(
+    "rows in which it stays",
+    f"{FROZEN_ROWS}, while another moves by {MOVES_SHARE:g} free lengths",
+    "the marker at arc length {arc_m:g} m stays at ({x_m:g}, {y_m:g}) m up to line {last}, while "
+    "the cable moves by {moved_mm:.3g} mm: it was lost;",
+    "leave its values empty there",
+)
 def frozen_marker(e: TrialEvidence) -> Failure | None:
-    """A marker that was lost, and whose place went on to be written."""
+    """Does no marker stay exactly in place while the cable moves?"""
     markers, length_m = e.trial.markers, e.cable.length_m
     outer = np.flatnonzero(e.arc_length_m >= OUTER_SHARE * length_m)
     found = frozen(markers.xy_m, e.hand_m, outer, MOVES_SHARE * length_m)
@@ -269,20 +309,38 @@ def frozen_marker(e: TrialEvidence) -> Failure | None:
     return Failure(values, found.first)
 
 
+_BEYOND_ARC = "distance of a marker from the gripper beyond its arc length, free lengths"
+_IS_BEYOND_ARC = (
+    "the marker at arc length {arc_m:g} m is {away_m:.3g} m from the gripping point, farther than "
+    "any cable lets it;"
+)
+
+
+@refused(
+    _BEYOND_ARC,
+    f"{SLACK:g}, but not if counted from the other end",
+    _IS_BEYOND_ARC,
+    "the markers fit when counted from the other end: turn markers.arc_length_m round",
+)
 def reversed_arcs(e: TrialEvidence) -> Failure | None:
-    """Markers that are too far from the gripper, but not if they are counted from the other end."""
-    found = _farther_than_arc(e)
-    if found is None:
+    """Are arc lengths counted from the gripping point?"""
+    if (farther := _farther_than_arc(e)) is None:
         return None
-    failure, distance_m, arcs = found
+    failure, distance_m, arcs = farther
     turned = np.all(distance_m <= e.cable.length_m - arcs + e.slack_m) and len(arcs) > 1
     return failure if turned else None
 
 
+@refused(
+    _BEYOND_ARC,
+    f"{SLACK:g}",
+    _IS_BEYOND_ARC,
+    "check arc_length_m, the metres of both files, and that both have the same frame",
+)
 def too_far(e: TrialEvidence) -> Failure | None:
-    """The marker that is farthest beyond its arc length from the gripper."""
-    found = _farther_than_arc(e)
-    return None if found is None else found[0]
+    """Is no marker farther from the gripper than its arc length?"""
+    farther = _farther_than_arc(e)
+    return None if farther is None else farther[0]
 
 
 def _farther_than_arc(e: TrialEvidence) -> tuple[Failure, FloatArray, FloatArray] | None:
@@ -304,8 +362,15 @@ def _farther_than_arc(e: TrialEvidence) -> tuple[Failure, FloatArray, FloatArray
     return Failure(values, row), distance_m, arcs
 
 
+@refused(
+    "place of a resting marker behind the clamp, free lengths",
+    f"{SLACK:g}",
+    "at rest the marker at arc length {arc_m:g} m is {beyond_m:.3g} m {side} of the gripping "
+    "point; with angle_rad = {angle_rad:g} the cable leaves it to the other side:",
+    "change the sign of x_m in both files, or give the clamp angle as π − angle",
+)
 def wrong_side(e: TrialEvidence) -> Failure | None:
-    """A marker at rest behind its clamp: gravity bends a cable down, never back over it."""
+    """Does the cable leave the clamp to the side of its angle?"""
     angle_rad = e.trial.grip.angle_rad[0]
     cosine = float(np.cos(angle_rad))
     at_rest = e.from_grip_m[e.at_rest]
@@ -323,8 +388,15 @@ def wrong_side(e: TrialEvidence) -> Failure | None:
     return Failure({**values, "angle_rad": angle_rad}, 0)
 
 
+@refused(
+    "usual step of time over the period 2π √(L/g)",
+    "0.5",
+    "frames are {step_s:.3g} s apart, yet a cable of {length_m:g} m swings to and fro within "
+    "{slowest_s:.2g} s;",
+    "give t_s in seconds, with several frames per swing",
+)
 def frame_rate(e: TrialEvidence) -> Failure | None:
-    """Frames that are farther apart than half a swing; without gravity nothing tells that."""
+    """Are there frames enough to see the slowest swing?"""
     seen = np.isfinite(e.trial.markers.xy_m).all(axis=2).any()
     if e.weight < WEAK_M_PER_S2 or not seen:
         return None
@@ -334,8 +406,15 @@ def frame_rate(e: TrialEvidence) -> Failure | None:
     return None if step_s <= 0.5 * slowest_s else Failure(values, 0)
 
 
+@noted(
+    "height of the tip above the clamp's direction, free lengths",
+    f"{SLACK:g}",
+    "at rest the cable rises {lift_mm:.3g} mm above the clamp's direction, against gravity;",
+    "unless it is naturally curved, check the signs of y_m (up), angle_rad (positive = pointing "
+    "down) and gravity_m_per_s2",
+)
 def rises(e: TrialEvidence) -> Failure | None:
-    """A tip that is above the clamp's direction at rest."""
+    """Does the cable droop at rest?"""
     angle = e.trial.grip.angle_rad[0]
     steep = abs(np.cos(angle)) < np.cos(SIDEWAYS_RAD)
     if not e.at_rest.any() or e.weight < WEAK_M_PER_S2 or steep:
@@ -350,172 +429,57 @@ def rises(e: TrialEvidence) -> Failure | None:
     return None if lift_m <= e.slack_m else Failure({"lift_mm": lift_m * 1e3})
 
 
-@dataclass(frozen=True)
-class FirstMotion:
-    """How far a cable moves before its gripper does, and from which of its frames on."""
-
-    reach_m: float
-    row: int
-
-    @property
-    def from_first(self) -> bool:
-        """Whether it moves from the first frame on: it is not let go later."""
-        return self.row < FEWEST_STILL
-
-
-def first_motion(trial: Trial, cable: Cable) -> FirstMotion | None:
-    """That a cable said to begin in equilibrium moves, by a share of it, before its gripper
-    does."""
-    still = _at_rest(trial)
-    if trial.start != "equilibrium" or np.count_nonzero(still) < FEWEST_STILL:
-        return None
-    markers = trial.markers
-    away_m = (markers.xy_m - trial.gripper_m(markers.t_s)[:, None])[still]
-    # Medians of five: a glitch of two frames is none of the cable's.  What is lost sorts last.
-    windows = np.sort(np.lib.stride_tricks.sliding_window_view(away_m, MEDIAN_OF, axis=0), axis=-1)
-    smooth_m = windows[..., MEDIAN_OF // 2]
-    from_first_m = np.nan_to_num(np.linalg.norm(smooth_m - smooth_m[:1], axis=2))
-    reach_m = float(from_first_m.max())
-    if reach_m < MOVES * cable.length_m:
-        return None
-    return FirstMotion(reach_m, int(np.argmax(np.any(from_first_m > 0.1 * reach_m, axis=1))))
-
-
+@noted(
+    "way of a marker before the gripper moves, free lengths",
+    f"{FIRST_MOTION:g}",
+    "before the gripper moves the cable does, by {reach_mm:.3g} mm, yet it is said to begin in "
+    "equilibrium;",
+    "give {meant} in study.yaml",
+)
 def moves_first(e: TrialEvidence) -> Failure | None:
-    """The cable moves before the gripper does, though it is said to begin in equilibrium."""
-    found = first_motion(e.trial, e.cable)
-    if found is None:
+    """Is a cable that begins in equilibrium at rest?"""
+    motion = first_motion(e.trial, e.cable)
+    if motion is None:
         return None
     meant = "`start: moving`"
-    if not found.from_first:
-        let_go_s = e.trial.markers.t_s[e.at_rest][found.row + MEDIAN_OF // 2]
+    if not motion.from_first:
+        let_go_s = e.trial.markers.t_s[e.at_rest][motion.row + MEDIAN_OF // 2]
         meant = f"`start: held` with release_s: {let_go_s:.3g}"
-    return Failure({"reach_mm": found.reach_m * 1e3, "meant": meant})
+    return Failure({"reach_mm": motion.reach_m * 1e3, "meant": meant})
 
 
-def _at_rest(trial: Trial) -> NDArray[np.bool_]:
-    if trial.bent:
-        return np.zeros(len(trial.markers.t_s), dtype=bool)
-    return trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
+#: Of every trial; only the first that fails is reported.
+TRIAL_REFUSALS = (
+    hand_unit,
+    cable_waits,
+    replace(cable_ahead, failure=_cable_ahead_and_far),
+    out_of_reach,
+    exchanged,
+    both_ends_held,
+    frozen_marker,
+    replace(cable_ahead, failure=_cable_ahead_and_too_far),
+    reversed_arcs,
+    too_far,
+    wrong_side,
+    frame_rate,
+)
+TRIAL_NOTES = (rises, cable_ahead, moves_first)
 
 
-def too_long(e: TrialEvidence) -> Failure | None:
-    """A record that lasts longer than any trial."""
-    t_s = e.trial.markers.t_s
-    lasts_s = float(t_s[-1] - t_s[0])
-    return None if lasts_s <= MAX_TRIAL_S else Failure({"lasts_s": lasts_s}, len(t_s) - 1)
+def trial_problems(
+    trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: tuple[float, float]
+) -> tuple[list[Problem], list[str]]:
+    """What of a trial is refused, and what is odd and yet possible, each with its line.
 
-
-def log_gap(e: TrialEvidence) -> Failure | None:
-    """A gripper that moves while nothing is known of it."""
-    if e.log_gap is None:
-        return None
-    row = int(np.searchsorted(e.trial.markers.t_s, e.log_gap.to_s))
-    return Failure(e.log_gap.values, min(row, len(e.trial.markers.t_s) - 1), "hand")
-
-
-def log_ends(e: TrialEvidence) -> Failure | None:
-    """A gripper that moves where its log ends, and markers that are seen after it."""
-    found = e.log_cut_off
-    return None if found is None or not found.at_end else _of_log(e, found)
-
-
-def log_begins(e: TrialEvidence) -> Failure | None:
-    """A gripper that moves where its log begins, and markers that are seen before it."""
-    found = e.log_cut_off
-    return None if found is None or found.at_end else _of_log(e, found)
-
-
-def _of_log(e: TrialEvidence, found: CutOff) -> Failure:
-    t_s = e.trial.markers.t_s
-    row = int(np.searchsorted(t_s, found.log_s, side="right" if found.at_end else "left"))
-    return Failure(found.values, min(row, len(t_s) - 1), "hand")
-
-
-def same_marker(e: TrialEvidence) -> Failure | None:
-    """Two markers that are one: the same numbers in all rows."""
-    for first, second, both in identical(e.trial.markers.xy_m):
-        names = {"first": e.source.names[first], "second": e.source.names[second]}
-        return Failure({**names, "rows": np.count_nonzero(both)}, int(np.argmax(both)))
-    return None
-
-
-def not_on_cable(e: TrialEvidence) -> Failure | None:
-    """A marker that does not move while the others and the gripper do."""
-    xy_m = e.trial.markers.xy_m
-    moved_m = np.array([span_m(xy_m[:, m]) for m in range(xy_m.shape[1])])
-    hand_m = span_m(e.poses[:, 1:3])
-    usual_m = max(hand_m, float(np.nanmax(moved_m)))
-    stays = np.flatnonzero((moved_m <= STAYS * usual_m) & (hand_m > 0.1 * usual_m))
-    if not len(stays):
-        return None
-    values = {"moved_mm": moved_m[stays[0]] * 1e3, "hand_mm": hand_m * 1e3}
-    return Failure({"name": e.source.names[int(stays[0])], **values}, 0)
-
-
-def hand_scale(e: TrialEvidence) -> Failure | None:
-    """A gripper that moves as the marker next to it does, but many times less or more."""
-    nearest = int(np.argmin(e.arc_length_m))
-    marker = e.trial.markers.xy_m[:, nearest]
-    seen = np.isfinite(marker).all(axis=1)
-    if np.count_nonzero(seen) < FEWEST_ROWS:
-        return None
-    hand, marker = e.hand_m[seen], marker[seen]
-    hand, marker = hand - hand.mean(axis=0), marker - marker.mean(axis=0)
-    sizes = float(np.linalg.norm(hand)), float(np.linalg.norm(marker))
-    if min(sizes) == 0.0 or float(np.sum(hand * marker)) < MOVES_ALIKE * sizes[0] * sizes[1]:
-        return None
-    if 1.0 / TIMES_FARTHER < sizes[1] / sizes[0] < TIMES_FARTHER:
-        return None
-    values = {"hand_m": span_m(hand), "marker_m": span_m(marker)}
-    return Failure({"name": e.source.names[nearest], **values}, 0, "hand")
-
-
-def longer_than_cable(e: TrialEvidence) -> Failure | None:
-    """Two markers that are farther apart than the cable between them is long."""
-    names, worst_share, worst = e.source.names, MOST_SLIPS, None
-    for first, second in combinations(range(len(names)), 2):
-        apart_m = np.linalg.norm(np.diff(e.trial.markers.xy_m[:, [second, first]], axis=1), axis=2)
-        between_m = abs(e.arc_length_m[first] - e.arc_length_m[second])
-        far = np.nan_to_num(apart_m[:, 0]) > between_m + e.slack_m
-        share = float(far.sum()) / max(int(np.isfinite(apart_m).sum()), 1)
-        if share > worst_share:
-            row = int(np.argmax(far))
-            values = {"apart_m": apart_m[row, 0], "between_m": between_m, "share": share}
-            values |= {"limit_m": between_m + e.slack_m}
-            worst_share = share
-            worst = Failure({"first": names[first], "second": names[second], **values}, row)
-    return worst
-
-
-def out_of_plane(e: TrialEvidence) -> Failure | None:
-    """A cable that leaves the plane in more rows than may slip."""
-    away_m, limit_m = _out_of_plane_m(e), REFUSED_ACROSS * e.cable.length_m
-    if away_m is None:
-        return None
-    far = np.nan_to_num(away_m).max(axis=1) > limit_m
-    if np.count_nonzero(far) <= MOST_SLIPS * len(far):
-        return None
-    row = int(np.argmax(far))
-    return Failure({"away_mm": np.nanmax(away_m[row]) * 1e3, "limit_mm": limit_m * 1e3}, row)
-
-
-def wide(e: TrialEvidence) -> Failure | None:
-    """A cable that is a little out of the plane."""
-    away_m = _out_of_plane_m(e)
-    rms_m = 0.0 if away_m is None else float(np.sqrt(np.nanmean(away_m**2)))
-    return None if rms_m < NOTED_ACROSS * e.cable.length_m else Failure({"rms_mm": rms_m * 1e3})
-
-
-def _out_of_plane_m(e: TrialEvidence) -> FloatArray | None:
-    """(T, markers) distance from the plane of all markers."""
-    across_m = e.across_m
-    if across_m is None or not np.isfinite(across_m).any():
-        return None
-    return np.asarray(np.abs(across_m - np.nanmedian(across_m)))
-
-
-def held(e: TrialEvidence) -> Failure | None:
-    """Rows in which every marker has exactly its last values, and a jump after them."""
-    found = repeated_rows(e.trial.markers.xy_m)
-    return None if found is None else Failure({"rows": found[1]}, found[0])
+    arc_length_m  (markers,) from the gripping point, as in `trial.markers`
+    """
+    evidence = TrialEvidence(trial, cable, arc_length_m, gravity_m_per_s2)
+    file, line = evidence.source.file, trial.markers.line
+    for failure, sentence in failures(TRIAL_REFUSALS, evidence):
+        table, row = failure.table, failure.row or 0
+        place = (file.with_name(table), 2) if table else (file, line(row))
+        return [Problem(*place, None, failure.column, sentence)], []
+    for failure, sentence in failures(TRIAL_NOTES, evidence):
+        where = "" if failure.row is None else f"line {line(failure.row)}: "
+        return [], [f"{file}: {where}{sentence}"]
+    return [], []

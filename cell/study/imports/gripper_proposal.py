@@ -11,10 +11,10 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture, Finding, Sure
 from cell.study.imports.choosing import columns_finding, detected_places
+from cell.study.imports.clamp_angle import Root, clamp_angle
 from cell.study.imports.column_names import Meaning
 from cell.study.imports.contents import Contents, Point, contents
-from cell.study.imports.hand_pose import Root, clamp_angle
-from cell.study.imports.hand_section import (
+from cell.study.imports.gripper_section import (
     AccelerationSection,
     AngleSection,
     AxesSection,
@@ -24,7 +24,7 @@ from cell.study.imports.hand_section import (
     entries_to_fill_in,
 )
 from cell.study.imports.scales import time_section
-from cell.study.imports.shape import AWAY, FEWEST_REST, arc_lengths
+from cell.study.imports.shape import AWAY, FEWEST_REST, arc_lengths, reach_of
 from cell.study.imports.units import METRES, RADIANS
 
 #: m/s² that one of a unit is, and standard gravity within this share tells an unnamed one.
@@ -341,8 +341,4 @@ def _plane_of(right: FloatArray) -> AxesSection:
 
 def reach(places: FloatArray) -> float:
     """How far apart the middle 98 % of places (rows, d) are; 0 = none is seen."""
-    seen = places[np.isfinite(places).all(axis=1)]
-    if not len(seen):
-        return 0.0
-    low, high = np.quantile(seen, [0.01, 0.99], axis=0)
-    return float(np.linalg.norm(high - low))
+    return float(np.nan_to_num(reach_of(places, 0.01)))

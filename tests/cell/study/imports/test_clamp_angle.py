@@ -10,11 +10,11 @@ import pytest
 
 from cell.files.yaml_document import Document
 from cell.study.imports.capture import Capture, CapturedColumn
-from cell.study.imports.hand_path import count_of, gripper_path, place_m, turn_of
-from cell.study.imports.hand_section import AxesSection, TurnsSection
+from cell.study.imports.gripper_path import count_of, gripper_path, place_m, turn_of
+from cell.study.imports.gripper_proposal import gripper_file
+from cell.study.imports.gripper_section import AxesSection, TurnsSection
 from cell.study.imports.mapping import Mapping, ReadMapping
 from cell.study.imports.places import angle_towards, clamp_angle_rad, continuous, places_m
-from cell.study.imports.sensed_hand import gripper_file
 from cell.study.imports.understand import Files, Stated, Understanding, understand
 from tests.cell.study.imports.made import ARCS_M, LENGTH_M, NAMES, Made, swinging
 

@@ -10,9 +10,10 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture, Finding, Sure
 from cell.study.imports.contents import HAND, Contents, Point
-from cell.study.imports.hand_section import BODY_AXES, AngleSection, AxesSection
+from cell.study.imports.gripper_section import BODY_AXES, AngleSection, AxesSection
 from cell.study.imports.places import angle_of, body_axis, continuous
 from cell.study.imports.units import RADIANS
+from cell.study.series import wrapped
 
 #: An angle that turns by more tells its sign by how the cable's root turns with it, rad.
 _TURNS = 0.05
@@ -111,7 +112,7 @@ def _of_line(
     second: Point, shown_rad: float, root: Root, hand: str
 ) -> tuple[AngleSection, list[Finding]]:
     """The line between two points of the gripper, along the cable or against it."""
-    offset = _wrapped(root.rest_rad - shown_rad)
+    offset = wrapped(root.rest_rad - shown_rad)
     offset = 0.0 if abs(offset) < root.agrees_rad else offset
     if abs(abs(offset) - np.pi) < _AGREES:
         offset = float(np.pi)
@@ -159,7 +160,7 @@ def _of_column(
     word, s, offset = best.unit, best.sign, best.quarters * np.pi / 2.0
     findings = []
     if best.off_rad > root.agrees_rad:
-        offset = float(round(_wrapped(root.rest_rad - s * best.rest_rad), 4))
+        offset = float(round(wrapped(root.rest_rad - s * best.rest_rad), 4))
         sentence = (
             f"{name!r} is {np.degrees(best.off_rad):.0f}° from what the cable shows at rest: "
         )
@@ -195,7 +196,7 @@ def _readings(values: FloatArray, unit: str, root: Root) -> list[_PoseReader]:
         seen = _sign(turned, root)
         for sign in (1.0, -1.0) if seen == 0.0 else (seen,):
             for quarters in (0, -1, 1, 2):
-                off_rad = abs(_wrapped(sign * rest_rad + quarters * np.pi / 2.0 - root.rest_rad))
+                off_rad = abs(wrapped(sign * rest_rad + quarters * np.pi / 2.0 - root.rest_rad))
                 found.append(_PoseReader(word, sign, seen != 0.0, quarters, rest_rad, off_rad))
     return found
 
@@ -225,13 +226,8 @@ def _of_body(
     along = {n: float(body_axis(rows, n)[0] @ leaving) if len(rows) else 0.0 for n in BODY_AXES}
     best = max(BODY_AXES, key=lambda n: along[n])
     seen = body_axis(rows, best)[0] if len(rows) else leaving
-    offset = _wrapped(root.rest_rad - angle_of(np.array([seen @ right, seen @ up])))
+    offset = wrapped(root.rest_rad - angle_of(np.array([seen @ right, seen @ up])))
     offset = float(round(offset, 4)) if abs(offset) > root.agrees_rad else 0.0
     sentence = f"the gripper turns as {four[0]!r} … say; the cable leaves along its axis {best}"
     section = AngleSection(quaternion=list(four), body_axis=best, offset_rad=offset)
     return section, [Finding("hand.angle", sentence, Sure.GUESSED)]
-
-
-def _wrapped(angle_rad: float) -> float:
-    """The same angle between −π and π."""
-    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)

@@ -15,7 +15,7 @@ from cell.files.input_error import InputError
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study, write_study
 from cell.study.left_out import without_outliers
-from cell.study.wrong_samples import outlier_distances
+from cell.study.sample_outliers import outlier_distances
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 LENGTH_M = 0.1

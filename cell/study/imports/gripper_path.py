@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
 from cell.files.yaml_document import Key
@@ -17,12 +16,10 @@ from cell.study.imports.accelerometer import (
     integrated,
 )
 from cell.study.imports.capture import Capture
-from cell.study.imports.hand_section import AccelerationSection, TurnsSection
+from cell.study.imports.gripper_section import AccelerationSection, TurnsSection
 from cell.study.imports.mapping import ReadMapping, TrialEntry
 from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
 from cell.study.imports.shape import lost_rows
-
-Flags = NDArray[np.bool_]
 
 #: Of the cable's length: what each thing that is wrong with an accelerometer may do to the
 #: gripper's place, and the standard deviation of it that may be left.

@@ -13,21 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
+from cell.study.series import by_missing_pattern
 
 Numbers = NDArray[np.intp]
 
 #: Samples on either side with which one is compared: few where the motion is fast for the camera,
 #: many where there is noise to be averaged.
-BESIDE = (4, 6, 10)
+HALF_WIDTHS = (4, 6, 10)
 #: What is left of the others is that of a cubic in time.
 _TERMS = 4
 #: A sample is wrong if it lies apart by more standard deviations than these, of what such a
 #: difference has by chance: given what is left of the others here, and in this share of the record.
 #: Of 1.6 million right samples of simulated swings none did.
-HERE, ELSEWHERE, SHARE = 6.0, 5.5, 0.75
+LOCAL_SIGMAS, RECORD_SIGMAS, RECORD_QUANTILE = 6.0, 5.5, 0.75
 #: Of several near each other each hides the others.  Those farthest apart may be left out of the
 #: comparison, so many; what is left is less by choice then, and the limit has to be higher.
-OTHERS, AMONG_OTHERS = 2, 15.0
+OMITTED, SIGMAS_IF_OMITTED = 2, 15.0
 #: Below this nothing is left of anything, m: the rounding of computed positions.
 _NOTHING_M = 1e-8
 #: Values rounded to steps have errors of at least a step by √12, though they seem to be at rest.
@@ -46,9 +47,9 @@ class _Comparison:
 
     rows      (rows,) of the series
     channels  of the series
-    apart_m   by how much it lies apart from the curve through the others
+    distance_m   by how much it lies apart from the curve through the others
     std       standard deviation of that, for values of unit noise
-    left_m    what is left of the others beside the curve
+    residual_m    what is left of the others beside the curve
     usual_m   (channels,) what is left in the record as a whole
     """
 
@@ -77,10 +78,10 @@ def outlier_distances(t_s: FloatArray, series_m: FloatArray) -> FloatArray:
     least_m = _STEP_STD * np.array([_step_m(values) for values in series_m.T])
     for _ in range(_MOST_ROUNDS):
         found = np.full_like(left, np.nan)
-        for beside in BESIDE:
-            _enter_outliers(t_s, left, least_m, (beside, 0), found)
+        for half_width in HALF_WIDTHS:
+            _enter_outliers(t_s, left, least_m, (half_width, 0), found)
         if np.isnan(found).all():
-            _enter_outliers(t_s, left, least_m, (BESIDE[-1], OTHERS), found)
+            _enter_outliers(t_s, left, least_m, (HALF_WIDTHS[-1], OMITTED), found)
         there = np.isfinite(found)
         if not there.any():
             break
@@ -107,13 +108,14 @@ def _enter_outliers(
     least_m  (channels,) noise that there is at least
     look     how many are beside a sample, and how many others may be left out
     """
-    beside, others = look
-    here, elsewhere = (HERE, ELSEWHERE) if others == 0 else (AMONG_OTHERS, AMONG_OTHERS)
+    half_width, omitted = look
+    local, record = (SIGMAS_IF_OMITTED,) * 2 if omitted else (LOCAL_SIGMAS, RECORD_SIGMAS)
+    seen = np.isfinite(series_m)
     compared = [
         comparison
-        for rows, channels in _by_missing_pattern(series_m)
-        if len(rows) > 2 * beside + 1
-        for comparison in _compared(t_s, series_m, rows, channels, beside, others)
+        for channels in by_missing_pattern(seen)
+        if len(rows := np.flatnonzero(seen[:, channels[0]])) > 2 * half_width + 1
+        for comparison in _compared(t_s, series_m, rows, channels, half_width, omitted)
     ]
     usual_m = [c.usual_m for c in compared]
     # The same camera sees all: a marker that hardly moves shows less than its noise, if rounded.
@@ -121,23 +123,13 @@ def _enter_outliers(
     for c in compared:
         times = c.times(np.maximum(c.residual_m, least_m[c.channels]))
         # One that is wrong makes those beside it seem to be: the worst goes first.
-        padded = np.pad(times, ((beside, beside), (0, 0)))
-        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * beside + 1, axis=0)
-        far = (times > here) & (times == np.max(around, axis=2))
+        padded = np.pad(times, ((half_width, half_width), (0, 0)))
+        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * half_width + 1, axis=0)
+        far = (times > local) & (times == np.max(around, axis=2))
         noise_m = np.maximum(np.maximum(c.usual_m, of_all_m), least_m[c.channels])
-        far &= c.times(noise_m) > elsewhere
+        far &= c.times(noise_m) > record
         row, channel = np.nonzero(far)
         out[c.rows[row], c.channels[channel]] = c.distance_m[far]
-
-
-def _by_missing_pattern(series_m: FloatArray) -> Iterator[tuple[Numbers, Numbers]]:
-    """Rows, and the channels that are seen in exactly these."""
-    seen = np.isfinite(series_m)
-    alike: dict[bytes, list[int]] = {}
-    for channel in range(series_m.shape[1]):
-        alike.setdefault(seen[:, channel].tobytes(), []).append(channel)
-    for channels in alike.values():
-        yield np.flatnonzero(seen[:, channels[0]]), np.array(channels)
 
 
 def _compared(
@@ -145,25 +137,25 @@ def _compared(
     series_m: FloatArray,
     rows: Numbers,
     channels: Numbers,
-    beside: int,
-    others: int,
+    half_width: int,
+    omitted: int,
 ) -> Iterator[_Comparison]:
     """Every sample of channels seen in the same rows with as many around it, before and after."""
-    width, count = 2 * beside + 1, len(rows)
-    first = np.clip(np.arange(count) - beside, 0, count - width)
+    width, count = 2 * half_width + 1, len(rows)
+    first = np.clip(np.arange(count) - half_width, 0, count - width)
     around = rows[first[:, None] + np.arange(width)]
     own = np.arange(count) - first
-    apart_s = t_s[around] - t_s[rows][:, None]
-    scaled = apart_s / np.max(np.abs(apart_s), axis=1, keepdims=True)
+    offset_s = t_s[around] - t_s[rows][:, None]
+    scaled = offset_s / np.max(np.abs(offset_s), axis=1, keepdims=True)
     curve = np.linalg.qr(scaled[:, :, None] ** np.arange(_TERMS))[0]
     at_once = max(1, _AT_ONCE // around.size)
     for part in np.split(channels, range(at_once, len(channels), at_once)):
         seen_m = series_m[rows[:, None], part]
         y = np.take(seen_m, first[:, None] + np.arange(width), axis=0)
         y -= seen_m[:, None]
-        apart_m, std, left_m = _residuals_of_curve(curve, y, own, others)
-        usual_m = np.quantile(left_m, SHARE, axis=0)
-        yield _Comparison(rows, part, apart_m, std, left_m, usual_m)
+        distance_m, std, residual_m = _residuals_of_curve(curve, y, own, omitted)
+        usual_m = np.quantile(residual_m, RECORD_QUANTILE, axis=0)
+        yield _Comparison(rows, part, distance_m, std, residual_m, usual_m)
 
 
 def _residuals_of_curve(
@@ -174,7 +166,7 @@ def _residuals_of_curve(
     curve    (rows, width, terms) orthonormal columns of the curves around every sample
     y        (rows, width, channels) around every sample
     own      (rows,) where in `y` the sample itself is
-    returns  (rows, channels) each: apart_m, std and left_m of `_Comparison`
+    returns  (rows, channels) each: distance_m, std and residual_m of `_Comparison`
     """
     each, beside = np.arange(len(y)), _Fit.of(curve, y)
     without_own = beside.without(own[:, None]) if others else beside
@@ -185,11 +177,11 @@ def _residuals_of_curve(
         beside = beside.without(farthest)
         without_own = without_own.without(farthest) if more else without_own
     alone = np.maximum(beside.free[each, own], _FREE**2)
-    apart_m = beside.residual_m[each, own] / alone
-    square = np.sum(beside.residual_m**2, axis=1) - beside.residual_m[each, own] * apart_m
+    distance_m = beside.residual_m[each, own] / alone
+    square = np.sum(beside.residual_m**2, axis=1) - beside.residual_m[each, own] * distance_m
     freedom = y.shape[1] - curve.shape[2] - others - 1
-    left_m = np.sqrt(np.maximum(square, 0.0) / freedom)
-    return apart_m, 1.0 / np.sqrt(np.broadcast_to(alone, left_m.shape)), left_m
+    residual_m = np.sqrt(np.maximum(square, 0.0) / freedom)
+    return distance_m, 1.0 / np.sqrt(np.broadcast_to(alone, residual_m.shape)), residual_m
 
 
 @dataclass(frozen=True)
@@ -197,7 +189,7 @@ class _Fit:
     """What curves leave of the values around samples, some values of which may be left out.
 
     curve     (rows, width, terms)
-    rest_m    (rows, width, channels) what is left
+    residual_m    (rows, width, channels) what is left
     free      (rows, width, channels or 1) which part of each value the curve does not follow
     left_out  (rows, width, channels or 1) of each value that is left out: a direction that the
               curve may follow besides, of length 1
@@ -211,8 +203,8 @@ class _Fit:
     @staticmethod
     def of(curve: FloatArray, y: FloatArray) -> _Fit:
         """Of all values."""
-        rest_m = y - curve @ (curve.transpose(0, 2, 1) @ y)
-        return _Fit(curve, rest_m, 1.0 - np.sum(curve**2, axis=2)[:, :, None])
+        residual_m = y - curve @ (curve.transpose(0, 2, 1) @ y)
+        return _Fit(curve, residual_m, 1.0 - np.sum(curve**2, axis=2)[:, :, None])
 
     def without(self, number: Numbers) -> _Fit:
         """Without one value more, which one (rows, channels), or (rows, 1) of all channels."""

@@ -6,28 +6,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cell.files.yaml_document import Key
+from cell.study.entries import Finite, NotNegative, Positive, SectionPart
 from cell.study.imports.capture import Capture, Decimal, TextForm
 
 BodyAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 BODY_AXES: tuple[BodyAxis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1)]
 Vector = Annotated[list[Finite], Field(min_length=2, max_length=3)]
 Columns = Annotated[list[Name | None], Field(min_length=2, max_length=3)]
 
 #: Entries that say where the gripper is; `angle` is told in ways of its own.
 WAYS = ("columns", "fixed_m", "turns", "acceleration")
-
-
-class SectionPart(BaseModel):
-    """A section of the file; unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class TextSection(SectionPart):
@@ -78,7 +71,7 @@ class TurnsSection(SectionPart):
     column: Name
     radians_per_unit: Finite | None
     axle_m: tuple[Finite, Finite] | None
-    radius_m: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None
+    radius_m: NotNegative | None
     offset_rad: Finite = 0.0
 
 

@@ -1,0 +1,233 @@
+"""Checks of a trial that is imported: its log, its markers, its plane.
+
+They come before those of every trial, see `trial_checks`.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from cell.cable.arrays import FloatArray
+from cell.study.check import Failure, noted, refused
+from cell.study.clocks import GAP_S, GAP_STEPS, CutOff
+from cell.study.series import span_m
+from cell.study.table import MAX_TRIAL_S
+from cell.study.tracks import HELD_ROWS, identical, repeated_rows
+from cell.study.trial_checks import TrialEvidence, exchanged
+
+#: A marker is on no moving cable if it stays within this share of what the others move.
+STAYS = 1e-3
+#: In so many rows a distance along the cable may be too long before it is no single slip.
+MOST_SLIPS = 0.02
+#: Out of the plane a cable may be by so much of its length: noted, and refused.
+NOTED_ACROSS, REFUSED_ACROSS = 0.02, 0.2
+#: The marker next to the gripper follows it, by how well their paths agree, and moves by no more
+#: than so many times as far, in so many rows.
+MOVES_ALIKE, TIMES_FARTHER, FEWEST_ROWS = 0.8, 8.0, 20
+
+_LOG_LIMIT = f"{GAP_S:g} s or {GAP_STEPS:g} usual steps"
+
+
+@refused(
+    "time from the first row to the last, s",
+    f"{MAX_TRIAL_S:g}",
+    f"is {{lasts_s:.4g}} s after the first row, limit {MAX_TRIAL_S:g} s;",
+    "correct time.seconds_per_unit of the mapping, or cut the file to one motion and its swing",
+)
+def too_long(e: TrialEvidence) -> Failure | None:
+    """Is it one motion and its swing?"""
+    t_s = e.trial.markers.t_s
+    lasts_s = float(t_s[-1] - t_s[0])
+    return None if lasts_s <= MAX_TRIAL_S else Failure({"lasts_s": lasts_s}, len(t_s) - 1)
+
+
+@refused(
+    "longest step within which the gripper moves, s",
+    _LOG_LIMIT,
+    "the gripper is not seen from {from_s:.6g} to {to_s:.6g} s, limit {limit_s:.2g} s while it "
+    "moves: {moved_mm:.3g} mm and {turned_rad:.2g} rad in between;",
+    "log the whole motion, or cut the trial before it or after it",
+)
+def log_gap(e: TrialEvidence) -> Failure | None:
+    """Is the gripper's log whole while it moves?"""
+    if e.log_gap is None:
+        return None
+    row = int(np.searchsorted(e.trial.markers.t_s, e.log_gap.to_s))
+    return Failure(e.log_gap.values, min(row, len(e.trial.markers.t_s) - 1), "hand")
+
+
+@refused(
+    "time in which markers are seen after it, s",
+    _LOG_LIMIT,
+    "the log ends at {log_s:.6g} s, while the gripper moves at {speed:.2g} {unit}/s, yet the "
+    "markers are seen until {film_s:.6g} s;",
+    "log the gripper until it rests, or cut the frames after the log's end",
+)
+def log_ends(e: TrialEvidence) -> Failure | None:
+    """Does the gripper rest where its log ends?"""
+    found = e.log_cut_off
+    return None if found is None or not found.at_end else _of_log(e, found)
+
+
+@refused(
+    "time in which markers are seen before it, s",
+    _LOG_LIMIT,
+    "the log begins at {log_s:.6g} s, while the gripper moves at {speed:.2g} {unit}/s, yet the "
+    "markers are seen from {film_s:.6g} s on;",
+    "log the gripper from its rest on, or cut the frames before the log's beginning and give "
+    "`start: moving`",
+)
+def log_begins(e: TrialEvidence) -> Failure | None:
+    """Does the gripper rest where its log begins?"""
+    found = e.log_cut_off
+    return None if found is None or found.at_end else _of_log(e, found)
+
+
+def _of_log(e: TrialEvidence, found: CutOff) -> Failure:
+    t_s = e.trial.markers.t_s
+    row = int(np.searchsorted(t_s, found.log_s, side="right" if found.at_end else "left"))
+    return Failure(found.values, min(row, len(t_s) - 1), "hand")
+
+
+@refused(
+    "rows in which two markers differ",
+    "0",
+    "{first!r} and {second!r} have the same places in all {rows} rows that show both;",
+    "remove one from markers",
+)
+def same_marker(e: TrialEvidence) -> Failure | None:
+    """Is every marker another one?"""
+    for first, second, both in identical(e.trial.markers.xy_m):
+        names = {"first": e.source.names[first], "second": e.source.names[second]}
+        return Failure({**names, "rows": np.count_nonzero(both)}, int(np.argmax(both)))
+    return None
+
+
+@refused(
+    "span of a marker over the largest of all",
+    f"{STAYS:g}, while the gripper moves",
+    "{name!r} moves by {moved_mm:.2g} mm in all rows, the gripper by {hand_mm:.3g} mm: it is "
+    "not on the cable;",
+    "remove it from markers",
+)
+def not_on_cable(e: TrialEvidence) -> Failure | None:
+    """Does every marker move?"""
+    xy_m = e.trial.markers.xy_m
+    moved_m = np.array([span_m(xy_m[:, m]) for m in range(xy_m.shape[1])])
+    hand_m = span_m(e.poses[:, 1:3])
+    usual_m = max(hand_m, float(np.nanmax(moved_m)))
+    stays = np.flatnonzero((moved_m <= STAYS * usual_m) & (hand_m > 0.1 * usual_m))
+    if not len(stays):
+        return None
+    values = {"moved_mm": moved_m[stays[0]] * 1e3, "hand_mm": hand_m * 1e3}
+    return Failure({"name": e.source.names[int(stays[0])], **values}, 0)
+
+
+@refused(
+    "span of the marker next to the hand over that of the gripper",
+    f"{TIMES_FARTHER:g} or its inverse, where both move alike",
+    "the gripper moves by {hand_m:.3g} m, and {name!r} next to it as it does by {marker_m:.3g} "
+    "m: its unit is another one;",
+    "correct metres_per_unit of hand in the mapping",
+)
+def hand_scale(e: TrialEvidence) -> Failure | None:
+    """Is the gripper in the unit of the markers?"""
+    nearest = int(np.argmin(e.arc_length_m))
+    marker = e.trial.markers.xy_m[:, nearest]
+    seen = np.isfinite(marker).all(axis=1)
+    if np.count_nonzero(seen) < FEWEST_ROWS:
+        return None
+    hand, marker = e.hand_m[seen], marker[seen]
+    hand, marker = hand - hand.mean(axis=0), marker - marker.mean(axis=0)
+    sizes = float(np.linalg.norm(hand)), float(np.linalg.norm(marker))
+    if min(sizes) == 0.0 or float(np.sum(hand * marker)) < MOVES_ALIKE * sizes[0] * sizes[1]:
+        return None
+    if 1.0 / TIMES_FARTHER < sizes[1] / sizes[0] < TIMES_FARTHER:
+        return None
+    values = {"hand_m": span_m(hand), "marker_m": span_m(marker)}
+    return Failure({"name": e.source.names[nearest], **values}, 0, "hand")
+
+
+@refused(
+    "share of the rows in which they are, by a tenth of the free length",
+    f"{MOST_SLIPS:g}",
+    "{first!r} and {second!r} are {apart_m:.4g} m apart, with {between_m:.4g} m of cable "
+    "between them, limit {limit_m:.4g} m, as in {share:.0%} of the rows: a marker jumps or is "
+    "named wrongly;",
+    "correct the columns or arc_length_m of the two in the mapping",
+)
+def longer_than_cable(e: TrialEvidence) -> Failure | None:
+    """Are two markers as near as the cable between them is long?"""
+    names, worst_share, worst = e.source.names, MOST_SLIPS, None
+    for first, second in combinations(range(len(names)), 2):
+        apart_m = np.linalg.norm(np.diff(e.trial.markers.xy_m[:, [second, first]], axis=1), axis=2)
+        between_m = abs(e.arc_length_m[first] - e.arc_length_m[second])
+        far = np.nan_to_num(apart_m[:, 0]) > between_m + e.slack_m
+        share = float(far.sum()) / max(int(np.isfinite(apart_m).sum()), 1)
+        if share > worst_share:
+            row = int(np.argmax(far))
+            values = {"apart_m": apart_m[row, 0], "between_m": between_m, "share": share}
+            values |= {"limit_m": between_m + e.slack_m}
+            worst_share = share
+            worst = Failure({"first": names[first], "second": names[second], **values}, row)
+    return worst
+
+
+@refused(
+    "distance of a marker from the plane of all, free lengths",
+    f"{REFUSED_ACROSS:g} in {MOST_SLIPS:g} of the rows",
+    "the cable is {away_mm:.3g} mm out of the plane, limit {limit_mm:.3g} mm;",
+    "correct `axes` in the mapping, or move the gripper within one plane",
+)
+def out_of_plane(e: TrialEvidence) -> Failure | None:
+    """Does the cable move in one plane?"""
+    away_m, limit_m = _out_of_plane_m(e), REFUSED_ACROSS * e.cable.length_m
+    if away_m is None:
+        return None
+    far = np.nan_to_num(away_m).max(axis=1) > limit_m
+    if np.count_nonzero(far) <= MOST_SLIPS * len(far):
+        return None
+    row = int(np.argmax(far))
+    return Failure({"away_mm": np.nanmax(away_m[row]) * 1e3, "limit_mm": limit_m * 1e3}, row)
+
+
+@noted(
+    "rms distance of markers from the plane, free lengths",
+    f"{NOTED_ACROSS:g}",
+    "the cable is {rms_mm:.3g} mm rms out of the plane; the model moves within it",
+    "",
+)
+def wide(e: TrialEvidence) -> Failure | None:
+    """Is the motion flat enough for a model in one plane?"""
+    away_m = _out_of_plane_m(e)
+    rms_m = 0.0 if away_m is None else float(np.sqrt(np.nanmean(away_m**2)))
+    return None if rms_m < NOTED_ACROSS * e.cable.length_m else Failure({"rms_mm": rms_m * 1e3})
+
+
+def _out_of_plane_m(e: TrialEvidence) -> FloatArray | None:
+    """(T, markers) distance from the plane of all markers."""
+    across_m = e.across_m
+    if across_m is None or not np.isfinite(across_m).any():
+        return None
+    return np.asarray(np.abs(across_m - np.nanmedian(across_m)))
+
+
+@noted(
+    "rows that repeat the row before, then jump",
+    f"{HELD_ROWS}",
+    "{rows} rows from here repeat the row before, then the cable jumps;",
+    "empty them if the tracker held what it had lost",
+)
+def held_rows(e: TrialEvidence) -> Failure | None:
+    """Does no tracker repeat what it had lost?"""
+    found = repeated_rows(e.trial.markers.xy_m)
+    return None if found is None else Failure({"rows": found[1]}, found[0])
+
+
+#: All that fail are reported.
+IMPORT_REFUSALS = (too_long, log_gap, log_ends, log_begins, same_marker, not_on_cable)
+#: The same if none of these fails; only the first that fails is reported.
+IMPORT_SHAPE = (hand_scale, exchanged, longer_than_cable, out_of_plane)
+IMPORT_NOTES = (wide, held_rows)
