@@ -111,21 +111,21 @@ ERRS = 1.1
 class PreparedStudy:
     """A study, its noise, and what whitens its trials.
 
-    study  its markers; where a sensor has measured the clamp's wrench that is behind them, as
-           further points: see `gauges`
-    work   what has been simulated of it
+    study  its markers, and behind them the measured wrench at the clamp as further points, if any:
+           see `gauges`
+    work   budget and count of its simulations
     noise  used for whitening: the measurement's, or larger where an earlier individual's model is
            known to err by more
-    slope_solver  of simulations of which only differences are taken; None = `solver`
-    counted   as which simulations count as work, if not as those of `solver`: how far a search goes
-              must not depend on whether slopes may be coarser
-    memo      what `once_per_study` has worked out of it; another study begins with none
-    mesh_m    per trial (times, markers, 2) error of the solver's mesh that has been taken out of
+    slope_solver  of simulations of which only differences are used; None = `solver`
+    counted   solver as of which simulations count as work, if not `solver`: how far a search goes
+              must not depend on whether derivatives may be coarser
+    memo      results of `once_per_study`; another study begins with none
+    mesh_m    per trial (times, markers, 2) error of the solver's mesh that has been subtracted from
               the study's markers, m
     rounding_m  likewise the mean error of rounded values
-    lines     per trial (times, markers, 2) how a model's markers move with their arc lengths; empty
-              where these are certain, and where no model is known to explain the study
-    gauges    how wrenches are told as points; None = there are none
+    lines     per trial (times, markers, 2) derivative of a model's markers by their arc lengths;
+              empty where these are certain, and where no model is known to explain the study
+    gauges    how wrenches are represented as points; None = there are none
     """
 
     study: Study
