@@ -45,6 +45,12 @@ def serve(
     certificate: Annotated[Path | None, typer.Option(help="Certificate of TLS, PEM.")] = None,
     key: Annotated[Path | None, typer.Option(help="Key of the certificate, PEM.")] = None,
     users: UsersFile = FILE,
+    metrics_token: Annotated[
+        Path | None,
+        typer.Option(
+            help="File with the token by which Prometheus reads /metrics without a login."
+        ),
+    ] = None,
 ) -> None:
     """Serve the pages of a cell for browsers, until Ctrl-C.
 
@@ -55,20 +61,21 @@ def serve(
     """
     if context.invoked_subcommand is not None:
         return
-    packages = "nicegui", "argon2", "fastapi", "starlette", "uvicorn"
+    packages = "nicegui", "argon2", "fastapi", "starlette", "uvicorn", "prometheus_client"
     try:
         if config is None:
             raise ValueError("--config is missing: name the settings of the cell")
         with needing("web", "the pages need", *packages):
-            _serve(config, runs, _Address(host, port, certificate, key), users)
+            _serve(config, runs, _Address(host, port, certificate, key), users, metrics_token)
     except (OSError, ValueError) as error:
         refuse(error)
 
 
-def _serve(config: Path, runs: Path, at: _Address, file: Path) -> None:
+def _serve(config: Path, runs: Path, at: _Address, file: Path, metrics_token: Path | None) -> None:
     """Serve until the end.  Raises ValueError, OSError: it cannot be done so."""
     import socket
 
+    from cell.files.atomic import read_secret
     from cell.plant.users import all_users
     from cell.web.guard import LOOPBACK
     from cell.web.serve import may_be_served
@@ -83,13 +90,14 @@ def _serve(config: Path, runs: Path, at: _Address, file: Path) -> None:
     refused = may_be_served(at.host, tls is not None, len(accounts), loopback)
     if refused:
         raise ValueError(refused)
+    token = "" if metrics_token is None else read_secret(metrics_token, "--metrics-token")
     room = _room(config, runs, accounts if not loopback or len(accounts) else None)
     family = socket.AF_INET6 if ":" in at.host else socket.AF_INET
     with socket.socket(family) as tried:
         tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         tried.bind((at.host, at.port))
     print(f"{'http' if tls is None else 'https'}://{at.host}:{at.port}", flush=True)
-    serve_pages(room, accounts, (at.host, at.port), tls)
+    serve_pages(room, accounts, (at.host, at.port), tls, token)
 
 
 def _room(config: Path, runs: Path, accounts: object) -> PagesContext:

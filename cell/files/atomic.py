@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import stat
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
@@ -122,3 +123,23 @@ def write_secret(path: Path, content: bytes) -> None:
     finally:
         with suppress(OSError):
             part.unlink()
+
+
+def read_secret(path: Path, name: str) -> str:
+    """First line of a file that only its owner may read.
+
+    name    of the setting or option that gives the file, for messages
+    raises  ValueError: it cannot be read, others may read it, or it is empty
+    """
+    try:
+        mode = path.stat().st_mode
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{name}: {path} cannot be read: {error}") from error
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise ValueError(
+            f"{name}: others may use {path} (mode {stat.S_IMODE(mode):o}); `chmod 600 {path}`"
+        )
+    if not text.strip():
+        raise ValueError(f"{name}: {path} is empty; write the secret into it")
+    return text.splitlines()[0].strip()

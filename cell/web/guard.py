@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hmac
 import os
 import sys
 import time
@@ -24,6 +25,7 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 COOKIE = "cell_session"
 LOGIN = "/login"
+METRICS = "/metrics"
 #: A longer body of a request is refused, bytes: files for the lab.
 MOST_BYTES = 64 << 20
 #: A body must come at this rate, bytes/s, after a delay, s.
@@ -75,11 +77,18 @@ class Guard:
     sessions  None = loopback without accounts
     secure    whether it is reached by TLS
     users     accounts: without sessions nobody is let in any more once there are some
+    token     opens the metrics, and nothing else, without a login; empty = none does
     """
 
     def __init__(
-        self, app: App, sessions: Sessions | None, secure: bool, users: Users | None = None
+        self,
+        app: App,
+        sessions: Sessions | None,
+        secure: bool,
+        users: Users | None = None,
+        token: str = "",
     ) -> None:
+        self._bearer = f"Bearer {token}" if token else ""
         self._app = app
         self._users = users
         self._sessions = sessions
@@ -93,6 +102,9 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = {k.decode("latin-1").lower(): v.decode("latin-1") for k, v in scope["headers"]}
+        if self._may_scrape(scope, headers):
+            await self._app(scope, receive, send)
+            return
         session = self._session(headers)
         status = self._refusal(scope, headers, session)
         if status:
@@ -131,6 +143,12 @@ class Guard:
                 raise
             await _refuse(scope, send, refusal)
 
+    def _may_scrape(self, scope: Scope, headers: dict[str, str]) -> bool:
+        """Whether a request for the metrics has their token."""
+        if not self._bearer or scope["path"] != METRICS or scope.get("method") != "GET":
+            return False
+        return hmac.compare_digest(headers.get("authorization", "").encode(), self._bearer.encode())
+
     def _session(self, headers: dict[str, str]) -> LoginSession | None:
         if self._sessions is None:
             return local_session()
@@ -167,7 +185,7 @@ class Guard:
             return 413
         if session is None and scope["path"] != LOGIN:
             plain = scope["type"] == "http" and scope["method"] == "GET"
-            return 303 if plain and not scope["path"].startswith("/_nicegui") else 401
+            return 303 if plain and not scope["path"].startswith(("/_nicegui", METRICS)) else 401
         return 0
 
     def _has_accounts(self) -> bool:

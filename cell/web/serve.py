@@ -34,7 +34,8 @@ from cell.files.input_error import InputError
 from cell.plant.users import Role, Users
 from cell.settings import load_settings
 from cell.web import cycle_view, heartbeat, lab_tasks
-from cell.web.guard import COOKIE, LOGIN, SANDBOX, Guard, TimedHttp
+from cell.web.guard import COOKIE, LOGIN, METRICS, SANDBOX, Guard, TimedHttp
+from cell.web.metrics import CellMetrics
 from cell.web.pages import calibration, history, lab, live, settings
 from cell.web.pages.cycle import build as build_cycle
 from cell.web.theme import CSS, MANUAL, N_, UNSAVED, manual_page
@@ -78,14 +79,20 @@ _FRAME_S = 600
 
 
 def serve(
-    room: PagesContext, users: Users, address: tuple[str, int], tls: tuple[Path, Path] | None
+    room: PagesContext,
+    users: Users,
+    address: tuple[str, int],
+    tls: tuple[Path, Path] | None,
+    token: str = "",
 ) -> None:
     """Serve the pages until Ctrl-C or SIGTERM.
 
     tls     certificate and its key; None = without, on loopback only
+    token   of the metrics; empty = they need a login as all else
     raises  OSError: the address is taken
     """
-    app = Guard(application(room, users, tls is not None), room.sessions, tls is not None, users)
+    pages = application(room, users, tls is not None)
+    app = Guard(pages, room.sessions, tls is not None, users, token)
     files = () if tls is None else zip(("ssl_certfile", "ssl_keyfile"), map(str, tls), strict=True)
     options: dict[str, Any] = dict(files)
     # uvicorn gives the signal again once it has closed: what is open here must still be closed
@@ -114,6 +121,7 @@ def application(room: PagesContext, users: Users, secure: bool) -> FastAPI:
     _cycle_routes(app, room)
     _calibration_routes(app, room)
     lab_routes(app, room)
+    _metrics_route(app, room)
     if manual_page("index.html"):
         app.mount("/manual", StaticFiles(directory=MANUAL, html=True))
     for page in PAGES:
@@ -299,6 +307,15 @@ def _cycle_routes(app: FastAPI, room: PagesContext) -> None:
             except InputError as error:
                 return Response(str(error), 422, media_type="text/plain")
         return Response("cannot be read", 422, media_type="text/plain")
+
+
+def _metrics_route(app: FastAPI, room: PagesContext) -> None:
+    metrics = CellMetrics(room.watch)
+
+    @app.get(METRICS)
+    def exposition(request: Request) -> Response:
+        body, content_type = metrics.exposition(request.headers.get("accept", ""))
+        return Response(body, headers={"content-type": content_type, "cache-control": "no-store"})
 
 
 def _calibration_routes(app: FastAPI, room: PagesContext) -> None:

@@ -178,6 +178,12 @@ def config(tmp_path: Path) -> Path:
     return Path(shutil.copy(CONFIG, tmp_path / "cell.yaml"))
 
 
+@pytest.fixture(autouse=True)
+def usual_priority(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no `nice` is found jobs have the usual priority: beside other tests the low one starves."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+
+
 def opened(browser: Any, started: Started, config: Path, runs: Path) -> LabPage:
     port = free_port()
     started("serve", "-c", config, "--runs", runs, "--port", port)
@@ -186,7 +192,6 @@ def opened(browser: Any, started: Started, config: Path, runs: Path) -> LabPage:
     return LabPage(browser)
 
 
-@pytest.mark.real_time  # beside three others the browser and its jobs take ten minutes, alone one
 def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     few_effects: None, browser: Any, started: Started, config: Path, tmp_path: Path
 ) -> None:
@@ -252,7 +257,6 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     assert started.end() == [0]  # not by the signal: what it has open, as jobs, is closed
 
 
-@pytest.mark.real_time
 def test_what_recorded_cycles_lack_is_learned_promoted_and_undone(
     few_effects: None, browser: Any, started: Started, quick_config: Path, tmp_path: Path
 ) -> None:

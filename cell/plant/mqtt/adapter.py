@@ -12,7 +12,6 @@ import logging
 import os
 import socket
 import ssl
-import stat
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -20,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cell.files.atomic import read_secret
 from cell.plant.client import Client
 from cell.plant.messages import Status
 from cell.plant.mqtt.form import EndOfSessionError, Message, PayloadForm, PublishedState
@@ -46,20 +46,7 @@ def password_of(settings: Mqtt) -> str | None:
                 f"environment variable {PASSWORD}, or name a password_file"
             )
         return os.environ[PASSWORD]
-    path = settings.password_file
-    try:
-        mode = path.stat().st_mode
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"plant.mqtt.password_file: {path} cannot be read: {error}") from error
-    if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise ValueError(
-            f"plant.mqtt.password_file: others may use {path} (mode {stat.S_IMODE(mode):o}); "
-            f"`chmod 600 {path}`"
-        )
-    if not text.strip():
-        raise ValueError(f"plant.mqtt.password_file: {path} is empty; write the password into it")
-    return text.splitlines()[0]
+    return read_secret(settings.password_file, "plant.mqtt.password_file")
 
 
 def tls_of(settings: MqttTls | None) -> ssl.SSLContext | None:
