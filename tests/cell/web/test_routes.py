@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import httpx
@@ -98,20 +100,19 @@ def test_the_table_has_every_route(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("role", [None, *Role], ids=str)
 def test_each_route_is_open_from_its_least_role_on(address: str, role: Role | None) -> None:
-    last = {("GET", "/logout")}  # which ends the session
-    with logged_in(address, role) as client:
-        for least, routes in TABLE.items():
-            for method, path in sorted(routes - last) + sorted(routes & last):
-                for name in ("name", "number", "picture", "page"):
-                    path = path.replace(f"{{{name}}}", "1")
-                status = client.request(method, path).status_code
-                if least is None or (role is not None and role >= least):
-                    assert status in (200, 303, 401, 404, 422), (method, path, status)
-                    assert status != 401 or path == "/login"
-                elif role is None:
-                    assert status in (303, 401), (method, path, status)
-                else:
-                    assert status == 403, (method, path, status)
+    every = [(path, method, least) for least, rows in TABLE.items() for method, path in rows]
+    every.sort(key=lambda row: (row[0] == "/logout", *row[:2]))  # it ends the session
+    with closing(logged_in(address, role)) as client:
+        for path, method, least in every:
+            status = client.request(method, re.sub(r"{\w+}", "1", path)).status_code
+            if path == "/login":
+                assert status in (200, 401), (method, status)
+            elif least is None or (role is not None and role >= least):
+                assert status in (200, 303, 404, 422), (method, path, status)
+            elif role is None:
+                assert status in (303, 401), (method, path, status)
+            else:
+                assert status == 403, (method, path, status)
 
 
 def test_the_token_opens_the_metrics_and_nothing_else(address: str) -> None:
