@@ -1,10 +1,11 @@
-"""Waiting for what another thread or process does; a port that is free."""
+"""Waiting for what another thread or process does; whether one lives; a port that is free."""
 
 from __future__ import annotations
 
 import socket
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 Reached = TypeVar("Reached")
@@ -19,6 +20,14 @@ def wait_until(
         assert time.monotonic() < deadline_s, why() or "it did not happen in time"
         time.sleep(0.005)
     return value
+
+
+def is_alive(process: int) -> bool:
+    """Whether a process, by its id, has not ended; one that nobody has waited for yet has."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def free_port() -> int:

@@ -19,11 +19,12 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
-from typing import Any, BinaryIO, Generic, TypeVar
+from queue import SimpleQueue
+from typing import Any, BinaryIO, TypeVar
 
 from cell.computer.watched import MOST_FORKS, fork_ended, fork_started
 
@@ -151,7 +152,7 @@ class Fork:
     def __init__(
         self, slot: int, functions: Sequence[Callable[[Any], Any]], known: Sequence[object]
     ) -> None:
-        self._slot = slot
+        self.slot = slot
         self._functions = functions
         self._known = known
         child_reads, here_writes = os.pipe()
@@ -208,7 +209,7 @@ class Fork:
             os.kill(pid, signal.SIGKILL)
         with contextlib.suppress(ChildProcessError):
             os.waitpid(pid, 0)
-        fork_ended(self._slot)
+        fork_ended(self.slot)
         for stream in (self._results, self._jobs):
             with contextlib.suppress(OSError):
                 stream.close()
@@ -291,7 +292,6 @@ def _received(stream: BinaryIO, known: Sequence[object]) -> Any:
     return Unpickler(io.BytesIO(content)).load()
 
 
-#: Whoever waits looks this often whether anybody still wants the results, s.
 #: Jobs that may be under way or done for each copy, before the result of the oldest is taken.
 _AHEAD = 4
 #: A job that so many copies were lost with is what ends them.
@@ -300,67 +300,6 @@ _MOST_LOST = 2
 
 class ProcessLostError(RuntimeError):
     """A job ends its process.  Scenario: a user's compiled code divides by zero, or memory ends."""
-
-
-@dataclass
-class _JobRow(Generic[Given, Returned]):
-    """Jobs that wait, are under way, or are done and not yet taken.
-
-    given, taken  how many jobs were begun or wait, and of how many the result was taken
-    """
-
-    changed: threading.Condition = field(default_factory=threading.Condition)
-    waiting: deque[tuple[int, Given]] = field(default_factory=deque)
-    lost: dict[int, int] = field(default_factory=dict)
-    done: dict[int, Returned | ProcessLostError] = field(default_factory=dict)
-    given: int = 0
-    taken: int = 0
-    ended: bool = False
-    error: BaseException | None = None
-
-    def give(self, job: Given) -> None:
-        """One more job waits."""
-        with self.changed:
-            self.waiting.append((self.given, job))
-            self.given += 1
-            self.changed.notify_all()
-
-    def next(self) -> tuple[int, Given] | None:
-        """The next job, once there is one; None = there will be no more."""
-        with self.changed:
-            while not self.waiting and not self.ended:
-                self.changed.wait()
-            return None if self.ended else self.waiting.popleft()
-
-    def take(self) -> tuple[Returned | ProcessLostError] | None:
-        """The next result in order; None = it is not there yet, after a while."""
-        with self.changed:
-            if self.error is not None:
-                raise self.error
-            if self.taken not in self.done:
-                self.changed.wait(_POLL_S)
-            if self.taken not in self.done:
-                return None
-            self.taken += 1
-            return (self.done.pop(self.taken - 1),)
-
-    def put(self, number: int, result: Returned | ProcessLostError) -> None:
-        """A job is done."""
-        with self.changed:
-            self.done[number] = result
-            self.changed.notify_all()
-
-    def lose(self, number: int, job: Given) -> None:
-        """The copy that did a job has ended: it is done again, if it has not ended two."""
-        with self.changed:
-            self.lost[number] = self.lost.get(number, 0) + 1
-            if self.lost[number] < _MOST_LOST:
-                self.waiting.appendleft((number, job))
-            else:
-                self.done[number] = ProcessLostError(
-                    f"ended its process {_MOST_LOST} times; is there enough memory?"
-                )
-            self.changed.notify_all()
 
 
 def stream(
@@ -378,86 +317,68 @@ def stream(
     check     may raise while a result is waited for
     raises    OSError: this user may have no more processes; what `jobs` raises
     """
-    row, left = _JobRow[Given, Returned](), iter(jobs)
-    slots = [_Slot(function, number) for number in range(copies)]
+    remaining = iter(jobs)
+    waiting: SimpleQueue[tuple[Given, Future[Returned | ProcessLostError]] | None] = SimpleQueue()
+    idle: SimpleQueue[Fork | None] = SimpleQueue()
+    lost: SimpleQueue[int] = SimpleQueue()
+    alive: dict[int, Fork] = {}
+    pending: deque[Future[Returned | ProcessLostError]] = deque()
     threads: list[threading.Thread] = []
+
+    def begin_copy(slot: int) -> None:
+        # by the thread that wants the results: a copy ends with the thread that made it
+        alive[slot] = Fork(slot, [function], ())
+        idle.put(alive[slot])
+
+    def do(job: Given) -> Returned | ProcessLostError:
+        for _ in range(_MOST_LOST):
+            if (copy := idle.get()) is None:  # the iterator is closed
+                idle.put(None)
+                raise LostError
+            try:
+                result = copy.do(function, job)
+            except LostError:
+                copy.end()
+                lost.put(copy.slot)
+                continue
+            except BaseException:  # the job cannot be pickled
+                idle.put(copy)
+                raise
+            idle.put(copy)
+            return result
+        return ProcessLostError(f"ended its process {_MOST_LOST} times; is there enough memory?")
+
+    def work() -> None:
+        while (task := waiting.get()) is not None:
+            job, future = task
+            try:
+                future.set_result(do(job))
+            except BaseException as error:
+                future.set_exception(error)
+
     try:
-        for slot in slots:
-            slot.begin()
-        for slot in slots:
-            threads.append(threading.Thread(target=_work, args=(slot, row), daemon=True))
+        for slot in range(copies):
+            begin_copy(slot)
+        for _ in range(copies):
+            threads.append(threading.Thread(target=work, daemon=True))
             threads[-1].start()
         while True:
-            for job in islice(left, _AHEAD * copies - (row.given - row.taken)):
-                row.give(job)
-            if row.taken == row.given:
+            for job in islice(remaining, _AHEAD * copies - len(pending)):
+                pending.append(Future())
+                waiting.put((job, pending[-1]))
+            if not pending:
                 return
-            while (result := row.take()) is None:
+            while not wait([pending[0]], _POLL_S).done:
                 check()
-                for slot in slots:
-                    slot.replace_if_lost()
+                while not lost.empty():
+                    begin_copy(lost.get())
             check()
-            yield result[0]
+            yield pending.popleft().result()
     finally:
-        with row.changed:
-            row.ended = True
-            row.changed.notify_all()
-        for slot in slots:
-            slot.end()
+        for copy in alive.values():
+            copy.end()
+        idle.put(None)
+        for _ in threads:
+            waiting.put(None)
         for thread in threads:
             thread.join()
-
-
-class _Slot:
-    """Place of a copy, and of the one after it if it is killed."""
-
-    def __init__(self, function: Callable[[Any], Any], number: int) -> None:
-        self._function = function
-        self._number = number
-        self._copy: Fork | None = None
-        self._there = threading.Event()
-        self._ended = False
-
-    def begin(self) -> None:
-        """Make the copy."""
-        self._copy = Fork(self._number, [self._function], ())
-        self._there.set()
-
-    def replace_if_lost(self) -> None:
-        """Make another in place of one that was killed."""
-        if self._copy is None and not self._ended:
-            self.begin()
-
-    def do(self, job: Any) -> Any:
-        """The function's result.  Raises LostError."""
-        while not self._there.wait(_POLL_S):
-            if self._ended:
-                raise LostError
-        copy = self._copy
-        assert copy is not None
-        try:
-            return copy.do(self._function, job)
-        except LostError:
-            copy.end()
-            self._there.clear()
-            self._copy = None
-            raise
-
-    def end(self) -> None:
-        """No copy any more."""
-        self._ended = True
-        if (copy := self._copy) is not None:
-            copy.end()
-
-
-def _work(slot: _Slot, row: _JobRow[Any, Any]) -> None:
-    while (job := row.next()) is not None:
-        try:
-            row.put(job[0], slot.do(job[1]))
-        except LostError:
-            row.lose(*job)
-        except BaseException as error:  # a job that cannot be pickled
-            with row.changed:
-                row.error = error
-                row.changed.notify_all()
-            return

@@ -8,6 +8,7 @@ reads: it sees that the same call is under way for too long, names it, and ends 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import mmap
 import os
 import select
@@ -46,28 +47,47 @@ _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 #: Forks of the child that may be at work at a time, and the slots of each: the last ones.
 MOST_FORKS, _OF_FORK = 64, 16
-#: Calls under way at a time, each in a slot: 8 bytes of a number that is odd during a call and
-#: grows by one at its beginning and at its end, then UTF-8 of what is called.
-_SLOTS, _SLOT_BYTES, _NUMBER_BYTES = 128 + MOST_FORKS * _OF_FORK, 1024, 8
+#: Slots of the child itself: calls under way at a time.
+_OWN = 128
+_SLOT_BYTES = 1024
 
 _STUCK = 2
 
 
+class _CallSlot(ctypes.Structure):
+    """Place of one call.
+
+    number  odd during a call; it grows by one at its beginning and at its end
+    what    UTF-8 of what is, or was last, called
+    """
+
+    _fields_ = (("number", ctypes.c_uint64), ("what", ctypes.c_char * (_SLOT_BYTES - 8)))
+    number: int
+    what: bytes
+
+
+class _SharedCalls(ctypes.Structure):
+    """Layout of the memory: slots, the process of each fork (0 = it is not there), see `Calls`."""
+
+    _fields_ = (
+        ("slots", _CallSlot * (_OWN + MOST_FORKS * _OF_FORK)),
+        ("processes", ctypes.c_uint64 * MOST_FORKS),
+        ("answers", ctypes.c_bool),
+    )
+    slots: ctypes.Array[_CallSlot]
+    processes: ctypes.Array[ctypes.c_uint64]
+    answers: bool
+
+
 class Calls:
-    """Calls that are under way, in memory that parent and child share."""
+    """Calls that are under way, in memory that parent and child share.
+
+    shared  its `answers`: whether the child still answers after Ctrl-C or SIGTERM
+    """
 
     def __init__(self) -> None:
-        self._memory = mmap.mmap(-1, _SLOTS * _SLOT_BYTES + MOST_FORKS * _NUMBER_BYTES + 1)
-        self._free = deque(range(_SLOTS - MOST_FORKS * _OF_FORK))
-
-    @property
-    def answers(self) -> bool:
-        """Whether the child still answers after Ctrl-C or SIGTERM."""
-        return self._memory[-1] != 0
-
-    @answers.setter
-    def answers(self, yes: bool) -> None:
-        self._memory[-1] = int(yes)
+        self.shared = _SharedCalls.from_buffer(mmap.mmap(-1, ctypes.sizeof(_SharedCalls)))
+        self._free = deque(range(_OWN))
 
     def begin(self, what: str) -> int:
         """Slot of a call that begins now; −1 = none was free, the call is not watched."""
@@ -75,54 +95,36 @@ class Calls:
             slot = self._free.popleft()
         except IndexError:
             return -1
-        text = what.encode()[: _SLOT_BYTES - _NUMBER_BYTES - 1] + b"\0"
-        begin = slot * _SLOT_BYTES + _NUMBER_BYTES
-        self._memory[begin : begin + len(text)] = text
-        self._count(slot)
+        self.shared.slots[slot].what = what.encode()[: _SLOT_BYTES - 9]
+        self.shared.slots[slot].number += 1
         return slot
 
     def end(self, slot: int) -> None:
         """The call of a slot has ended."""
         if slot >= 0:
-            self._count(slot)
+            self.shared.slots[slot].number += 1
             self._free.append(slot)
 
     def numbers(self) -> list[int]:
         """Number of every slot."""
-        starts = range(0, _SLOTS * _SLOT_BYTES, _SLOT_BYTES)
-        return [int.from_bytes(self._memory[s : s + _NUMBER_BYTES], "little") for s in starts]
+        return [slot.number for slot in self.shared.slots]
 
     def what(self, slot: int) -> str:
         """What is, or was last, called in a slot."""
-        begin = slot * _SLOT_BYTES
-        text = self._memory[begin + _NUMBER_BYTES : begin + _SLOT_BYTES]
-        return text.split(b"\0", 1)[0].decode(errors="replace")
+        return self.shared.slots[slot].what.decode(errors="replace")
 
     def fork(self, slot: int) -> int | None:
         """Number of the fork to which a slot belongs; None = the child itself."""
-        before = _SLOTS - MOST_FORKS * _OF_FORK
-        return None if slot < before else (slot - before) // _OF_FORK
-
-    def process(self, fork: int) -> int:
-        """Process of a fork; 0 = it is not there."""
-        begin = _SLOTS * _SLOT_BYTES + fork * _NUMBER_BYTES
-        return int.from_bytes(self._memory[begin : begin + _NUMBER_BYTES], "little")
+        return None if slot < _OWN else (slot - _OWN) // _OF_FORK
 
     def belong(self, fork: int, process: int) -> None:
         """This process is a fork of the child, and has that one's slots; 0 = it has ended."""
-        slots = [slot for slot in range(_SLOTS) if self.fork(slot) == fork]
-        for slot, number in zip(slots, map(self.numbers().__getitem__, slots), strict=True):
-            if number % 2 == 1:  # it ended during the call
-                self._count(slot)
-        begin = _SLOTS * _SLOT_BYTES + fork * _NUMBER_BYTES
-        self._memory[begin : begin + _NUMBER_BYTES] = process.to_bytes(_NUMBER_BYTES, "little")
+        slots = range(_OWN + fork * _OF_FORK, _OWN + (fork + 1) * _OF_FORK)
+        for slot in slots:
+            self.shared.slots[slot].number += self.shared.slots[slot].number % 2  # it ended in it
+        self.shared.processes[fork] = process
         if process:
             self._free = deque(slots)
-
-    def _count(self, slot: int) -> None:
-        begin = slot * _SLOT_BYTES
-        number = int.from_bytes(self._memory[begin : begin + _NUMBER_BYTES], "little") + 1
-        self._memory[begin : begin + _NUMBER_BYTES] = number.to_bytes(_NUMBER_BYTES, "little")
 
 
 _calls: Calls | None = None
@@ -156,7 +158,7 @@ def fork_ended(fork: int) -> None:
 def responds_after_interrupt() -> None:
     """This process will still answer after Ctrl-C or SIGTERM: its parent then waits for longer."""
     if _calls is not None:
-        _calls.answers = True
+        _calls.shared.answers = True
 
 
 def go_on_watched(patience_s: float | None = None) -> None:
@@ -290,7 +292,7 @@ class CallMonitor:
 
     def _granted_to_forks(self) -> list[float]:
         """Time in which every fork could have gone on since the last look, s."""
-        processes = [self._calls.process(fork) for fork in range(MOST_FORKS)]
+        processes: list[int] = list(self._calls.shared.processes)
         self._forks = {p: self._forks.get(p) or GrantedTime(p) for p in processes if p}
         given = {p: g.since_last_sample_s() for p, g in self._forks.items()}
         return [given.get(p, 0.0) for p in processes]
@@ -336,7 +338,7 @@ class _Watch:
             return
         if not again:
             self._given, self._given_s = number, now_s
-        answers = self._calls.answers and number in ANSWERED and not again
+        answers = self._calls.shared.answers and number in ANSWERED and not again
         self._kill_s = min(self._kill_s, now_s + (_ANSWERING_S if answers else _TIDYING_S))
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._child, number)

@@ -12,6 +12,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
@@ -70,7 +71,9 @@ class Cluster:
         try:
             while True:
                 check()
-                for number, job in _some(sent, _AHEAD * max(1, self.workers) - len(futures)):
+                for number, job in islice(
+                    sent, max(0, _AHEAD * max(1, self.workers) - len(futures))
+                ):
                     future = self._client.submit(
                         _do, task, pack(job), identity().code, key=f"{run}-{number}", pure=False
                     )
@@ -201,14 +204,6 @@ def _nobody(address: str) -> str:
         f"--workers {address}: the scheduler has no worker; start some: "
         f"{START.format(address=address)}"
     )
-
-
-def _some(jobs: Iterator[Any], count: int) -> Iterator[Any]:
-    for _ in range(count):
-        try:
-            yield next(jobs)
-        except StopIteration:
-            return
 
 
 def _cached_function(function: bytes) -> bytes:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from cell.computer.forks import forks
+from tests.waiting import is_alive, wait_until
 
 
 class Own:
@@ -122,12 +123,7 @@ def test_a_copy_with_a_job_does_not_outlive_its_parent():
         process.kill()
         process.communicate()
     (copy,) = ids - {process.pid}
-    for _ in range(100):
-        stat = Path(f"/proc/{copy}/stat")
-        if not stat.exists() or stat.read_text().rsplit(")", 1)[1].split()[0] == "Z":
-            return
-        time.sleep(0.1)
-    pytest.fail("it goes on")
+    wait_until(lambda: not is_alive(copy))
 
 
 def test_copies_that_cannot_be_made_leave_nothing_open(monkeypatch):

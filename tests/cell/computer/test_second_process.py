@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from cell.computer.second_process import SecondProcess
+from tests.waiting import is_alive, wait_until
 
 
 @pytest.fixture
@@ -52,9 +53,7 @@ def test_one_that_hangs_is_ended_at_once(second: SecondProcess) -> None:
     second.shutdown(wait=False)
     with pytest.raises(BrokenExecutor):
         job.result(timeout=30.0)
-    until_s = time.monotonic() + 5.0  # the pipe breaks a moment before the process has gone
-    while _runs(process):
-        assert time.monotonic() < until_s
+    wait_until(lambda: not is_alive(process))  # the pipe breaks a moment before
     assert second.submit(abs, -2).result() == 2
 
 
@@ -75,17 +74,7 @@ def test_it_does_not_outlive_the_first_process(end: signal.Signals) -> None:
     first.send_signal(end)
     first.wait()
     first.stdout.close()
-    ended_s = time.monotonic()
-    while _runs(process) and time.monotonic() < ended_s + 20.0:
-        time.sleep(0.02)
-    assert not _runs(process)
-
-
-def _runs(process: int) -> bool:
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
+    wait_until(lambda: not is_alive(process))
 
 
 def test_it_gives_way_except_while_somebody_waits_for_it(second: SecondProcess) -> None:
@@ -120,10 +109,7 @@ def test_a_number_that_is_another_process_by_now_is_left_alone(
     os.kill(process, signal.SIGKILL)
     with pytest.raises(BrokenExecutor):
         job.result(timeout=30.0)
-    until_s = time.monotonic() + 20.0
-    while Path(f"/proc/{process}").exists():  # until its number is free
-        assert time.monotonic() < until_s
-        time.sleep(0.01)
+    wait_until(lambda: not Path(f"/proc/{process}").exists())  # its number is free
     killed = []
     monkeypatch.setattr(os, "kill", lambda pid, number: killed.append(pid))
     second.shutdown(wait=False)

@@ -1,15 +1,14 @@
 """A command that gets stuck is ended by its parent, and says where."""
 
-import os
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from cell.computer import watched as module
+from tests.waiting import is_alive, wait_until
 
 PROGRAM = """
 import os, sys, time
@@ -237,15 +236,4 @@ def test_the_child_does_not_outlive_its_parent() -> None:
     process.wait()
     process.stdout.close()
     process.stderr.close()
-    until_s = time.monotonic() + 30.0
-    while _lives(child) and time.monotonic() < until_s:
-        time.sleep(0.05)
-    assert not _lives(child)
-
-
-def _lives(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
+    wait_until(lambda: not is_alive(child))

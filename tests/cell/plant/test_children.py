@@ -15,7 +15,7 @@ import pytest
 from cell.plant import children
 from cell.plant.child import NICE
 from cell.plant.children import Adapters
-from tests.waiting import free_port, wait_until
+from tests.waiting import free_port, is_alive, wait_until
 
 Told = list[tuple[str, str]]
 
@@ -32,14 +32,6 @@ def command(file: Path, then: str) -> list[str]:
 def begun(file: Path) -> list[int]:
     """Processes that were begun."""
     return [int(line) for line in file.read_text().splitlines()] if file.exists() else []
-
-
-def lives(process: int) -> bool:
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
 
 
 @pytest.fixture(autouse=True)
@@ -94,7 +86,7 @@ def test_one_that_runs_for_long_enough_is_well_again(
         adapters.start()
         wait_until(lambda: len(told) == 2 and len(begun(file)) == 2)
     assert told[1] == ("mqtt", "")
-    assert not any(map(lives, begun(file)))
+    assert not any(map(is_alive, begun(file)))
 
 
 def test_one_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,7 +98,7 @@ def test_one_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.Mon
     wait_until(lambda: len(begun(file)) == 2)
     begun_s = time.monotonic()
     adapters.close()
-    assert not any(map(lives, begun(file)))
+    assert not any(map(is_alive, begun(file)))
     assert time.monotonic() - begun_s < 10.0
 
 
@@ -130,4 +122,4 @@ def test_a_child_computes_after_others_and_dies_with_its_parent(tmp_path: Path) 
     wait_until(lambda: os.getpriority(os.PRIO_PROCESS, child) == NICE)
     parent.send_signal(signal.SIGKILL)
     parent.communicate()
-    wait_until(lambda: not lives(child))
+    wait_until(lambda: not is_alive(child))
