@@ -5,11 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Any
-
-from statemachine import StateChart
-from statemachine.exceptions import TransitionNotAllowed
-from statemachine.io import create_machine_class_from_definition
 
 
 class CellState(StrEnum):
@@ -91,26 +86,6 @@ def target_of(state: CellState, event: MachineEvent) -> CellState | None:
     return next((CellState(t) for s, e, t in TRANSITIONS if (s, e) == (state, event)), None)
 
 
-def _chart_class() -> type[StateChart[Any]]:
-    states: dict[str, dict[str, object]] = {
-        state.value: {"value": state.value, "initial": state is CellState.STOPPED, "on": {}}
-        for state in CellState
-    }
-    for source, event, target in TRANSITIONS:
-        events = states[source]["on"]
-        assert isinstance(events, dict)
-        events.setdefault(event, []).append({"target": target})
-    return create_machine_class_from_definition(
-        "PackMl",
-        states=states,  # type: ignore[arg-type]
-        allow_event_without_transition=False,
-        catch_errors_as_events=False,
-    )
-
-
-_PackMl = _chart_class()
-
-
 class EventRefusedError(Exception):
     """An event came that the present state does not know.  Scenario: `start` while held."""
 
@@ -130,13 +105,12 @@ class Machine:
         self._lock = threading.RLock()
         self._since_s = now_s()
         self._seconds = dict.fromkeys(CellState, 0.0)
-        self._chart = _PackMl()
+        self._state = CellState.STOPPED
 
     @property
     def state(self) -> CellState:
         """Where the cell is now."""
-        with self._lock:
-            return CellState(self._chart.current_state_value)
+        return self._state
 
     def send(self, event: MachineEvent) -> CellState:
         """Take the transition of `event`; returns the new state.
@@ -144,18 +118,15 @@ class Machine:
         raises  EventRefusedError: the present state has no such transition; nothing changed
         """
         with self._lock:
-            before = self.state
-            try:
-                self._chart.send(event.value)
-            except TransitionNotAllowed as error:
+            before, after = self._state, target_of(self._state, event)
+            if after is None:
                 allowed = ", ".join(e for s, e, _ in TRANSITIONS if s == before)
                 raise EventRefusedError(
                     f"{event.value!r} is refused while {before.value}; possible now: {allowed}"
-                ) from error
+                )
             now_s = self._now_s()
             self._seconds[before] += now_s - self._since_s
-            self._since_s = now_s
-            after = self.state
+            self._since_s, self._state = now_s, after
         if self.on_change is not None:
             self.on_change(after)
         return after
