@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.special import ndtri
@@ -61,7 +62,7 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
         *_cable(document, settings),
         *_offsets(document, settings),
         *_poses_within_limits(document, settings),
-        *_brisker_than_limits(document, settings),
+        *_above_kinematic_limits(document, settings),
         *_devices(document, settings),
         *film_problems(document, settings),
         *_emulated(document, settings),
@@ -79,27 +80,27 @@ def contradictions(document: Document, settings: Settings) -> list[Problem]:
     ]
 
 
-def _cable(document: Document, settings: Settings) -> list[Problem]:
-    message = Cable(**settings.cable.model_dump()).implausible()
-    return [document.problem(("cable", "line_density_kg_per_m"), message)] if message else []
+def _cable(document: Document, settings: Settings) -> Iterator[Problem]:
+    if message := Cable(**settings.cable.model_dump()).implausible():
+        yield document.problem(("cable", "line_density_kg_per_m"), message)
 
 
-def _offsets(document: Document, settings: Settings) -> list[Problem]:
+def _offsets(document: Document, settings: Settings) -> Iterator[Problem]:
     offsets = settings.motion.offsets
     key: Key = ("motion", "offsets")
     if offsets.last_m < offsets.first_m:
         message = f"{offsets.last_m:g} m is less than first_m = {offsets.first_m:g} m"
-        return [document.problem((*key, "last_m"), message)]
+        yield document.problem((*key, "last_m"), message)
+        return
     steps = (offsets.last_m - offsets.first_m) / offsets.step_m
     if abs(steps - round(steps)) > 1e-6:
         message = f"{offsets.step_m:g} m does not divide {offsets.first_m:g} … {offsets.last_m:g} m"
-        return [document.problem((*key, "step_m"), message)]
-    if steps >= 1000:
-        return [document.problem((*key, "step_m"), f"makes {round(steps)} offsets, limit 1000")]
-    return []
+        yield document.problem((*key, "step_m"), message)
+    elif steps >= 1000:
+        yield document.problem((*key, "step_m"), f"makes {round(steps)} offsets, limit 1000")
 
 
-def _poses_within_limits(document: Document, settings: Settings) -> list[Problem]:
+def _poses_within_limits(document: Document, settings: Settings) -> Iterator[Problem]:
     """Home, the lowest and the leftmost place of the gripper, each against the cell's limits."""
     motion, limits, home = settings.motion, settings.limits, settings.motion.home
     lowered_m = home.y_m - motion.lower_m
@@ -117,99 +118,77 @@ def _poses_within_limits(document: Document, settings: Settings) -> list[Problem
         (("motion", "advance_m"), "x_m", home.x_m - motion.advance_m, limits.x_m),
         (("motion", "start", "further_m"), "x_m", furthest_m, limits.x_m),
     ]
-    return [
-        document.problem(
-            key,
-            f"takes the gripper to {axis} = {value:g}, outside limits.{axis} = [{low:g}, "
-            f"{high:g}]; "
-            "move less, start elsewhere or widen the limits",
+    for key, axis, value, (low, high) in places:
+        if not low <= value <= high:
+            message = (
+                f"takes the gripper to {axis} = {value:g}, outside limits.{axis} = [{low:g}, "
+                f"{high:g}]; move less, start elsewhere or widen the limits"
+            )
+            yield document.problem(key, message)
+
+
+def _above_kinematic_limits(document: Document, settings: Settings) -> Iterator[Problem]:
+    for stroke in ("lowering", "insertion"):
+        for name in ("velocity_m_per_s", "acceleration_m_per_s2", "jerk_m_per_s3"):
+            value = getattr(getattr(settings.motion, stroke), name)
+            limit = getattr(settings.limits, name)
+            if value > limit:
+                message = f"{value:g} is beyond limits.{name} = {limit:g}; lower it"
+                yield document.problem(("motion", stroke, name), message)
+
+
+def _retry(document: Document, settings: Settings) -> Iterator[Problem]:
+    if settings.retry > 0 and settings.feedback == "off":
+        message = (
+            f"is {settings.retry}, but only feedback stops a cable in front of the opening; remove "
+            "it, or set feedback: on"
         )
-        for key, axis, value, (low, high) in places
-        if not low <= value <= high
-    ]
+        yield document.problem(("retry",), message)
 
 
-def _brisker_than_limits(document: Document, settings: Settings) -> list[Problem]:
-    return [
-        document.problem(
-            ("motion", stroke, name),
-            f"{getattr(briskness, name):g} is beyond limits.{name} = "
-            f"{getattr(settings.limits, name):g}; lower it",
-        )
-        for stroke, briskness in (
-            ("lowering", settings.motion.lowering),
-            ("insertion", settings.motion.insertion),
-        )
-        for name in ("velocity_m_per_s", "acceleration_m_per_s2", "jerk_m_per_s3")
-        if getattr(briskness, name) > getattr(settings.limits, name)
-    ]
-
-
-def _retry(document: Document, settings: Settings) -> list[Problem]:
-    if settings.retry == 0 or settings.feedback != "off":
-        return []
-    message = (
-        f"is {settings.retry}, but only feedback stops a cable in front of the opening; remove it, "
-        "or set feedback: on"
-    )
-    return [document.problem(("retry",), message)]
-
-
-def _devices(document: Document, settings: Settings) -> list[Problem]:
-    problems = []
+def _devices(document: Document, settings: Settings) -> Iterator[Problem]:
     low, high = settings.gripper.force_limits_n
     if not low <= settings.gripper.force_n <= high:
         message = f"{settings.gripper.force_n:g} N is outside gripper.force_limits_n = "
         message += f"[{low:g}, {high:g}]"
-        problems.append(document.problem(("gripper", "force_n"), message))
-    simulated = [settings.arm.kind, settings.camera.kind, settings.gripper.kind]
-    if "sim" in simulated and set(simulated) - {"sim", "files"}:
-        real = next(n for n, k in zip(("arm", "camera", "gripper"), simulated, strict=True)
-                    if k not in ("sim", "files"))  # fmt: skip
-        problems.append(
-            document.problem(
-                (real, "kind"),
-                "a real device cannot act in the simulated world; "
-                "make all three `sim`, or none of them",
-            )
-        )
+        yield document.problem(("gripper", "force_n"), message)
+    kinds = {name: getattr(settings, name).kind for name in ("arm", "camera", "gripper")}
+    real = [name for name, kind in kinds.items() if kind not in ("sim", "files")]
+    if "sim" in kinds.values() and real:
+        message = "a real device cannot act in the simulated world; "
+        message += "make all three `sim`, or none of them"
+        yield document.problem((real[0], "kind"), message)
     if settings.arm.kind == "ur":
         x = np.array(settings.arm.plane_x_axis)
         y = np.array(settings.arm.plane_y_axis)
         size = float(np.linalg.norm(x) * np.linalg.norm(y))
         if size == 0.0 or abs(float(x @ y)) > 1e-3 * size:
-            problems.append(
-                document.problem(
-                    ("arm", "plane_x_axis"),
-                    f"{[float(v) for v in x]} is not perpendicular to plane_y_axis "
-                    f"{[float(v) for v in y]}",
-                )
-            )
-    return problems
+            message = f"{x.tolist()} is not perpendicular to plane_y_axis {y.tolist()}"
+            yield document.problem(("arm", "plane_x_axis"), message)
 
 
-def _calibration(document: Document, settings: Settings) -> list[Problem]:
+def _calibration(document: Document, settings: Settings) -> Iterator[Problem]:
     """The map from pixels to the plane is typed or calibrated, not both, not neither."""
     if settings.camera.view is not None and settings.calibration is not None:
         message = "is calibrated (section `calibration`); leave out one of the two"
-        return [document.problem(("camera", "view"), message)]
-    if settings.camera.view is None and settings.calibration is None:
+        yield document.problem(("camera", "view"), message)
+    elif settings.camera.view is None and settings.calibration is None:
         message = "is missing; add the section `calibration: {}` and run `cell calibrate`, or type "
-        return [document.problem(("camera", "view"), message + "it by hand")]
-    hidden = settings.world.camera
-    shown = "sim" in (settings.camera.kind,) or settings.emulated is not None
-    if shown and settings.camera.view is None and hidden is None:
+        yield document.problem(("camera", "view"), message + "it by hand")
+    elif settings.camera.view is None and settings.world.camera is None and _is_unreal(settings):
         message = "where the camera stands is missing: this cell is not real, so say it here"
-        return [document.problem(("world", "camera"), message)]
-    return []
+        yield document.problem(("world", "camera"), message)
 
 
-def _emulated(document: Document, settings: Settings) -> list[Problem]:
+def _is_unreal(settings: Settings) -> bool:
+    return settings.camera.kind == "sim" or settings.emulated is not None
+
+
+def _emulated(document: Document, settings: Settings) -> Iterator[Problem]:
     """Whether emulators can be where the devices are, and nothing real is there."""
     if settings.emulated is None:
-        return []
+        return
     arm, camera, gripper = settings.arm, settings.camera, settings.gripper
-    problems = []
     for section, found, kind in (
         ("arm", arm.kind, "ur"),
         ("camera", camera.kind, "opencv"),
@@ -217,110 +196,85 @@ def _emulated(document: Document, settings: Settings) -> list[Problem]:
     ):
         if found != kind:
             message = f"{found!r} has no emulator; use {kind!r}, or leave out `emulated`"
-            problems.append(document.problem((section, "kind"), message))
+            yield document.problem((section, "kind"), message)
     if isinstance(arm, UrArmSettings) and not arm.host.startswith("127."):
-        problems.append(
-            document.problem(
-                ("arm", "host"),
-                f"{arm.host} is no loopback address, there may be a real arm; "
-                "use 127.0.0.x, or leave out `emulated`",
-            )
-        )
+        message = f"{arm.host} is no loopback address, there may be a real arm; "
+        yield document.problem(("arm", "host"), message + "use 127.0.0.x, or leave out `emulated`")
     if isinstance(camera, OpenCvCameraSettings) and STREAM.fullmatch(str(camera.device)) is None:
-        problems.append(
-            document.problem(
-                ("camera", "device"),
-                f"{camera.device!r} is not where an emulator may be; use tcp://127.0.0.x:port",
-            )
-        )
+        message = f"{camera.device!r} is not where an emulator may be; use tcp://127.0.0.x:port"
+        yield document.problem(("camera", "device"), message)
     if isinstance(gripper, SerialGripperSettings) and "://" in gripper.port:
         message = f"{gripper.port} is no line that can be made; name a file outside /dev"
-        problems.append(document.problem(("gripper", "port"), message))
+        yield document.problem(("gripper", "port"), message)
     if isinstance(gripper, SerialGripperSettings) and gripper.port.startswith("/dev/"):
-        problems.append(
-            document.problem(
-                ("gripper", "port"),
-                f"{gripper.port} may be a real line; name one outside /dev, which is made",
-            )
-        )
-    return problems
+        message = f"{gripper.port} may be a real line; name one outside /dev, which is made"
+        yield document.problem(("gripper", "port"), message)
 
 
-def _hidden_effects(document: Document, settings: Settings) -> list[Problem]:
+def _hidden_effects(document: Document, settings: Settings) -> Iterator[Problem]:
     if not settings.world.effects:
-        return []
+        return
     from cell.cable.effects import library, unscreened  # compiled code, which few settings need
     from cell.cable.live import shown_live
 
-    problems = []
     known = library() | unscreened()
     for name, values in settings.world.effects.items():
         key: Key = ("world", "effects", name)
         if name not in known:
             message = f"unknown effect{did_you_mean(name, list(known))}"
-            problems.append(document.problem(key, message))
+            yield document.problem(key, message)
             continue
         try:
             known[name].active(**values)
         except ValueError as error:
-            problems.append(document.problem(key, str(error)))
+            yield document.problem(key, str(error))
         if settings.emulated is not None and not shown_live(known[name]):
             message = "cannot be shown live, as an emulated camera must; leave it out"
-            problems.append(document.problem(key, message))
-    return problems
+            yield document.problem(key, message)
 
 
-def _model(document: Document, settings: Settings) -> list[Problem]:
-    if not settings.model.effects and settings.model.prior is None:
-        return []
-    from cell.settings.check_model import model_problems  # compiled code, as above
+def _model(document: Document, settings: Settings) -> Iterator[Problem]:
+    if settings.model.effects or settings.model.prior is not None:
+        from cell.settings.check_model import model_problems  # compiled code, as above
 
-    return list(model_problems(document, settings))
+        yield from model_problems(document, settings)
 
 
-def _destination_in_reach(document: Document, settings: Settings) -> list[Problem]:
+def _destination_in_reach(document: Document, settings: Settings) -> Iterator[Problem]:
     """Whether a cable stretched from some place of the gripper's last stroke gets there at all."""
     motion, destination = settings.motion, settings.destination
     length_m = settings.cable.free_length_m
     end_x_m = motion.home.x_m - motion.advance_m
-    problems = []
     entry_m = destination.x_m[1]
     if entry_m < end_x_m - length_m:
-        problems.append(
-            document.problem(
-                ("destination", "x_m"),
-                f"entry edge {entry_m:g} m is out of reach: the gripper ends its stroke at "
-                f"{end_x_m:g} m and the free length is {length_m:g} m; "
-                "give one farther right, or advance farther",
-            )
+        message = (
+            f"entry edge {entry_m:g} m is out of reach: the gripper ends its stroke at "
+            f"{end_x_m:g} m and the free length is {length_m:g} m; give one farther right, or "
+            "advance farther"
         )
+        yield document.problem(("destination", "x_m"), message)
     if entry_m > motion.home.x_m:
-        problems.append(
-            document.problem(
-                ("destination", "x_m"),
-                f"entry edge {entry_m:g} m lies behind the gripper, which starts at "
-                f"{motion.home.x_m:g} m and moves left; move it left",
-            )
+        message = (
+            f"entry edge {entry_m:g} m lies behind the gripper, which starts at "
+            f"{motion.home.x_m:g} m and moves left; move it left"
         )
+        yield document.problem(("destination", "x_m"), message)
     highest_m = motion.home.y_m - motion.lower_m - motion.offsets.first_m + length_m
     lowest_m = motion.home.y_m - motion.lower_m - motion.offsets.last_m - length_m
     low, high = destination.y_m
     if low > highest_m or high < lowest_m:
-        problems.append(
-            document.problem(
-                ("destination", "y_m"),
-                f"[{low:g}, {high:g}] is out of reach: with these offsets the tip is between "
-                f"{lowest_m:g} and {highest_m:g} m; move it or change motion.offsets",
-            )
+        message = (
+            f"[{low:g}, {high:g}] is out of reach: with these offsets the tip is between "
+            f"{lowest_m:g} and {highest_m:g} m; move it or change motion.offsets"
         )
-    return problems
+        yield document.problem(("destination", "y_m"), message)
 
 
-def _in_view(document: Document, settings: Settings) -> list[Problem]:
+def _in_view(document: Document, settings: Settings) -> Iterator[Problem]:
     """The camera must see where the tip is to pass, otherwise nothing can be verified."""
     camera = settings.camera
     if camera.view is None:
-        return []  # seen when the calibration is read
+        return  # seen when the calibration is read
     scale = camera.view.metres_per_pixel
     left_m = -camera.view.origin_column_px * scale
     top_m = camera.view.origin_row_px * scale
@@ -328,25 +282,20 @@ def _in_view(document: Document, settings: Settings) -> list[Problem]:
         "x_m": (left_m, left_m + (camera.width_px - 1) * scale),
         "y_m": (top_m - (camera.height_px - 1) * scale, top_m),
     }
-    problems = []
     for name, (low, high) in picture.items():
         wanted = getattr(settings.destination, name)
         if wanted[0] < low or wanted[1] > high:
-            problems.append(
-                document.problem(
-                    ("destination", name),
-                    f"[{wanted[0]:g}, {wanted[1]:g}] is not all in the picture, which shows "
-                    f"{low:.4g} … {high:.4g} m; move it or correct camera.view",
-                )
+            message = (
+                f"[{wanted[0]:g}, {wanted[1]:g}] is not all in the picture, which shows "
+                f"{low:.4g} … {high:.4g} m; move it or correct camera.view"
             )
-    return problems
+            yield document.problem(("destination", name), message)
 
 
-def _wide_enough(document: Document, settings: Settings) -> list[Problem]:
+def _wide_enough(document: Document, settings: Settings) -> Iterator[Problem]:
     """The cable must fit into the destination, and the camera must see that it did."""
     view = settings.camera.view
     pixel_m = 0.0 if view is None else view.metres_per_pixel
-    problems = []
     for name, least_m, what in (
         ("x_m", pixel_m, "a pixel of the camera"),
         ("y_m", max(pixel_m, settings.cable.thickness_m), "the cable's thickness and a pixel"),
@@ -357,19 +306,17 @@ def _wide_enough(document: Document, settings: Settings) -> list[Problem]:
                 f"[{low}, {high}] is {high - low:.2g} m wide, less than {what} "
                 f"({least_m:g} m); widen it"
             )
-            problems.append(document.problem(("destination", name), message))
-    return problems
+            yield document.problem(("destination", name), message)
 
 
 #: Frames of a swing; one is identified from some hundred.
 MAX_FRAMES = 5_000
 
 
-def film_problems(document: Document, settings: Settings) -> list[Problem]:
+def film_problems(document: Document, settings: Settings) -> Iterator[Problem]:
     """What of times and frame rate lets no cable be identified, or too slowly."""
     camera, motion = settings.camera, settings.motion
     rate_hz = camera.frame_rate_hz
-    problems = []
     at_rest = int(motion.still_s * rate_hz + 1e-9)
     if at_rest < FEWEST_STILL_FRAMES:
         least_s = math.ceil(100.0 * FEWEST_STILL_FRAMES / rate_hz) / 100.0
@@ -379,7 +326,7 @@ def film_problems(document: Document, settings: Settings) -> list[Problem]:
             f"its noise is known from {FEWEST_STILL_FRAMES} or more, and without them every cable "
             f"is rejected: give {least_s:g} s or more"
         )
-        problems.append(document.problem(("motion", "still_s"), message))
+        yield document.problem(("motion", "still_s"), message)
     longest_s = motion.longest_hold_s
     frames = (motion.still_s + motion.lower_s + longest_s) * rate_hz
     if frames > MAX_FRAMES:
@@ -388,24 +335,23 @@ def film_problems(document: Document, settings: Settings) -> list[Problem]:
             f"{MAX_FRAMES}; hold for a shorter time or film at a lower rate"
         )
         key: Key = ("hold_s",) if motion.hold is None else ("hold", "most_s")
-        problems.append(document.problem(("motion", *key), message))
+        yield document.problem(("motion", *key), message)
     exposure_s = getattr(camera, "exposure_s", None) or 0.0
     if exposure_s > 1.0 / rate_hz:
         message = f"{exposure_s:g} s is longer than a frame at {rate_hz:g} Hz"
-        problems.append(document.problem(("camera", "exposure_s"), message))
-    return problems
+        yield document.problem(("camera", "exposure_s"), message)
 
 
-def plant_problems(document: Document, settings: Settings) -> list[Problem]:
+def plant_problems(document: Document, settings: Settings) -> Iterator[Problem]:
     """Entries of the section `plant` that contradict others."""
     handshake = _handshake(settings)
     if handshake is None or handshake.carrier != "controller" or controller_of(settings):
-        return []
+        return
     message = (
         f"is missing: arm.kind is {settings.arm.kind!r}, so say which UR controller has the inputs "
         "and outputs"
     )
-    return [document.problem(("plant", "handshake", "host"), message)]
+    yield document.problem(("plant", "handshake", "host"), message)
 
 
 def controller_of(settings: Settings) -> str | None:

@@ -19,10 +19,10 @@ _KEY: Key = ("model", "effects")
 def model_problems(document: Document, settings: Settings) -> Iterator[Problem]:
     """Every mistake in the section `model`, each at its place."""
     model = settings.model
-    found: dict[str, type[Effect]] = {}
+    known: set[str] = set()
     wrong = False
     for i, entry in enumerate(model.effects):
-        for problem in _effect_problems(document, model, i, entry, found):
+        for problem in _effect_problems(document, model, i, entry, known):
             wrong = True
             yield problem
     if settings.identification.method == "paper" and (model.effects or model.prior):
@@ -30,7 +30,12 @@ def model_problems(document: Document, settings: Settings) -> Iterator[Problem]:
         yield document.problem(("identification", "method"), message)
     if wrong:
         return
-    held = {f"{name}.{p}" for name, p in _parameters(model, found) if _is_known(model, name, p)}
+    held = {
+        f"{effect_from(entry.effect).name}.{key}"
+        for entry in model.effects
+        for key, stated in entry.parameters.items()
+        if isinstance(stated, KnownParameter)
+    }
     for i, name in enumerate(model.prior.names if model.prior else ()):
         if name in held:
             message = f"{name} is `fixed` above; take it out of the prior, with its row and column"
@@ -48,9 +53,9 @@ def _effect_problems(
     model: ModelSettings,
     i: int,
     entry: ModelEffect,
-    found: dict[str, type[Effect]],
+    known: set[str],
 ) -> Iterator[Problem]:
-    """Of one entry; an effect that is right joins `found`."""
+    """Of one entry; the name of an effect that exists joins `known`."""
     place: Key = (*_KEY, i, "effect")
     try:
         if not entry.effect.endswith(".py") and entry.effect not in known_effects():
@@ -70,9 +75,9 @@ def _effect_problems(
             else f"{entry.effect} is no file; leave out `sha256`"
         )
         yield document.problem((*_KEY, i, "sha256"), message)
-    if effect.name in found:
+    if effect.name in known:
         yield document.problem(place, f"{effect.name} is given twice; remove one")
-    found[effect.name] = effect
+    known.add(effect.name)
     yield from _parameter_problems(document, model, (*_KEY, i, "parameters"), entry, effect)
 
 
@@ -98,15 +103,3 @@ def _parameter_problems(
                 else f"'fitted', but model.prior has {name!r}; write 'prior'"
             )
             yield document.problem((*place, key), message)
-
-
-def _parameters(model: ModelSettings, found: dict[str, type[Effect]]) -> list[tuple[str, str]]:
-    return [(name, p.name) for name, effect in found.items() for p in effect.parameters]
-
-
-def _is_known(model: ModelSettings, effect: str, parameter: str) -> bool:
-    return any(
-        isinstance(entry.parameters.get(parameter), KnownParameter)
-        for entry in model.effects
-        if effect_from(entry.effect).name == effect
-    )
