@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -53,7 +54,7 @@ def status(
     settings are wrong, or another cell's; 3 if no cell runs there.
     """
     from cell.plant.client import Client
-    from cell.plant.messages import Status, to_json
+    from cell.plant.messages import Status
     from cell.plant.wire import LinkError
 
     line = _line_of(config)
@@ -64,7 +65,7 @@ def status(
         if watch:
             for message in client.follow():
                 if as_json:
-                    emit(json.dumps(to_json(message), ensure_ascii=False))
+                    emit(json.dumps(asdict(message), ensure_ascii=False))
                 elif isinstance(message, Status):
                     emit("\n".join(_lines(message)))
                 else:
@@ -76,7 +77,7 @@ def status(
     except KeyboardInterrupt:
         raise typer.Exit(ALL_DONE) from None
     if as_json:
-        print_json(to_json(now))
+        print_json(asdict(now))
     else:
         emit("\n".join(_lines(now)))
     needs_person = now.fault is not None or now.state.value in ("stopped", "aborted")
@@ -113,7 +114,7 @@ def send(
     """
     from cell.cli.part_ids import checked
     from cell.plant.client import Client
-    from cell.plant.messages import COMMANDS, Request, to_json
+    from cell.plant.messages import COMMANDS, Request
     from cell.plant.wire import LinkError
     from cell.run.machine import MachineEvent
 
@@ -138,7 +139,7 @@ def send(
     except LinkError as error:
         _no_cell(error)
     if as_json:
-        emit(json.dumps(to_json(answer), ensure_ascii=False))
+        emit(json.dumps(asdict(answer), ensure_ascii=False))
     elif answer.accepted:
         emit(f"{command}: accepted; {_what_follows(answer.state, event)}")
     else:

@@ -7,23 +7,22 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cell.plant.messages import PROTOCOL, CommandReply, Notice, Request, Status, to_json
+from cell.plant.messages import PROTOCOL, CommandReply, Notice, Request, Status
 from cell.plant.wire import (
     LONGEST_LINE,
     SILENCE_S,
     LinkError,
     NoCellError,
     ProtocolError,
-    answer_of,
     has_unix_sockets,
     line_of,
-    notice_of,
+    message_of,
     read_line,
     socket_of,
-    status_of,
 )
 
 #: A cell that is away is looked for again so soon, s, then later and later.
@@ -98,7 +97,7 @@ class Client:
     def _request_status(self, stack: ExitStack, talk: _Conversation) -> Status:
         """The status; the conversation is kept if it is wanted again and none is kept."""
         with stack:
-            status = status_of(talk.ask("status", None, "status"))
+            status = message_of(Status, talk.ask("status", None, "status"))
             with self._lock:
                 if self._often and self._kept is None and not self._closed.is_set():
                     self._kept = stack.pop_all(), talk
@@ -111,7 +110,7 @@ class Client:
                 but a cell that gets it later than `OLDEST_S` after it was asked refuses it
         """
         with self._conversation() as talk:
-            return answer_of(talk.ask("request", to_json(request), "answer"))
+            return message_of(CommandReply, talk.ask("request", asdict(request), "answer"))
 
     def follow(self, after: tuple[str, int] | None = None) -> Iterator[Notice | Status]:
         """All that happens, in order, until `close`; a cell that ends is waited for.
@@ -230,9 +229,9 @@ class _Conversation:
         kind, data = self._line()
         match kind:
             case "notice":
-                return notice_of(data)
+                return message_of(Notice, data)
             case "status":
-                return status_of(data)
+                return message_of(Status, data)
             case "alive":
                 return None
         raise LinkError(f"{kind}: {data}")

@@ -12,11 +12,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from types import TracebackType
 from typing import Any
 from uuid import uuid4
 
@@ -27,7 +26,6 @@ from cell.plant.messages import (
     Notice,
     Request,
     Status,
-    to_json,
 )
 from cell.plant.server import CommandServer, Journal
 from cell.plant.status_reducer import possible_in, status_after
@@ -123,12 +121,7 @@ class Link:
             self._opened = stack.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        where: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._opened.close()
 
     def _take_in(self) -> None:
@@ -141,11 +134,11 @@ class Link:
                 self._since_s = notice.ran_s
             try:
                 self._status = status_after(self._status, notice, self._obeyed)
-                self._journal.add(line_of("notice", to_json(notice)))
+                self._journal.add(line_of("notice", asdict(notice)))
             except (KeyError, TypeError, ValueError):  # a mistake of the program
                 _LOG.exception("notice %s", notice)
                 self._status = replace(self._status, sequence=notice.sequence)
-                self._journal.add(line_of("notice", to_json(replace(notice, data={}))))
+                self._journal.add(line_of("notice", asdict(replace(notice, data={}))))
 
     def _seconds(self, now_s: float) -> dict[str, float]:
         """Time spent in each state, the present one included, s."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -114,7 +114,7 @@ class Notice:
 
     sequence  counts from 1 in each run, without a gap
     time_s    Unix time
-    data      as `Kind` says
+    data      as `MessageKind` says
     ran_s     when it was on the computer's own clock, which nobody sets: for durations
     """
 
@@ -161,8 +161,3 @@ class CommandReply:
     state: CellState
     reason: str = ""
     wrong: str = ""
-
-
-def to_json(message: Status | Notice | Request | CommandReply | FaultNotice) -> dict[str, Any]:
-    """A message as plain data."""
-    return asdict(message)

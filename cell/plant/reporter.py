@@ -10,8 +10,9 @@ from typing import Any
 from cell.plant.messages import CommandReply, FaultNotice, MessageKind, Request
 from cell.plant.status_reducer import possible_in
 from cell.records.result import Result
+from cell.run.commands import INTERRUPTING, PAUSING, RESUMING
 from cell.run.cycle import Cell
-from cell.run.machine import CellState, MachineEvent
+from cell.run.machine import CellState
 
 #: For what a cell waits in a state.
 _WAITS = {
@@ -97,16 +98,7 @@ class Reporter:
 
 
 #: Commands that a cycle under way obeys at its next chance.
-LATCHED = frozenset(
-    {
-        MachineEvent.HOLD,
-        MachineEvent.UNHOLD,
-        MachineEvent.SUSPEND,
-        MachineEvent.UNSUSPEND,
-        MachineEvent.STOP,
-        MachineEvent.ABORT,
-    }
-)
+LATCHED = INTERRUPTING | PAUSING | frozenset(RESUMING.values())
 
 
 def latch(cell: Cell, request: Request) -> CommandReply:
@@ -123,7 +115,7 @@ def latch(cell: Cell, request: Request) -> CommandReply:
 
 
 def refusal(cell: Cell, what: str, why: str = "", wrong: str = "") -> CommandReply:
-    """That something is refused, why, and what is possible; `wrong` as in `Answer`."""
+    """That something is refused, why, and what is possible; `wrong` as in `CommandReply`."""
     state = cell.machine.state
     now = ", ".join(possible_in(state)) or "nothing"
     because = f": {why}" if why else ""

@@ -11,11 +11,11 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
-from cell.plant.messages import PROTOCOL, CommandReply, Request, Status, to_json
+from cell.plant.messages import PROTOCOL, CommandReply, Request, Status
 from cell.plant.wire import (
     HEARTBEAT_S,
     LONGEST_LINE,
@@ -197,12 +197,7 @@ class CommandServer:
             self._opened = stack.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        where: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.abandon()
         self._opened.close()
 
@@ -230,7 +225,7 @@ class CommandServer:
                     self._receive(key.data)
             while self._answers:
                 connection, answer = self._answers.popleft()
-                self._put(connection, "answer", to_json(answer))
+                self._put(connection, "answer", asdict(answer))
             now_s = time.monotonic()
             for connection in tuple(self._connections):
                 if connection.alive_due_s() <= now_s:
@@ -281,7 +276,7 @@ class CommandServer:
                 raise ValueError(f"{spoken}; update the older of the two programs")
             connection.greeted = True
         elif kind == "status":
-            self._put(connection, "status", to_json(self._status()))
+            self._put(connection, "status", asdict(self._status()))
         elif kind == "follow":
             self._follow(connection, data)
         elif kind == "request":
@@ -289,7 +284,7 @@ class CommandServer:
                 request = request_of(data)
             except ValueError as error:
                 refused = CommandReply(False, self._status().state, str(error))
-                self._put(connection, "answer", to_json(refused))
+                self._put(connection, "answer", asdict(refused))
             else:
                 self._ask(request, lambda answer: self._answered(connection, answer))
         else:
@@ -305,7 +300,7 @@ class CommandServer:
                 self._put(connection, "alive", None)  # at once: it may have nothing else to say
                 connection.told = sequence
             case _:
-                self._put(connection, "status", to_json(status))
+                self._put(connection, "status", asdict(status))
                 connection.told = status.sequence
 
     def _answered(self, connection: CellConnection, answer: CommandReply) -> None:

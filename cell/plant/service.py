@@ -11,7 +11,7 @@ from pathlib import Path
 from cell.plant.messages import CommandReply, FaultNotice, Request
 from cell.plant.reporter import Reporter, latch, refusal
 from cell.plant.systemd import Watchdog
-from cell.plant.unfinished_cycle import Mark, earlier_cycles
+from cell.plant.unfinished_cycle import UnsettledMark, earlier_cycles
 from cell.records.folder import RecordError, acknowledge_record, cycle_of
 from cell.records.result import Result
 from cell.run.commands import InterruptedByCommandError, too_old
@@ -73,7 +73,7 @@ class Service:
         self._product = product
         self._wanted: str | None = None
         self._begins: Request | None = None
-        self._mark = Mark(runs)
+        self._mark = UnsettledMark(runs)
         earlier = earlier_cycles(runs)
         self._number = earlier.cycle + 1
         self._open: tuple[Path, ...] = earlier.open

@@ -6,8 +6,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
-from cell.plant.messages import COMMANDS, MessageKind, Notice, Status
-from cell.plant.wire import fault_of
+from cell.plant.messages import COMMANDS, FaultNotice, MessageKind, Notice, Status
+from cell.plant.wire import message_of
 from cell.run.machine import TRANSITIONS, CellState, MachineEvent
 
 
@@ -48,7 +48,7 @@ def status_after(
             counts = {**status.counts, outcome: status.counts.get(outcome, 0) + 1}
             return replace(status, counts=counts, last=data)
         case MessageKind.FAULT:
-            return replace(status, fault=fault_of(data))
+            return replace(status, fault=message_of(FaultNotice, data))
         case MessageKind.ACKNOWLEDGED:
             return replace(status, fault=None)
         case MessageKind.PRODUCT:

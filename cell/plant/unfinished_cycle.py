@@ -20,7 +20,7 @@ _NAMED = 3
 
 
 @dataclass(frozen=True)
-class Earlier:
+class EarlierCycles:
     """The cycles of a folder of records.
 
     cycle  the highest number among them; 0 = there are none
@@ -33,7 +33,7 @@ class Earlier:
     fault: FaultNotice | None = None
 
 
-def earlier_cycles(runs: Path) -> Earlier:
+def earlier_cycles(runs: Path) -> EarlierCycles:
     """What the cycles in a folder are to the next service.
 
     One is open if it was never concluded, or failed, and nobody has acknowledged that: whenever it
@@ -46,7 +46,7 @@ def earlier_cycles(runs: Path) -> Earlier:
         if (fault := _open_fault(folder, state)) is not None:
             found.append((started_of(folder, state), folder.name, fault))
     found.sort(key=lambda each: each[:2])
-    return Earlier(
+    return EarlierCycles(
         max((cycle_of(f) or 0 for f in folders), default=0),
         tuple(runs / name for _, name, _ in found),
         _newest_naming_others([fault for *_, fault in found]),
@@ -109,7 +109,7 @@ def _newest_naming_others(faults: list[FaultNotice]) -> FaultNotice | None:
     return FaultNotice(cause=cause, **{k: v for k, v in vars(newest).items() if k != "cause"})
 
 
-class Mark:
+class UnsettledMark:
     """A file that lets the next service wait for a person, where no record does.
 
     It is there while the gripper may be moving outside a cycle, and after a stop in Idle.

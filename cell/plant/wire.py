@@ -17,19 +17,17 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from cell.plant.messages import (
-    COMMANDS,
-    CommandReply,
-    FaultNotice,
-    MessageKind,
-    Mode,
-    Notice,
-    Request,
-    Status,
-)
-from cell.run.machine import CellState, MachineEvent
+from pydantic import TypeAdapter
+
+from cell.plant.messages import COMMANDS, CommandReply, FaultNotice, Notice, Request, Status
+from cell.run.machine import MachineEvent
+
+Message = TypeVar("Message")
+_ADAPTERS: Mapping[type, TypeAdapter[Any]] = {
+    kind: TypeAdapter(kind) for kind in (Notice, Status, CommandReply, FaultNotice)
+}
 
 #: A program that follows hears something at least so often, s.
 HEARTBEAT_S = 0.4
@@ -94,33 +92,13 @@ def read_line(line: bytes) -> tuple[str, Any]:
     return kind, data
 
 
-def notice_of(data: Mapping[str, Any]) -> Notice:
-    """Back from JSON.  Raises KeyError, TypeError, ValueError: not a notice."""
-    return Notice(**{**_known_fields(Notice, data), "kind": MessageKind(data["kind"])})
+def message_of(kind: type[Message], data: Any) -> Message:
+    """A message of this type, back from JSON; a newer version may say more, which is left out.
 
-
-def answer_of(data: Mapping[str, Any]) -> CommandReply:
-    """Back from JSON.  Raises KeyError, TypeError, ValueError: not an answer."""
-    return CommandReply(**{**_known_fields(CommandReply, data), "state": CellState(data["state"])})
-
-
-def status_of(data: Mapping[str, Any]) -> Status:
-    """Back from JSON.  Raises KeyError, TypeError, ValueError: not a status."""
-    known = _known_fields(Status, data)
-    known |= {
-        "state": CellState(data["state"]),
-        "mode": Mode(data["mode"]),
-        "products": tuple(data["products"]),
-        "possible": tuple(map(MachineEvent, data["possible"])),
-        "waiting_for": tuple(data["waiting_for"]),
-        "fault": None if data["fault"] is None else fault_of(data["fault"]),
-    }
-    return Status(**known)
-
-
-def fault_of(data: Mapping[str, Any]) -> FaultNotice:
-    """Back from JSON.  Raises TypeError: not a fault."""
-    return FaultNotice(**_known_fields(FaultNotice, data))
+    raises  ValueError: it is none
+    """
+    message: Message = _ADAPTERS[kind].validate_python(data)
+    return message
 
 
 def request_of(data: Any) -> Request:
@@ -130,7 +108,7 @@ def request_of(data: Any) -> Request:
     """
     if not isinstance(data, dict):
         raise ValueError("a request is an object")
-    known = _known_fields(Request, data)
+    known = {f.name: data[f.name] for f in fields(Request) if f.name in data}
     asked_s = known.pop("asked_s", None)
     if type(asked_s) not in (int, float) or not math.isfinite(asked_s):
         raise ValueError("asked_s is missing: when it was asked, on the monotonic clock, s")
@@ -153,8 +131,3 @@ def request_of(data: Any) -> Request:
 def _is_valid_unicode(text: str) -> bool:
     """Whether a text can be told on and kept; JSON may hold one half of a pair alone."""
     return not any("\ud800" <= character <= "\udfff" for character in text)
-
-
-def _known_fields(kind: type[Any], data: Mapping[str, Any]) -> dict[str, Any]:
-    """What this version knows; a newer one may say more."""
-    return {f.name: data[f.name] for f in fields(kind) if f.name in data}

@@ -17,6 +17,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.identify.identified import Identified
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry, entry_of_folder, estimates_of
+from cell.records.ledger.outbox import LedgerWriter
 from cell.records.recording import form
 from cell.records.recording.band import VisionSetup
 from cell.records.recording.retention import Retention
@@ -207,6 +208,11 @@ class CycleRecording:
         self._recording.recorder.add_detections([s.t_s for s in filmed.sightings], points_px)
 
 
+def parameters_of(identified: Identified) -> dict[str, float]:
+    """Most probable values by name, SI units."""
+    return dict(zip(identified.space.names, identified.values.tolist(), strict=True))
+
+
 def decision_of(findings: Findings) -> dict[str, Any]:
     """What was decided, and from what: plain data, every number as it was computed.
 
@@ -221,31 +227,13 @@ def decision_of(findings: Findings) -> dict[str, Any]:
         "reason": choice.reason,
         "start_s": candidates.start_s,
         "simulated_s": list(findings.simulated_s),
-        "parameters": {
-            name: float(value)
-            for name, value in zip(identified.space.names, identified.values, strict=True)
-        },
+        "parameters": parameters_of(identified),
         "table": [vars(row) for row in choice.table],
         "tip_m": choice.tip_m,
         "residual_rms_m": identified.residual_rms_m,
         "frames_used": identified.frames_used,
         "wait_s": findings.wait_s,
     }
-
-
-class EntrySink(Protocol):
-    """Hands entries to a ledger, without making anybody wait.
-
-    notes  what a person should know
-    """
-
-    notes: list[str]
-
-    def put(self, entry: LedgerEntry) -> None:
-        """Hand over an entry."""
-
-    def close(self) -> None:
-        """Nothing more comes."""
 
 
 @dataclass(frozen=True)
@@ -257,7 +245,7 @@ class LedgerSetup:
     software     version of this program
     """
 
-    ledger: EntrySink
+    ledger: LedgerWriter
     line: str
     calibration: str | None = None
     software: str | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypedDict
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
-from cell.plan.choose import ChoiceOptions, choose, forecast
+from cell.plan.choose import choose, forecast
 from cell.plan.paths import executed_motion, insertion_path
 from cell.plan.refinement import refined_candidates, widest_between
 from cell.run.findings import Candidates, FilmedMotion
@@ -23,15 +23,6 @@ from drivers.interfaces import Trajectory
 #: An offset whose margin is so many times its standard deviation passes surely: no other moment is
 #: looked at, and the offset is only refined.
 SURE_SIGMAS = 4.0
-
-
-class Simulated(TypedDict):
-    """How insertions are simulated, see `forecast`."""
-
-    begin_s: float
-    end_s: float | None
-    solver: Solver
-    options: ChoiceOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,18 +90,21 @@ def simulate_offsets(
     executing = Executing.of(task, timing, filmed, trial, start_s)
     path, motion = executing.path, executing.motion
     choice, freely = task.choice, task.choice.freely
-    how: Simulated = {
-        "begin_s": executing.begin_s,
-        "end_s": None,
-        "solver": solver,
-        "options": choice,
-    }
+    end_s = None
     if freely.window_s > 0.0:
         slowest = max((1.0, *freely.paces))
         latest = path(task.offsets_m[-1], freely.window_s, slowest, freely.further_m)
-        how["end_s"] = float(motion(latest).t_s[-1])
+        end_s = float(motion(latest).t_s[-1])
+    simulate = partial(
+        forecast,
+        identified,
+        begin_s=executing.begin_s,
+        end_s=end_s,
+        solver=solver,
+        options=choice,
+    )
     paths = [path(o) for o in task.offsets_m]
-    expected = forecast(identified, np.array(task.offsets_m), [motion(p) for p in paths], **how)
+    expected = simulate(np.array(task.offsets_m), [motion(p) for p in paths])
     if freely.window_s == 0.0:
         return Candidates(start_s, tuple(paths), expected)
     at_once = choose(expected, identified, task.destination, choice).best
@@ -134,7 +128,7 @@ def simulate_offsets(
     ]
     offsets_m, delays_s, paces = spots
     motions = [motion(p) for p in new]
-    closer = forecast(identified, offsets_m, motions, **how)
+    closer = simulate(offsets_m, motions)
     beyond_m = np.full(len(new), further_m)
     closer = replace(closer, delays_s=delays_s, paces=paces, further_m=beyond_m)
     return Candidates(start_s, (*paths, *new), expected.joined_with(closer))

@@ -71,7 +71,7 @@ def check_computer(
     return [
         *_of_computer(abilities()),
         *_of_stalls(stalls),
-        *_of_vision(camera, tracked_hz, cold_hz),
+        _of_vision(camera, tracked_hz, cold_hz),
     ]
 
 
@@ -178,18 +178,15 @@ def _of_stalls(stalls: Stalls) -> list[Condition]:
     return found
 
 
-def _of_vision(camera: CameraLoad, tracked_hz: float, cold_hz: float) -> list[Condition]:
+def _of_vision(camera: CameraLoad, tracked_hz: float, cold_hz: float) -> Condition:
     needed_hz = HEAD_ROOM * camera.frame_rate_hz
-    return [
-        _condition(
-            "vision",
-            f"{tracked_hz:.0f} pictures/s of one core ({cold_hz:.0f} when the jaw is first found)",
-            f"{needed_hz:.0f} pictures/s of {camera.width_px} × {camera.height_px}",
-            tracked_hz >= needed_hz,
-            f"lower camera.frame_rate_hz to {tracked_hz / HEAD_ROOM:.0f} Hz, or use a faster "
-            "computer",
-        )
-    ]
+    return _condition(
+        "vision",
+        f"{tracked_hz:.0f} pictures/s of one core ({cold_hz:.0f} when the jaw is first found)",
+        f"{needed_hz:.0f} pictures/s of {camera.width_px} × {camera.height_px}",
+        tracked_hz >= needed_hz,
+        f"lower camera.frame_rate_hz to {tracked_hz / HEAD_ROOM:.0f} Hz, or use a faster computer",
+    )
 
 
 def _condition(name: str, found: str, needed: str, met: bool, remedy: str) -> Condition:

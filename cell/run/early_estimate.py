@@ -79,8 +79,8 @@ class EarlyEstimator:
             before = result_of(self._running[-1][1], station.commands) if self._running else None
             so_far = filmed_so_far(station, filming, sightings)
             previous = before.identified if isinstance(before, EarlyEstimate) else before
-            unpictured = _without_pictures(estimate.filming)
-            asked = station.task, station.timing, so_far, previous, unpictured
+            end = estimate.filming and replace(estimate.filming, sightings=(), pictures=())
+            asked = station.task, station.timing, so_far, previous, end
             self._running.append((estimate, station.computer.submit(_estimate, *asked)))
         return False
 
@@ -132,23 +132,6 @@ def possible_ends_s(task: Task, least_s: float, most_s: float) -> Iterator[tuple
         yield float(end_s) - ahead_s, float(end_s)
 
 
-def _identify_so_far(
-    task: Task, so_far: FilmedMotion, previous: Identified | None = None
-) -> Identified | None:
-    """The cable as it seems from the frames so far; None if they are not enough."""
-    options = without_gripper_errors(_leaving_a_core(task.identification))
-    try:
-        return identify(
-            held_trial(so_far), task.arc_length_m, task.cable, previous=previous, options=options
-        )
-    except CableRejectedError:
-        return None
-
-
-def _without_pictures(filming: Filming | None) -> Filming | None:
-    return None if filming is None else replace(filming, sightings=(), pictures=())
-
-
 def _estimate(
     task: Task,
     timing: Timing,
@@ -156,11 +139,17 @@ def _estimate(
     previous: Identified | None,
     filming: Filming | None,
 ) -> EstimateResult:
-    identified = _identify_so_far(task, so_far, previous)
-    if identified is None or filming is None:
+    """The cable from the frames so far, and what it will do; None if these are not enough."""
+    trial, options = held_trial(so_far), _leaving_a_core(task.identification)
+    quickly = without_gripper_errors(options)
+    try:
+        identified = identify(
+            trial, task.arc_length_m, task.cable, previous=previous, options=quickly
+        )
+    except CableRejectedError:
+        return None
+    if filming is None:
         return identified
-    trial = held_trial(so_far)
-    options = _leaving_a_core(task.identification)
     missing = filming.frame_count - len(so_far.sightings)
     to_come_s = np.arange(1, missing + 1) / timing.frame_rate_hz
     t_s = np.concatenate([trial.markers.t_s, trial.markers.t_s[-1] + to_come_s])

@@ -7,12 +7,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
-from cell.identify.identified import Identified
 from cell.plan.correction import Tail
 from cell.plan.passage import height_at_opening_m
 from cell.records.folder import Record, RecordError
 from cell.records.result import Correction, Fault, Outcome, Result
-from cell.run.archive import CycleListing, CycleRecording
+from cell.run.archive import CycleListing, CycleRecording, parameters_of
 from cell.run.findings import Findings, required
 from cell.run.machine import CellState
 from cell.run.plans import Plan
@@ -117,14 +116,6 @@ class CycleProgress:
             checks=f.checks,
             product=self.product,
         )
-
-
-def parameters_of(identified: Identified) -> dict[str, float]:
-    """Most probable values by name, SI units."""
-    return {
-        name: float(value)
-        for name, value in zip(identified.space.names, identified.values, strict=True)
-    }
 
 
 def _correction(tail: Tail) -> Correction:

@@ -200,12 +200,12 @@ def as_gripped(settings: Settings, known: Calibrated) -> Settings:
 
 
 def grip_of_stored(grip: StoredCalibration) -> FloatArray:
-    """(4,) of a stored calibration, as in `Calibrated`.  Raises StoreError."""
+    """(4,) of a stored calibration, as in `Calibrated`.  Raises CalibrationFileError."""
     return np.array([*grip.array("point_m", (2,)), *(grip.number(n) for n in _HELD)])
 
 
 def view_of_stored(cell: StoredCalibration) -> PlaneView:
-    """The map of a stored calibration.  Raises StoreError."""
+    """The map of a stored calibration.  Raises CalibrationFileError."""
     return PlaneView(cell.array("homography", (3, 3)), Lens.of(cell.array("lens", (9,))))
 
 

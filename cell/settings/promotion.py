@@ -109,7 +109,7 @@ class CandidateModel:
     model     the section, as it will be written
     beside    hash of the model that the line had when it was learned
     failed    gates that it did not pass: name → what was found
-    lines     that it was learned from, as `line_of` has them; none = not known
+    lines     that it was learned from, as `line_identity` has them; none = not known
     product   whose model it is; None = that of settings without products
     """
 

@@ -32,16 +32,13 @@ from drivers.sim.clock import SimClock
 _BEFORE_S = 60.0
 
 
-@dataclass(frozen=True)
-class ReplayedDevices:
-    """Devices, and what brings their clock to where the recorded one was as a step begins."""
+def replayed_devices(
+    recording: Recording, settings: Settings
+) -> tuple[Devices, Callable[[int, str], None]]:
+    """The devices of a recorded cycle, and what sets their clock as a step begins.
 
-    devices: Devices
-    on_step: Callable[[int, str], None]
-
-
-def replayed_devices(recording: Recording, settings: Settings) -> ReplayedDevices:
-    """The devices of a recorded cycle.  Raises InputError: it lacks what a replay needs."""
+    raises  InputError: the recording lacks what a replay needs
+    """
     task, filming = recording.last(form.TASK), recording.last(form.FILMING)
     if task is None or filming is None:
         raise InputError.at(recording.path, "ends before a cable was filmed: nothing to replay")
@@ -78,7 +75,7 @@ def replayed_devices(recording: Recording, settings: Settings) -> ReplayedDevice
         elif step == "choose" and simulated_s:  # the recorded choice came too late
             clock.forward_to_s(simulated_s[0])
 
-    return ReplayedDevices(devices, on_step)
+    return devices, on_step
 
 
 def _tries(recording: Recording) -> Iterator[tuple[float, list[float]]]:
@@ -113,10 +110,6 @@ class ReplayDifference:
     then: Any
     now: Any
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return vars(self)
-
 
 @dataclass(frozen=True)
 class Replayed:
@@ -146,7 +139,7 @@ class Replayed:
             "complete": self.complete,
             "losses": list(self.losses),
             "decided": self.decided,
-            "differences": [d.to_json() for d in self.differences],
+            "differences": [vars(d) for d in self.differences],
             "software": {name: list(pair) for name, pair in self.software.items()},
             "result": self.result.to_json(),
         }
@@ -173,15 +166,15 @@ def replay(
         raise InputError.at(recording.path, message)
     with TemporaryDirectory() as folder:
         settings, known = _settings(recording, config, Path(folder), about)
-        replayed = replayed_devices(recording, settings)
+        devices, set_clock = replayed_devices(recording, settings)
         heard = _ReplayedEvents()
 
         def step(number: int, name: str) -> None:
-            replayed.on_step(number, name)
+            set_clock(number, name)
             on_step(number, name)
 
         archive = Archive(RecordingSetup(heard))
-        cell = cell_with(settings, replayed.devices, runs, step, known, archive=archive)
+        cell = cell_with(settings, devices, runs, step, known, archive=archive)
         try:
             result = cell.run_cycle(about["cycle"], plan)
         finally:

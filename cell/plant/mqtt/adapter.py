@@ -28,8 +28,21 @@ from cell.plant.wire import LinkError
 from cell.settings.plant import Mqtt, MqttTls
 from drivers.threads import GuardedThread, said
 
+if TYPE_CHECKING:
+    import aiomqtt
+
+_LOG = logging.getLogger(__name__)
+
 #: Environment variable of the password.
 PASSWORD = "CELL_MQTT_PASSWORD"
+#: After a failure of the disk it is tried again, s.
+_AGAIN_S = 1.0
+#: Shortest pause before the broker is tried again, s; then twice as long, up to `retry_s`.
+_FIRST_S = 0.1
+#: Statuses are no closer to each other, s.
+_STATUS_S = 0.5
+#: So long the broker may take to acknowledge, s.
+_ANSWER_S = 10.0
 
 
 def password_of(settings: Mqtt) -> str | None:
@@ -69,10 +82,6 @@ def tls_of(settings: MqttTls | None) -> ssl.SSLContext | None:
                 "and its key without a password, PEM"
             ) from error
     return context
-
-
-#: After a failure of the disk it is tried again, s.
-_AGAIN_S = 1.0
 
 
 class OutboxFeeder:
@@ -149,19 +158,6 @@ class OutboxFeeder:
                     self.error = error
                     self._tell()
                 return
-
-
-if TYPE_CHECKING:
-    import aiomqtt
-
-_LOG = logging.getLogger(__name__)
-
-#: Shortest pause before the broker is tried again, s; then twice as long, up to `retry_s`.
-_FIRST_S = 0.1
-#: Statuses are no closer to each other, s.
-_STATUS_S = 0.5
-#: So long the broker may take to acknowledge, s.
-_ANSWER_S = 10.0
 
 
 @dataclass(frozen=True)

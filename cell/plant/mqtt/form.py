@@ -42,7 +42,7 @@ class PublishedState:
 class PayloadForm(Protocol):
     """A form of messages: plain JSON, or Sparkplug B.
 
-    asked        topics that it subscribes to
+    subscriptions  topics that it subscribes to
     """
 
     subscriptions: Sequence[str]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from pydantic import TypeAdapter
 
 from cell.files.plain import plain
-from cell.plant.messages import FaultNotice, MessageKind, Notice, Status, to_json
+from cell.plant.messages import FaultNotice, MessageKind, Notice, Status
 from cell.plant.mqtt.form import Message, PublishedState
 from cell.records.result import Result
 from cell.run.machine import CellState
@@ -66,7 +66,7 @@ class PlainJson:
         """All that is known of the cell now."""
         if known.status is None:
             return []
-        said = {"time_s": known.time_s, "data": to_json(known.status)}
+        said = {"time_s": known.time_s, "data": asdict(known.status)}
         return [self._message(STATUS, said, retain=True)]
 
     def farewell(self, known: PublishedState) -> list[Message]:

@@ -1,6 +1,6 @@
 """Who may do what: sessions of clients, their users and roles.
 
-asyncua alone would let a client in without encryption whatever endpoints are offered, and gripper a
+asyncua alone would let a client in without encryption whatever endpoints are offered, and hand a
 session over to whoever names it.  Both are closed here.
 """
 

@@ -27,11 +27,11 @@ class PackmlView:
 
     Moments are those of the computer's own clock, which nobody sets, unless Unix time is said.
 
-    status        None = no cell has been seen yet; otherwise as last known
+    status        None = no cell was reached yet; otherwise as last known
     lost_s        since when the cell is not there any more; None = it is there
     seconds       time spent in each state until `counted_s`
     entered_s     when the present state began
-    begun_s       when the cycle under way began; None = none is
+    started_s     when the cycle under way began; None = none is
     cycle_s       what the last cycle took, s
     faults        the newest first
     acknowledged  who said what about the last fault

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.plant.unfinished_cycle import Earlier, earlier_cycles
+from cell.plant.unfinished_cycle import EarlierCycles, earlier_cycles
 from cell.records.folder import Record, acknowledge_record
 from cell.records.past_cycles import history, newest
 from cell.records.result import Fault, Outcome, Result
@@ -41,12 +41,12 @@ def left(runs: Path, cycle: int, outcome: Outcome | None, began: datetime = NOON
 
 
 def test_good_and_acknowledged_cycles_leave_nothing_to_be_looked_at(tmp_path: Path) -> None:
-    assert earlier_cycles(tmp_path / "absent") == earlier_cycles(tmp_path) == Earlier()
+    assert earlier_cycles(tmp_path / "absent") == earlier_cycles(tmp_path) == EarlierCycles()
     left(tmp_path, 7, Outcome.INSERTED)
     acknowledge_record(left(tmp_path, 8, None), "Ada", "looked")
     acknowledge_record(left(tmp_path, 3, Outcome.FAILED), "Ada", "looked")
     (tmp_path / "study").mkdir()
-    assert earlier_cycles(tmp_path) == Earlier(8)
+    assert earlier_cycles(tmp_path) == EarlierCycles(8)
 
 
 @pytest.mark.parametrize("outcome", [None, Outcome.FAILED])
@@ -115,7 +115,7 @@ def test_a_cycle_that_cannot_be_read_waits_for_a_person_too(tmp_path: Path, name
     fault = earlier_cycles(tmp_path).fault
     assert fault is not None and "cycle 2 cannot be read" in fault.cause
     acknowledge_record(folder, "Ada", "looked")
-    assert earlier_cycles(tmp_path) == Earlier(2)
+    assert earlier_cycles(tmp_path) == EarlierCycles(2)
     assert (folder / "state.json.unreadable").exists() == (name == "state.json")
 
 
@@ -125,4 +125,4 @@ def test_a_cycle_killed_before_its_first_state_is_acknowledged_for_good(tmp_path
     fault = earlier_cycles(tmp_path).fault
     assert fault is not None and "cycle 2 was not finished" in fault.cause
     acknowledge_record(folder, "Ada", "looked")
-    assert earlier_cycles(tmp_path) == Earlier(2)
+    assert earlier_cycles(tmp_path) == EarlierCycles(2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Self
 
@@ -24,7 +24,7 @@ from cell.plant.handshake.carrier import (
 from cell.plant.handshake.controller import ControllerCarrier
 from cell.plant.handshake.modbus import ModbusCarrier
 from cell.plant.link import Link
-from cell.plant.messages import CommandReply, FaultNotice, MessageKind, Request, Status, to_json
+from cell.plant.messages import CommandReply, FaultNotice, MessageKind, Request, Status
 from cell.run.machine import CellState, EventRefusedError, Machine, MachineEvent
 from cell.settings.plant import Handshake
 from drivers.emulators.launch import EmulatedController
@@ -120,7 +120,7 @@ class FakeCell:
                 self._fault = FaultNotice(self.ended, "grip", "no cable", 0.0)
                 self._machine.send(MachineEvent.ABORT)
                 self._machine.send(MachineEvent.DONE)
-                self.link.publish(MessageKind.FAULT, to_json(self._fault))
+                self.link.publish(MessageKind.FAULT, asdict(self._fault))
             else:
                 self._machine.send(MachineEvent.DONE)
                 self._machine.send(MachineEvent.DONE)
