@@ -203,12 +203,12 @@ class Tests:
         """Of a hidden change (rows,), its own slopes and those of other effects."""
         functions: list[FloatArray] = []
         effects = tuple(_test_of(linear, s, functions) for s in (own, *rivals))
-        looks = (None, own.of_parameters) if linear.sees_noise else ()
-        half_seen = tuple(_half_seen(linear, look, functions) for look in looks)
+        others = (None, own.of_parameters) if linear.sees_noise else ()
+        half_size = tuple(_half_size_test(linear, other, functions) for other in others)
         every = np.concatenate(functions)
         root = covariance_root(linear.covariance(every))
         noise = np.random.default_rng(0).standard_normal((DRAWS, len(every))) @ root.T
-        return Tests(effects, half_seen, given, every @ hidden, noise)
+        return Tests(effects, half_size, given, every @ hidden, noise)
 
     def chances(self, times: float) -> Chances:
         """With the hidden change so many times as large."""
@@ -284,11 +284,11 @@ def _test_of(linear: LinearStudy, slopes: Sensitivities, functions: list[FloatAr
     )
 
 
-def _half_seen(
-    linear: LinearStudy, beside: FloatArray | None, functions: list[FloatArray]
+def _half_size_test(
+    linear: LinearStudy, other: FloatArray | None, functions: list[FloatArray]
 ) -> HalfSizeTest:
     """The check by what single trials' own parameters explain; its functions are added."""
-    scores, least = linear.scores_of_trials(beside, RULES.significance)
+    scores, least = linear.scores_of_trials(other, RULES.significance)
     begin = sum(map(len, functions))
     functions.append(scores)
     return HalfSizeTest(slice(begin, begin + len(scores)), least)

@@ -159,7 +159,7 @@ class LinearStudy:
     def scores_of_trials(self, other: FloatArray | None, p: float) -> tuple[FloatArray, float]:
         """Functions (n, rows) of the residual that single trials' own parameters would explain.
 
-        beside   (amplitudes, rows) of an effect whose own values are asked as well
+        other    (amplitudes, rows) of an effect whose values per trial are tested as well
         returns  with the sum of their squares of which half has a p-value of `p`
         """
         asked = self.slopes if other is None else np.column_stack([self.slopes, other.T])

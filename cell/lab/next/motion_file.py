@@ -101,10 +101,8 @@ def hand_motion(path: Path, home: tuple[float, float]) -> tuple[str, Motion]:
     after = np.arange(step_s, motion.hold_s, step_s)
     t_s = np.concatenate([before, before[-1] + step_s + way.t_s])
     t_s = np.concatenate([t_s, t_s[-1] + after])
-    values = (
-        np.concatenate([np.full(len(before), v[0]), v, np.full(len(after), v[-1])])
-        for v in (way.x_m, way.y_m, way.angle_rad)
-    )
+    around = len(before), len(after)
+    values = (np.pad(v, around, mode="edge") for v in (way.x_m, way.y_m, way.angle_rad))
     return path.stem, Motion(t_s, *values)
 
 

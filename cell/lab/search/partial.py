@@ -81,9 +81,8 @@ def explain_partly(fits: FitCache, rules: Rules) -> PartialExplanation:
         for rival in near_singles(joint, steps[1], singles, rules):
             StudySpace(joint, rules.max_refits).extended(rival)
     unfinished = not joint.work.affords("the search for effects that explain most")
-    if unfinished or is_hopeless(
-        joint.prepared, steps[-1].fit
-    ):  # no model explains what the cable does
+    # nor does any model explain a cable that is hopeless
+    if unfinished or is_hopeless(joint.prepared, steps[-1].fit):
         steps = [base]
     return PartialExplanation(joint, tuple(singles), tuple(steps))
 

@@ -97,36 +97,36 @@ def estimate(
     effects  that it may lack
     """
     try:
-        whole = of_all_trials(prepared, fit)
+        joint = of_all_trials(prepared, fit)
     except UNSIMULATED:
         return ParameterEstimate(fit, 1.0)
-    solution, p = whole.fit.solution, len(fit.q)
-    other = whole.systematic_error.covariance((solution.covariance @ solution.jacobian.T)[:p])
-    other = other + omitted_effect_bias(whole, effects).covariance + solution.unfinished[:p, :p]
-    return ParameterEstimate(whole.fit, disagreement(prepared, whole.fit), other)
+    solution, p = joint.fit.solution, len(fit.q)
+    other = joint.systematic_error.covariance((solution.covariance @ solution.jacobian.T)[:p])
+    other = other + omitted_effect_bias(joint, effects).covariance + solution.unfinished[:p, :p]
+    return ParameterEstimate(joint.fit, disagreement(prepared, joint.fit), other)
 
 
-def disagreement(prepared: PreparedStudy, whole: Fit) -> float:
+def disagreement(prepared: PreparedStudy, joint: Fit) -> float:
     """Cochran's Q of the trials over its degrees of freedom, at least 1.
 
     Each trial, linearised at the common fit, asks for parameters of its own; where the model errs
     they differ by more than noise explains.
-    whole   fit to all trials
+    joint  fit to all trials
     source  Cochran 1954, Biometrics 10, 101; as a factor on the variance: Birge 1932, Phys. Rev.
             40, 207
     """
-    solution, p = whole.solution, len(whole.q)
+    solution, p = joint.solution, len(joint.q)
     free = solution.free[:p]
-    unit = parameters_root(whole.covariance[np.ix_(free, free)])
+    unit = parameters_root(joint.covariance[np.ix_(free, free)])
     trials = prepared.study.trials
-    slopes = prepared.by_trial(trials, solution.jacobian[:, :p])
-    left = prepared.by_trial(trials, solution.residual)
+    jacobians = prepared.by_trial(trials, solution.jacobian[:, :p])
+    residuals = prepared.by_trial(trials, solution.residual)
     square, dof = 0.0, -float(np.count_nonzero(free))
-    for name, of_trial in slopes.items():
+    for name, of_trial in jacobians.items():
         jacobian = of_trial[:, free] @ unit
         known, directions = np.linalg.eigh(jacobian.T @ jacobian)
-        asked = directions.T @ (jacobian.T @ left[name])
+        score = directions.T @ (jacobian.T @ residuals[name])
         kept = known > LEAST_KNOWN
-        square += float(np.sum(asked[kept] ** 2 / known[kept]))
+        square += float(np.sum(score[kept] ** 2 / known[kept]))
         dof += float(np.count_nonzero(kept))
     return max(1.0, square / dof) if dof >= MIN_FREEDOM else 1.0

@@ -57,13 +57,13 @@ class _Option:
     seen: FloatArray
 
 
-def omitted_effect_bias(whole: AllTrialsFit, effects: Iterable[type[Effect]]) -> OmittedEffectBias:
+def omitted_effect_bias(joint: AllTrialsFit, effects: Iterable[type[Effect]]) -> OmittedEffectBias:
     """Of a fitted model that lacks some of the effects, or others."""
-    prepared, fit, errs = whole.prepared, whole.fit, whole.systematic_error
+    prepared, fit, errs = joint.prepared, joint.fit, joint.systematic_error
     p, none = len(fit.q), np.zeros((len(fit.q), len(fit.q)))
     tried = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
-    linear = whole.linear
-    options = _options(whole, tried, linear)
+    linear = joint.linear
+    options = _options(joint, tried, linear)
     chosen, factor = _explaining(prepared, fit, options, linear, errs)
     if not chosen:
         return OmittedEffectBias((), none)
@@ -78,10 +78,10 @@ def omitted_effect_bias(whole: AllTrialsFit, effects: Iterable[type[Effect]]) ->
     return OmittedEffectBias(tuple(o.effect.name for o in chosen), all_of[:p, :p])
 
 
-def _options(whole: AllTrialsFit, effects: Sequence[type[Effect]], linear: Linear) -> list[_Option]:
+def _options(joint: AllTrialsFit, effects: Sequence[type[Effect]], linear: Linear) -> list[_Option]:
     """Effects at every guess of their shape, but those of which nothing is seen."""
     options = []
-    for slopes in whole.sensitivities(effects):
+    for slopes in joint.sensitivities(effects):
         for rows in slopes.rows:
             seen = linear.seen(rows)
             if np.linalg.norm(seen) > LEAST_LEFT * np.linalg.norm(rows):
@@ -141,15 +141,15 @@ def _by_parts(prepared: PreparedStudy, fit: Fit, linear: Linear) -> FloatArray:
             may depend on anything
     """
     inside = np.linalg.inv(linear.triangle.T @ linear.triangle)
-    asked = []
+    scores = []
     rows = prepared.by_trial(fit_trials(prepared), np.arange(len(linear.left)))
     for name, of_trial in rows.items():
         in_frames = of_trial.reshape(-1, prepared.whiteners[name].frames)
         for part in np.array_split(in_frames, PARTS, axis=1):
             slopes = fit.solution.jacobian[part.ravel()][:, fit.solution.free]
-            asked.append(slopes.T @ linear.left[part.ravel()])
-    by_part = np.array(asked) @ inside
-    return np.asarray(by_part.T @ by_part * len(asked) / (len(asked) - 1))
+            scores.append(slopes.T @ linear.left[part.ravel()])
+    by_part = np.array(scores) @ inside
+    return np.asarray(by_part.T @ by_part * len(scores) / (len(scores) - 1))
 
 
 def identified(
@@ -169,14 +169,14 @@ def identified(
     precision[:p, :p] += fit.space.precision
     precision[p:, p:] += np.diag(1.0 / fit.initial_state_std**2)
     noise_only = np.linalg.inv(precision)
-    whole = AllTrialsFit(prepared, fit)
-    by_hand = whole.systematic_error.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
+    joint = AllTrialsFit(prepared, fit)
+    by_log = joint.systematic_error.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
     unfinished = solution.unfinished[:p, :p]
-    missed = omitted_effect_bias(whole, effects)
+    missed = omitted_effect_bias(joint, effects)
     return Identified(
         space=fit.space,
         mean=fit.q,
-        covariance=np.asarray(noise_only[:p, :p] + by_hand + missed.covariance + unfinished),
+        covariance=np.asarray(noise_only[:p, :p] + by_log + missed.covariance + unfinished),
         noise=prepared.expected,
         residual_rms_m=fit.rms_m,
         converged=fit.arrived,
@@ -185,6 +185,6 @@ def identified(
         frames_total=sum(len(t.markers.t_s) for t in trials),
         iterations=fit.solution.iterations,
         method="map",
-        gripper_covariance=by_hand,
+        gripper_covariance=by_log,
         lacks=missed.effects,
     )

@@ -302,7 +302,7 @@ PER_CORE = 2
 
 
 def limits(
-    whole: AllTrialsFit, effects: Sequence[type[Effect]], progress: Progress = no_progress
+    joint: AllTrialsFit, effects: Sequence[type[Effect]], progress: Progress = no_progress
 ) -> tuple[Limit, ...]:
     """95 % limits of the amplitudes of effects given a fitted model, each effect alone.
 
@@ -317,14 +317,14 @@ def limits(
     none: no limit is below what the study can show (a power-constrained limit).
     """
     progress("how strong other effects could be")
-    prepared, fit, mesh = whole.prepared, whole.fit, whole.systematic_error.mesh
+    prepared, fit, mesh = joint.prepared, joint.fit, joint.systematic_error.mesh
     whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
     nuisance = nuisance_of(fit).moved(mesh)
     inflation = variance_inflation(nuisance.residual[: len(mesh)], whiteners, len(fit.q))
     done = itertools.count(1)
 
     def of_some(some: Sequence[type[Effect]]) -> tuple[Limit, ...]:
-        return _limits_of(whole, nuisance, inflation, some)
+        return _limits_of(joint, nuisance, inflation, some)
 
     def none(_: Sequence[type[Effect]]) -> tuple[Limit, ...]:
         return ()
@@ -349,16 +349,16 @@ def limits(
 
 
 def _limits_of(
-    whole: AllTrialsFit, nuisance: Nuisance, inflation: float, effects: Sequence[type[Effect]]
+    joint: AllTrialsFit, nuisance: Nuisance, inflation: float, effects: Sequence[type[Effect]]
 ) -> tuple[Limit, ...]:
     """Limits of some effects, simulated together on one core.
 
     inflation  by which what the model leaves beyond noise widens variances
     """
-    prepared, fit = whole.prepared.on_one_core(), whole.fit
+    prepared, fit = joint.prepared.on_one_core(), joint.fit
     found = [
-        LimitSearch(slopes, j, nuisance, whole.systematic_error, inflation)
-        for slopes in replace(whole, prepared=prepared).sensitivities(effects)
+        LimitSearch(slopes, j, nuisance, joint.systematic_error, inflation)
+        for slopes in replace(joint, prepared=prepared).sensitivities(effects)
         for j in range(slopes.rows.shape[1])
     ]
     for _ in range(ROUNDS):

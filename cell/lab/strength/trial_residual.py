@@ -102,16 +102,16 @@ def unsimulated_trial(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> T
     return replace(found, rms_m=float("inf"), correlations=())
 
 
-def displacement(seen: FloatArray, model: FloatArray) -> FloatArray:
-    """(…, 2) from model to what was seen: along one coordinate alone where the other was not."""
-    away = seen - model
+def displacement(measured: FloatArray, predicted: FloatArray) -> FloatArray:
+    """(…, 2) from predicted to measured; 0 in a coordinate that alone was not measured."""
+    away = measured - predicted
     lost = np.isnan(away)
     return np.where(lost & ~lost.all(axis=-1, keepdims=True), 0.0, away)
 
 
-def distance(seen: FloatArray, model: FloatArray) -> FloatArray:
-    """(…) of `displacement`, nan where neither coordinate was seen."""
-    return np.asarray(np.linalg.norm(displacement(seen, model), axis=-1))
+def distance(measured: FloatArray, predicted: FloatArray) -> FloatArray:
+    """(…) of `displacement`, nan where neither coordinate was measured."""
+    return np.asarray(np.linalg.norm(displacement(measured, predicted), axis=-1))
 
 
 def phase_of(trial: Trial) -> NDArray[np.str_]:
@@ -146,12 +146,11 @@ def correlations(
     t_s = trial.markers.t_s
     if len(t_s) < 2 * LAGS:
         return ()
-    grip = _hand(trial)
+    grip = _gripping_point_m(trial)
     normal = across_tip(trial, predicted_m)
     velocity = np.sum(np.gradient(predicted_m[:, 0], t_s, axis=0) * normal, axis=1)
     smooth = min(len(t_s) - (1 - len(t_s) % 2), 11)
-    hand = smoothed(grip, smooth)
-    acceleration = np.gradient(np.gradient(hand, t_s, axis=0), t_s, axis=0)
+    acceleration = np.gradient(np.gradient(smoothed(grip, smooth), t_s, axis=0), t_s, axis=0)
     chord = np.unwrap(np.arctan2(-normal[:, 0], normal[:, 1]))
     signals = {
         "base acceleration, x": acceleration[:, 0],
@@ -171,13 +170,13 @@ def correlations(
 def across_tip(trial: Trial, predicted_m: FloatArray) -> FloatArray:
     """(times, 2) unit vector across the cable at the outermost marker."""
     # the grip stands in as second marker where there is only one
-    points = np.concatenate([predicted_m, _hand(trial)[:, None]], axis=1)
+    points = np.concatenate([predicted_m, _gripping_point_m(trial)[:, None]], axis=1)
     along = points[:, 0] - points[:, 1]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
     return np.column_stack([-along[:, 1], along[:, 0]])
 
 
-def _hand(trial: Trial) -> FloatArray:
+def _gripping_point_m(trial: Trial) -> FloatArray:
     """(times, 2) logged gripping point at the markers' times, m."""
     t_s, grip = trial.markers.t_s, trial.grip
     return np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
