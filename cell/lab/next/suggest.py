@@ -64,9 +64,7 @@ def suggest_motion(examination: Examination, surroundings: Surroundings) -> Sugg
     raises  ValueError: nothing is left to tell apart, no motion keeps the limits, or none tells
     """
     fits = examination.fits
-    open_to = [
-        Rival(_label(c), c.fit.space, c.fit.q, c.fit.covariance) for c in rivals(examination)
-    ]
+    open_to = [_rival(model) for model in rivals(examination)]
     found = distinguishing_motions(fits.prepared, open_to, surroundings, fits.progress)
     return worth_a_cable(found, fits.prepared)
 
@@ -336,8 +334,9 @@ def _separation(
     return marginal_chi2(first[0] - second[0], np.hstack([first[1], second[1]]))[0]
 
 
-def _label(candidate: FittedModel) -> str:
-    return " + ".join(e.name for e in candidate.effects) or "baseline"
+def _rival(model: FittedModel) -> Rival:
+    name = " + ".join(e.name for e in model.effects) or "baseline"
+    return Rival(name, model.fit.space, model.fit.q, model.fit.covariance)
 
 
 def split_effects(effects: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -367,10 +366,9 @@ def showing_motion(
     base = fits.base
     if is_no_model(fits.prepared, base.fit):
         raise ValueError(f"study {fits.prepared.study.name}: {no_model_doubt().message}")
-    fit, name = base.fit, " + ".join(e.name for e in base.effects) or "baseline"
-    without = Rival(name, fit.space, fit.q, fit.covariance)
-    rivals = [without, *(_with(without, one) for one in asked)]
-    found = distinguishing_motions(fits.prepared, rivals, surroundings, fits.progress)
+    without = _rival(base)
+    models = [without, *(_with(without, one) for one in asked)]
+    found = distinguishing_motions(fits.prepared, models, surroundings, fits.progress)
     return worth_a_cable(found, fits.prepared)
 
 
