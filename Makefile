@@ -7,7 +7,7 @@ INSTALL := $(if $(shell command -v uv),uv pip install --quiet --python $(BIN)/py
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports quick compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice studies checks fault-trials handshake calibration-study malformed endurance kills plant insertion clean help jaw-plate picture docs docs-site
+.PHONY: run serve test lint types imports quick compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice studies checks discover fault-trials handshake calibration-study malformed endurance kills plant insertion clean help jaw-plate picture docs docs-site
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -111,6 +111,9 @@ studies: $(VENV)/.dev   ## verdicts on 900 studies with a known answer (hours; a
 
 checks: $(VENV)/.dev   ## what each check of the verdict is worth: 411 studies, 40 min
 	$(BIN)/python -m tools.studies.diagnosis_study --checks $(or $(ARGS),checks.csv --first 2000 --seed 2 --breadth complete=200 one=100 outside=50 --made pair=27 unknown=34)
+
+discover: $(VENV)/.dev   ## the laws of ten effects outside the library, inferred (20 min)
+	$(BIN)/python -m tools.studies.discover_study $(ARGS)
 
 fault-trials: $(VENV)/.dev   ## a fault in every device in every step, and processes killed, ~40 min
 	$(BIN)/python -m tools.faults.fault_trials --patience-s 0.15 $(or $(ARGS),-o docs/measured/fault_trials.csv)

@@ -76,6 +76,8 @@ TABLE: dict[str, Small | ByTest | OfCI] = {
     "studies": ByTest("tools/studies/test_diagnosis_study.py::"
                       "test_a_study_is_made_diagnosed_and_counted_by_the_command"),
     "checks": Small("ARGS='{out}/c.csv --breadth complete=1 --workers 1'", "all checks", "c.csv"),
+    "discover": ByTest("tools/studies/test_discover_study.py::"
+                       "test_a_law_is_right_by_its_family_and_by_what_it_leaves"),
     "fault-trials": ByTest("end_to_end/test_fault_trials.py::"
                            "test_the_cell_stops_names_the_fault_keeps_the_cable_and_works_again"),
     "handshake": Small("ARGS='--cycles 1 --carrier modbus'", "1"),
