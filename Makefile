@@ -70,7 +70,7 @@ COMPUTING := tests/cell/lab
 
 # A camera, an arm's process or a serial line that is not served for 40 ms is lost.
 tests-real-time: $(VENV)/.dev
-	$(BIN)/pytest -m real_time tests/end_to_end tests/drivers --ignore tests/end_to_end/test_fault_trials.py
+	$(BIN)/pytest -m real_time tests/end_to_end tests/drivers
 
 tests-computing: $(VENV)/.dev
 	$(BIN)/pytest -n 2 --dist worksteal --spare-time $(COMPUTING)

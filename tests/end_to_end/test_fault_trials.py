@@ -1,4 +1,4 @@
-"""A few of the fault trials: one of each device while the gripper moves or holds, and two kills.
+"""One of the fault trials.
 
 All of them: `make fault-trials`.  Times are judged there, on a computer that does nothing else.
 """
@@ -20,19 +20,14 @@ ROOT = Path(__file__).parents[2]
 
 def test_the_cell_stops_names_the_fault_keeps_the_cable_and_works_again() -> None:
     worker = os.getpid() % 60000
-    trials = [
-        "arm: child killed in execute",
-        "camera: falls silent in lower",
-        "gripper: unplugged in hold_and_capture",
-    ]
     command = [
         sys.executable,
         "-m",
         "tools.faults.fault_trials",
         "--only",
-        *trials,
+        "gripper: unplugged in hold_and_capture",
         "--kills",
-        "2",
+        "0",
         "--attempts",
         "3",
     ]
@@ -42,5 +37,4 @@ def test_the_cell_stops_names_the_fault_keeps_the_cable_and_works_again() -> Non
         command, cwd=ROOT, capture_output=True, text=True, timeout=500, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "3 of 3 trials passed" in done.stdout
-    assert "2 kills" in done.stdout
+    assert "1 of 1 trials passed" in done.stdout

@@ -180,7 +180,7 @@ def config(tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def usual_priority(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where no `nice` is found jobs have the usual priority: beside other tests the low one starves."""
+    """Where no `nice` is found jobs have the usual priority: they starve with the low one."""
     monkeypatch.setenv("PATH", str(tmp_path))
 
 
