@@ -368,11 +368,12 @@ def stream(
                 waiting.put((job, pending[-1]))
             if not pending:
                 return
-            while not wait([pending[0]], _POLL_S).done:
+            done = False
+            while not done:
+                done = bool(wait([pending[0]], _POLL_S).done)
                 check()
                 while not lost.empty():
                     begin_copy(lost.get())
-            check()
             yield pending.popleft().result()
     finally:
         for copy in alive.values():
