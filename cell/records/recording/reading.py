@@ -38,7 +38,7 @@ _HEAD = struct.Struct("<BQ")
 #: What readers raise for a file that is torn or is something else.
 UNREADABLE = (
     McapError, CRCValidationError, ZstdError, ValueError, EOFError, MemoryError, LookupError,
-    struct.error,
+    OverflowError, struct.error,
 )  # fmt: skip
 
 

@@ -70,6 +70,18 @@ def test_torn_anywhere(whole, tmp_path_factory, share, behind):
     assert len(frames) >= int(12 * at / len(whole)) - 2
 
 
+def test_a_chunk_whose_length_was_not_written_yet(whole, tmp_path):
+    """A program killed while it ended a chunk leaves 2^64 - 1 as the length of its content."""
+    name = whole.index(b"zstd")
+    begins = name - 41
+    ends = begins + 9 + int.from_bytes(whole[begins + 1 : begins + 9], "little")
+    torn = tmp_path / form.PART
+    torn.write_bytes(whole[: name + 4] + b"\xff" * 8 + whole[name + 12 : ends])
+    recovered = recover_in_place(torn)
+    assert recovered.messages[form.IMAGE] >= 1
+    assert recovered.read_bytes <= begins
+
+
 def damaged(whole: bytes) -> bytes:
     """The same with another byte in a frame."""
     at = whole.index(picture(5).tobytes()[:256]) + 20  # noise is not compressed
