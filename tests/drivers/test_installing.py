@@ -19,7 +19,8 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["option
 
 def test_every_extra_that_is_named_is_there() -> None:
     sources = [p for room in ("cell", "drivers") for p in (ROOT / room).rglob("*.py")]
-    named = {n for p in sources for n in re.findall(r"install_extra\(['\"](\w+)", p.read_text())}
+    naming = re.compile(r"(?:install_extra|needing)\(['\"](\w+)")
+    named = {n for p in sources for n in naming.findall(p.read_text())}
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     printed = {n for p in pages for n in re.findall(r"pip install -e '\.\[(\w+)\]'", p.read_text())}
     assert len(named) >= 10
