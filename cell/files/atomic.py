@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all; room on the disk for them."""
+"""Files that are written whole or not at all; files of secrets; room on a disk."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from cell.plant.messages import CommandReply, FaultNotice, Request
 from cell.plant.reporter import Reporter, latch, refusal
 from cell.plant.systemd import Watchdog
-from cell.plant.unfinished_cycle import UnsettledMark, earlier_cycles
+from cell.plant.unfinished_cycle import AcknowledgementFlag, earlier_cycles
 from cell.records.folder import RecordError, acknowledge_record, cycle_of
 from cell.records.result import Result
 from cell.run.commands import InterruptedByCommandError, too_old
@@ -73,7 +73,7 @@ class Service:
         self._product = product
         self._wanted: str | None = None
         self._begins: Request | None = None
-        self._mark = UnsettledMark(runs)
+        self._flag = AcknowledgementFlag(runs)
         earlier = earlier_cycles(runs)
         self._number = earlier.cycle + 1
         self._open: tuple[Path, ...] = earlier.open
@@ -82,8 +82,8 @@ class Service:
                 cell.take_up(folder)
             reporter.state(CellState.STOPPED)
             reporter.fault(earlier.fault)
-        elif (fault := self._mark.fault(self._number)) is not None:
-            self._open = (self._mark.file,)
+        elif (fault := self._flag.fault(self._number)) is not None:
+            self._open = (self._flag.file,)
             reporter.state(CellState.STOPPED)
             reporter.fault(fault)
         # whether it resets by itself when it begins: nothing waits for a person's word
@@ -166,9 +166,9 @@ class Service:
         try:
             self._cell.check()
         except (InterruptedByCommandError, DeviceError) as error:
-            self._mark.leave(str(error))
+            self._flag.write(str(error))
             if not self._open:
-                self._open = (self._mark.file,)
+                self._open = (self._flag.file,)
                 fault, _ = fault_of(machine.state.value, error)
                 notice = FaultNotice(self._number - 1, time_s=time.time(), **vars(fault))
                 self._reporter.fault(notice)
@@ -238,14 +238,14 @@ class Service:
 
     def _prepared(self) -> Result | None:
         """Make the cell ready; a file says meanwhile that the gripper may be moving."""
-        self._mark.leave("the program or the computer ended while the cell was made ready")
+        self._flag.write("the program or the computer ended while the cell was made ready")
         self._stop_if_late()
         with self._changed:  # a person may send a reset, too
             self._never_ran = False
             if self._cell.machine.state is not CellState.RESETTING:
                 self._cell.machine.send(MachineEvent.RESET)
         result = self._cell.prepare(self._number, self._plan)
-        self._mark.remove()
+        self._flag.remove()
         return result
 
     def _idle(self) -> Result | None:
@@ -258,11 +258,11 @@ class Service:
                 self._wait_briefly()
         except (InterruptedByCommandError, DeviceError) as error:
             # before anybody is told: the service may be killed at once
-            self._mark.leave(str(error))
+            self._flag.write(str(error))
             with self._changed:
                 if self._cell.machine.state is CellState.IDLE:
                     return self._cell.leave_idle(error)
-            self._mark.remove()  # a start came first: its cycle obeys what was given
+            self._flag.remove()  # a start came first: its cycle obeys what was given
         self._stop_if_late()
         self._select_product(tell=False)  # as the start has told
         return self._cell.run_prepared(self._part)
@@ -282,7 +282,7 @@ class Service:
             if result.fault is not None:
                 self._open = (Path(result.folder),)
             if recorded:
-                self._mark.remove()
+                self._flag.remove()
                 self._number += 1
                 self._reporter.result(result)
             elif result.fault is not None:
@@ -316,7 +316,7 @@ class Service:
     def _on_state(self, state: CellState) -> None:
         self._life.step()
         if state is CellState.IDLE:  # before anybody is told: the service may be killed at once
-            self._mark.remove()
+            self._flag.remove()
         self._reporter.state(state)
         self._life.notifier.status(f"{state.value}, cycle {self._number}")
 

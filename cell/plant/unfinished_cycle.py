@@ -109,7 +109,7 @@ def _newest_naming_others(faults: list[FaultNotice]) -> FaultNotice | None:
     return FaultNotice(cause=cause, **{k: v for k, v in vars(newest).items() if k != "cause"})
 
 
-class UnsettledMark:
+class AcknowledgementFlag:
     """A file that lets the next service wait for a person, where no record does.
 
     It is there while the gripper may be moving outside a cycle, and after a stop in Idle.
@@ -118,7 +118,7 @@ class UnsettledMark:
     def __init__(self, runs: Path) -> None:
         self.file = runs.with_name(f"{runs.name}.unsettled")
 
-    def leave(self, cause: str) -> None:
+    def write(self, cause: str) -> None:
         """Write it; a full disk is told when the record is begun."""
         with suppress(OSError):
             self.file.parent.mkdir(parents=True, exist_ok=True)

@@ -96,13 +96,13 @@ class LabTasks:
         log = self.workspace.results(subject.name) / "compare.txt"
         return JobTask(N_("Compare"), subject.name, (words,), log=log)
 
-    def fit_own(self, subject: Subject, effect: str, beside: Sequence[str]) -> JobTask:
+    def fit_own(self, subject: Subject, effect: str, shared: Sequence[str]) -> JobTask:
         """Fit the model with an effect that was typed, and without, and compare both."""
         file = str(self.workspace.effects / f"{effect}.py")
         before = f"without_{effect}"  # which no effect is called whose model is fitted here
         commands = (
-            self._fit(subject, before, beside, False),
-            self._fit(subject, effect, (*beside, file), False),
+            self._fit(subject, before, shared, False),
+            self._fit(subject, effect, (*shared, file), False),
             self._compare(subject, (before, effect), (), "own"),
         )
         log = self.workspace.results(subject.name) / "own.txt"
@@ -131,10 +131,10 @@ class LabTasks:
         )
         return JobTask(N_("Suggest a motion"), subject.name, (words,), log=out / "suggest.txt")
 
-    def discover(self, subject: Subject, name: str, beside: Sequence[str]) -> JobTask:
+    def discover(self, subject: Subject, name: str, shared: Sequence[str]) -> JobTask:
         """Infer a law from what the model leaves, as an effect that can be edited."""
         out = str(self.workspace.effects / f"{name}.py")
-        words = ("discover", str(subject.folder), *_each("--with", beside), "-o", out)
+        words = ("discover", str(subject.folder), *_each("--with", shared), "-o", out)
         log = self.workspace.results(subject.name) / "discover.txt"
         return JobTask(N_("Infer a law"), subject.name, (words,), log=log)
 

@@ -20,7 +20,7 @@ from cell.run.machine import CellState
 from cell.web.views import ADAPTERS
 from cell.web.watching import CellWatch, WatchedState
 
-#: Figures of the last cycle: name, what it is, key of the result.
+#: Figures of the last cycle, SI units: name, what it is, key of the result.
 _LAST = (
     ("cell_tip_miss_meters", "Measured height of the tip above the opening's middle at entry",
      "measured_miss_m"),
@@ -84,15 +84,14 @@ def _of_status(status: Status) -> Iterator[Metric]:
     for state, seconds in status.state_seconds.items():
         time_in.add_metric([state], seconds)
     yield time_in
-    fault = GaugeMetricFamily(
+    faults = GaugeMetricFamily(
         "cell_fault", "A fault that nobody has acknowledged", labels=["code", "device", "step"]
     )
-    if status.fault is not None:
-        told = status.fault
-        fault.add_metric([told.code, told.device or "", told.step], 1.0)
-    yield fault
+    if (fault := status.fault) is not None:
+        faults.add_metric([fault.code, fault.device or "", fault.step], 1.0)
+    yield faults
     adapters = GaugeMetricFamily(
-        "cell_adapter_trouble", "Whether a program beside the cell has ended", labels=["adapter"]
+        "cell_adapter_trouble", "Whether an adapter of the plant has ended", labels=["adapter"]
     )
     for adapter in sorted({*ADAPTERS, *status.adapters}):
         adapters.add_metric([adapter], float(adapter in status.adapters))

@@ -80,8 +80,8 @@ class OwnEffectPanel:
                 self._said.props("role=status data-test=checked")
             ui.label(t("A law may only compute: math, numpy, and what an effect is made of."))
             with ui.row().classes("items-center w-full gap-4"):
-                self._beside = ui.select([], label=t("Beside, in both models"), multiple=True)
-                self._beside.classes("w-64").props("use-chips data-test=beside")
+                self._shared = ui.select([], label=t("Also in both models"), multiple=True)
+                self._shared.classes("w-64").props("use-chips data-test=shared")
                 button = ui.button(t("Save and fit"), icon="auto_graph", color=BLUE)
                 button.on_click(self._fit).props("text-color=white data-test=fit-own")
                 infer = ui.button(t("Infer a law from the error"), icon="psychology")
@@ -96,7 +96,7 @@ class OwnEffectPanel:
     async def _refresh(self) -> None:
         own = self._desk.own_effects()
         self._saved.set_options(own, value=self._saved.value if self._saved.value in own else None)
-        set_names(self._beside, [*own, *library()])
+        set_names(self._shared, [*own, *library()])
         self._needs_study.refresh()
         self._inferred.clear()
         with self._inferred:
@@ -160,8 +160,8 @@ class OwnEffectPanel:
     def _infer(self) -> None:
         desk = self._desk
         if (subject := desk.subject_or_refusal()) is not None:
-            beside = [desk.effect_file(str(b)) for b in self._beside.value or []]
-            desk.ask(desk.tasks.discover(subject, free_name(desk.own_effects()), beside))
+            shared = [desk.effect_file(str(b)) for b in self._shared.value or []]
+            desk.ask(desk.tasks.discover(subject, free_name(desk.own_effects()), shared))
 
     async def _fit(self) -> None:
         desk, text = self._desk, str(self._editor.value)
@@ -172,8 +172,8 @@ class OwnEffectPanel:
         if await do(desk.visit, "lab effect", Role.engineer, save, f"{name}.py"):
             self._kept = text
             self._unsaved.set(self._editor.value != text)
-            beside = [desk.effect_file(str(b)) for b in self._beside.value or [] if b != name]
-            desk.ask(desk.tasks.fit_own(subject, name, beside))
+            shared = [desk.effect_file(str(b)) for b in self._shared.value or [] if b != name]
+            desk.ask(desk.tasks.fit_own(subject, name, shared))
             await desk.changed()
 
 

@@ -52,7 +52,7 @@ def test_laws_of_a_folder_go_by_their_names_and_old_files_are_kept(
         discover.laws_in(tmp_path, [study])
 
 
-@pytest.mark.parametrize("name", ["point", "dry_bending"])
+@pytest.mark.parametrize("name", ["constant_field", "point", "dry_bending"])
 def test_every_kind_of_term_becomes_an_effect_that_acts(name, tmp_path):
     term = TERMS[name]
     path = tmp_path / f"{name}_{tmp_path.name}.py"

@@ -163,7 +163,7 @@ def test_the_verdict_is_printed_before_the_models_are_compared(folder, tmp_path,
     assert json.loads(out.read_text())["verdict"] == "missing"
 
 
-@pytest.mark.parametrize("after", [3, 80])
+@pytest.mark.parametrize("after", [3, 25, 80])
 def test_at_any_moment_what_is_known_is_printed(folder, tmp_path, monkeypatch, after):
     """The signal comes with one of the batches of simulations, whatever that is for."""
     out, add, batches = tmp_path / "found.json", Work.add, []
