@@ -143,6 +143,11 @@ class RunOptions:
         """Number of simulated cables; None = there is always another."""
         return None if self.forever else 0 if self.dry_run else self.count
 
+    @property
+    def dry_run_speed(self) -> float | None:
+        """Share of full speed of a dry run; None = it is none."""
+        return self.speed if self.dry_run else None
+
 
 @app.command()
 @taking(RunOptions)
@@ -190,8 +195,7 @@ def run(options: RunOptions) -> None:
                 if not options.forever:
                     progress.step(number, step)
 
-            speed = options.speed if options.dry_run else None
-            check_arm_version(settings, options.config, options.out, speed)
+            check_arm_version(settings, options.config, options.out, options.dry_run_speed)
             made = build_cell(
                 products,
                 first,

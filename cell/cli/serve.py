@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.arguments import Runs
+from cell.cli.arguments import Runs, taking
 from cell.cli.shared import MaybeConfig, group, needing, refuse
 from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
 
@@ -26,32 +26,28 @@ app.add_typer(user, name="user", help="Users of the pages.")
 
 
 @dataclass(frozen=True)
-class _Address:
+class ServeOptions:
     """Where the pages are served, and with what."""
 
-    host: str
-    port: int
-    certificate: Path | None
-    key: Path | None
-
-
-@app.callback()
-def serve(
-    context: typer.Context,
-    config: MaybeConfig = None,
-    runs: Runs = Path("runs"),
-    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8080,
-    certificate: Annotated[Path | None, typer.Option(help="Certificate of TLS, PEM.")] = None,
-    key: Annotated[Path | None, typer.Option(help="Key of the certificate, PEM.")] = None,
-    users: UsersFile = FILE,
+    context: typer.Context
+    config: MaybeConfig = None
+    runs: Runs = Path("runs")
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1"
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8080
+    certificate: Annotated[Path | None, typer.Option(help="Certificate of TLS, PEM.")] = None
+    key: Annotated[Path | None, typer.Option(help="Key of the certificate, PEM.")] = None
+    users: UsersFile = FILE
     metrics_token: Annotated[
         Path | None,
         typer.Option(
             help="File with the token by which Prometheus reads /metrics without a login."
         ),
-    ] = None,
-) -> None:
+    ] = None
+
+
+@app.callback()
+@taking(ServeOptions)
+def serve(options: ServeOptions) -> None:
     """Serve the pages of a cell for browsers, until Ctrl-C.
 
     It is a process of its own beside `cell run`: whatever happens to it, the cell goes on.  On
@@ -59,19 +55,19 @@ def serve(
 
     Exit codes: 0; 2 if the settings or options are wrong, or the address is taken.
     """
-    if context.invoked_subcommand is not None:
+    if options.context.invoked_subcommand is not None:
         return
     packages = "nicegui", "argon2", "fastapi", "starlette", "uvicorn", "prometheus_client"
     try:
-        if config is None:
+        if options.config is None:
             raise ValueError("--config is missing: name the settings of the cell")
         with needing("web", "the pages need", *packages):
-            _serve(config, runs, _Address(host, port, certificate, key), users, metrics_token)
+            _serve(options, options.config)
     except (OSError, ValueError) as error:
         refuse(error)
 
 
-def _serve(config: Path, runs: Path, at: _Address, file: Path, metrics_token: Path | None) -> None:
+def _serve(at: ServeOptions, config: Path) -> None:
     """Serve until the end.  Raises ValueError, OSError: it cannot be done so."""
     import socket
 
@@ -82,7 +78,7 @@ def _serve(config: Path, runs: Path, at: _Address, file: Path, metrics_token: Pa
     from cell.web.serve import serve as serve_pages
 
     folder = opcua_folder(config)
-    accounts = all_users(file, folder)
+    accounts = all_users(at.users, folder)
     loopback = at.host in LOOPBACK
     if (at.certificate is None) != (at.key is None):
         raise ValueError("--certificate and --key go together; give both")
@@ -90,8 +86,8 @@ def _serve(config: Path, runs: Path, at: _Address, file: Path, metrics_token: Pa
     refused = may_be_served(at.host, tls is not None, len(accounts), loopback)
     if refused:
         raise ValueError(refused)
-    token = "" if metrics_token is None else read_secret(metrics_token, "--metrics-token")
-    room = _room(config, runs, accounts if not loopback or len(accounts) else None)
+    token = "" if at.metrics_token is None else read_secret(at.metrics_token, "--metrics-token")
+    room = _room(config, at.runs, accounts if not loopback or len(accounts) else None)
     family = socket.AF_INET6 if ":" in at.host else socket.AF_INET
     with socket.socket(family) as tried:
         tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -349,8 +349,7 @@ def stream(
         return ProcessLostError(f"ended its process {_MOST_LOST} times; is there enough memory?")
 
     def work() -> None:
-        while (task := waiting.get()) is not None:
-            job, future = task
+        for job, future in iter(waiting.get, None):
             try:
                 future.set_result(do(job))
             except BaseException as error:

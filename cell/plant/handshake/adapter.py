@@ -58,12 +58,16 @@ class HandshakeAdapter:
         finally:
             self._write_outputs(UNKNOWN)
             self._over.set()
-            self._client.close()
+            self.close()
             following.join(_ANSWER_S)
 
     def end(self) -> None:
         """End soon; safe in a signal's handler."""
         self._over.set()
+
+    def close(self) -> None:
+        """Part from the cell; who calls only `poll` calls this at the end."""
+        self._client.close()
 
     def poll(self) -> None:
         """Look once.  Raises ProtocolError.

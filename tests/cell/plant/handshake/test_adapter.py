@@ -113,3 +113,4 @@ def test_a_start_that_waited_while_the_adapter_was_halted_starts_nothing(
     plc.say(start=True)
     looks()
     assert fake.starts == 1
+    adapter.close()
