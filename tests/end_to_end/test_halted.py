@@ -168,8 +168,7 @@ def test_a_halted_server_is_seen_and_a_start_that_it_gets_late_is_refused(
     wait_until(lambda: "start was given" in screen.text_at("body"))  # for some seconds
     wait_until(lambda: screen.seen()["state"] == "Idle")
     assert asks.status().state is CellState.IDLE
-    screen.click("start")
-    screen.reaches("Execute")
+    screen.command("start", "Execute")
     server.end()
     seen = screen.is_unknown_within(OLDEST_S + DRAWN_S)
     assert (seen["state"], seen["pressed"]) == ("", 0)
