@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import os
@@ -45,7 +46,7 @@ def take_precedence() -> bool:
     """Run the calling thread, and the threads and processes that it will start, before others'.
 
     Linux shares a computer among sessions first, where it groups them; so the session's share is
-    raised too, with all that runs in it.
+    raised too, with all that runs in it, until this process ends.
     returns  False where this is not permitted (a limit `nice` of -10 allows it)
     source   sched(7), "The autogroup feature"
     """
@@ -53,9 +54,22 @@ def take_precedence() -> bool:
         os.setpriority(os.PRIO_PROCESS, 0, min(_PRECEDENCE, os.getpriority(os.PRIO_PROCESS, 0)))
     except (AttributeError, OSError):
         return False
-    with contextlib.suppress(OSError):
-        _SESSION.write_text(str(_PRECEDENCE))
+    with contextlib.suppress(OSError, ValueError):
+        if (before := session_nice()) > _PRECEDENCE:
+            set_session_nice(_PRECEDENCE)
+            atexit.register(set_session_nice, before)
     return True
+
+
+def session_nice() -> int:
+    """Nice value of this process's session.  Raises OSError, ValueError: the system has none."""
+    return int(_SESSION.read_text().rpartition(" ")[2])
+
+
+def set_session_nice(nice: int) -> None:
+    """Change it, -20 … 19, for all that runs in the session, where that is permitted."""
+    with contextlib.suppress(OSError):
+        _SESSION.write_text(str(nice))
 
 
 def own_threads() -> set[int]:

@@ -8,6 +8,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
+from drivers.priority import session_nice, set_session_nice
 
 HARDWARE = "hardware"
 #: Rooms of tests in which devices run in real time, as do tests that want to run alone.  A busy
@@ -53,11 +55,17 @@ def no_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def no_precedence() -> Iterator[None]:
-    """A cell with real devices goes before others on its computer: no longer than its test."""
+    """A cell with real devices goes before others on its computer: no longer than its test.
+
+    Processes in sessions of their own, such as jobs of the pages, would starve for the rest.
+    """
     usual = os.getpriority(os.PRIO_PROCESS, 0)
     yield
     if os.getpriority(os.PRIO_PROCESS, 0) != usual:
         os.setpriority(os.PRIO_PROCESS, 0, usual)
+    with suppress(OSError, ValueError):
+        if session_nice() < 0:
+            set_session_nice(0)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -88,21 +88,32 @@ words = session.read_text().split() if session.exists() else []
 print(granted, os.getpriority(os.PRIO_PROCESS, 0), words[-1] if words else "none")
 """
 
+#: In one session: what it has while such a process runs, and when it has ended.
+_PRECEDE_FIRST = f"""
+import subprocess, sys
+from pathlib import Path
+
+subprocess.run([sys.executable, "-c", {_PRECEDE!r}], check=True)
+session = Path("/proc/self/autogroup")
+print(session.read_text().split()[-1] if session.exists() else "none")
+"""
+
 
 def test_a_cell_goes_before_other_sessions_too() -> None:
     """Raised in its session alone it had waited for another session's programs: 0.7 s, not 0.2."""
     done = subprocess.run(
-        [sys.executable, "-c", _PRECEDE],
+        [sys.executable, "-c", _PRECEDE_FIRST],
         capture_output=True,
         text=True,
         check=True,
         start_new_session=True,
     )
-    granted, nice, session = done.stdout.split()
+    granted, nice, session, afterwards = done.stdout.split()
     if granted == "False":
         pytest.skip("this user may not go before others")
     assert int(nice) <= -10
     assert session in ("none", "-10")
+    assert afterwards in ("none", "0"), "it outlasts the cell"
 
 
 _LESS = (
