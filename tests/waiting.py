@@ -14,11 +14,15 @@ Reached = TypeVar("Reached")
 def wait_until(
     reached: Callable[[], Reached], within_s: float = 90.0, why: Callable[[], object] = lambda: ""
 ) -> Reached:
-    """What `reached` returns as soon as that is true; `why` is said if it comes too late."""
-    deadline_s = time.monotonic() + within_s
+    """What `reached` returns as soon as that is true; `why` is said if it comes too late.
+
+    It is asked less and less often: a browser that is asked 200 times a second takes a core.
+    """
+    deadline_s, pause_s = time.monotonic() + within_s, 0.005
     while not (value := reached()):
         assert time.monotonic() < deadline_s, why() or "it did not happen in time"
-        time.sleep(0.005)
+        time.sleep(pause_s)
+        pause_s = min(1.3 * pause_s, 0.1)
     return value
 
 
