@@ -55,6 +55,7 @@ class PlantEnd:
         link = self._link(self._answer, LATCHED)
         self._report_to(link)
         self._cell.machine.on_change = self.reporter.state
+        self._cell.waited = self.reporter.take_waited
         with ExitStack() as opened:
             try:
                 opened.enter_context(link)

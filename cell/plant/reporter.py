@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -44,6 +45,9 @@ class Reporter:
         self._publish = publish
         self._state: CellState | None = None
         self._waiting: tuple[str, ...] = ()
+        self._counting = threading.Lock()
+        self._waited: dict[str, float] = {}
+        self._since_s = time.monotonic()
 
     def state(self, state: CellState) -> None:
         """The cell has come to a state."""
@@ -93,8 +97,26 @@ class Reporter:
     def waiting(self, *reasons: str) -> None:
         """What the cell waits for; told once."""
         if reasons != self._waiting:
-            self._waiting = reasons
+            with self._counting:
+                self._count()
+                self._waiting = reasons
             self._publish(MessageKind.WAITING, {"waiting_for": list(reasons)})
+
+    def take_waited(self) -> dict[str, float]:
+        """How long the cell has waited since this was asked last, s, by what for; any thread.
+
+        While it waits for several things, the time is that of the first.
+        """
+        with self._counting:
+            self._count()
+            waited, self._waited = self._waited, {}
+        return waited
+
+    def _count(self) -> None:
+        now_s = time.monotonic()
+        for reason in self._waiting[:1]:
+            self._waited[reason] = self._waited.get(reason, 0.0) + now_s - self._since_s
+        self._since_s = now_s
 
 
 #: Commands that a cycle under way obeys at its next chance.

@@ -89,6 +89,7 @@ class Service:
         # whether it resets by itself when it begins: nothing waits for a person's word
         self._never_ran = not self._open
         cell.machine.on_change = self._on_state
+        cell.waited = reporter.take_waited
 
     # --- the link's threads -------------------------------------------------------------------
 

@@ -304,8 +304,17 @@ class CycleListing:
             self._entry = replace(self._entry, acknowledged=said)
             self._setup.ledger.put(self._entry)
 
-    def end(self, result: Result, identified: Identified | None) -> None:
-        """The cycle has ended; None = its cable was not identified."""
+    def end(
+        self,
+        result: Result,
+        identified: Identified | None,
+        waited: Mapping[str, float] | None = None,
+    ) -> None:
+        """The cycle has ended.
+
+        identified  None = its cable was not
+        waited      as of its entry
+        """
         if self._setup is None or self._entry is None:
             return
         self._entry = replace(
@@ -313,6 +322,7 @@ class CycleListing:
             ended=datetime.now(UTC),
             result=result,
             estimates=estimates_of(None if identified is None else identified.to_dict()),
+            waited=waited or {},
         )
         self._setup.ledger.put(self._entry)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import replace
@@ -54,6 +54,8 @@ class Cell:
         others: Sequence[Task] = (),
     ) -> None:
         self.commands = Commands()
+        #: Says how long was waited since it was asked last, s, by what for; may be set later.
+        self.waited: Callable[[], Mapping[str, float]] = dict
         self.machine = Machine(devices.clock.now_s)
         computer = ThreadPoolExecutor(1, "ahead") if computer is None else computer
         self._station = Station(devices, made.task, self.commands, computer, tuple(others))
@@ -338,7 +340,7 @@ class Cell:
             result = endings.unrecorded(self._station.devices, progress.step, result, error)
         progress.recording.end(result)
         if cycle.listing is not None:
-            cycle.listing.end(result, progress.findings.identified)
+            cycle.listing.end(result, progress.findings.identified, self.waited())
             if result.fault is not None:
                 self._unacknowledged.append(cycle.listing)
         _LOG.info(

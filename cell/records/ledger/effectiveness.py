@@ -19,12 +19,13 @@ QUICK = 0.1
 class Shift:
     """What a line did in one shift.  Shares are None where they have no meaning: 0 / 0.
 
-    planned_s      length of the shift, up to now
-    running_s      time at work on cables
-    ideal_s        time that one cable needs at best
+    planned_s      length of the shift, up to now: planned busy time (PBT)
+    running_s      time at work on cables: actual production time (APT)
+    ideal_s        time that one cable needs at best: planned run time per item (PRI)
     availability   running_s / planned_s; None also where simulated time was quicker than the clock
     performance    ideal_s × cables / running_s, at most 1: a rejected cable needs less than ideal_s
-    quality        inserted / cables
+                   (ISO: effectiveness)
+    quality        inserted / cables: quality ratio, good / produced quantity (GQ / PQ)
     cables         whose cycle has ended, but not by a commanded stop
     source         ISO 22400-2:2014, key performance indicators for manufacturing operations
     """
@@ -91,7 +92,7 @@ def shifts(
     if ideal_s is None:
         ideal_s = ledger.quick_cycle_s(wanted, QUICK)
     found = []
-    for begin, end in _bounds(span[0], min(span[1], now), begins):
+    for begin, end in shift_bounds(span[0], min(span[1], now), begins):
         since = begin if wanted.since is None else max(begin, wanted.since)
         until = end if wanted.until is None else min(end, wanted.until)
         outcomes, running_s = ledger.work(replace(wanted, since=since, until=until))
@@ -110,7 +111,7 @@ def shift_start(begins: Sequence[time], now: datetime) -> datetime:
     return max(m for m in marks if m <= now)
 
 
-def _bounds(
+def shift_bounds(
     first: datetime, last: datetime, begins: Sequence[time]
 ) -> list[tuple[datetime, datetime]]:
     """Beginning and end of every shift from that of `first` to that of `last`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,9 @@ from cell.files.plain import plain
 from cell.files.text_file import known_json
 from cell.records.folder import cycle_of, started_of
 from cell.records.result import Outcome, Result
+
+#: States in which the cell works on a cable; in the others it waits for a person or the line.
+RUNNING = frozenset({"resetting", "starting", "execute", "completing", "complete"})
 
 
 class LedgerError(Exception):
@@ -59,6 +62,7 @@ class LedgerEntry:
     calibration  hash of the calibration's files; None = as typed
     software     version of this program
     acknowledged   that its fault was looked at; None = not yet
+    waited       s since the cycle before, by what for: `start`, `downstream`, `acknowledgement`, …
     """
 
     line: str
@@ -74,6 +78,7 @@ class LedgerEntry:
     calibration: str | None = None
     software: str | None = None
     acknowledged: Acknowledgement | None = None
+    waited: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def uid(self) -> str:

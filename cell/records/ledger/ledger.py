@@ -14,16 +14,14 @@ from sqlalchemy import (
     Engine,
     Select,
     case,
-    delete,
     func,
-    insert,
     or_,
     select,
-    update,
 )
 
 from cell.records.ledger.database import database_errors, open_engine, url_of, writing
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry, LedgerEstimate
+from cell.records.ledger.entry_rows import acknowledge_cycle, utc, write_entry
 from cell.records.ledger.tables import (
     NUMBERS,
     acknowledgements,
@@ -42,8 +40,6 @@ MOST = 500
 TELLING = (Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED)
 #: `Fault.code` of a cycle that a commanded stop has ended.
 STOPPED = "stop"
-#: States in which the cell works on a cable; in the others it waits for a person or the line.
-RUNNING = frozenset({"resetting", "starting", "execute", "completing", "complete"})
 
 
 @dataclass(frozen=True)
@@ -144,7 +140,7 @@ class Ledger:
         """
         with writing(self._engine) as connection:
             for entry in entries:
-                _write(connection, entry, of_now)
+                write_entry(connection, entry, of_now)
 
     def acknowledge(self, of: Iterable[ListedCycle], said: Acknowledgement) -> None:
         """Write a person's word on the faults of these cycles; it takes the place of another."""
@@ -152,7 +148,7 @@ class Ledger:
             for cycle in of:
                 at = connection.scalar(select(cycles.c.id).where(cycles.c.uid == cycle.uid))
                 if at is not None:
-                    _acknowledge(connection, at, said)
+                    acknowledge_cycle(connection, at, said)
 
     # --- asking -----------------------------------------------------------------------------------
 
@@ -252,6 +248,15 @@ class Ledger:
         with database_errors(self._engine), self._engine.connect() as connection:
             return connection.execute(query).all()
 
+    def times(self, wanted: LedgerQuery) -> dict[str, dict[str, dict[str, float]]]:
+        """Seconds of the cycles that are asked for: `uid` → kind → name; kinds as in `times`."""
+        columns = cycles.c.uid, times.c.kind, times.c.name, times.c.seconds
+        query = _of_cycles(select(*columns), wanted)
+        found: dict[str, dict[str, dict[str, float]]] = {}
+        for uid, kind, name, seconds in self._rows(query.where(times.c.cycle_id == cycles.c.id)):
+            found.setdefault(uid, {}).setdefault(kind, {})[name] = seconds
+        return found
+
     def span(self, wanted: LedgerQuery) -> tuple[datetime, datetime] | None:
         """When the first and the last cycle that are asked for began; None = there are none."""
         query = _of_cycles(select(func.min(cycles.c.ordered), func.max(cycles.c.ordered)), wanted)
@@ -350,9 +355,9 @@ def _of_cycles(query: Select[Any], wanted: LedgerQuery) -> Select[Any]:
 def _conditions(wanted: LedgerQuery) -> list[ColumnElement[bool]]:
     found: list[ColumnElement[bool]] = []
     if wanted.since is not None:
-        found.append(cycles.c.ordered >= _utc(wanted.since))
+        found.append(cycles.c.ordered >= utc(wanted.since))
     if wanted.until is not None:
-        found.append(cycles.c.ordered < _utc(wanted.until))
+        found.append(cycles.c.ordered < utc(wanted.until))
     if wanted.outcomes:
         named = [o for o in wanted.outcomes if o != UNFINISHED]
         of = [cycles.c.outcome.in_(named)] if named else []
@@ -382,105 +387,6 @@ def _conditions(wanted: LedgerQuery) -> list[ColumnElement[bool]]:
     return found
 
 
-def _write(connection: Connection, entry: LedgerEntry, of_now: bool) -> None:
-    known = connection.execute(
-        select(cycles.c.id, cycles.c.outcome, cycles.c.ordered).where(cycles.c.uid == entry.uid)
-    ).first()
-    if known is not None and (known.outcome is not None or entry.result is None):
-        if entry.acknowledged is not None:
-            _acknowledge(connection, known.id, entry.acknowledged)
-            return
-        if known.outcome is not None and entry.result is None:
-            return
-    values = _row(entry) | {"part_id": _part(connection, entry.part)}
-    if known is None:
-        values["ordered"] = _ordered(connection, entry) if of_now else _utc(entry.started)
-        number = connection.execute(insert(cycles).values(values)).inserted_primary_key
-        assert number is not None
-        at = number[0]
-    else:
-        at = known.id
-        connection.execute(update(cycles).where(cycles.c.id == at).values(values))
-        for of_cycle in (parameters, faults, times):
-            connection.execute(delete(of_cycle).where(of_cycle.c.cycle_id == at))
-    rows: dict[Any, list[dict[str, Any]]] = {
-        parameters: [vars(e) for e in entry.estimates],
-        faults: [],
-        times: [],
-    }
-    if entry.result is not None:
-        fault = entry.result.fault
-        rows[faults] = [] if fault is None else [vars(fault)]
-        rows[times] = [
-            {"kind": kind, "name": name, "seconds": seconds}
-            for kind, spent in (
-                ("state", entry.result.state_seconds),
-                ("step", entry.result.seconds),
-            )
-            for name, seconds in spent.items()
-        ]
-    for of_cycle, new in rows.items():
-        if new:
-            connection.execute(insert(of_cycle), [{"cycle_id": at, **row} for row in new])
-    if entry.acknowledged is not None:
-        _acknowledge(connection, at, entry.acknowledged)
-
-
-def _acknowledge(connection: Connection, at: int, said: Acknowledgement) -> None:
-    """`at`: number of the cycle."""
-    connection.execute(delete(acknowledgements).where(acknowledgements.c.cycle_id == at))
-    row = {"cycle_id": at, "at": _utc(said.at), "by": said.by, "note": said.note}
-    connection.execute(insert(acknowledgements), [row])
-
-
-def _row(entry: LedgerEntry) -> dict[str, Any]:
-    row: dict[str, Any] = {
-        "uid": entry.uid,
-        "line": entry.line,
-        "cycle": entry.cycle,
-        "folder": str(entry.folder),
-        "aim": entry.aim,
-        "product": entry.product,
-        "started": _utc(entry.started),
-        "ended": None if entry.ended is None else _utc(entry.ended),
-        "calibration": entry.calibration,
-        "software": entry.software,
-        "model_misses": False,
-    }
-    result = entry.result
-    if result is not None:
-        row |= {name: getattr(result, name) for name in NUMBERS}
-        row |= {
-            "outcome": result.outcome.value,
-            "reason": result.reason,
-            "model": result.model,
-            "model_misses": result.model_misses,
-            "running_s": sum(s for state, s in result.state_seconds.items() if state in RUNNING),
-        }
-    return row
-
-
-def _part(connection: Connection, code: str | None) -> int | None:
-    """Number of a part, which is made if there is none of this id."""
-    if code is None:
-        return None
-    found = connection.scalar(select(parts.c.id).where(parts.c.code == code))
-    if found is None:
-        number = connection.execute(insert(parts).values(code=code)).inserted_primary_key
-        assert number is not None
-        found = number[0]
-    return int(found)
-
-
-def _ordered(connection: Connection, entry: LedgerEntry) -> datetime:
-    """When the cycle began, but not before the line's newest: a clock may have been set back."""
-    started = _utc(entry.started)
-    newest = connection.scalar(
-        select(func.max(cycles.c.ordered)).where(cycles.c.line == entry.line)
-    )
-    return started if newest is None else max(started, newest)
-
-
 def _estimates(connection: Connection, of: Select[Any]) -> dict[int, list[LedgerEstimate]]:
     """Parameters by the number of their cycle, of the cycles that are asked for."""
     chosen = of.with_only_columns(cycles.c.id, maintain_column_froms=True).subquery()
@@ -490,11 +396,6 @@ def _estimates(connection: Connection, of: Select[Any]) -> dict[int, list[Ledger
     for at, *values in connection.execute(query).all():
         found.setdefault(at, []).append(LedgerEstimate(*values))
     return found
-
-
-def _utc(moment: datetime) -> datetime:
-    """As the ledger keeps it: UTC without saying so."""
-    return moment.astimezone(UTC).replace(tzinfo=None)
 
 
 def _aware(moment: datetime) -> datetime:

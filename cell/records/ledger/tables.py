@@ -113,13 +113,16 @@ acknowledgements = Table(
     Column("note", Text, nullable=False),
 )
 
-#: Time spent in each state of the cell (PackML) and in each step.
+#: Longest name of a state, a step or a reason to wait, characters.
+LONGEST_NAME = 50
+#: Time spent in each state of the cell (PackML) and in each step; and waiting, by what for, since
+#: the cycle before.
 times = Table(
     "times",
     metadata,
     Column("cycle_id", ForeignKey("cycles.id", ondelete="CASCADE"), primary_key=True),
-    Column("kind", String(10), primary_key=True),  # state, step
-    Column("name", String(50), primary_key=True),
+    Column("kind", String(10), primary_key=True),  # state, step, waiting
+    Column("name", String(LONGEST_NAME), primary_key=True),
     Column("seconds", Float, nullable=False),
 )
 

@@ -50,6 +50,20 @@ def test_what_a_cell_waits_for_is_told_once() -> None:
     assert [waiting for waiting in told if waiting is not None] == [["downstream"], [], ["reset"]]
 
 
+def test_waits_are_summed_by_what_for_until_they_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also those of a cycle that never began: the ledger gets them with the next one."""
+    now_s = [0.0]
+    monkeypatch.setattr("cell.plant.reporter.time.monotonic", lambda: now_s[0])
+    reporter = Reporter(lambda kind, data: None)
+    for at_s, state in ((1.0, "idle"), (4.0, "starting"), (9.0, "idle"), (11.0, "stopped")):
+        now_s[0] = at_s
+        reporter.state(CellState(state))
+    now_s[0] = 12.0
+    assert reporter.take_waited() == {"start": 5.0, "acknowledgement": 1.0}
+    now_s[0] = 14.0
+    assert reporter.take_waited() == {"acknowledgement": 2.0}
+
+
 def test_each_pause_that_has_not_begun_can_be_taken_back() -> None:
     """The line suspends the cell, a person asks for a hold too, and thinks better of it."""
     machine, commands = Machine(lambda: 0.0), Commands()

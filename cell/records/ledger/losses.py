@@ -1,0 +1,290 @@
+"""Every minute of a shift that did not end in an inserted cable, with its cause and evidence.
+
+Each moment of a shift belongs to one cause or to inserted cables: their times add up to the planned
+time of the shift exactly.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, time, timedelta
+from typing import Any
+
+import numpy as np
+
+from cell.records.ledger.candidate_forecasts import CandidateForecasts, PassingShare
+from cell.records.ledger.effectiveness import QUICK, shift_bounds
+from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
+from cell.records.ledger.timeline import Cause, CycleTimes, LossKind, Segment, timeline
+from cell.records.result import Outcome
+
+#: A cycle before which was waited over the end of a shift began at most so much later.
+_LATER = timedelta(days=7)
+_NONE = timedelta(0)
+#: Steps that are named as slow: so many at most, each slower by so much in the mean, s.
+_SLOW_STEPS, _SLOWER_S = 3, 0.05
+#: What is waited for, where its name does not say it; others are as the PLC or a person named them.
+_WAITS = {
+    "start": "a start",
+    "part": "a part",
+    "upstream": "the machine before",
+    "downstream": "the next machine",
+    "reset": "a reset",
+    "unhold": "a person who has held the cell",
+    "unsuspend": "the line",
+}
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Time that was lost for one reason.
+
+    reason    as of `Cause`
+    cycles    that it belongs to, or before which it was waited; oldest first
+    evidence  newest cause and acknowledgement, longest wait, or slowest steps; in words
+    passing   of these cables a learned model's share; None = cannot tell
+    """
+
+    kind: LossKind
+    reason: str
+    lasted: timedelta
+    cycles: tuple[ListedCycle, ...] = ()
+    evidence: str = ""
+    passing: PassingShare | None = None
+
+    @property
+    def text(self) -> str:
+        """The cause in a few words."""
+        match self.kind:
+            case LossKind.WAITING:
+                return f"waiting for {_WAITS.get(self.reason, self.reason)}"
+            case LossKind.STOPPED:
+                return f"stopped: {self.reason}"
+            case LossKind.SLOWER:
+                return "slower than the ideal cycle"
+            case LossKind.OTHER:
+                return f"cycles of another kind: {self.reason}"
+            case LossKind.UNFINISHED:
+                return "a cycle under way or broken off"
+            case _:
+                return self.kind.value
+
+    @property
+    def physics(self) -> str:
+        """Which share of these cables a learned model would have inserted, in words."""
+        if self.kind not in (LossKind.REJECTED, LossKind.MISSED):
+            return ""
+        return "with a learned model: cannot tell" if self.passing is None else str(self.passing)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "cause": self.kind.value,
+            "reason": self.reason,
+            "minutes": self.lasted.total_seconds() / 60.0,
+            "evidence": self.evidence,
+            "passing": None if self.passing is None else self.passing.to_json(),
+            "cycles": [str(cycle.folder) for cycle in self.cycles],
+        }
+
+
+@dataclass(frozen=True)
+class ShiftLosses:
+    """Where the time of a line's shift went: `productive` and all losses add up to `planned`.
+
+    productive  ideal cycle times (planned run time per item, PRI) of inserted cables
+    inserted    cables whose cycle began in the shift
+    losses      the longest first
+    """
+
+    line: str
+    begin: datetime
+    end: datetime
+    productive: timedelta
+    inserted: int
+    losses: tuple[Loss, ...]
+
+    @property
+    def planned(self) -> timedelta:
+        """Planned busy time (PBT): length of the shift, up to now."""
+        return self.end - self.begin
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "line": self.line,
+            "begin": self.begin.isoformat(),
+            "end": self.end.isoformat(),
+            "planned_minutes": self.planned.total_seconds() / 60.0,
+            "inserted_minutes": self.productive.total_seconds() / 60.0,
+            "inserted": self.inserted,
+            "losses": [loss.to_json() for loss in self.losses],
+        }
+
+
+def shift_losses(
+    ledger: Ledger,
+    wanted: LedgerQuery,
+    begins: Sequence[time],
+    now: datetime,
+    ideal_s: float | None = None,
+    *,
+    candidate: CandidateForecasts | None = None,
+    waits_now: Mapping[str, float] | None = None,
+) -> list[ShiftLosses]:
+    """Losses of every shift of every line, oldest first; none of shifts in which nothing ran.
+
+    wanted     its times and its line
+    begins, now, ideal_s  as of `shifts`
+    candidate  forecasts of recorded cables by a learned model
+    waits_now  as of `timeline`
+    raises     LedgerError
+    """
+    wanted = LedgerQuery(since=wanted.since, until=wanted.until, line=wanted.line)
+    span = ledger.span(LedgerQuery(line=wanted.line))
+    if span is None:
+        return []
+    if ideal_s is None:
+        ideal_s = ledger.quick_cycle_s(wanted, QUICK) or 0.0
+    last = now if wanted.until is None else min(wanted.until, now)
+    first = max(span[0], wanted.since or span[0])
+    bounds = [
+        (max(begin, wanted.since or begin), min(end, last))
+        for begin, end in shift_bounds(first, last, begins)
+        if begin < last
+    ]
+    found: list[ShiftLosses] = []
+    lines = [wanted.line] if wanted.line else {c.line for c in ledger.listed(wanted) if bounds}
+    for line in lines if bounds else ():
+        of_line = replace(wanted, line=line, since=bounds[0][0], until=bounds[-1][1])
+        cycles, times = _with_neighbours(ledger, of_line)
+        segments = list(timeline(cycles, times, ideal_s, now, waits_now or {}))
+        found += [_shift(line, *bound, segments, times, candidate) for bound in bounds]
+    off = {LossKind.NOT_RUNNING}
+    ran = [s for s in found if s.productive or {loss.kind for loss in s.losses} != off]
+    return sorted(ran, key=lambda shift: (shift.begin, shift.line))
+
+
+def merged(shifts: Sequence[ShiftLosses]) -> list[Loss]:
+    """Losses of several shifts, one of each kind and reason, the longest first.
+
+    The evidence is that of the newest shift; the share of a learned model stays if all have it.
+    """
+    by_cause: dict[tuple[LossKind, str], list[Loss]] = {}
+    for loss in (loss for shift in shifts for loss in shift.losses):
+        by_cause.setdefault((loss.kind, loss.reason), []).append(loss)
+    found = []
+    for same in by_cause.values():
+        lasted = sum((loss.lasted for loss in same), _NONE)
+        cycles = tuple({c.uid: c for loss in same for c in loss.cycles}.values())
+        passing = same[-1].passing if len({loss.passing for loss in same}) == 1 else None
+        found.append(replace(same[-1], lasted=lasted, cycles=cycles, passing=passing))
+    return sorted(found, key=lambda loss: -loss.lasted)
+
+
+def _with_neighbours(
+    ledger: Ledger, of_line: LedgerQuery
+) -> tuple[list[ListedCycle], dict[str, CycleTimes]]:
+    """Cycles with their times; also the ones before and after: either may reach into the shift."""
+    assert of_line.since is not None and of_line.until is not None
+    before = ledger.listed(replace(of_line, since=None, until=of_line.since), 1)
+    later = replace(of_line, since=of_line.until, until=of_line.until + _LATER)
+    after = ledger.listed(later)[:1]
+    cycles = [*before, *ledger.listed(of_line), *after]
+    since = min([of_line.since, *(c.started for c in before)])
+    until = max([of_line.until, *(c.started + timedelta(seconds=1) for c in after)])
+    return cycles, dict(ledger.times(replace(of_line, since=since, until=until)))
+
+
+def _shift(
+    line: str,
+    begin: datetime,
+    end: datetime,
+    segments: Iterable[Segment],
+    times: Mapping[str, CycleTimes],
+    candidate: CandidateForecasts | None,
+) -> ShiftLosses:
+    """What of the segments lies in a shift, by cause; the rest of it nothing ran."""
+    inside: dict[Cause, list[Segment]] = {}
+    for s in segments:
+        if max(s.begin, begin) < min(s.end, end):
+            clipped = replace(s, begin=max(s.begin, begin), end=min(s.end, end))
+            inside.setdefault(s.cause, []).append(clipped)
+    rest = end - begin - _lasted(itertools.chain.from_iterable(inside.values()))
+    productive = inside.pop(None, [])
+    off = LossKind.NOT_RUNNING, ""
+    if rest > _NONE and off not in inside:
+        inside[off] = []
+    quick_s = _quick_steps_s(_cycles_of(productive), times)
+    losses = []
+    for cause, parts in inside.items():
+        assert cause is not None
+        kind, reason = cause
+        cycles = () if cause == off else _cycles_of(parts)
+        if kind is LossKind.SLOWER:
+            cycles = tuple(c for c in cycles if c.outcome == Outcome.INSERTED)
+        lasted = _lasted(parts) + (rest if cause == off else _NONE)
+        evidence = _slow_steps(cycles, times, quick_s) if kind is LossKind.SLOWER else ""
+        evidence = evidence or _evidence(kind, parts, cycles)
+        judged = candidate is not None and kind in (LossKind.REJECTED, LossKind.MISSED)
+        passing = candidate.share(cycles) if candidate is not None and judged else None
+        losses.append(Loss(kind, reason, lasted, cycles, evidence, passing))
+    losses.sort(key=lambda loss: -loss.lasted)
+    inserted = sum(begin <= c.started < end for c in _cycles_of(productive))
+    return ShiftLosses(line, begin, end, _lasted(productive), inserted, tuple(losses))
+
+
+def _lasted(segments: Iterable[Segment]) -> timedelta:
+    return sum((s.end - s.begin for s in segments), _NONE)
+
+
+def _cycles_of(segments: Iterable[Segment]) -> tuple[ListedCycle, ...]:
+    return tuple({s.cycle.uid: s.cycle for s in segments if s.cycle is not None}.values())
+
+
+def _evidence(kind: LossKind, parts: Sequence[Segment], cycles: Sequence[ListedCycle]) -> str:
+    """What speaks for a cause, in words: of its newest cycle, or its longest time."""
+    newest = cycles[-1] if cycles else None
+    if kind in (LossKind.REJECTED, LossKind.MISSED) and newest is not None:
+        return newest.reason or ""
+    if kind is LossKind.STOPPED and newest is not None and newest.fault is not None:
+        seen = newest.acknowledged
+        if seen is None:
+            return f"{newest.fault.cause}; not acknowledged"
+        note = f": {seen.note}" if seen.note else ""
+        at = seen.at.astimezone()
+        return f"{newest.fault.cause}; acknowledged by {seen.by} at {at:%H:%M}{note}"
+    if not parts:
+        return "no cycle is listed"
+    longest = max(parts, key=lambda s: s.end - s.begin)
+    minutes = (longest.end - longest.begin).total_seconds() / 60.0
+    return f"at most {minutes:.1f} min at a time, from {longest.begin.astimezone():%H:%M}"
+
+
+def _quick_steps_s(
+    cycles: Sequence[ListedCycle], times: Mapping[str, CycleTimes]
+) -> dict[str, float]:
+    """Time of each step in the quickest tenth of these cycles, s."""
+    seconds: dict[str, list[float]] = {}
+    for cycle in cycles:
+        for step, spent_s in times.get(cycle.uid, {}).get("step", {}).items():
+            seconds.setdefault(step, []).append(spent_s)
+    return {step: float(np.quantile(spent, QUICK)) for step, spent in seconds.items()}
+
+
+def _slow_steps(
+    cycles: Sequence[ListedCycle],
+    times: Mapping[str, CycleTimes],
+    quick_s: Mapping[str, float],
+) -> str:
+    """The steps that took most beyond what the quickest tenth needed, in words."""
+    slower: dict[str, float] = dict.fromkeys(quick_s, 0.0)
+    for cycle in cycles:
+        for step, spent_s in times.get(cycle.uid, {}).get("step", {}).items():
+            if step in slower:
+                slower[step] += (spent_s - quick_s[step]) / len(cycles)
+    slowest = sorted(slower.items(), key=lambda item: -item[1])[:_SLOW_STEPS]
+    named = [f"{step} +{s:.1f} s" for step, s in slowest if s > _SLOWER_S]
+    return f"slowest steps, per cable: {', '.join(named)}" if named else ""
