@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import timedelta
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from cell.files.quantity import percent
 from cell.files.table import TableData
+from cell.files.words import counted
 from cell.records.folder import Recorded
 from cell.records.ledger.effectiveness import Shift
 from cell.records.ledger.ledger import ListedCycle
+from cell.records.ledger.losses import ShiftLosses, merged
 from cell.records.past_cycles import UNFINISHED, PastCycle
 from cell.records.result import AgreementCheck, Outcome, Result
 from cell.run.computer_check import Condition
@@ -241,6 +244,38 @@ def shifts_parts(shifts: Sequence[Shift]) -> list[Part]:
     if any(s.availability is None for s in shifts):
         parts.append("no availability: simulated time is not the clock's")
     return parts
+
+
+def losses_parts(shifts: Sequence[ShiftLosses]) -> list[Part]:
+    """One row per cause of lost time, the longest first; and where all planned time went."""
+    if not shifts:
+        return ["no shift in which the cell ran"]
+    planned_min = sum(_minutes(s.planned) for s in shifts)
+    productive_min = sum(_minutes(s.productive) for s in shifts)
+    rows = []
+    for loss in merged(shifts):
+        minutes = _minutes(loss.lasted)
+        rows.append(
+            [
+                loss.text,
+                f"{minutes:.1f}",
+                f"{100.0 * minutes / planned_min:.1f}",
+                str(len(loss.cycles)) if loss.cycles else "",
+                "; ".join(filter(None, (loss.evidence, loss.physics))),
+            ]
+        )
+    heads = ["cause", "minutes", "%", "cycles", "evidence"]
+    inserted = sum(s.inserted for s in shifts)
+    return [
+        TableData("lost time", heads, rows, (1, 2, 3)),
+        f"{planned_min:.1f} min planned in {counted(len(shifts), 'shift')}: "
+        f"{productive_min:.1f} min of inserted cables ({inserted}), "
+        f"{planned_min - productive_min:.1f} min lost",
+    ]
+
+
+def _minutes(lasted: timedelta) -> float:
+    return lasted.total_seconds() / 60.0
 
 
 def replayed_parts(replayed: Replayed, most: int) -> Iterator[Part]:

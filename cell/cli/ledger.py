@@ -78,6 +78,17 @@ class HistoryOptions:
     oee: Annotated[
         bool, typer.Option("--oee", help="Availability, performance and quality of every shift.")
     ] = False
+    losses: Annotated[
+        bool,
+        typer.Option("--losses", help="Causes of all time that did not end in an inserted cable."),
+    ] = False
+    candidate: Annotated[
+        Path | None,
+        typer.Option(
+            help="For --losses: candidate of `cell learn`.  Tells which share of the rejected and "
+            "missed cables its model would have inserted."
+        ),
+    ] = None
     as_json: AsJson = False
     csv: Annotated[
         Path | None, typer.Option(help="Write the cycles with their cables' parameters as CSV.")
@@ -90,6 +101,24 @@ class HistoryOptions:
             "--import", help="Take in cycles of this folder that are not listed.  May be repeated."
         ),
     ] = None
+
+    def check(self) -> None:
+        """Raises ValueError: options do not go together."""
+        tables = {"--faults": self.faults, "--oee": self.oee, "--losses": self.losses}
+        if len(asked := [name for name, wanted in tables.items() if wanted]) > 1:
+            raise ValueError(f"{' and '.join(asked)} are different tables; give one of them")
+        if self.candidate is not None and not (self.losses and self.config):
+            raise ValueError(
+                f"--candidate {self.candidate}: is for --losses, with the line's --config; add both"
+            )
+        chosen = {
+            "--outcome": self.outcome, "--part-id": self.part_id, "--product": self.product,
+            "--model": self.model, "--fault": self.fault, "--open": self.open_faults,
+        }  # fmt: skip
+        if self.losses and (given := [name for name, value in chosen.items() if value]):
+            raise ValueError(
+                f"--losses is about all the time of a line: leave out {', '.join(given)}"
+            )
 
     def query(self, now: datetime) -> LedgerQuery:
         """Which cycles are asked for.  Raises ValueError: an option is wrong."""
@@ -133,8 +162,7 @@ def history(options: HistoryOptions) -> None:
 
     with refusing(options.csv, options.parquet, force=options.force), ledger_errors():
         settings = None if options.config is None else load_settings(options.config)
-        if options.faults and options.oee:
-            raise ValueError("--faults and --oee are two answers; give one of them")
+        options.check()
         now = datetime.now(UTC)
         wanted = options.query(now)
         with open_ledger(settings, options.ledger, create=bool(options.take_in)) as ledger:
@@ -164,17 +192,40 @@ def _answer(
     if options.faults:
         counts = ledger.faults(wanted)
         return faults_json(counts), faults_parts(counts)
-    if options.oee:
+    if options.oee or options.losses:
         from cell.records.ledger.effectiveness import shifts
         from cell.settings.records import LedgerSettings as Section
 
         given = (None if settings is None else settings.ledger) or Section()
         begins = [time.fromisoformat(t) for t in given.shifts]
+        if options.losses:
+            return _losses(ledger, wanted, options.candidate, settings, begins, now)
         listed_shifts = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
         return [s.to_json() for s in listed_shifts], shifts_parts(listed_shifts)
     most = options.most if options.as_json else options.most or _SHOWN
     listed = ledger.listed(wanted, most, estimates=options.as_json)
     return [c.to_json() for c in listed], cycles_parts(listed, ledger.count(wanted))
+
+
+def _losses(
+    ledger: Ledger,
+    wanted: LedgerQuery,
+    candidate: Path | None,
+    settings: Settings | None,
+    begins: Sequence[time],
+    now: datetime,
+) -> tuple[Any, Sequence[Part]]:
+    """Lost time of every shift, as plain data and as a table."""
+    from cell.cli.cycle_tables import losses_parts
+    from cell.records.ledger.candidate_forecasts import read_forecasts
+    from cell.records.ledger.losses import shift_losses
+
+    learned = None
+    if candidate is not None and settings is not None:
+        learned = read_forecasts(candidate, settings, ledger)
+    ideal_s = None if settings is None or settings.ledger is None else settings.ledger.ideal_cycle_s
+    found = shift_losses(ledger, wanted, begins, now, ideal_s, candidate=learned)
+    return [s.to_json() for s in found], losses_parts(found)
 
 
 def faults_json(counts: Sequence[tuple[str, int, str]]) -> list[dict[str, Any]]:

@@ -89,6 +89,7 @@ def test_history_lists_counts_and_exports(runs: Path, tmp_path: Path) -> None:
     shown = json.loads(run("history", *words, "--json", "--part-id", "A-10").stdout)
     assert [row["part"] for row in shown] == ["A-10"]
     assert "100.0" in run("history", *words, "--oee").stdout
+    assert "of inserted cables (3)" in run("history", *words, "--losses").stdout
     assert "no cycle was ended by a fault" in run("history", *words, "--faults").stdout
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -149,9 +149,33 @@ def test_one_cycle_is_one_cycle(runs: Path, tmp_path: Path) -> None:
     assert "1 of 1 cycle is new to the ledger" in done.stdout
 
 
-def test_faults_and_shifts_are_two_answers(runs: Path) -> None:
-    done = cell("history", "--runs", runs, "--oee", "--faults")
-    assert (done.exit_code, "give one of them" in done.stderr) == (2, True)
+@pytest.mark.parametrize(
+    ("words", "remedy"),
+    [
+        (("--oee", "--faults"), "give one of them"),
+        (("--losses", "--product", "a"), "leave out --product"),
+        (("--candidate", "c.yaml", "--losses"), "add both"),
+    ],
+)
+def test_options_of_history_that_do_not_go_together_are_named(
+    runs: Path, words: tuple[str, ...], remedy: str
+) -> None:
+    done = cell("history", "--runs", runs, *words)
+    assert (done.exit_code, remedy in done.stderr) == (2, True)
+
+
+def test_lost_time_is_a_table_and_adds_up(runs: Path) -> None:
+    words, ledger = ("history", "--runs", runs, "--losses"), Ledger(runs)
+    folder, end = runs / "20261122T130000.000-2", NOON + timedelta(hours=1)
+    result = CycleResult(2, Outcome.INSERTED, str(folder), state_seconds={"execute": 26.0})
+    ledger.write([LedgerEntry("l", 2, folder, NOON, "inserted", ended=end, result=result)])
+    ledger.close()
+    (shift,) = json.loads(cell(*words, "--json").stdout)
+    lost = sum(loss["minutes"] for loss in shift["losses"])
+    assert lost + shift["inserted_minutes"] == pytest.approx(shift["planned_minutes"])
+    shown = cell(*words).stdout
+    assert "not running" in shown
+    assert "480.0 min planned in 1 shift" in shown
 
 
 def test_a_page_is_said_to_be_written_once_it_is(
