@@ -81,6 +81,7 @@ header .nicegui-link { color: #ffffff; }
 .plain-table th, .plain-table td { padding: 0.15rem 0.5rem; border-bottom: 1px solid #8a94a355; }
 .plain-table th { text-align: left; font-weight: 600; }
 .plain-table .text-right { text-align: right; }
+.loss-bar { height: 1rem; background: #6b7684; }
 .film-slider { min-height: 2.5rem; }
 .guide:not(:empty) { border-left: 0.5rem solid #f5b301; padding-left: 0.75rem; }
 .sticky-card { position: sticky; top: 3.5rem; z-index: 10; }

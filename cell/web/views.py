@@ -69,6 +69,12 @@ WORDS = {
     "part": N_("a part"),
     "downstream": N_("the next machine"),
 }
+#: Definitions of the shift's figures, for a tooltip.
+SHIFT_DEFINITIONS = N_(
+    "ISO 22400-2: yield = good quantity / produced quantity (GQ/PQ); availability = actual "
+    "production time / planned busy time (APT/PBT); performance = planned run time per item × "
+    "produced quantity / actual production time (PRI·PQ/APT); OEE = their product."
+)
 #: How outcomes are shown where there is room for one character, and their class of style.
 OUTCOME_MARKS: Mapping[str, tuple[str, str]] = {
     Outcome.INSERTED: ("✓", NORMAL),

@@ -13,6 +13,7 @@ from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 from cell.settings.model import Settings
 from cell.settings.provenance import line_name
+from cell.web.pages.lost_time import LostTime
 from cell.web.theme import chart, columns, show_option
 from cell.web.views import WORDS, error_chart, history_row, reasons_text
 from cell.web.visit import Visit
@@ -51,6 +52,7 @@ def build(visit: Visit) -> None:
         product.classes("w-40").set_visibility(bool(made))
     said = ui.label().classes("whitespace-pre-line")
     reasons = ui.label().classes("whitespace-pre-line break-words").props("data-test=reasons")
+    LostTime(visit).build()
     errors = chart({})
     heads = columns(
         ("started", t("Begun")),

@@ -22,6 +22,7 @@ from cell.web.heartbeat import on_press
 from cell.web.theme import AMBER, AWAY, BLUE, N_, NORMAL, chart, notify_refusal, show_option
 from cell.web.views import (
     OUTCOME_MARKS,
+    SHIFT_DEFINITIONS,
     WORDS,
     LiveView,
     adapters_text,
@@ -291,7 +292,7 @@ class _Live:
                 misses = chart({}).props(f'role=img aria-label="{misses_of[0]}"')
                 ui.label(", ".join(errors_of[:2]))
                 errors = chart({}).props(f'role=img aria-label="{errors_of[0]}"')
-            shift = ui.label().props("data-test=shift")
+            shift = ui.label().props(f'data-test=shift title="{t(SHIFT_DEFINITIONS)}"')
             unplanned = ui.label(t("No OEE without `ledger.shifts`."))
             unplanned.classes("quiet").props("data-test=unplanned")
         shown: list[tuple[ListedCycle, ...]] = [()]

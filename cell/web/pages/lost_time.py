@@ -1,0 +1,136 @@
+"""Lost time as a Pareto table: each cause with its share, its evidence and links to its cycles."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from datetime import time as time_of_day
+
+from nicegui import run, ui
+
+from cell.files.input_error import InputError
+from cell.plant.users import Role
+from cell.records.ledger.candidate_forecasts import CandidateForecasts, read_forecasts
+from cell.records.ledger.effectiveness import shift_start
+from cell.records.ledger.ledger import Ledger, LedgerQuery
+from cell.records.ledger.losses import ShiftLosses, shift_losses
+from cell.settings.provenance import line_name
+from cell.settings.records import LedgerSettings
+from cell.web.loss_views import LossRow, loss_rows, time_text, waits_now
+from cell.web.theme import heading
+from cell.web.visit import Visit
+from cell.web.watching import read_ledger
+from cell.web.workspace import Workspace
+
+#: Candidates of the lab that are looked at, the newest.
+_CANDIDATES = 5
+_HEADS = 7
+
+
+class LostTime:
+    """The part of the page."""
+
+    def __init__(self, visit: Visit) -> None:
+        self._visit, self._t = visit, visit.t
+
+    def build(self) -> None:
+        """Make the elements, and fill them."""
+        t = self._t
+        with ui.card().classes("w-full overflow-x-auto"):
+            with ui.row().classes("items-center w-full justify-between"):
+                heading(t("Lost time"))
+                days = {0: t("This shift"), 1: t("1 day"), 7: t("7 days")}
+                self._days = ui.toggle(days, value=0).props("no-caps data-test=lost-days")
+            self._said = ui.label().props("data-test=lost-said")
+            self._table = ui.element("table").classes("plain-table")
+            self._table.props("data-test=lost-time")
+        self._days.on_value_change(self._refresh)
+        ui.timer(0.05, self._refresh, once=True)
+
+    async def _refresh(self) -> None:
+        if not self._visit.has_role(Role.watch):
+            ui.navigate.to("/login")
+            return
+        found = await run.io_bound(losses_since, self._visit, int(self._days.value or 0))
+        if found is None:
+            return
+        shifts, error = found
+        self._said.text = self._t(error) if error else time_text(shifts, self._t)
+        self._table.clear()
+        rows = loss_rows(shifts, self._t)
+        self._table.set_visibility(bool(rows))
+        with self._table:
+            self._head()
+            with ui.element("tbody"):
+                for row in rows:
+                    self._row(row)
+
+    def _head(self) -> None:
+        t = self._t
+        heads = (t("Cause"), "", t("Minutes"), "%", t("% so far"), t("Evidence"), t("Cycles"))
+        with ui.element("thead"), ui.element("tr"):
+            for number, head in enumerate(heads):
+                with ui.element("th").classes("text-right" if number in (2, 3, 4) else ""):
+                    ui.label(head)
+
+    def _row(self, row: LossRow) -> None:
+        with ui.element("tr").props("data-test=loss"):
+            with ui.element("td"):
+                ui.label(row.cause)
+            with ui.element("td").style("min-width: 6rem"):
+                bar = ui.element("div").classes("loss-bar")
+                bar.style(f"width: {100.0 * row.width:.1f}%")
+            for text in (row.minutes, row.share, row.so_far):
+                with ui.element("td").classes("text-right"):
+                    ui.label(text)
+            with ui.element("td"):
+                ui.label(row.evidence)
+            with ui.element("td"):
+                button = ui.button(str(row.cycles)).props("flat dense data-test=loss-cycles")
+                button.set_visibility(row.cycles > 0)
+        if row.cycles:
+            links = ui.element("tr")
+            with links, ui.element("td").props(f"colspan={_HEADS}"), ui.row().classes("gap-x-4"):
+                for name, words in row.links:
+                    ui.link(words, f"/cycle/{name}")
+            links.set_visibility(False)
+            button.on_click(lambda: links.set_visibility(not links.visible))
+
+
+def losses_since(visit: Visit, days: int) -> tuple[list[ShiftLosses], str]:
+    """Losses of the line, and why there are none.
+
+    days  0 = of the shift under way
+    """
+    settings, now = visit.room.settings, datetime.now(UTC)
+    options = settings.ledger or LedgerSettings()
+    begins = [time_of_day.fromisoformat(t) for t in options.shifts]
+    since = now - timedelta(days=days) if days else shift_start(begins, now.astimezone())
+    wanted = LedgerQuery(since=since, line=line_name(settings))
+
+    def read(ledger: Ledger) -> list[ShiftLosses]:
+        return shift_losses(
+            ledger,
+            wanted,
+            begins,
+            now,
+            options.ideal_cycle_s,
+            candidate=_candidate(visit, ledger),
+            waits_now=waits_now(visit.room.watch.state, time.time()),
+        )
+
+    found, error = read_ledger(settings, visit.room.runs, read)
+    return found or [], error
+
+
+def _candidate(visit: Visit, ledger: Ledger) -> CandidateForecasts | None:
+    """The newest candidate of the lab that has forecasts of rejected or missed cables."""
+    workspace = Workspace.of_runs(visit.room.runs)
+    for name in workspace.names(workspace.candidates, ".yaml")[:_CANDIDATES]:
+        with suppress(InputError):
+            path = workspace.candidates / f"{name}.yaml"
+            found = read_forecasts(path, visit.room.settings, ledger)
+            if found.counts:
+                return found
+    return None
