@@ -270,7 +270,7 @@ def test_a_missed_cable_is_told_and_the_next_one_is_inserted(
     wait_until(lambda: "1 × missed: the tip missed the destination by" in page.text("reasons"))
     wait_until(lambda: "of inserted cables (1)" in page.text("lost-said"))
     table = page.text("lost-time")
-    assert all(cause in table for cause in ("rejected", "missed", "not running"))
+    assert all(cause in table for cause in ("rejected", "missed", "waiting for a start"))
     assert "with a learned model: cannot tell" in table
     rows = wait_until(lambda: browser.find_elements("css selector", "[data-test=cycles] tbody a"))
     rows[1].click()  # the newest stands first

@@ -255,12 +255,12 @@ def _evidence(kind: LossKind, parts: Sequence[Segment], cycles: Sequence[ListedC
             return f"{newest.fault.cause}; not acknowledged"
         note = f": {seen.note}" if seen.note else ""
         at = seen.at.astimezone()
-        return f"{newest.fault.cause}; acknowledged by {seen.by} at {at:%H:%M}{note}"
+        return f"{newest.fault.cause}; acknowledged by {seen.by} at {at:%m-%d %H:%M}{note}"
     if not parts:
         return "no cycle is listed"
     longest = max(parts, key=lambda s: s.end - s.begin)
     minutes = (longest.end - longest.begin).total_seconds() / 60.0
-    return f"at most {minutes:.1f} min at a time, from {longest.begin.astimezone():%H:%M}"
+    return f"at most {minutes:.1f} min at a time, from {longest.begin.astimezone():%m-%d %H:%M}"
 
 
 def _quick_steps_s(

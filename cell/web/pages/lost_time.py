@@ -91,7 +91,11 @@ class LostTime:
                 button.set_visibility(row.cycles > 0)
         if row.cycles:
             links = ui.element("tr")
-            with links, ui.element("td").props(f"colspan={_HEADS}"), ui.row().classes("gap-x-4"):
+            with (
+                links,
+                ui.element("td").props(f"colspan={_HEADS}"),
+                ui.row().classes("gap-x-4 gap-y-1"),
+            ):
                 for name, words in row.links:
                     ui.link(words, f"/cycle/{name}")
             links.set_visibility(False)

@@ -59,7 +59,9 @@ def test_causes_are_said_in_the_language(shift: ShiftLosses) -> None:
     t, known = translation("de"), sentences("de")
     rows = loss_rows([shift], t)
     assert rows[0].cause == "wartet auf einen Start"
-    assert rows[1].evidence.startswith("die Spitze verfehlte das Ziel um 0,42 mm; mit air_drag treffen 6")
+    assert rows[1].evidence.startswith(
+        "die Spitze verfehlte das Ziel um 0,42 mm; mit air_drag treffen 6"
+    )
     texts = [Loss(kind, "inserted", timedelta(1)).text for kind in LossKind]
     assert [text for text in texts if known.find(text) is None] == []
     assert time_text([shift], t).startswith("60,0 min geplant = 20,0 min eingeführter Kabel (50)")

@@ -112,7 +112,7 @@ def test_each_minute_has_the_cause_that_a_calculation_by_hand_gives_it(ledger: L
     assert shift.planned == timedelta(minutes=70)
     said = {x.kind.value: x for x in shift.losses if x.reason != "unfinished"}
     assert said["stopped"].evidence == (
-        "the arm is at its limit; acknowledged by Ada at 06:34: moved"
+        "the arm is at its limit; acknowledged by Ada at 11-02 06:34: moved"
     )
     assert said["missed"].evidence == MISSED
     assert [c.cycle for c in said["missed"].cycles] == [2]
