@@ -36,6 +36,9 @@ FALSE_ALARM = 1e-5
 #: Of a copy, at least this share of the noise is explained in nine of ten parts of the record: each
 #: a third of the degrees of a block and marker.  What a smooth course leaves is in few of them.
 LEAST_SHARED, LOWEST, BANDS = 0.5, 0.1, 3
+#: Where symmetric filters explain less, no row between two rows explains half: of that in their
+#: middle, the worst, they explain three quarters.
+HARDLY = 0.5 * LEAST_SHARED
 #: The same where rounding alone makes half of the noise, because equal courses are rounded alike.
 LEAST_SHARED_ROUNDED = 0.98
 #: Noise, white or of first order, differs by less between those thirds; a course that blocks do not
@@ -162,6 +165,9 @@ def _noise_is_shared(finer: _Prepared, coarser: _Prepared) -> bool:
     for late_s in late:
         pairs = _matched_markers(finer, coarser, late_s)
         shifts = _shifts_near(finer, coarser, late_s)
+        found = _explained(finer, coarser, late_s, pairs, TAPS)
+        if found is not None and found.share < HARDLY:
+            continue
         for shift_s, taps in [(shifts[0], TAPS), (late_s, TAPS), *((s, 0) for s in shifts)]:
             found = _explained(finer, coarser, shift_s, pairs, taps)
             if found is None or found.chance * tried >= FALSE_ALARM:
@@ -219,7 +225,8 @@ def _matched_markers(finer: _Prepared, coarser: _Prepared, late_s: float) -> NDA
         for xy in (finer.at(coarser.t_s + late_s, every), coarser.xy)
     )
     a, b = (d / np.maximum(np.linalg.norm(d, axis=0), 1e-300) for d in (a, b))
-    agree = np.sum(np.einsum("tia,tjb->ijab", a, b) ** 2, axis=(2, 3))
+    products = np.tensordot(a, b, axes=(0, 0))  # (markers, 2, markers, 2)
+    agree = np.sum(products**2, axis=(1, 3))
     return np.stack(linear_sum_assignment(-agree), axis=1)
 
 
@@ -331,6 +338,8 @@ def _high_degrees(t_s: FloatArray, values: FloatArray) -> list[FloatArray]:
         within = times[rows]
         unit = 2.0 * (within - within[:, :1]) / (within[:, -1:] - within[:, :1]) - 1.0
         basis = np.linalg.qr(np.polynomial.chebyshev.chebvander(unit, size - 1))[0]
-        high = np.einsum("brd,brmc->mbdc", basis[:, :, degrees:], channels[rows])
+        flat = channels[rows].reshape(blocks, size, -1)
+        high = np.swapaxes(basis[:, :, degrees:], 1, 2) @ flat  # (blocks, degrees, all channels)
+        high = high.reshape(blocks, degrees, len(markers), -1).transpose(2, 0, 1, 3)
         found.append(high.reshape(-1, degrees // BANDS, values.shape[2]))
     return found
