@@ -113,7 +113,7 @@ class Board:
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """Corners of a board that were found in a picture.
+    """Corners of a board that were detected in a picture.
 
     name     of the picture
     ids      (N,) of the corners
@@ -132,7 +132,7 @@ class BoardView:
 def find_board(
     image: Image, board: Board, name: str = "picture", lens: Lens | None = None
 ) -> BoardView | None:
-    """The board's corners in a picture, None if fewer than `LEAST_CORNERS` are seen.
+    """The board's corners in a picture; None if fewer than `LEAST_CORNERS` are detected.
 
     lens    where it is known already, corners are found with it once more: more surely and,
             where the picture is much distorted, in more places

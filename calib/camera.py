@@ -72,7 +72,7 @@ class CameraFit:
 
 
 def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
-    """Lens from pictures of a board; those that show the same count once.
+    """Fit the lens to pictures of a board; pictures that show the same count as one.
 
     raises  TooFewError, OneSidedError, BlurredError, MisfitError
     """
@@ -114,7 +114,7 @@ def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
 
 
 def different_views(views: Sequence[BoardView]) -> Independent[BoardView]:
-    """Views in which the board stands elsewhere."""
+    """Views without repetitions of the same place of the board."""
     return independent(views, lambda view: view.ids)
 
 
@@ -207,7 +207,7 @@ def picture_grid(size_px: tuple[int, int]) -> FloatArray:
 
 
 def lens_difference(a: Lens, b: Lens, size_px: tuple[int, int]) -> FloatArray:
-    """(R, C) px by which two lenses differ on a plane, once its pose has taken up what it can."""
+    """(R, C) px by which two lenses differ on a plane, after the best-fitting homography."""
     grid = picture_grid(size_px)
     first, second = a.ideal(grid).reshape(-1, 2), b.ideal(grid).reshape(-1, 2)
     off = map_homography(fit_homography(first, second), first) - second
@@ -215,7 +215,7 @@ def lens_difference(a: Lens, b: Lens, size_px: tuple[int, int]) -> FloatArray:
 
 
 def lens_spread(lens: Lens, covariance: FloatArray, size_px: tuple[int, int]) -> FloatArray:
-    """(R, C) standard deviation, px, of points on a plane by that of the lens, as above."""
+    """(R, C) standard deviation, px, of a plane's points due to the lens, after a homography."""
     grid = picture_grid(size_px)
     ideal = lens.ideal(grid).reshape(-1, 2)
     scale = np.array([lens.fx_px, lens.fy_px])
@@ -235,7 +235,7 @@ def lens_spread(lens: Lens, covariance: FloatArray, size_px: tuple[int, int]) ->
 
 
 def homography_tangents(points: FloatArray) -> FloatArray:
-    """(N, 2, 8) how (N, 2) points move with the eight numbers of a homography about the unit."""
+    """(N, 2, 8) derivatives of (N, 2) mapped points by a homography's numbers, at the identity."""
     x, y = points[:, 0], points[:, 1]
     zero, one = np.zeros(len(points)), np.ones(len(points))
     return np.stack(

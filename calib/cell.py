@@ -164,7 +164,7 @@ def plane_in_base(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: boo
 
 
 def view_of(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> PlaneView:
-    """Pixel → plane by the parameters (P,)."""
+    """Map from pixels to the plane, for the parameters (P,)."""
     X_CP = pose(x[CAMERA]) @ plane_in_base(x, home, up, in_plane)
     return PlaneView.from_pose(Lens.of(x[LENS]), X_CP)
 

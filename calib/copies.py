@@ -1,4 +1,4 @@
-"""Which pictures show the same: copies, or a burst of what stands still, are one picture.
+"""Detects pictures that show the same points at the same places: copies, or a burst at rest.
 
 Their noise is averaged at best; errors of the model, the pose and the lens are the same in each.
 Counted as several they would make a calibration look surer than it is.
@@ -34,7 +34,7 @@ SeenT = TypeVar("SeenT", bound=_Named)
 
 @dataclass(frozen=True)
 class Independent(Generic[SeenT]):
-    """Pictures that differ, and what is told of those left out, one sentence each."""
+    """Pictures that differ from each other, and one sentence about each that was left out."""
 
     kept: tuple[SeenT, ...]
     left_out: tuple[str, ...]
@@ -45,7 +45,7 @@ def independent(
     ids: Callable[[SeenT], NDArray[np.int64]],
     known: Sequence[SeenT] = (),
 ) -> Independent[SeenT]:
-    """The first of every set of pictures that show the same points at the same places.
+    """Keep the first of every set of pictures that show the same points at the same places.
 
     ids    (N,) of a picture's points
     known  pictures that are used already

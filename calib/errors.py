@@ -1,4 +1,4 @@
-"""What goes wrong in a calibration: each with its cause and its remedy."""
+"""Errors of a calibration, each with its cause and its remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The classic way to the same map, as a cross-check: every pose by itself, then robot and camera.
+"""Cross-check of the joint fit by classic hand–eye calibration: poses one by one, then the robot.
 
 A plate's pose is found in each picture alone (`solvePnP`), and the camera's place in the robot's
 base by bringing these and the arm's poses together.  Of the joint fit it shares the pictures and
@@ -25,7 +25,7 @@ from drivers.interfaces import FloatArray
 def classic_view(
     shown: Sequence[JawObservation], marks_m: FloatArray, lens: Lens, X_BP: FloatArray
 ) -> PlaneView:
-    """Pixel → plane, the camera found pose by pose.
+    """Map from pixels to the plane, with the plate's pose estimated picture by picture.
 
     marks_m  (M, 2) as stated
     lens     as found from the board alone
@@ -75,7 +75,7 @@ _EDGE_PX = 25.0
 def in_picture(
     fit: CellFit, poses: Sequence[FloatArray], marks_m: FloatArray, size_px: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """(S,) whether all marks are in the picture with the gripper at poses X_BT (4, 4)."""
+    """(S,) whether all marks lie within the picture at tool poses X_BT (S, 4, 4)."""
     shown = [JawObservation("", X, np.zeros((len(marks_m), 2))) for X in poses]
     pixels = MarksModel(shown, marks_m, Gravity(fit.up, 1.0), 1.0)(fit.mean)[0]
     pixels = pixels.reshape(len(shown), -1, 2)

@@ -30,7 +30,7 @@ LENS, CAMERA, MARK, SCALE, GRAVITY, BESIDE = (
 
 
 def parameter_count(marks: int) -> int:
-    """Of the joint fit with so many marks."""
+    """Number of parameters of the joint fit with this many marks."""
     return 24 + 3 * marks - 7
 
 
@@ -67,7 +67,7 @@ class Plate:
 
 @dataclass(frozen=True, eq=False)
 class JawObservation:
-    """The jaw's marks at rest: where the arm says the tool is, X_BT (4, 4), and (M, 2) pixels.
+    """The jaw's marks with the gripper at rest: the arm's pose X_BT (4, 4), and (M, 2) pixels.
 
     smear_px  length of the way that they moved in the picture while it was exposed
     """
@@ -93,7 +93,7 @@ class Gravity:
 
 
 class MarksModel:
-    """Residuals of all marks, what a pose's marks have in common weighted by `together`."""
+    """Residuals of all marks; `together` weights what all marks of one pose have in common."""
 
     def __init__(
         self,

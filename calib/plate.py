@@ -1,4 +1,4 @@
-"""Light discs on the jaw's plate, found in a picture of which nothing is known yet."""
+"""Detects the light discs on the jaw's plate in a picture, without a prior of its pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Least squares that a few wrong points cannot bend, with the covariance of what is found."""
+"""Least squares that is robust to a few outliers, with the covariance of the parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True, eq=False)
 class PriorKnowledge:
-    """Gaussian knowledge of the parameters beside that from the points.
+    """Gaussian prior of the parameters, to be combined with the information from the points.
 
     expected     (P,) parameters, with (P, P) information (inverse covariance) about them
     further      (P,) → (K,) residuals in standard deviations, and their (K, P) derivatives
@@ -107,7 +107,7 @@ def robust_fit(model: Model, start: FloatArray, prior: PriorKnowledge) -> Robust
 
 
 def sum_variance(terms: FloatArray) -> float:
-    """Variance of the sum of (N,) terms of mean 0, of which neighbours may go together.
+    """Variance of the sum of (N,) terms of mean 0 whose neighbours may be correlated.
 
     source  Newey & West 1987
     """

@@ -1,4 +1,4 @@
-"""Calibrations on disk: one YAML file each, that a person can read and a program can trust.
+"""Calibrations on disk: one YAML file each, readable for a person, protected by a hash.
 
 format: cell-calibration/2
 kind: cell                       # camera, cell, time or grip
@@ -42,7 +42,7 @@ class CalibrationFileError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class StoredCalibration:
-    """A calibration: what, when, how, on which devices, how wrong, and the numbers."""
+    """A stored calibration: kind, date, method, devices, stated errors, result."""
 
     kind: str
     made: datetime

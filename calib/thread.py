@@ -1,4 +1,4 @@
-"""A plumb line in a picture: what is there beside the same picture without it."""
+"""Detects a plumb line: the difference between pictures with it and without it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Latency of the camera and lag of the arm, apart, from one filmed motion."""
+"""Estimates the camera's latency and the arm's lag separately, from one filmed motion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _APART_S, _STRIDE_S, _SETTLED_S, _STEPS = 2e-4, 0.02, 1e-7, 12
 
 @dataclass(frozen=True)
 class Delay:
-    """A delay, s, with half the width of its 95 % interval; what is left, rms, m."""
+    """A delay, s, half the width of its 95 % interval, s, and the rms residual at it, m."""
 
     value_s: float
     half_width_s: float
@@ -34,7 +34,7 @@ class Delay:
 
 
 def camera_latency(stamps_s: FloatArray, detected_m: FloatArray, gripper_log: Trajectory) -> Delay:
-    """By how much the camera's stamps are late on the cell's clock.
+    """Latency of the camera's time stamps: how late they are on the cell's clock.
 
     stamps_s  (N,) of frames
     detected_m  (N, 2) gripping point as the camera sees it
@@ -60,7 +60,7 @@ def camera_latency(stamps_s: FloatArray, detected_m: FloatArray, gripper_log: Tr
 
 
 def arm_lag(commanded: Trajectory, gripper_log: Trajectory) -> Delay:
-    """By how much the arm follows late: the lag of `servo_response`.
+    """Lag of the arm behind the commanded path, as modelled by `servo_response`.
 
     commanded  path as commanded, times on the cell's clock
     gripper_log  measured poses of the same time
@@ -87,7 +87,7 @@ def _lag_residuals(commanded: Trajectory, gripper_log: Trajectory) -> Callable[[
 
 
 def latency_change(stamps_s: FloatArray, detected_m: FloatArray, gripper_log: Trajectory) -> Delay:
-    """By how much stamps are still late whose latency is taken off: near 0, without a search.
+    """Remaining latency of stamps that were corrected for latency: near 0, without a search.
 
     Takes milliseconds; what it takes and raises is that of `camera_latency`, but for misfits.
     """
@@ -105,7 +105,7 @@ def latency_change(stamps_s: FloatArray, detected_m: FloatArray, gripper_log: Tr
 
 
 def lag_change(commanded: Trajectory, gripper_log: Trajectory, lag_s: float) -> Delay:
-    """By how much the arm follows later than `lag_s`, without a search; see `arm_lag`."""
+    """Change of the arm's lag from `lag_s`, without a search; see `arm_lag`."""
     left = _lag_residuals(commanded, gripper_log)
     found = _nearby(left, lag_s)
     return replace(found, value_s=found.value_s - lag_s)

@@ -1,4 +1,4 @@
-"""`python -m cell`, and the command `cell`: whenever Ctrl-C comes, one line and 130."""
+"""`python -m cell`, and the command `cell`: Ctrl-C prints one line and exits with 130."""
 
 import signal
 import sys

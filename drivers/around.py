@@ -1,4 +1,4 @@
-"""Arm, camera and gripper that pass everything on to another: a base for limits and recorders."""
+"""Wrappers that pass every call on to an arm, camera or gripper: bases for limits and recorders."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from drivers.interfaces import Arm, ArmState, Camera, Frame, Gripper, GripperSta
 
 
 class ArmAround:
-    """Passes on to an arm what it is told.  Errors are those of the arm."""
+    """Passes every call on to an arm.  Errors are those of the arm."""
 
     def __init__(self, arm: Arm) -> None:
         self.name = arm.name
@@ -60,7 +60,7 @@ class ArmAround:
 
 
 class CameraAround:
-    """Passes on to a camera what it is told.  Errors are those of the camera."""
+    """Passes every call on to a camera.  Errors are those of the camera."""
 
     def __init__(self, camera: Camera) -> None:
         self.name = camera.name
@@ -97,7 +97,7 @@ class CameraAround:
 
 
 class GripperAround:
-    """Passes on to a gripper what it is told.  Errors are those of the gripper."""
+    """Passes every call on to a gripper.  Errors are those of the gripper."""
 
     def __init__(self, gripper: Gripper) -> None:
         self.name = gripper.name

@@ -1,4 +1,4 @@
-"""Recording from a camera that streams: a thread takes every picture, and counts.
+"""Recording from a streaming camera: a thread takes and counts every picture.
 
 A camera library is a `Source`.  Everything else is the same for all of them and lives here: the
 deadline of opening, slow and silent cameras, and the origin of the camera's time stamps; what is
@@ -58,7 +58,7 @@ class FrameSource(Protocol):
 
 
 class StreamingCamera:
-    """A camera whose pictures a thread of its own takes, so that no reader holds anything up.
+    """Camera whose pictures a thread takes, so that a slow reader delays none.
 
     open_source  opens a camera, sets it up and reads it back; raises ConnectError.  It may hang
                  for longer than `connect_s`: then its thread is left behind, and releases the

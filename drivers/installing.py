@@ -1,4 +1,4 @@
-"""How an optional part of this project is installed where it runs."""
+"""Shell command that installs an extra (optional dependencies) of this project."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the cell asks of a device: Arm, Camera, Gripper, Clock, their data and their errors.
+"""Interfaces of the devices: Arm, Camera, Gripper, Clock, their data and their errors.
 
 Everything a device says is in the cell's plane and on the cell's clock: x right, y up, metres,
 radians, seconds.  The drivers own the mapping from there to their robot's or camera's own frames.
@@ -163,7 +163,7 @@ class TooLateError(LimitError):
 
 
 def too_late(device: str, late_s: float) -> TooLateError:
-    """What an arm says that is told to start in the past."""
+    """Error of an arm that is commanded to start at a moment in the past."""
     return TooLateError(
         device,
         f"told {late_s * 1e3:.1f} ms after the moment at which it was to start",
@@ -172,7 +172,7 @@ def too_late(device: str, late_s: float) -> TooLateError:
 
 
 def revised_too_late(device: str, late_s: float) -> TooLateError:
-    """What an arm says that is to leave its path at a moment that has gone by."""
+    """Error of an arm that is commanded to change its path from a moment in the past."""
     return TooLateError(
         device,
         f"told {late_s * 1e3:.1f} ms after the moment from which its path was to change",
@@ -181,7 +181,7 @@ def revised_too_late(device: str, late_s: float) -> TooLateError:
 
 
 def nothing_to_revise(device: str) -> LimitError:
-    """What an arm says that is to change a path while it follows none."""
+    """Error of an arm that is commanded to change its path while it follows none."""
     return LimitError(device, "follows no path that could be changed", "nothing was moved")
 
 

@@ -16,7 +16,7 @@ _SESSION = Path("/proc/self/autogroup")
 
 
 def run_in_real_time(priority: int = 20) -> bool:
-    """Schedule this process, and the threads it will start, before ordinary ones.
+    """Schedule this process and its later threads in real time (SCHED_FIFO).
 
     What is imported by now is kept for good: to look through it would take the garbage collector
     ten milliseconds now and then.
@@ -29,7 +29,7 @@ def run_in_real_time(priority: int = 20) -> bool:
 
 
 def raise_thread(priority: int) -> bool:
-    """Schedule the calling thread before ordinary ones, and the threads that it will start.
+    """Schedule the calling thread and those that it will start in real time (SCHED_FIFO).
 
     For threads that wait nearly all the time: what they wait for must not be missed.
     priority  1 … 99 of the real-time scheduler; the arm's process has 20
@@ -67,7 +67,7 @@ def session_nice() -> int:
 
 
 def set_session_nice(nice: int) -> None:
-    """Change it, -20 … 19, for all that runs in the session, where that is permitted."""
+    """Set the nice value, -20 … 19, of this process's session, where that is permitted."""
     with contextlib.suppress(OSError):
         _SESSION.write_text(str(nice))
 
@@ -81,7 +81,7 @@ def own_threads() -> set[int]:
 
 
 class Pollers:
-    """Threads of this process that look every 100 µs whether something has come, as ur-rtde's do.
+    """Threads of this process that poll every 100 µs, as ur-rtde's do.
 
     In real time each takes a fifth of a core.  While their user sleeps nobody needs them: they may
     then wake up later, and after others.  While it is awake they are in real time as it is, since
@@ -125,7 +125,7 @@ class Pollers:
 
 
 def bound_spinning(seconds: float) -> None:
-    """End this process when it computes in real time for that long without ever waiting.
+    """Have the system end this process if it computes in real time for so long without waiting.
 
     ur-rtde spins while it waits for a controller that has fallen silent, and would keep everything
     else off a core.  Without real-time scheduling, or where there is no such limit, nothing

@@ -1,4 +1,4 @@
-"""What a recording takes in, picture by picture, and what it refuses.
+"""Checks each picture of a recording as it arrives, and refuses what is wrong.
 
 Every picture is checked when it comes: none is missing, repeated, late, of another size or one
 too many to be kept.
@@ -69,7 +69,7 @@ class CaptureOptions:
 def check_settings(
     width_px: int, height_px: int, frame_rate_hz: float, exposure_s: float | None
 ) -> None:
-    """What can be asked of any camera.  Raises ValueError: not > 0."""
+    """Check that a camera's settings are positive.  Raises ValueError."""
     numbers = {"width_px": width_px, "height_px": height_px, "frame_rate_hz": frame_rate_hz}
     if exposure_s is not None:
         numbers["exposure_s"] = exposure_s

@@ -35,7 +35,7 @@ class OtherMotionError(DeviceError):
 
 @dataclass(frozen=True)
 class RecordedPoses:
-    """Measured poses as the arm told them when it was asked for those of a time."""
+    """Measured poses that the recorded arm returned for the time from `start_s` to `end_s`."""
 
     start_s: float
     end_s: float
@@ -43,7 +43,7 @@ class RecordedPoses:
 
 
 class ReplayArm:
-    """An arm that says what the recorded one said, and takes only its filmed motions.
+    """Arm that returns what the recorded one returned, and accepts only its filmed motions.
 
     logs     in the order in which they were given
     filmed   paths that were told with a moment of their start
@@ -144,7 +144,7 @@ class ReplayArm:
 
 
 class FilmedArm(ReplayArm):
-    """An arm of which only measured poses are known, for as long as a film was made.
+    """Arm of a film: only its measured poses are known, for the time of the film.
 
     gripper_log  the poses, on the clock of the film
     """
@@ -231,7 +231,7 @@ class ReplayCamera:
 
 
 class ReplayGripper:
-    """A gripper that held, or did not hold, what the recorded one did."""
+    """Gripper that holds a cable if the recorded one did."""
 
     name = "gripper"
 

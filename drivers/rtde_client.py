@@ -1,4 +1,4 @@
-"""A small client of the RTDE protocol: a controller's version, values that it reports and takes.
+"""Small RTDE client: reads a controller's version and outputs, and sets its inputs.
 
 Every wait has a deadline, and nothing in it needs ur-rtde: what watches inputs beside the arm can
 neither crash nor hang with that library.

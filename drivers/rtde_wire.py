@@ -82,7 +82,7 @@ INPUTS: Mapping[str, str] = {
 
 
 class PackageType(IntEnum):
-    """What a packet is; the letters of the guide."""
+    """Type of a packet: codes of the RTDE guide."""
 
     PROTOCOL_VERSION = 86
     CONTROLLER_VERSION = 118

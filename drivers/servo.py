@@ -1,4 +1,4 @@
-"""How an arm's servo follows a streamed path: the response of a lag without overshoot."""
+"""Model of an arm's servo on a streamed path: a lag without overshoot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Threads whose death has a consequence: what nobody caught is handed on, and logged."""
+"""Threads that pass on an uncaught exception and log it, instead of ending silently."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ class GuardedThread(threading.Thread):
 
 
 def said(error: BaseException) -> str:
-    """An exception in words: its type and its message."""
+    """Text of an exception: its type and its message."""
     return f"{type(error).__name__}: {error}"
 
 
 def only_logged(error: BaseException) -> None:
-    """For a thread on whose work nothing depends: the line in the log is enough."""
+    """Handler for a thread on which nothing depends: the exception is only logged."""
 
 
 def end_process(error: BaseException) -> None:
-    """For a thread without which its process is of no use: whoever started it sees it end."""
+    """Handler for a thread that its process needs: log the exception, and end the process."""
     _LOG.error("%s", said(error), exc_info=error)
     os._exit(1)

@@ -1,4 +1,4 @@
-"""The process in which ur-rtde lives: it may hang or crash there without taking the cell along.
+"""Child process that runs ur-rtde, which may hang or crash there without harm to the cell.
 
 Started by `drivers.ur`; speaks to it through a connection (requests, answers) and shared memory
 (stop, heartbeat, samples).  Every cycle it awaits the robot's state, obeys a stop, and in step with
@@ -38,7 +38,7 @@ _PHASE, _SLEW = 0.4, 0.01
 
 
 class ControllerClock:
-    """Learns from the arrival of states when the controller's cycles are.
+    """Estimates the phase of the controller's cycles from the arrival of its states.
 
     A command that comes while the controller looks for one is taken now in this cycle, now in the
     next; so commands are sent in between, however the two clocks drift.

@@ -1,4 +1,4 @@
-"""Who commands a UR controller: three integer inputs of RTDE that one client only may write.
+"""Claims the command of a UR controller: three integer inputs of RTDE that only one client writes.
 
 Any client may read them.  The controller frees them when the owner's connection ends, however that
 ends, so a claim lives as long as the process that holds it.
@@ -65,7 +65,7 @@ class ClaimedError(ConnectionError):
 
 
 def claim(host: str, pid: int, further: Sequence[str] = (), *, seconds: float = 2.0) -> RtdeClient:
-    """A connection that is this program's claim to command a controller, until it is closed.
+    """Claim the right to command a controller, until the returned connection is closed.
 
     pid      process by which others name this program
     further  input variables that must be free, too

@@ -1,4 +1,4 @@
-"""The dashboard server of a UR controller, asked without ur-rtde: no answer is waited for long."""
+"""Client of a UR controller's dashboard server, without ur-rtde, with short timeouts."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Dashboard:
 
 
 class RemoteControl:
-    """Whether the pendant leaves control to us: a thread of its own asks twice a second.
+    """Polls twice a second, in a thread, whether the controller is in remote control.
 
     While the pendant has control a controller takes no program, but goes on with the one that runs.
 

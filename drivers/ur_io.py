@@ -1,4 +1,4 @@
-"""Digital inputs and outputs of a UR controller over RTDE, beside whoever moves the arm.
+"""Digital inputs and outputs of a UR controller over RTDE, next to the program that moves the arm.
 
 ur-rtde claims none of these outputs to move an arm, and this needs none of its registers.
 
@@ -29,7 +29,7 @@ _FOLLOWS_S = 0.5
 
 
 class UrIo:
-    """Tells a controller's inputs and sets some of its outputs, within a `with`, in a thread.
+    """Reads a controller's inputs and sets some of its outputs, in a thread, within a `with`.
 
     A connection that is lost is made anew, again and again.  Inputs count only while the outputs
     are as they were set.  Whoever leaves the `with` leaves the outputs as they were set last.

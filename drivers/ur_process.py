@@ -1,4 +1,4 @@
-"""The process in which ur-rtde lives, as its parent holds it: started, listened to, ended."""
+"""The parent's handle of the process that runs ur-rtde: starts it, receives from it, ends it."""
 
 from __future__ import annotations
 

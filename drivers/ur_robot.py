@@ -61,7 +61,7 @@ class RobotOptions:
 
 
 class RefusedError(Exception):
-    """A request that cannot be met now: the cause, and what a person can do."""
+    """A request that cannot be met in the present state: cause and remedy."""
 
     def __init__(self, cause: str, remedy: str) -> None:
         super().__init__(cause)

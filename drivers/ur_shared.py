@@ -19,7 +19,7 @@ RING = 60_000
 
 
 class Slot(IntEnum):
-    """Numbers in the header, and who writes them."""
+    """Positions of numbers in the shared header, and which process writes each."""
 
     STOPS = 0  # parent: number of stops asked for
     HEARTBEAT_S = 1  # child: monotonic time of its last cycle; nan while it is busy

@@ -1,4 +1,4 @@
-"""What is known of the versions of a UR controller, and whether the driver may run with one.
+"""Table of tested UR controller versions, and whether the driver may run with a version.
 
 source  ur-rtde 1.6.5: its source (`rtde_control_interface.cpp`), its README, its issue 334;
         Universal Robots Client Library: `doc/polyscope_compatibility.rst`
@@ -104,12 +104,12 @@ class Refusal:
 
 
 def known_of(version: Version) -> VersionRange:
-    """What is known of a version."""
+    """Entry of the table for a version."""
     return next(r for r in RANGES if version <= r.last or r.last == _NEWEST)
 
 
 def is_proved(version: Version) -> bool:
-    """Whether the driver runs with it on nobody's responsibility."""
+    """Whether a version is proved: the driver runs with it without `arm.allow_version`."""
     return known_of(version).known is SupportLevel.PROVED
 
 
@@ -147,7 +147,7 @@ def version_text(version: tuple[int, ...]) -> str:
 
 
 def read_version(text: str) -> tuple[int, int, int, int]:
-    """Major, minor, bugfix and build as from 5.12.2.1101534; what is left out is 0.
+    """Version (major, minor, bugfix, build) from text such as 5.12.2.1101534; missing parts are 0.
 
     raises  ValueError: it is no version
     """
@@ -181,7 +181,7 @@ class ControllerIdentity:
 
 
 def identify(host: str, seconds: float = 2.0) -> ControllerIdentity:
-    """The controller at an address, asked without ur-rtde: nothing of it can hang or crash.
+    """Identity of the controller at an address, requested without ur-rtde, with short timeouts.
 
     seconds  that any answer may take
     raises   OSError: nobody is there, or it does not answer

@@ -37,7 +37,7 @@ class UrcapGripperOptions(RobotiqOptions):
 
 
 class UrcapGripper(RobotiqGripper):
-    """A gripper behind the server of Robotiq's URCap."""
+    """Robotiq-type gripper that is connected by the server of Robotiq's URCap."""
 
     def __init__(self, options: UrcapGripperOptions, clock: Clock, name: str = "gripper") -> None:
         super().__init__(options, clock, name, f"{options.host}:{options.port}", _LOST_REMEDY)

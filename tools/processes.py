@@ -69,14 +69,14 @@ def wait_until(reached: Callable[[], bool], program: Program | None = None) -> N
 
 
 def listens(port: int) -> bool:
-    """Whether somebody listens at a port of loopback."""
+    """Whether a process listens at a port of loopback."""
     with socket.socket() as tried:
         return tried.connect_ex(("127.0.0.1", port)) == 0
 
 
 @contextmanager
 def running(*words: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A Python module as a process, ended as a service is; its output goes to a file.
+    """Run a Python module as a process within the `with`; its output goes to a file.
 
     raises  RuntimeError: it ends with an error
     """
@@ -107,7 +107,7 @@ def busy_cores(count: int) -> Iterator[None]:
 
 
 def family(process: int) -> list[int]:
-    """A process and all that it has started, as Linux says."""
+    """A process and all its descendants, by /proc."""
     found = [process]
     for parent in found:
         for file in Path(f"/proc/{parent}/task").glob("*/children"):

@@ -1,4 +1,4 @@
-"""The tests that a change touches, the nearest first, for a run before every commit.
+"""Lists the tests that a change affects, the nearest first, for a run before every commit.
 
     python -m tools.quick [--since HEAD]
 
@@ -34,7 +34,7 @@ def changed_files(root: Path, since: str) -> list[str]:
 
 
 def imported_by(file: Path, package: str = "") -> Iterator[str]:
-    """Modules that a file imports, and what it takes from them, which may be modules too.
+    """Modules that a file imports, and the names that it imports from them.
 
     package  that relative imports begin at
     """
@@ -56,7 +56,7 @@ def module_of(path: str) -> str:
 def touched(
     changed: Sequence[str], modules: Mapping[str, set[str]], tests: Mapping[str, set[str]]
 ) -> list[str]:
-    """Files of tests, the nearest first.
+    """Affected files of tests, the nearest first.
 
     changed         files
     modules, tests  module → what it imports; file of tests → what it imports

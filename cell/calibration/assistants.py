@@ -1,4 +1,4 @@
-"""Ways to show board, plumb line and cable to the camera: a person does it, or a simulation."""
+"""Assistants that show board, plumb line and cable to the camera: a person, or a simulation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _HOLD = (
 
 
 class Assistant(Protocol):
-    """Interface of what shows the board and the plumb line to the camera."""
+    """Interface of an assistant, who shows the board and the plumb line to the camera."""
 
     def board(self, number: int, hint: str) -> None:
         """The board as the `number`-th view, from 1; `hint` says where it is lacking."""
@@ -56,7 +56,7 @@ class Assistant(Protocol):
 
 @dataclass(frozen=True)
 class Operator:
-    """Asks a person at a terminal.
+    """Assistant who is a person at a terminal: shows on request what the camera needs.
 
     ask     shows words and waits; returns what was typed; raises EOFError: nobody is there
     raises  CalibrationError, from every question: nobody is there
@@ -113,7 +113,7 @@ def coverage_picture(views: Sequence[BoardView], image: NDArray[np.uint8]) -> ND
 
 
 def write_coverage(folder: Path, views: Sequence[BoardView], image: NDArray[np.uint8]) -> None:
-    """Write the picture into the folder of the calibration; on a full disk the former one stays."""
+    """Write the coverage picture into the calibration's folder; a full disk keeps the old one."""
     data = cv2.imencode(".jpg", coverage_picture(views, image))[1]
     with suppress(OSError):
         write_atomic(folder / FILE, bytes(data))

@@ -1,4 +1,4 @@
-"""Measurements → calibration: each fit, what is stored of it, and today's error against it."""
+"""Computes calibrations from measurements, what is stored of them, and their drift since."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _STRETCH_REPORTED = 1e-3
 def camera_from(
     pictures: Sequence[NamedImage], board: Board
 ) -> tuple[CameraFit, tuple[BoardView, ...], tuple[str, ...]]:
-    """Lens, the views that it comes from, and what was wrong with other pictures.
+    """Fitted lens, the views that it was fitted to, and what was wrong with other pictures.
 
     Corners are found, a lens fitted, corners found again with it, and the lens fitted again.
     raises  CalibrationError
@@ -55,7 +55,7 @@ def camera_from(
 
 
 def doubts_about(fit: CameraFit) -> tuple[str, ...]:
-    """What a person should know of a lens and its board, with remedies."""
+    """Warnings about a fitted lens and its board, with remedies."""
     stretch, spread = fit.stretch
     if abs(stretch) < max(_STRETCH_REPORTED, 3.0 * spread):
         return ()
@@ -86,7 +86,7 @@ def _views(
 
 
 def stored_camera(fit: CameraFit, settings: Settings) -> StoredCalibration:
-    """What is kept of a lens."""
+    """Calibration file content of a fitted lens."""
     return StoredCalibration(
         "camera",
         datetime.now(UTC),
@@ -135,7 +135,7 @@ def cell_from(shown: ShownCell, camera: StoredCalibration, settings: Settings) -
 def disagreement_m(
     fit: CellFit, shown: ShownCell, camera: StoredCalibration, settings: Settings
 ) -> FloatArray:
-    """(R, C) over the picture: where the classic way puts a pixel beside where the joint fit does.
+    """(R, C) distance over the picture between the points of the classic map and the joint fit.
 
     See `calib.hand_eye`; m in the plane.
     """
@@ -148,7 +148,7 @@ def disagreement_m(
 
 
 def stored_cell(fit: CellFit, classic_m: FloatArray, settings: Settings) -> StoredCalibration:
-    """What is kept of a cell; `classic_m` is its `disagreement_m`."""
+    """Calibration file content of a fitted cell; `classic_m` is its `disagreement_m`."""
     size = (settings.camera.width_px, settings.camera.height_px)
     spread_m = fit.spread_m(picture_grid(size))
     origin_m, turn_rad = fit.plane_spread()
@@ -210,7 +210,7 @@ def times_from(move: DetectedMove) -> Times:
 def stored_times(
     times: Times, settings: Settings, frames: int, latency_s: float
 ) -> StoredCalibration:
-    """What is kept of the delays; `latency_s` is the latency that the driver took off already."""
+    """Calibration file content of the delays; `latency_s` is what the driver corrects already."""
     return StoredCalibration(
         "time",
         datetime.now(UTC),
@@ -248,7 +248,7 @@ class Drift:
 def today(
     shown: ShownCell, cell: StoredCalibration, times: Times | None, settings: Settings, config: str
 ) -> Drift:
-    """Today's error.  Raises CalibrationError: the marks are not found."""
+    """Compare the cell with its calibration.  Raises CalibrationError: no marks were detected."""
     marks = vision_of(settings).marks
     found = detect_marks(shown.poses, marks)
     if not found:

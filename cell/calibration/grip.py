@@ -1,4 +1,4 @@
-"""How the jaws hold a cable, from pictures of it at rest: what is shown, found and kept."""
+"""Grip calibration: how the jaws hold a cable, from pictures of it at rest in several poses."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def show_cable(
 
 
 def grip_poses(settings: Settings, view: PlaneView) -> list[Pose]:
-    """Where a cable is shown: as steep as the limits allow, for it is bent least there.
+    """Poses in which a cable is shown: as steep as the limits allow, where gravity bends it least.
 
     raises  TooFewError: too few of them are in the picture
     """
@@ -114,7 +114,7 @@ def _at_rest(session: CalibrationSession, goal: Pose, view: PlaneView) -> Restin
 
 
 def rough_vision_options(settings: Settings) -> VisionOptions:
-    """How a cable is looked for whose length is only known roughly."""
+    """Vision options for a cable whose length is only known roughly."""
     vision = vision_of(settings)
     return replace(
         vision, length_tolerance_m=max(vision.length_tolerance_m, _ROUGHLY * vision.free_length_m)
@@ -124,7 +124,7 @@ def rough_vision_options(settings: Settings) -> VisionOptions:
 def views_of(
     shown: ShownCell, view: PlaneView, settings: Settings
 ) -> tuple[tuple[GripView, ...], tuple[str, ...]]:
-    """The cable measured in every picture, and why not in others.
+    """The cable as measured in each picture, and why it was not measured in the others.
 
     raises  TooFewError, which names what is wrong with the pictures, and what to do first
     """
@@ -165,7 +165,7 @@ def grip_from(views: tuple[GripView, ...], cell: StoredCalibration) -> GripFit:
 
 
 def stored_grip(fit: GripFit, settings: Settings, troubles: tuple[str, ...]) -> StoredCalibration:
-    """What is kept of a grip."""
+    """Calibration file content of a fitted grip."""
     x, y, angle, length = (float(v) for v in fit.half_95)
     spread = fit.repeatability
     devices = devices_of(settings)

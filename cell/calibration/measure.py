@@ -1,4 +1,4 @@
-"""Shows the board, moves the gripper and films it: the measurements of each calibration."""
+"""Takes the measurements of each calibration: shows the board, moves and films the gripper."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from drivers.interfaces import Pose, Trajectory
 
 
 class Say(Protocol):
-    """Tells a person what is done: `done` of `total` pieces lie behind; 0 of 0 = not counted."""
+    """Reports progress to a person: `done` of `total` pieces are complete; 0 of 0 = not counted."""
 
     def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
         """Must return at once."""
@@ -45,7 +45,7 @@ _COARSE = 4  # the picture is cut in so many columns and rows to say where corne
 
 
 def marks_m(marks: JawMarks) -> FloatArray:
-    """(M, 2) centres."""
+    """(M, 2) centres of the jaw's marks, m."""
     return np.array(marks.centres_m)
 
 
@@ -56,7 +56,7 @@ def show_board(
     say: Say,
     look: OnCoverage | None = None,
 ) -> list[NamedImage]:
-    """Pictures of the board in many poses, with word of where corners are lacking.
+    """Take pictures of the board in many poses, with hints where corners are still lacking.
 
     look  is shown every picture, with the views so far
     """
@@ -82,7 +82,7 @@ def show_board(
 
 
 def lacking(views: Sequence[BoardView]) -> str:
-    """Where in the picture few corners were seen: " further up and left", or nothing."""
+    """Hint where in the picture few corners were seen: " further up and left", or ""."""
     if len(views) < 3:
         return ""
     width, height = views[0].size_px
@@ -103,7 +103,7 @@ def lacking(views: Sequence[BoardView]) -> str:
 def film_plate(
     session: CalibrationSession, assistant: Assistant, fit: Callable[[ShownCell], CellFit], say: Say
 ) -> ShownCell:
-    """The gripper at rest in poses, the later ones where they teach most; and a plumb line."""
+    """Picture the plate at rest in fixed and in informative poses, and a plumb line."""
     assistant.clear()
     settings = session.settings
     marks = vision_of(settings).marks
@@ -146,7 +146,7 @@ def film_plate(
 
 
 def first_poses(settings: Settings) -> list[Pose]:
-    """Corners and middles of a box well within the limits, turned alternately."""
+    """Corners and middles of a box well within the limits, with alternating clamp angles."""
     low, high = within_limits(settings)
     middle, half = 0.5 * (low + high), 0.5 * _FIRST_SHARE * (high - low)
     low, high = middle - half, middle + half
@@ -156,14 +156,14 @@ def first_poses(settings: Settings) -> list[Pose]:
 
 
 def candidate_poses(settings: Settings) -> list[Pose]:
-    """A grid over the limits."""
+    """Grid of poses over the limits."""
     low, high = within_limits(settings)
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, (6, 6, 3), strict=True)]
     return [Pose(*(float(v) for v in values)) for values in product(*axes)]
 
 
 def within_limits(settings: Settings, most_rad: float = _TURN_RAD) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest x, y and angle of poses, well within the limits; turned by no more."""
+    """Least and greatest x, y, angle, well within the limits; angle by at most `most_rad`."""
     limits = settings.limits
     edges = np.array([limits.x_m, limits.y_m, limits.angle_rad])
     middle, half = edges.mean(axis=1), 0.5 * _SHARE * np.ptp(edges, axis=1)
@@ -193,7 +193,7 @@ def matrix_of(pose: Pose) -> FloatArray:
 
 
 def detect_marks(shown: Sequence[ShownPose], marks: JawMarks) -> list[JawObservation]:
-    """The poses in which the marks were found."""
+    """The jaw's marks in the picture of each pose in which the plate was detected."""
     found = []
     for one in shown:
         plate = find_plate(one.picture.image, marks_m(marks), marks.radius_m)
@@ -207,7 +207,7 @@ def detect_marks(shown: Sequence[ShownPose], marks: JawMarks) -> list[JawObserva
 
 
 def timing_path(settings: Settings, start: Pose, rate_hz: float) -> Trajectory:
-    """Down and up again, twice, briskly, within the limits."""
+    """Fast path down and up, twice, within the limits."""
     limits, motion = settings.limits, settings.motion
     way_m = min(motion.lower_m, start.y_m - limits.y_m[0])
     brisk = motion.lowering
@@ -222,7 +222,7 @@ def timing_path(settings: Settings, start: Pose, rate_hz: float) -> Trajectory:
 
 
 def detect_move(filmed: FilmedMove, view: PlaneView, marks: JawMarks) -> DetectedMove:
-    """Where the jaw was seen in each frame; nan where it was not."""
+    """Detect the gripping point in each frame of a motion; nan where the jaw was not detected."""
     seen = np.full((len(filmed.frames), 2), np.nan)
     near: FloatArray | None = None
     for k, frame in enumerate(filmed.frames):

@@ -65,7 +65,7 @@ class ShownCell:
 
 @dataclass(frozen=True, eq=False)
 class DetectedMove:
-    """A motion as told, as measured, and where the camera saw the gripping point at its stamps."""
+    """A motion as commanded, as measured, and as detected by the camera at its stamps."""
 
     commanded: Trajectory
     gripper_log: Trajectory

@@ -41,7 +41,7 @@ _BROKEN_OFF = "calibration broken off"
 
 @dataclass(frozen=True, eq=False)
 class RestingView:
-    """The gripper at rest: measured pose, the mean over a while; the mean of some pictures."""
+    """The gripper at rest: mean of its measured poses, and mean of several pictures."""
 
     pose: Pose
     image: Image
@@ -49,7 +49,7 @@ class RestingView:
 
 @dataclass(frozen=True, eq=False)
 class FilmedMove:
-    """A motion as told and as measured, on the cell's clock, and every frame of it."""
+    """A motion as commanded and as measured, on the cell's clock, and all its frames."""
 
     commanded: Trajectory
     gripper_log: Trajectory
@@ -173,7 +173,7 @@ class CalibrationSession:
 def opened(
     settings: Settings, devices: Devices, *, moves: bool, say: Callable[[str], None]
 ) -> Iterator[CalibrationSession]:
-    """Devices connected, with empty jaws where the arm moves; stopped and closed at the end.
+    """Session with connected devices; jaws must be empty if the arm moves; closes at the end.
 
     raises  DeviceError
     """

@@ -1,4 +1,4 @@
-"""A whole calibration from devices or folders to files and reports, part by part."""
+"""Calibrations from start to end, part by part: from devices or folders to files and reports."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _BETTER = {
 
 
 class BrokenOffError(ValueError):
-    """Nothing came of the part that was under way, and nothing of it is kept.
+    """The present part of a calibration failed; nothing of it is stored.
 
     A device failed, what was shown cannot be used, or a stored calibration cannot be read.
     Scenario: the camera's cable is pulled out while the board is shown.
@@ -63,7 +63,7 @@ class BrokenOffError(ValueError):
 
 
 class CalibrationJob:
-    """Devices, settings and files of a calibration, within a `with`.
+    """A calibration run, used as a context: its devices, settings and files.
 
     say, ask  progress for a person; a question that waits for an answer
     live      False = only from folders: nothing is connected

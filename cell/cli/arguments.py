@@ -1,4 +1,4 @@
-"""What a command is given: folders of cycles, and recordings, which stand for their folders."""
+"""Arguments of commands: folders of cycles, or recordings, which are unpacked to folders."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def taking(kind: type[Any]) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
-    """A command for typer that takes the fields of a frozen dataclass as its options.
+    """Turn a command that takes a frozen dataclass into one whose typer options are its fields.
 
     Every field is annotated as typer wants a parameter to be.
     """
@@ -53,12 +53,12 @@ RECORDING = ".mcap"
 
 
 def folder_of(ctx: typer.Context, given: Path) -> Path:
-    """The folder itself, or one with what a recording holds, until the command ends."""
+    """The given folder; of a recording a temporary folder, until the command ends."""
     return folder_in(ctx.with_resource, given)
 
 
 def records_folder(given: Path) -> Path:
-    """A folder of records, beside which log, ledger and socket have their places."""
+    """A folder of records by its name; log, ledger and socket are placed next to it."""
     try:
         return named_folder(given)
     except ValueError as error:
@@ -74,17 +74,17 @@ Runs = Annotated[
 
 
 def maybe_folder_of(ctx: typer.Context, given: Path | None) -> Path | None:
-    """The same of what may be left out."""
+    """As `folder_of`; None stays None."""
     return None if given is None else folder_of(ctx, given)
 
 
 def folders_of(ctx: typer.Context, given: Sequence[Path]) -> list[Path]:
-    """The same for several."""
+    """As `folder_of`, for several paths."""
     return [folder_of(ctx, path) for path in given]
 
 
 def folder_in(enter: Callable[[AbstractContextManager[str]], str], given: Path) -> Path:
-    """The folder itself, or one with what a recording holds; `enter` says until when."""
+    """The given folder; of a recording a temporary one, which `enter` adds to a context."""
     if given.suffix != RECORDING:
         return given
     from cell.files.input_error import InputError

@@ -1,4 +1,4 @@
-"""What a run makes: a cell from settings and options, and the products that it changes between."""
+"""Builds the cell of a run from settings and options, and changes it between products."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """All that a cell can make, by name in the order of the file; empty without products.
+    """All products that a cell can make, by name in the order of the file; may be empty.
 
-    whole     the settings' file
-    settings  as they are for each product
-    known     calibration of each product
-    usual     made unless something else is asked for; None = it must be asked for
+    default       settings of the file
+    settings      of each product
+    calibrations  of each product
+    usual         product that is made unless another is named; None = one must be named
     """
 
     default: Settings
@@ -82,7 +82,7 @@ def products_in(config: Path, asked: str | None, whole_frames: bool = False) -> 
 
 @dataclass(frozen=True, eq=False)
 class BuiltCell:
-    """A cell, and how it changes to another product."""
+    """A cell, and the tasks that it needs to change to another product."""
 
     cell: Cell
     products: Products
@@ -108,7 +108,7 @@ def build_cell(
     cycles: int | None,
     on_step: Callable[[int, str], None],
 ) -> BuiltCell:
-    """A cell that begins with a product, or with the only settings; nothing is connected yet.
+    """Build a cell for its first product, or for settings without products; not connected.
 
     first   None = without products
     known   calibration of the first product

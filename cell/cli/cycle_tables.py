@@ -1,4 +1,4 @@
-"""What a person reads of cycles: results, checks, times, faults, shifts, replays."""
+"""Tables about cycles for a person: results, checks, times, faults, shifts, replays."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def checks_table(result: Result) -> TableData:
 
 
 def conditions_table(conditions: Sequence[Condition]) -> TableData:
-    """What a cell needs of its computer, and what it has."""
+    """Conditions that a cell needs of its computer: measured, needed, and whether met."""
     rows = [[c.name, c.measured, c.needed, "met" if c.met else "not met"] for c in conditions]
     colours = {"met": "green", "not met": "red"}
     return TableData("", ["condition", "here", "needed", ""], rows, colours=colours)

@@ -34,7 +34,7 @@ app = group()
 
 
 class Target(Enum):
-    """What a model is exported to."""
+    """Format that a model is exported to."""
 
     MUJOCO = "mujoco"
     JSON = "json"
@@ -48,7 +48,7 @@ def _model_file(ctx: typer.Context, given: Path) -> Path:
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """What `cell export` is told."""
+    """Options of `cell export`."""
 
     model: Annotated[
         Path,

@@ -23,7 +23,7 @@ app = group()
 
 @dataclass(frozen=True)
 class FitCommandOptions:
-    """What `cell fit` is told."""
+    """Options of `cell fit`."""
 
     study: Annotated[
         Path | None,
@@ -68,7 +68,7 @@ class FitCommandOptions:
 
 
 class FitCommand(JsonCommand):
-    """Command whose study may be left out if `--from` is given."""
+    """`cell fit`: its argument, the study, may be omitted if `--from` is given."""
 
     def is_complete(self, given: Mapping[str, Any]) -> bool:
         """Whether it has what it works on."""

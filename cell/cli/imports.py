@@ -33,7 +33,7 @@ PREVIEW = "preview.html"
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What `cell import` is told."""
+    """Options of `cell import`."""
 
     files: Annotated[
         list[Path],

@@ -28,7 +28,7 @@ _LOOK_S = 0.2
 
 
 class Keyboard:
-    """Tells `on_key` of every key, in a thread of its own, within a `with`.
+    """Calls `on_key` for every key pressed, in a thread, within a `with`.
 
     Keys come without Enter and are not shown; Ctrl-C stays what it is.  Without a terminal, or in
     the background, nothing is read: `listens` says whether any key can come.

@@ -48,7 +48,7 @@ LedgerPlace = Annotated[
 
 @dataclass(frozen=True)
 class HistoryOptions:
-    """What `cell history` is asked for."""
+    """Options of `cell history`."""
 
     config: MaybeConfig = None
     ledger: LedgerPlace = None
@@ -293,7 +293,7 @@ def listed_cycles(settings: Settings, place: str | None, since: str | None) -> l
 
 @contextmanager
 def ledger_errors() -> Iterator[None]:
-    """Bad input, to a command that only asks."""
+    """Turn a LedgerError into a ValueError: for a command that only reads the ledger."""
     from cell.records.ledger.entry import LedgerError
 
     try:
@@ -303,7 +303,7 @@ def ledger_errors() -> Iterator[None]:
 
 
 def parse_time(said: str | None, now: datetime, option: str) -> datetime | None:
-    """A time that was typed; None = none was.
+    """Parse a typed time; None stays None.
 
     raises  ValueError: it is no time, or one from which on nothing can have been
     """

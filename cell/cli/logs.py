@@ -1,4 +1,4 @@
-"""Logging, set up in one place: a rotating file that a plant can send, and words on `--verbose`.
+"""Sets up logging in one place: a rotating file, and the error stream on `--verbose`.
 
 Every module logs to `logging.getLogger(__name__)`; nothing else knows where that goes.
 """
@@ -33,7 +33,7 @@ class _LogFile(RotatingFileHandler):
 
 
 def to_terminal(*, verbose: bool) -> None:
-    """What a person at the terminal sees of the log: everything on the error stream, or nothing."""
+    """Log to the error stream: everything if `verbose`, else nothing."""
     _remove(logging.StreamHandler)
     _remove(logging.NullHandler)
     handler: logging.Handler = logging.StreamHandler() if verbose else logging.NullHandler()
@@ -42,7 +42,7 @@ def to_terminal(*, verbose: bool) -> None:
 
 
 def warnings_to_terminal() -> None:
-    """Of a program that nobody looks at: what is wrong goes to the error stream without asking.
+    """Log warnings and errors to the error stream: for a program without a person at its terminal.
 
     Where `to_terminal` shows everything already, nothing is changed.
     """

@@ -1,4 +1,4 @@
-"""A result is printed, then written: neither is lost because the other cannot be done."""
+"""Delivers results: prints them, then writes their files; a failure of one leaves the other."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Json = Annotated[
 
 
 class JsonCommand(TyperCommand):
-    """Command whose `--json` prints, and whose `--json FILE`, the older form, writes.
+    """Command with `--json` (print JSON) or `--json FILE` (write it: the older form).
 
     A word after `--json` is a file unless a required argument would be missing without it.
     """
@@ -69,7 +69,7 @@ Delivery = tuple[Path | None, Callable[[Path], None]]
 
 
 def deliver(printed: Callable[[], None], *files: Delivery) -> None:
-    """Print a result, then write its files, whatever cannot be printed or written.
+    """Print a result, then write its files, even if printing or one of the files fails.
 
     A file that cannot be written where it should be goes to the folder of temporary files, and is
     told of.  Ends with 1 then.  Ctrl-C or SIGTERM end the printing; the files are written.

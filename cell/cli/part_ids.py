@@ -27,7 +27,7 @@ def part_ids(said: str | None) -> Iterator[str | None]:
 
 
 def checked(part: str) -> str:
-    """The id itself.  Raises ValueError: it is none."""
+    """The id, stripped.  Raises ValueError: it is empty, too long or not printable."""
     part = part.strip()
     if not part or not part.isprintable() or len(part) > LONGEST:
         raise ValueError(f"{part!r} is no id; give 1 to {LONGEST} printable characters")

@@ -1,4 +1,4 @@
-"""The end of `cell run` that faces the plant: its link, and the service with `--cycles forever`."""
+"""Connects `cell run` to the plant: its link, and the service of `--cycles forever`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class PlantEnd:
-    """Lets programs beside a cell look at it and command it, while it runs."""
+    """Lets other programs observe and command a cell while it runs."""
 
     def __init__(self, made: BuiltCell, runs: Path, settings: Settings) -> None:
         self._made = made
@@ -137,7 +137,7 @@ class PlantEnd:
 
 
 def interrupted(result: Result) -> bool:
-    """Whether Ctrl-C or a closed terminal has ended a cycle, not a command to the cell."""
+    """Whether a cycle was ended by Ctrl-C or a closed terminal, not by a command to the cell."""
     causes = ("interrupted by a person", "the terminal was closed")
     return result.fault is not None and result.fault.cause in causes
 

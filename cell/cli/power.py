@@ -1,4 +1,4 @@
-"""Command of the model lab that tells what a study could show: power."""
+"""Command of the model lab that forecasts which effects a study could detect: power."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Prints texts and tables: numbers are never cut, whatever the width of the terminal.
+"""Prints texts and tables; numbers are never truncated, however narrow the terminal.
 
 Rich is imported with the first table, so that help is quick.
 """
@@ -21,7 +21,7 @@ LEAST_WORDS = 12
 
 
 def show(*parts: str | TableData, console: Console | None = None) -> None:
-    """Print texts as they are, brackets included, and tables so that no number of them is cut.
+    """Print texts verbatim, and tables without truncating numbers.
 
     A table that is too wide for its terminal becomes one line for each value; off a terminal it is
     as wide as it needs to be.

@@ -1,4 +1,4 @@
-"""What is being done now, since when and until when: a line at a terminal, else one every 10 s."""
+"""Shows what a command is doing, for how long and until when: one line, or one every 10 s."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _STEPS = {"warm_up": "warm up (on a new computer it compiles, once)"}
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of the work: `done` of `total` pieces since `begun_s`; total 0 = cannot be counted.
+    """Stage of a computation: `done` of `total` pieces since `started_s`; total 0 = not countable.
 
     first   pieces that lay behind when it began
     ends_s  when it will have ended, of few pieces as first thought or sooner; None = not known

@@ -30,7 +30,7 @@ _MOST_PRINTED = 20
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """What `cell replay` is told."""
+    """Options of `cell replay`."""
 
     recording: Annotated[
         Path,

@@ -1,4 +1,4 @@
-"""Commands about what cycles left behind: list, show, report."""
+"""Commands about the records of past cycles: list, show, report."""
 
 from __future__ import annotations
 

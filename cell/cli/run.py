@@ -91,7 +91,7 @@ def _counted(said: str) -> str:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What `cell run` is told."""
+    """Options of `cell run`."""
 
     config: Config
     cycles: Annotated[
@@ -359,9 +359,7 @@ def _show(
 
 
 def changes(out: Path, results: Sequence[Result], config: Path, products: Products) -> list[str]:
-    """What has changed in the line's cycles, product by product, and what to do; also for a cable
-    that was rejected because the model misses it, and for a promoted model that does worse.
-    """
+    """Sentences on what has changed in the line's cycles, by product, each with a remedy."""
     if not products.settings:
         return _changes(out, results, config, products.default)
     lines = []
@@ -408,7 +406,7 @@ def _changes(out: Path, results: Sequence[Result], config: Path, settings: Setti
 
 
 def another_model(config: Path, settings: Settings) -> str:
-    """That the settings' file has another model by now than this run was begun with; or ""."""
+    """Message that the model in the settings' file has changed since this run began; or ""."""
     from cell.files.input_error import InputError
     from cell.settings import load_settings
 

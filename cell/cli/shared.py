@@ -50,14 +50,14 @@ def group() -> typer.Typer:
 
 
 def refuse(error: Exception) -> NoReturn:
-    """End with 2 and the message of what was wrong."""
+    """Exit with code 2 after printing the error."""
     print(error, file=sys.stderr)
     raise typer.Exit(BAD_INPUT) from error
 
 
 @contextmanager
 def needing(extra: str, need: str, *packages: str) -> Iterator[None]:
-    """Ends with 2 and the remedy, an extra, if one of its packages is not installed."""
+    """Exit with code 2 and the extra to install if one of `packages` is missing."""
     try:
         yield
     except ImportError as error:
@@ -76,13 +76,13 @@ def user_name() -> str:
 
 
 def tell_notes(notes: Sequence[str]) -> None:
-    """Say on the error stream what whoever reads results of a study should know."""
+    """Print notes about a study or its results on the error stream."""
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
 
 
 class Interruption:
-    """Whether somebody wants a command to end: Ctrl-C, or SIGTERM by whoever started it."""
+    """Whether Ctrl-C or SIGTERM was received; true from then on."""
 
     def __init__(self) -> None:
         self._number = 0
@@ -106,9 +106,9 @@ class Interruption:
 
 @contextmanager
 def stoppable(stop: Callable[[], None]) -> Iterator[Interruption]:
-    """Ctrl-C or SIGTERM asks for what there is so far, by `stop`, instead of ending the command.
+    """Let Ctrl-C or SIGTERM call `stop`, which asks for the results so far; the command goes on.
 
-    If that raises KeyboardInterrupt, nothing was known.
+    If `stop` raises KeyboardInterrupt, there are no results.
     """
     given = Interruption()
 
@@ -128,7 +128,7 @@ _POSTPONED_S = 0.05
 
 @contextmanager
 def answering() -> Iterator[Interruption]:
-    """The first Ctrl-C or SIGTERM raises KeyboardInterrupt: the command says what it knows.
+    """Let the first Ctrl-C or SIGTERM raise KeyboardInterrupt, so that results so far are printed.
 
     While something is compiled it waits.
     """
@@ -155,7 +155,7 @@ def answering() -> Iterator[Interruption]:
 
 @contextmanager
 def unhindered() -> Iterator[None]:
-    """Neither Ctrl-C nor SIGTERM disturbs what takes a moment only."""
+    """Ignore Ctrl-C and SIGTERM within the `with`, which must be short."""
     former = {s: signal.signal(s, signal.SIG_IGN) for s in ANSWERED}
     try:
         yield
@@ -206,7 +206,7 @@ _ENDING = {
 
 @contextmanager
 def interrupted_once() -> Iterator[Callable[[], None]]:
-    """The first Ctrl-C, SIGTERM or closed terminal interrupts, once; those after it are ignored.
+    """Let the first Ctrl-C, SIGTERM or closed terminal interrupt; ignore all later ones.
 
     What was ignored before, as `nohup` has a closed terminal ignored, stays so.
     """
@@ -236,7 +236,7 @@ def interrupted_once() -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]:
-    """Ends with 2 and a message, nothing written, if what was given is wrong.
+    """Exit with code 2 and a message, before anything is written, if the input is wrong.
 
     outputs  files to be written at the end of a long computation: tried at its beginning
     force    whether they may take the place of what no command wrote; None = there is no `--force`
@@ -261,7 +261,7 @@ def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]
 
 
 def working(command: str) -> ProgressLine:
-    """A line that tells what a command is doing, on the error stream."""
+    """Progress line of a command, on the error stream."""
     from cell.cli.progress import ProgressLine
 
     return ProgressLine(command)

@@ -1,4 +1,4 @@
-"""Standard output and error as they are: full, closed half way, or without the signs of Unicode."""
+"""Makes standard output and error usable where they are closed, full or without Unicode."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class _Unheard(io.FileIO):
 
 
 def open_streams() -> None:
-    """Standard streams that were closed are there: input ended, output refusing, errors unheard.
+    """Replace closed standard streams: reading gives the end, output fails, errors are dropped.
 
     To be called before anything is opened, forked or printed: a file would get the number of a
     closed stream, and whatever prints would write into it.
@@ -75,7 +75,7 @@ def _nothing(flags: int) -> int:
 
 @contextmanager
 def usable_streams() -> Iterator[None]:
-    """What is printed arrives, in plainer signs if need be, or the program says that it did not.
+    """Print with replacements for missing characters; report output that cannot be written.
 
     Ends with 1 if standard output takes no more; silently if its reader went away, who knows.
     """

@@ -12,7 +12,7 @@ from cell.cli.shared import MaybeConfig, group, needing, refuse
 
 
 def typed_password() -> str:
-    """Asked for twice at a terminal; elsewhere the first line of the standard input."""
+    """Read a password: asked for twice at a terminal, else the first line of standard input."""
     if sys.stdin.isatty():
         return str(typer.prompt("Password", hide_input=True, confirmation_prompt=True))
     return sys.stdin.readline().rstrip("\r\n")
@@ -58,7 +58,7 @@ def list_(*, users: UsersFile = FILE, config: MaybeConfig = None) -> None:
 
 
 def add_user(file: Path, name: str, role: str, folder: Path | None) -> None:
-    """What `user add` does; `folder`: of OPC UA, whose earlier users hold too."""
+    """Do `user add`; `folder` is the older users' folder of OPC UA, which is read, too."""
     from cell.plant.users import Role, all_users
 
     try:
@@ -72,7 +72,7 @@ def add_user(file: Path, name: str, role: str, folder: Path | None) -> None:
 
 
 def remove_user(file: Path, name: str, folder: Path | None) -> None:
-    """What `user remove` does."""
+    """Do `user remove`."""
     from cell.plant.users import all_users
 
     try:

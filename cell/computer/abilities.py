@@ -25,7 +25,7 @@ _MEMORY = Path("/proc/meminfo")
 
 @dataclass(frozen=True)
 class Abilities:
-    """What can be said of a computer without measuring; None = this system does not say it.
+    """Properties of a computer that need no measurement; None = the system does not report it.
 
     cores               that this process may use
     real_time           whether this user may schedule in real time
@@ -44,7 +44,7 @@ class Abilities:
 
 
 def abilities() -> Abilities:
-    """Those of this computer, for this user."""
+    """Abilities of this computer, for this user."""
     return Abilities(
         _cores(), _may_run_in_real_time(), _kernel(), _said(_CLOCK), _said(_GOVERNOR), _free_bytes()
     )

@@ -1,7 +1,7 @@
-"""Jobs on all cores at once, each core with a Python lock of its own: in forks of this process.
+"""Runs jobs on all cores at once, in forks of this process, each with its own interpreter lock.
 
-A fork has all that this process has when it is made, so that a job needs no more than is said of
-it, and it computes what this process would.  On other systems than Linux this process does all.
+A fork starts with a copy of this process's memory, so a job needs only its arguments, and gives the
+same result as here.  On other systems than Linux this process runs all jobs.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class LostError(Exception):
 
 
 class Forks:
-    """This process, and copies of it that do jobs beside it while `forks` is open."""
+    """This process and its forks, which run jobs in parallel; valid within `forks`."""
 
     def __init__(self, workers: Sequence[Fork]) -> None:
         self._workers = workers
@@ -130,7 +130,7 @@ def forks(
     most: int,
     known: Iterable[object] = (),
 ) -> Iterator[Forks]:
-    """Copies of this process in which any of the functions may be called, until it is left.
+    """Fork this process within the `with`; the forks can call any of `functions`.
 
     most   at most so many jobs at a time, those of this process included
     known  objects that are not pickled: a copy has them, and what it gives back has this process's
@@ -229,7 +229,7 @@ class Fork:
 
 
 def end_with_parent(parent: int) -> None:
-    """Have the system kill this process when the thread that made it ends, or its process.
+    """Have the system kill this process when its parent, or the parent's thread, ends.
 
     parent  number of that process; if it has ended already, this one ends here
     """
@@ -299,7 +299,7 @@ _MOST_LOST = 2
 
 
 class ProcessLostError(RuntimeError):
-    """A job ends its process.  Scenario: a user's compiled code divides by zero, or memory ends."""
+    """A job has ended its process.  Scenario: compiled code divides by zero, or memory runs out."""
 
 
 def stream(

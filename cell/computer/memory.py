@@ -11,7 +11,7 @@ _M_ARENA_MAX = -8  # of glibc's mallopt
 
 
 def use_one_arena() -> None:
-    """Have threads to come allocate from the heap there is, where the C library is glibc.
+    """Have all later threads allocate from one heap, where the C library is glibc.
 
     It gives every thread an arena of its own, of which fragments stay when the thread has ended,
     so that a cell grows from cycle to cycle.
@@ -20,7 +20,7 @@ def use_one_arena() -> None:
 
 
 def freeze_loaded_objects() -> None:
-    """Take what is loaded by now out of the collector's sight: it is never freed anyway.
+    """Exempt all objects loaded so far from garbage collection: they are never freed.
 
     Otherwise each full collection looks at all of it; no other thread of Python runs meanwhile, and
     no picture of a camera is taken.

@@ -1,4 +1,4 @@
-"""Who of this computer's users is at the other end of a connection."""
+"""Finds which user of this computer owns the other end of a local connection."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Address = tuple[str, int]
 
 
 def user_of_peer(peer: Address, here: Address) -> int | None:
-    """Number of the user whose program has the other end of a local TCP connection.
+    """User number (uid) of the program at the other end of a local TCP connection.
 
     peer, here  the two ends, as this process sees them
     returns     None = there is no such connection, or this system does not tell

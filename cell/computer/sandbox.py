@@ -1,4 +1,4 @@
-"""Processes that are confined before they run what nobody has read, and serve requests.
+"""Sandboxes: confined processes that run unreviewed code and serve requests.
 
 A process of this program's own code alone, the nursery, loads what is trusted; each sandbox is a
 fork of it that confines itself.  Between a sandbox and this process only plain values pass.
@@ -58,7 +58,7 @@ def encode(value: object) -> bytes:
 
 
 def decode(content: bytes) -> Any:
-    """The value.  Raises ValueError: the bytes are of no value."""
+    """The value that `encode` has written.  Raises ValueError: the bytes are not such a value."""
     begin = _HEAD + int.from_bytes(content[:_HEAD], "little")
     if begin > len(content):
         raise ValueError("is cut")
@@ -109,7 +109,7 @@ class SandboxStuckError(RuntimeError):
 
 
 class Channel:
-    """One end of the line between a sandbox and who asks it."""
+    """One end of the connection between a sandbox and the process that sends it requests."""
 
     def __init__(self, line: socket.socket) -> None:
         self._line = line
@@ -150,9 +150,9 @@ class Channel:
 
 
 class Nursery:
-    """Makes sandboxes; it ends with the last process that has it.
+    """Process that forks sandboxes; it ends with the last process that has a connection to it.
 
-    main  `module:function` of this program; what it calls is `tend`
+    main  `module:function` of this program, which calls `tend`
     """
 
     def __init__(self, main: str) -> None:
@@ -184,7 +184,7 @@ class Nursery:
 
 
 class Sandbox:
-    """A confined process; threads of this one ask it one after another."""
+    """A confined process that serves requests of this one, one thread at a time."""
 
     def __init__(self, channel: Channel) -> None:
         self._channel = channel
@@ -274,7 +274,7 @@ class Sandbox:
 
 
 def tend(control: int, serve: Callable[[Channel], None], readable: Iterable[Path]) -> NoReturn:
-    """In the nursery: make sandboxes, each of which serves, until nobody wants any more.
+    """Main loop of the nursery: fork a sandbox per request until the last client has gone.
 
     serve     does requests until EOFError; only in a confined process
     readable  folders of programs, which a sandbox may read
@@ -314,7 +314,7 @@ def _begin(
 
 
 def libraries() -> list[Path]:
-    """Folders of what Python and this program load."""
+    """Folders from which Python and this program load code."""
     shared = [Path("/lib"), Path("/lib64"), Path("/usr/lib"), Path("/usr/lib64")]
     here = Path(__file__).resolve().parents[1]
     python = [Path(p) for p in (sys.prefix, sys.base_prefix) if p != "/usr"]

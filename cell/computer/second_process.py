@@ -1,4 +1,4 @@
-"""A second process that computes while this one looks at frames."""
+"""A second process, which computes while this one processes frames."""
 
 from __future__ import annotations
 

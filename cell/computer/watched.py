@@ -1,8 +1,8 @@
-"""A command whose computing is done in a child, which its parent ends where it gets stuck.
+"""Runs a command's computations in a child process, which the parent ends if a call hangs.
 
-A loop without end in compiled code, or in C with Python's lock, hears neither Ctrl-C nor a clock of
-its own process.  So whoever runs code that may not come to an end says so in memory that the parent
-reads: it sees that the same call is under way for too long, names it, and ends the child.
+An endless loop in compiled code, or in C code that holds the interpreter lock, blocks Ctrl-C and
+all timers of its process.  Calls that may never return are therefore registered in shared memory.
+If the parent sees the same call there for too long, it names it, and ends the child.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class _SharedCalls(ctypes.Structure):
 
 
 class Calls:
-    """Calls that are under way, in memory that parent and child share.
+    """Table of running calls, in memory that parent and child share.
 
     shared  its `answers`: whether the child still answers after Ctrl-C or SIGTERM
     """
@@ -132,7 +132,7 @@ _calls: Calls | None = None
 
 @contextmanager
 def must_end(what: str) -> Iterator[None]:
-    """During it something runs that may not come to an end; `what` begins the error's message."""
+    """Register a call that may never return; `what` begins the error message about it."""
     if _calls is None:
         yield
         return
@@ -144,29 +144,29 @@ def must_end(what: str) -> Iterator[None]:
 
 
 def fork_started(fork: int) -> None:
-    """This process is a fork, with this number below `MOST_FORKS`, of one that may be watched."""
+    """Register this process as a fork of a watched one; its number is below `MOST_FORKS`."""
     if _calls is not None:
         _calls.belong(fork, os.getpid())
 
 
 def fork_ended(fork: int) -> None:
-    """The fork with this number has ended, whatever it was doing."""
+    """Unregister the fork with this number, whatever it was doing."""
     if _calls is not None:
         _calls.belong(fork, 0)
 
 
 def responds_after_interrupt() -> None:
-    """This process will still answer after Ctrl-C or SIGTERM: its parent then waits for longer."""
+    """Declare that this process still prints results after Ctrl-C: its parent then waits longer."""
     if _calls is not None:
         _calls.shared.answers = True
 
 
 def go_on_watched(patience_s: float | None = None) -> None:
-    """Returns in a child; this process watches it, and ends as it ends.
+    """Fork: return in the child; in the parent watch the child and exit with its exit code.
 
-    With 2 and a message if a call that `must_end` does not, or ends the child; Ctrl-C or SIGTERM
-    end the child, whatever it is doing, the second time soon.  To be called while there is one
-    thread only.
+    The exit code is 2, with a message, if a call registered by `must_end` hangs or ends the child.
+    Ctrl-C or SIGTERM end the child, whatever it is doing, the second time soon.  To be called
+    while there is one thread only.
 
     patience_s  None = as usual
     """
@@ -220,12 +220,12 @@ def cpu_s(process: int) -> float:
 
 
 def no_end(patience_s: float) -> str:
-    """What is said of a call that took longer."""
+    """Message about a call that took longer than `patience_s`."""
     return f"takes more than {patience_s:g} s, as a loop without end does: mend that"
 
 
 def wants_to_compute(process: int) -> bool:
-    """Whether a thread of a process has a core or waits for one; False if nobody can tell."""
+    """Whether a thread of a process runs or waits for a core; False if unknown."""
     try:
         threads = [p.read_text() for p in Path(f"/proc/{process}/task").glob("*/stat")]
     except OSError:
@@ -234,7 +234,7 @@ def wants_to_compute(process: int) -> bool:
 
 
 class GrantedTime:
-    """Time in which a process could have gone on, from one look at it to the next."""
+    """Measures for how long a process could have run, from one sample to the next."""
 
     def __init__(self, process: int) -> None:
         self._process = process
@@ -250,7 +250,7 @@ class GrantedTime:
 
 @dataclass
 class RunningCall:
-    """What a call that has not ended was given: s of its process's own time, and s of looks."""
+    """Time that an unfinished call was given: its process's own time, s, and sampled time, s."""
 
     own_s: float = 0.0
     sampled_s: float = 0.0
@@ -266,7 +266,7 @@ class RunningCall:
 
 
 class CallMonitor:
-    """Counts looks at the calls of a process, and tells which does not come to an end."""
+    """Samples the calls of a process, and identifies one that hangs."""
 
     def __init__(self, calls: Calls, process: int, patience_s: float) -> None:
         self._calls = calls

@@ -23,7 +23,7 @@ def write_atomic(path: Path, content: str | bytes) -> None:
 
 
 def write_all(files: Mapping[Path, str | bytes]) -> None:
-    """The same for several files: all of them, or none where there is no room for one.
+    """Write several files: all of them, or none where there is no room for one.
 
     They take their places in the order given, once all are written.
     """
@@ -86,7 +86,7 @@ def _take_back(parts: list[Path], made: list[Path]) -> None:
 
 
 def named_folder(folder: Path) -> Path:
-    """The folder by its name: `.` and `..` become what they stand for.
+    """The folder with its own name: `.` and `..` are resolved.
 
     raises  ValueError: the root of the file system, beside which there is no place; or a file
     """

@@ -1,4 +1,4 @@
-"""The look that all figures share: colours, panels, the line of the noise, numbers as lists."""
+"""Style of all figures: colours, panels, the noise line, numbers as lists."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def logarithmic(figure: go.Figure, values: Sequence[FloatArray], **where: int) -
 
 
 def thirds() -> list[float]:
-    """1, 2 and 5 of every power of ten."""
+    """Axis ticks: 1, 2 and 5 of every power of ten."""
     return [m * 10.0**n for n in range(-6, 4) for m in (1, 2, 5)]
 
 
 def noise_line(figure: go.Figure, noise_mm: float, name: str) -> None:
-    """The noise across a figure; named in the legend, where no number can run into the name."""
+    """Add a horizontal line at the noise, labelled in the legend."""
     figure.add_hline(
         y=noise_mm,
         line_dash="dash",
@@ -51,14 +51,14 @@ def noise_line(figure: go.Figure, noise_mm: float, name: str) -> None:
 
 
 def least_px(figure: go.Figure) -> int:
-    """Width below which its labels would run into each other: narrower pages scroll it."""
+    """Least width at which the figure's labels do not overlap; narrower pages scroll it, px."""
     columns = {round(float(axis.domain[0]), 3) for axis in figure.select_xaxes() if axis.domain}
     names = [len(set(t.x)) for t in figure.data if figure.layout.xaxis.type == "category"]
     return max(PANEL_PX * len(columns), NAME_PX * (1 + max(names, default=0)))
 
 
 def laid_out(figure: go.Figure, height: int) -> go.Figure:
-    """The figure in the look and size that all share."""
+    """The figure in the style and size of all figures."""
     return figure.update_layout(
         template="plotly_white",
         height=height,

@@ -1,4 +1,4 @@
-"""What is wrong with a file that a person gave: place, cause, remedy."""
+"""Errors in files that a person wrote: place, cause, remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a command may overwrite: what a command wrote, and nothing else unasked."""
+"""Which files a command may overwrite: those that a command wrote, others only with `--force`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PARQUET, _MCAP = b"PAR1", b"\x89MCAP"
 
 
 def check_output(path: Path, *, force: bool | None = None) -> None:
-    """Whether a file can be written here, before the work that it is to hold.
+    """Check that a file can be written here, before the computation whose result it will hold.
 
     force   also over a file that no command wrote; None = the command has no `--force`
     raises  ValueError: there is a folder, a device or somebody's file, or no right to write
@@ -40,7 +40,7 @@ def check_output(path: Path, *, force: bool | None = None) -> None:
 
 
 def check_distinct(paths: Sequence[Path]) -> None:
-    """Whether all of these are files of their own.  Raises ValueError: one would replace another.
+    """Check that no two paths are the same file.  Raises ValueError: one would replace another.
 
     Scenario: `--report a.html -o a.html`.
     """
@@ -51,7 +51,7 @@ def check_distinct(paths: Sequence[Path]) -> None:
 
 
 def check_new_study(folder: Path, *, force: bool = False) -> None:
-    """Whether a study can be written here.  Raises ValueError: there is one, or a file."""
+    """Check that a study can be written here.  Raises ValueError: there is one, or a file."""
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder}: is a file; give the name of a folder")
     if (folder / "study.yaml").exists() and not force:

@@ -76,7 +76,7 @@ def page(templates: Path, name: str, title: str, **content: object) -> str:
 
 
 def fragment(parts: Sequence[str | TableData]) -> str:
-    """Sentences and tables as HTML that stands within somebody else's page."""
+    """Sentences and tables as HTML, to be embedded in another page."""
     return _environment().get_template("fragment.html").render(parts=parts)
 
 

@@ -1,4 +1,4 @@
-"""Numbers as people read them: SI prefixes in place of powers of ten, shares that are not 100 %."""
+"""Formats numbers for people: SI prefixes; percentages that are rounded to neither 0 nor 100 %."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def with_prefix(values: Sequence[float], unit: str) -> tuple[list[str], str]:
 
 
 def percent(share: float) -> str:
-    """A share with one decimal, without its sign; 100.0 and 0.0 are all and nothing only."""
+    """A share in percent, one decimal, without sign; 100.0 and 0.0 only for all and none."""
     if _NEARLY_ALL < share < 1.0:
         return f"> {_NEARLY_ALL:.1%}".removesuffix("%")
     if 0.0 < share < 1.0 - _NEARLY_ALL:

@@ -1,4 +1,4 @@
-"""What was computed is kept, if not where it should be."""
+"""Saves results that cannot be written to their file in the folder of temporary files."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def no_room(error: OSError) -> bool:
 
 
 def remedy(error: OSError) -> str:
-    """What to do about a file that cannot be read or written."""
+    """Remedy for a file that cannot be read or written."""
     if no_room(error):
         return "make room there, or name another disk"
     return "check the name and who may read and write there"
 
 
 def why_not_written(error: OSError) -> str:
-    """What to tell a person of a file that could not be written."""
+    """Message about a file that could not be written."""
     if error.errno is None:  # in words already
         return str(error)
     name = error.filename2 or error.filename
@@ -35,7 +35,7 @@ def why_not_written(error: OSError) -> str:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """An error of the system that names no file, as of a full disk, names this one."""
+    """Add `path` to an OSError that names no file, such as that of a full disk."""
     try:
         yield
     except OSError as error:

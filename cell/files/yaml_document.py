@@ -110,7 +110,7 @@ def read_yaml(path: Path) -> Document:
 
 
 def document_of(text: str, path: Path) -> Document:
-    """The text of a YAML file, which `path` names in complaints.  Raises InputError, as above."""
+    """Parse the text of a YAML file; errors name `path`.  Raises InputError as `read_yaml`."""
     reader = YAML(typ="safe", pure=True)  # in C it would crash on deep nesting
     reader.Scanner = _FlatScanner
     places: dict[Key, tuple[int, int]] = {(): (1, 1)}

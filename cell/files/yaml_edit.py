@@ -20,7 +20,7 @@ Names = tuple[str, ...]
 
 
 class Unset(Enum):
-    """What stands for an entry that is to be taken out."""
+    """Value that stands for removing an entry."""
 
     UNSET = "unset"
 
@@ -56,7 +56,7 @@ def flow(value: Any) -> str:
 
 
 def last_line(node: Node) -> int:
-    """Line in which a node ends, comments after it left out; the first is 0."""
+    """Line in which a node ends, without comments after it; lines count from 0."""
     if isinstance(node, ScalarNode) or getattr(node, "flow_style", False):
         end = node.end_mark
         return int(end.line if end.column > 0 or end.line == node.start_mark.line else end.line - 1)

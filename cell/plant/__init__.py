@@ -1,1 +1,1 @@
-"""The cell in a line of a plant: started by other machines, watched by a plant's systems."""
+"""Connects a cell to its plant: other machines start it, a plant's systems observe it."""

@@ -1,4 +1,4 @@
-"""An adapter as a child of the service: it computes after others and ends with its parent.
+"""Runs an adapter as a child of the service, at lower priority; it ends with its parent.
 
 python -m cell.plant.child PARENT WORDS … is `cell WORDS …` as a child of the process PARENT.
 """
@@ -17,7 +17,7 @@ NICE = 10
 
 
 def main() -> None:
-    """Become the command that the arguments name."""
+    """Replace this process by the `cell` command in its arguments."""
     parent, *words = sys.argv[1:]
     end_with_parent(int(parent))
     with suppress(AttributeError, OSError):

@@ -1,4 +1,4 @@
-"""Adapters that the service starts: processes of their own, started again when they end."""
+"""Keeps the service's adapters running: each is a process, restarted when it ends."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ END_S = 3.0
 
 
 def command_of(adapter: str, config: Path, runs: Path) -> list[str]:
-    """The command that runs an adapter as a child of this process."""
+    """Command line that runs an adapter as a child of this process."""
     child = [sys.executable, "-m", "cell.plant.child", str(os.getpid())]
     return [*child, adapter, "--config", str(config), "--runs", str(runs)]
 
 
 class Adapters:
-    """Keeps adapters running from `start` to `close`; nothing but `close` waits for one.
+    """Keeps adapters running from `start` to `close`; only `close` waits for them.
 
     commands  of each, by its name
     told      the trouble with an adapter, once; empty = it is well again.  From other threads

@@ -1,4 +1,4 @@
-"""The other end of the link: a program beside the cell looks at it, follows it and commands it."""
+"""Client of a running cell: a program that observes it, follows its notices and commands it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FIRST_S, _LAST_S = 0.1, 1.0
 
 
 class Client:
-    """Reaches the cell whose records are in the folder `runs`; safe to be used by many threads.
+    """Client of the cell whose records are in `runs`; safe to be used from many threads.
 
     Every question has a connection of its own, so a cell may end and begin between two.
 

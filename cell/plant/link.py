@@ -1,4 +1,4 @@
-"""The link: a running cell tells programs on the same computer what happens, and is asked by them.
+"""The link: a running cell publishes notices to programs on its computer, and gets requests.
 
 The cycle only puts notices into a queue.  Threads of the link write them to a Unix socket, and none
 of its clients, however slow, is waited for.
@@ -47,7 +47,7 @@ Handler = Callable[[Request], CommandReply]
 
 
 class Link:
-    """The cell's end of the link.  Programs reach it within a `with`; the rest works without, too.
+    """The cell's end of the link, open within a `with`; without it nothing is published.
 
     runs     folder of the records, beside which the socket is
     status   what is known when it begins; `run`, `sequence` and `possible` are filled in

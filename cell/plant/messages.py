@@ -1,4 +1,4 @@
-"""What a running cell tells programs beside it, and what they may ask of it; as JSON."""
+"""Messages between a running cell and other programs: status, notices, requests; as JSON."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Mode(StrEnum):
 
 
 class MessageKind(StrEnum):
-    """What a notice is about; its `data` are those named here.
+    """Kind of a notice; its `data` are those listed here.
 
     STATE         state, step = null, since (Unix time, s)
     STEP          step, cycle
@@ -110,7 +110,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Notice:
-    """One thing that has happened.
+    """An event in a cell.
 
     sequence  counts from 1 in each run, without a gap
     time_s    Unix time
@@ -149,7 +149,7 @@ class Request:
 
 @dataclass(frozen=True)
 class CommandReply:
-    """What became of a request.
+    """Answer to a request.
 
     accepted  whether it was obeyed, or is latched to be
     reason    why it was refused, with what is possible now

@@ -1,4 +1,4 @@
-"""Tells the link what a cell does: states, steps, cycles, results, faults, what it waits for."""
+"""Publishes on the link what a cell does: states, steps, cycles, results, faults, waits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PAUSES = (CellState.HELD, CellState.SUSPENDED)
 
 
 class Reporter:
-    """Publishes what happens, each thing once and in its order.
+    """Publishes each event of the cell once, in order.
 
     publish        of the link
     products       model and calibration of each product, as `Status` has them
@@ -124,7 +124,7 @@ LATCHED = INTERRUPTING | PAUSING | frozenset(RESUMING.values())
 
 
 def latch(cell: Cell, request: Request) -> CommandReply:
-    """Give a command of `LATCHED` to the cycle under way, or refuse it.
+    """Latch a command of `LATCHED` for the current cycle, or refuse it.
 
     A pause that was asked for and has not begun yet can be taken back.
     """
@@ -137,7 +137,7 @@ def latch(cell: Cell, request: Request) -> CommandReply:
 
 
 def refusal(cell: Cell, what: str, why: str = "", wrong: str = "") -> CommandReply:
-    """That something is refused, why, and what is possible; `wrong` as in `CommandReply`."""
+    """Reply that refuses a request, with the reason and the commands possible now."""
     state = cell.machine.state
     now = ", ".join(possible_in(state)) or "nothing"
     because = f": {why}" if why else ""

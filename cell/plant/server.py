@@ -1,4 +1,4 @@
-"""Unix socket of a running cell, for many programs at once, in one thread that waits for none."""
+"""Unix socket server of a running cell for many programs, in one thread that never blocks."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ _MOST_UNREAD = 1 << 20
 
 
 class LaggingError(Exception):
-    """A program does not read.  Scenario: it was halted, and 10,000 notices have come since."""
+    """A program does not read its notices.  Scenario: it was halted for 10,000 notices."""
 
 
 class Journal:
-    """The newest notices of a run, as lines; their sequence has no gap."""
+    """The newest notices of a run, as lines, without gaps in their sequence."""
 
     def __init__(self) -> None:
         self._lines: dict[int, bytes] = {}
@@ -62,7 +62,7 @@ class Journal:
 
 
 class CellConnection:
-    """A connected program.  Nothing here waits.
+    """Connection to a program.  No method blocks.
 
     greeted  whether it has said which version it speaks
     told     sequence of the newest notice that it got or is about to get; None = it does not follow
@@ -148,7 +148,7 @@ _NO_FILES_S = 0.1
 
 
 class CommandServer:
-    """Serves programs within a `with`.
+    """Serves the connected programs within a `with`.
 
     path     of the socket; only this user may connect
     run      of the cell, for the greeting

@@ -1,4 +1,4 @@
-"""The status after a notice: a pure function, the same in the cell and in programs beside it."""
+"""The status after a notice: a pure function, the same in the cell and in its clients."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def possible_in(
 def status_after(
     status: Status, notice: Notice, obeyed: Collection[MachineEvent] = COMMANDS
 ) -> Status:
-    """The status that contains a notice; the times in each state are not counted on."""
+    """Status updated by a notice; the times in each state are not advanced."""
     status, data = replace(status, sequence=notice.sequence), notice.data
     match notice.kind:
         case MessageKind.STATE:

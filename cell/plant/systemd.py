@@ -1,4 +1,4 @@
-"""What a service tells systemd (sd_notify): its unit, its states, and that it lives."""
+"""Notifies systemd (sd_notify) of a service's states and watchdog, and writes its unit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _IMPORTANT_S = 1.0
 
 
 def unit_of(config: Path, runs: Path, folder: Path, user: str) -> str:
-    """The unit of a service.
+    """Text of the systemd unit of a service.
 
     config, runs, folder  the settings, the records, and where the service works; absolute
     raises  ValueError: a path or a user that systemd does not take; the message says what to do
@@ -64,7 +64,7 @@ def _argument(text: str) -> str:
 
 
 class Notifier:
-    """Tells systemd how a service does; without systemd it does nothing.
+    """Sends a service's states to systemd; without systemd it does nothing.
 
     environment  in which systemd names its socket, and within what time it wants signs of life
     """
@@ -107,7 +107,7 @@ _WAITING_S = 5.0
 
 
 class Watchdog:
-    """Tells systemd that the service lives, as long as its moving thread is heard of."""
+    """Notifies systemd's watchdog as long as the thread that moves the cell makes progress."""
 
     def __init__(self) -> None:
         self.notifier = Notifier()

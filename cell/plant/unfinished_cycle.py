@@ -1,4 +1,4 @@
-"""What an earlier service has left: cycles to be looked at, and a mark where no record tells."""
+"""State that an earlier service has left: cycles with open faults, or a flag file instead."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NAMED = 3
 
 @dataclass(frozen=True)
 class EarlierCycles:
-    """The cycles of a folder of records.
+    """Summary of the cycles in a folder of records.
 
     cycle  the highest number among them; 0 = there are none
     open   folders of those that a person has to look at, the newest last
@@ -34,7 +34,7 @@ class EarlierCycles:
 
 
 def earlier_cycles(runs: Path) -> EarlierCycles:
-    """What the cycles in a folder are to the next service.
+    """Find the highest cycle number and the open cycles in a folder of records.
 
     One is open if it was never concluded, or failed, and nobody has acknowledged that: whenever it
     was, since a clock may have been set back and a folder may come from elsewhere.
@@ -110,7 +110,7 @@ def _newest_naming_others(faults: list[FaultNotice]) -> FaultNotice | None:
 
 
 class AcknowledgementFlag:
-    """A file that lets the next service wait for a person, where no record does.
+    """File that makes the next service wait for a person, where no record does.
 
     It is there while the gripper may be moving outside a cycle, and after a stop in Idle.
     """

@@ -1,4 +1,4 @@
-"""Users of pages and OPC UA: names, roles, hashes of passwords, in a file its owner alone reads."""
+"""Users of pages and OPC UA: names, roles, password hashes, in a file only its owner can read."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FILE = Path("users.json")
 
 
 class Role(IntEnum):
-    """What a person may do; a higher role may do all that a lower one may."""
+    """Rights of a person; a higher role includes the lower ones."""
 
     watch = 1
     operate = 2
@@ -46,7 +46,7 @@ class User:
 
 
 class Users:
-    """The accounts of a file, which is read anew for every question.
+    """Accounts in a file, which is read again for every query.
 
     older   files of earlier versions, whose users hold until they are changed or removed here
     raises  ValueError, from every method: a file is no file of users, or others may read it
@@ -119,7 +119,7 @@ class Users:
 
 
 def all_users(file: Path = FILE, opcua_folder: Path | None = None) -> Users:
-    """Users of pages and OPC UA, with those of earlier versions' files.
+    """Users of pages and OPC UA, including those of earlier versions' files.
 
     opcua_folder  of the OPC UA server; None = `opcua` beside the file
     """

@@ -1,4 +1,4 @@
-"""Messages on the wire: where the socket is, and messages as lines of JSON and back.
+"""Encoding of messages as lines of JSON, and the place of the socket.
 
 A line is an object with one key, which says what it is:
 
@@ -42,7 +42,7 @@ _LONGEST_PATH = 100
 
 
 class LinkError(OSError):
-    """A cell cannot be reached, or was lost.  Scenario: it ends between a question and its answer.
+    """A cell cannot be reached, or was lost.  Scenario: it ends between a request and its answer.
 
     What became of a request is not known then.
     """
@@ -53,7 +53,7 @@ class NoCellError(LinkError):
 
 
 class ProtocolError(LinkError):
-    """Cell and program do not speak the same version.  Scenario: only one of them was updated."""
+    """Cell and program use different versions.  Scenario: only one of them was updated."""
 
 
 def socket_of(runs: Path) -> Path:
@@ -81,7 +81,7 @@ def line_of(kind: str, data: Any) -> bytes:
 
 
 def read_line(line: bytes) -> tuple[str, Any]:
-    """What a line is, and its data.  Raises ValueError: it is no message."""
+    """Kind and data of the message in a line.  Raises ValueError: it is not a message."""
     try:
         message = json.loads(line)
     except RecursionError as error:
@@ -93,7 +93,7 @@ def read_line(line: bytes) -> tuple[str, Any]:
 
 
 def message_of(kind: type[Message], data: Any) -> Message:
-    """A message of this type, back from JSON; a newer version may say more, which is left out.
+    """Message of a type from plain data; unknown fields of newer versions are ignored.
 
     raises  ValueError: it is none
     """
@@ -102,7 +102,7 @@ def message_of(kind: type[Message], data: Any) -> Message:
 
 
 def request_of(data: Any) -> Request:
-    """Back from JSON.
+    """The request in plain data.
 
     raises  ValueError: not a request; the message says what is wrong
     """

@@ -1,1 +1,1 @@
-"""What a cycle leaves behind on disk."""
+"""Records of cycles on disk."""

@@ -1,4 +1,4 @@
-"""Whether a line does worse since its model was changed."""
+"""Tests whether a line's errors have grown since its model was changed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Worsening:
 
 
 def worsenings(results: Sequence[Result]) -> list[Worsening]:
-    """What is worse in the first cycles of the newest model than in the last of the one before.
+    """Errors that are larger in the newest model's first cycles than in the former one's last.
 
     results  of any model, oldest first; nothing is said of a few
     """

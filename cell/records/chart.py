@@ -39,7 +39,7 @@ TOGETHER = 5
 
 @dataclass(frozen=True)
 class ChartSignal:
-    """A quantity that has left its limits.
+    """A quantity that is outside its control limits.
 
     what      in words
     since     folder of the first cycle of the change
@@ -70,7 +70,7 @@ class ChartSignal:
 
 
 def signals(results: Sequence[Result]) -> list[ChartSignal]:
-    """What has changed in the cycles of one model, oldest first; nothing is said of a few."""
+    """Control-chart signals in the cycles of one model, oldest first; none if they are few."""
     return [*_of_forecasts(results), *_of_swings(results), *_of_cables(results)]
 
 

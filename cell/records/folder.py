@@ -138,7 +138,7 @@ class Record:
 
 
 class LaterRecord(Record):
-    """Record of a cycle that is prepared: its folder is made when the cycle begins.
+    """Record of a cycle that is being prepared: its folder is created when the cycle begins.
 
     Until then what becomes of it is only remembered; there are neither studies nor pictures yet.
     """

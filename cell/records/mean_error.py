@@ -41,7 +41,7 @@ class MeanError:
 
 
 def interval(errors_m: FloatArray, confidence: float = CONFIDENCE) -> tuple[float, float, float]:
-    """Mean of errors (n ≥ 2,), and both ends of its interval, m.
+    """Mean of (n ≥ 2,) errors and both ends of its confidence interval, m.
 
     source  Student 1908, The probable error of a mean, Biometrika 6, 1
     """
@@ -52,7 +52,7 @@ def interval(errors_m: FloatArray, confidence: float = CONFIDENCE) -> tuple[floa
 
 
 def mean_error(results: Sequence[Result]) -> MeanError | None:
-    """Mean error of the newest forecasts; None = they are few, or it may be too small to matter.
+    """Mean error of the newest forecasts; None = too few, or it may be negligible.
 
     results  of one model, oldest first
     """

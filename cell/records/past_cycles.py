@@ -1,4 +1,4 @@
-"""Past cycles of a folder, at a glance: how each ended, and which pictures it left."""
+"""Summary of the past cycles in a folder: outcome and pictures of each."""
 
 from __future__ import annotations
 

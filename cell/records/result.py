@@ -45,7 +45,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class AgreementCheck:
-    """One thing that a dry run found out.
+    """One check of a dry run or a cycle: measured value and limits.
 
     found      in SI units, `unit`
     low, high  what it must be within; None = no such limit

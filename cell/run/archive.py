@@ -33,7 +33,7 @@ _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
 
 
 class EventSink(Protocol):
-    """What a cycle is handed over to: a `Recorder`, or whoever wants to hear of it.
+    """Interface of what receives the messages of a cycle, such as a `Recorder`.
 
     notes  what a person should know
     """
@@ -63,10 +63,10 @@ class EventSink(Protocol):
 
 @dataclass(frozen=True)
 class Keeping:
-    """Which recordings are kept.
+    """Rule that says which recordings are kept.
 
-    outcomes  of these cycles all
-    every     and every cycle whose number is a multiple of it; 0 = no others
+    outcomes  cycles with these outcomes are kept
+    every     so is every cycle whose number is a multiple of it; 0 = no others
     """
 
     outcomes: frozenset[Outcome] = frozenset(Outcome)
@@ -111,7 +111,7 @@ class RecordingSetup:
 
 
 def recording_metadata(cycle: int, started: datetime) -> dict[str, str]:
-    """What is said at the beginning of a recording."""
+    """Metadata at the beginning of a recording."""
     return {
         "cycle": str(cycle),
         "started": started.isoformat(),
@@ -123,7 +123,7 @@ def recording_metadata(cycle: int, started: datetime) -> dict[str, str]:
 
 
 class CycleRecording:
-    """Hands over what a cycle finds, each thing once; does nothing without a recorder."""
+    """Records what a cycle produces, each item once; does nothing without a recorder."""
 
     def __init__(self, recording: RecordingSetup | None) -> None:
         self._recording = recording
@@ -238,7 +238,7 @@ def decision_of(findings: Findings) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class LedgerSetup:
-    """To which ledger a cell's cycles are told, and as what.
+    """The ledger that a cell's cycles are written to, and what is the same for all of them.
 
     line         that the cell belongs to
     calibration  hash of its files; None = as typed
@@ -252,7 +252,7 @@ class LedgerSetup:
 
 
 class CycleListing:
-    """Tells the ledger that a cycle has begun, and how it has ended; or nothing without one."""
+    """Writes to the ledger that a cycle has begun, and how it ended; nothing without a ledger."""
 
     def __init__(self, setup: LedgerSetup | None) -> None:
         self._setup = setup

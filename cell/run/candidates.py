@@ -1,4 +1,4 @@
-"""Insertions that may be executed, simulated as the gripper would make them."""
+"""Simulates the insertions that may be executed, with the gripper's motion as it will be."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SURE_SIGMAS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Executing:
-    """How the gripper will be when it is told to insert at a moment.
+    """State of the gripper at the moment at which an insertion is commanded.
 
     The cable still swings from the gripper's motion before; the gripper follows with its known lag,
     and is seen by the camera at a constant offset from that of the arm.  Time goes on as in the

@@ -1,4 +1,4 @@
-"""Whether camera and arm still keep the time that was calibrated, from a cycle's own motion."""
+"""Checks in each cycle, by its own motion, whether latency and lag are as calibrated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST_MISFIT_M = 0.0005
 
 @dataclass(frozen=True)
 class CalibratedDelays:
-    """How well latency and lag are known, and what they may have changed by since.
+    """Uncertainty of the calibrated latency and lag, and their allowed change.
 
     latency_95_s, lag_95_s  half widths of their 95 % intervals when they were calibrated
     most_change_s           beyond those
@@ -38,7 +38,7 @@ def delay_checks(
     lag_s: float,
     known: CalibratedDelays,
 ) -> tuple[AgreementCheck, ...]:
-    """Latency and lag beside those in use; nothing if the motion does not show them.
+    """Checks of latency and lag against those in use; none if the motion does not determine them.
 
     stamps_s  (N,) of frames, the latency taken off
     detected_m  (N, 2) gripping point as seen, nan where it was not

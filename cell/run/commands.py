@@ -1,4 +1,4 @@
-"""Commands that reach a running cycle from any thread, and how it is told of them."""
+"""Commands to a running cycle from any thread, and their reception by the cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether this computer carries a cell: what it is, its stalls, and pictures per second."""
+"""Checks whether this computer can run a cell: its properties, stalls, and pictures per second."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class CameraLoad:
-    """Pictures that have to be looked at: their size, how many per second, what is in them."""
+    """The camera's load on vision: size and rate of the pictures, and what is in them."""
 
     width_px: int
     height_px: int

@@ -1,4 +1,4 @@
-"""Corrects an insertion while it is filmed."""
+"""Corrects the gripper's path during an insertion, from the frames as they arrive."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DEAD_S = (0.04, 0.08)
 
 
 class Corrector:
-    """Changes the gripper's path if the tip will pass more probably.
+    """Changes the gripper's path if that makes it more probable that the tip passes.
 
     Which frames a decision uses depends on their times alone.  Whatever keeps a correction from
     being found or told leaves the path as it is.  `stopped` says why the gripper was brought to

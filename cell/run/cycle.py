@@ -1,4 +1,4 @@
-"""One cycle of the cell: a plan's steps in the machine's states, with a record."""
+"""The cell: runs cycles as a plan's steps in the states of the machine, and records them."""
 
 from __future__ import annotations
 

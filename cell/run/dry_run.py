@@ -31,7 +31,7 @@ JAW_SAMPLES = 300
 
 
 def warm_up(station: Station, findings: Findings) -> Findings:
-    """Load what looks at pictures, and at motions, before any are to be looked at."""
+    """Load the code that processes pictures and motions, before it is needed."""
     warm_up_vision(station.task.vision)
     warm_up_servo()
     freeze_loaded_objects()
@@ -117,7 +117,7 @@ def _watch(station: Station, look_every: int) -> JawFilm:
 
 
 def after_dry_run(station: Station, findings: Findings) -> Findings:
-    """Whether arm and camera agree, with pictures, and whether everything is as it must be."""
+    """Check a dry run: do arm and camera agree, are all limits met?  With pictures."""
     arm, camera = station.devices.arm, station.devices.camera
     checks = findings.checks + agreement(
         findings.followed, lag_s=arm.lag_s, frame_rate_hz=camera.frame_rate_hz
@@ -154,7 +154,7 @@ _VIEW = "correct camera.view, or arm.plane_…"
 def agreement(
     followed: Sequence[RehearsedMotion], *, lag_s: float, frame_rate_hz: float
 ) -> tuple[AgreementCheck, ...]:
-    """What the motions of a dry run say of arm and camera.
+    """Checks of arm and camera from the motions of a dry run.
 
     lag_s          as in the settings
     frame_rate_hz  as the camera says

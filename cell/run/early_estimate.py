@@ -1,4 +1,4 @@
-"""What is computed while a hold is filmed, so that little is left after its last frame."""
+"""Computes estimates while a hold is filmed, so that little work remains after its last frame."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FIRST_S = 0.1
 
 @dataclass(frozen=True)
 class ScheduledEstimate:
-    """A computation while a hold is filmed.
+    """A computation that is to start while a hold is filmed.
 
     after_s  when the gripper has rested so long
     filming  the hold, as if it ended when this is used; None = it only identifies the cable
@@ -51,7 +51,7 @@ EstimateResult = EarlyEstimate | Identified | None
 
 
 class EarlyEstimator:
-    """Identifies a cable from the first frames of a hold, in the second process, as others come.
+    """Identifies a cable in the second process from a hold's first frames, while others arrive.
 
     Which frames those are depends on their own times alone, and the result is waited for: it is
     the same however busy the computer is.
@@ -125,7 +125,7 @@ def _schedule(task: Task, timing: Timing, filming: Filming) -> Iterator[Schedule
 
 
 def possible_ends_s(task: Task, least_s: float, most_s: float) -> Iterator[tuple[float, float]]:
-    """After how long a hold may end, and after how long that is decided, this first, s."""
+    """Possible ends of a hold: (time of the decision, end) of each, s after its beginning."""
     ahead_s = AHEAD_S if task.choice.freely.window_s == 0.0 else AHEAD_FREELY_S
     first_s = max(least_s, FIRST_S + ahead_s)
     for end_s in (*np.arange(first_s, most_s - 0.5 * ahead_s, ahead_s), most_s):
@@ -166,7 +166,7 @@ def _estimate(
 
 
 def without_gripper_errors(options: IdentifyOptions) -> IdentifyOptions:
-    """How sure a cable is does not matter yet."""
+    """Options without gripper-log errors: an early estimate needs no exact covariance."""
     return replace(options, fit=replace(options.fit, gripper_errors=GripperLogErrors(samples=0)))
 
 

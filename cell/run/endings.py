@@ -1,4 +1,4 @@
-"""How a cycle that fails is brought to rest, and how it is said to have ended."""
+"""Brings a failed cycle to rest, and turns its error into a fault."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def halt(devices: Devices, reason: str) -> ArmMode:
 
 
 def whereabouts_of_cable(devices: Devices) -> str:
-    """Where the cable is, as far as the gripper can tell."""
+    """Sentence that says whether a cable is in the jaws, as far as the gripper reports it."""
     try:
         held = devices.gripper.state().holding
     except DeviceError:
@@ -68,12 +68,12 @@ def whereabouts_of_cable(devices: Devices) -> str:
 
 
 def unreached(error: BaseException) -> bool:
-    """Whether a device may not be reached any more; a command may have overtaken that error."""
+    """Whether an error, or the one that a command overtook, means a device out of reach."""
     return isinstance(error, UNREACHED) or isinstance(error.__context__, UNREACHED)
 
 
 def fault_of(step: str, error: BaseException) -> tuple[Fault, MachineEvent]:
-    """The fault that an error is in a step, and the event that it is to the cell."""
+    """The fault that an error means in a step, and the event that it causes in the machine."""
     match error:
         case InterruptedByCommandError():
             event = error.event.value
@@ -93,7 +93,7 @@ def fault_of(step: str, error: BaseException) -> tuple[Fault, MachineEvent]:
 
 
 def unrecorded(devices: Devices, step: str, result: Result, error: RecordError) -> Result:
-    """The result of a cycle whose record cannot be closed: it is only returned."""
+    """Result of a cycle whose record cannot be closed: failed, if it has no fault already."""
     if result.fault is not None:
         return result
     fault, _ = fault_of(step, error)

@@ -1,4 +1,4 @@
-"""Films a motion of the gripper, and finds the cable in every frame as it comes."""
+"""Films a motion of the gripper, and detects the cable in every frame as it arrives."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drivers.interfaces import CameraError, Frame, Trajectory
 def film(
     station: Station, path: Trajectory, still_s: float, hold_s: float, keep_every: int
 ) -> Filming:
-    """Begin to film the cable at rest, then follow `path`; returns when the gripper rests again.
+    """Start filming the cable at rest, then follow `path`; returns when the gripper rests again.
 
     The cable is looked for in the frames meanwhile, so that none wait when the last one comes.
     keep_every  one frame in so many is kept as a picture
@@ -55,7 +55,7 @@ def capture(
     keep_every: int,
     enough: Callable[[list[Sighting]], bool] = lambda sightings: False,
 ) -> FilmedMotion:
-    """See the filming to its end, and make sure that the arm rests and the cable is still held.
+    """Complete a filming, and check that the arm rests and the cable is still held.
 
     What follows moves the arm again or opens the jaws; the film may be over before the arm rests.
     enough  is told of every sighting, and those before it, as it comes; says whether it is the last

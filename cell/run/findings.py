@@ -1,4 +1,4 @@
-"""What a cycle has found so far, handed from step to step."""
+"""Findings of a cycle so far, passed from step to step."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class JawFilm:
 
 @dataclass(frozen=True, eq=False)
 class RehearsedMotion:
-    """A motion that was made, on the cell's clock.
+    """A motion of a dry run, on the cell's clock.
 
     start_s  when the arm was told to start
     gripper_log  measured poses, from before the motion to after it
@@ -214,7 +214,7 @@ class Findings:
 
 
 def required(value: Value | None) -> Value:
-    """A finding of an earlier step.
+    """The finding of an earlier step, checked to exist.
 
     raises  LookupError: no step before this one has found it; the plan's order is wrong
     """

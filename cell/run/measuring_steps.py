@@ -44,17 +44,17 @@ def measure(motion: Measuring, station: Station, findings: Findings) -> Findings
 
 
 def begin_film(filming: Filming, station: Station, findings: Findings) -> Findings:
-    """Have the camera give a film whose motion was made without this cell."""
+    """Start the camera on a film whose motion this cell has not made."""
     station.devices.camera.start(filming.frame_count)
     return replace(findings, filming=filming)
 
 
 def detect_in_film(station: Station, findings: Findings) -> Findings:
-    """Find the cable in every frame of a film after which nothing is to be decided."""
+    """Detect the cable in every frame of a film; no decision follows."""
     held = capture(station, required(findings.filming), KEEP_EVERY_HELD)
     return replace(findings, held=held, trials=(held_trial(held),))
 
 
 def conclude(station: Station, findings: Findings) -> Findings:
-    """The cable of a film was identified; nothing is executed."""
+    """Set the outcome of a film whose cable was identified: measured, nothing is executed."""
     return replace(findings, outcome=Outcome.MEASURED)

@@ -41,7 +41,7 @@ Movements = Callable[[Task, float, float], tuple[Movement, ...]]
 
 
 def slowed(task: Task, speed: float) -> Task:
-    """The same motions at `speed` times the speed, hence in 1/speed of the time.
+    """The task with all motions at `speed` times their speed, hence 1/speed as long.
 
     raises  ValueError: a speed that is not > 0 and ≤ 1
     """
@@ -104,8 +104,7 @@ def measuring_movements(
 def paths_from(
     start: Pose, task: Task, movements: Sequence[Movement], rate_hz: float
 ) -> tuple[tuple[str, Trajectory], ...]:
-    """What the gripper will do from `start` on, and could do in a cycle: movements, every
-    offset."""
+    """Names and paths that the gripper may follow in a cycle from `start`, for all offsets."""
     paths = []
     for movement in movements:
         path = movement.path_from(start, rate_hz)

@@ -1,4 +1,4 @@
-"""Pictures of a cycle for its record: what was seen and what the model says, over the frames."""
+"""Pictures of a cycle for its record: frames with the detected and the predicted cable."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from cell.vision.marks import pixels_per_metre
 
 
 def after_insertion(station: Station, findings: Findings) -> Findings:
-    """Pictures of hold and execution, and the same cable identified again without haste.
+    """Draw pictures of hold and execution, and identify the cable again by a complete fit.
 
     No step of that fit is left linear from early frames.  The choice was made with the cable as it
     was, which stays if the fit finds nothing better.

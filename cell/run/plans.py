@@ -18,12 +18,12 @@ Act = Callable[[Station, Findings], Findings]
 
 
 def nothing(station: Station, findings: Findings) -> Findings:
-    """The findings as they are."""
+    """Review that changes nothing: returns the findings."""
     return findings
 
 
 def always(station: Station, findings: Findings) -> bool:
-    """Whether it is so: always."""
+    """Condition that always holds."""
     return True
 
 
@@ -71,12 +71,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Repeat:
-    """Steps that are done again until what they found is settled.
+    """Steps that are repeated until their findings meet a condition.
 
     A pause is possible after them.
-    review  what is known after them: station, findings, whether there was a pause
-    until   whether they are done
-    before_repeat  done before they are done again
+    review  updates the findings after them: station, findings, whether there was a pause
+    until   condition on the findings that ends the repetition
+    before_repeat  steps before each repetition
     """
 
     steps: tuple[Step | Repeat, ...]
@@ -91,7 +91,7 @@ class Repeat:
 
 
 def flat(stages: Iterable[Step | Repeat]) -> tuple[Step, ...]:
-    """Steps in their order, those within a `Repeat` once."""
+    """All steps in order; those of a `Repeat` are listed once."""
     groups = (e.flat if isinstance(e, Repeat) else (e,) for e in stages)
     return tuple(step for group in groups for step in group)
 
@@ -245,7 +245,7 @@ INSERTING = Plan(
 
 
 def changing_over(plan: Plan, former: Task, *, at_start: bool) -> Plan:
-    """The plan of the first cycle of another product: the jaws are emptied before all else.
+    """Plan of the first cycle after a change of product: it begins by emptying the jaws.
 
     former    task of the product before it, which says where its cables are let go
     at_start  the cell was reset for the former product already, and waits in Idle

@@ -1,4 +1,4 @@
-"""The cycle under way: its step, what it has found, and what of that is on record."""
+"""The current cycle: its step, its findings so far, and which of them are on record."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cell.run.watch import SafetyWatch
 
 @dataclass
 class CycleProgress:
-    """The cycle under way.
+    """Progress of the current cycle.
 
     step     the step that is done, or was done last
     seconds  time of each step so far, s
@@ -131,7 +131,7 @@ def _finite(value: float | None) -> float | None:
 
 @dataclass
 class OneCycle:
-    """A cycle from its preparation to its end.
+    """A cycle from its preparation to its end: plan, product and progress.
 
     made     what it makes
     before   time spent in each state before it, s

@@ -1,4 +1,4 @@
-"""What the steps of a cycle work with: the devices, the task, and what may interrupt it."""
+"""What the steps of a cycle use: devices, task, commands, and the second process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drivers.interfaces import Devices, Pose
 
 @dataclass(frozen=True)
 class Task:
-    """The task that is done with every cable; `model` is the hash of what is assumed of it."""
+    """The task for every cable; `model` is the hash of what is assumed of all cables."""
 
     cable: Cable
     destination: Destination
@@ -74,7 +74,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Timing:
-    """Rates of arm and camera, and by how much the arm follows late."""
+    """Rates of arm and camera, and the arm's lag."""
 
     arm_rate_hz: float
     arm_lag_s: float
@@ -83,7 +83,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Station:
-    """Devices, the task, the commands that may interrupt it, and who computes meanwhile.
+    """Devices, task, commands that may interrupt it, and the executor of computations.
 
     others  tasks that may come in place of this one
     """
@@ -103,7 +103,7 @@ class Station:
 
 @dataclass(frozen=True, eq=False)
 class ProductTask:
-    """What is done with every cable of a product.
+    """Task for every cable of a product, with the settings that it comes from.
 
     name         None = the settings have no products
     settings     as resolved, for the records

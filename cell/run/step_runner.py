@@ -1,4 +1,4 @@
-"""Does the steps of a cycle one after another, with what surrounds each: pauses, times, records."""
+"""Runs the steps of a cycle in order, with pauses, measured times and records."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class StepRunner:
-    """Does the steps that are due, and obeys commands before, within and after each.
+    """Runs the steps of each state, and obeys commands before, within and after each step.
 
     on_step  told of every step as it begins: number of the cycle, name of the step
     """

@@ -77,7 +77,7 @@ def connect(station: Station, findings: Findings) -> Findings:
 
 
 def warm_up(station: Station, findings: Findings) -> Findings:
-    """Have everything compiled and loaded where it will be needed.
+    """Compile and load all numerical code in the processes that will use it.
 
     It keeps the computer busy for seconds, so no device should be connected yet.
     raises  DeviceLostError; DeviceError: the model of the settings cannot be simulated
@@ -121,7 +121,7 @@ def reset(station: Station, findings: Findings) -> Findings:
 
 
 def empty_jaws(former: Task, station: Station, findings: Findings) -> Findings:
-    """Open the jaws; if they hold something, where `former` puts its cables aside."""
+    """Open the jaws; if they hold something, at the place where `former` puts cables aside."""
     station.devices.arm.reset()
     station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
     if station.devices.gripper.state().holding:
@@ -159,7 +159,7 @@ def allowed_paths(
 
 
 def check_ready(station: Station, findings: Findings) -> Findings:
-    """Whether a cycle may begin: arm ready, jaws empty.  Raises a DeviceError that says why not."""
+    """Check that a cycle may begin: arm ready, jaws empty.  Raises DeviceError."""
     check_arm(station)
     if station.devices.gripper.state().holding:
         raise GripError(station.devices.gripper.name, "holds something already", "empty the jaws")
@@ -257,13 +257,13 @@ def check_clocks(station: Station, findings: Findings) -> Findings:
 
 
 def delays_were_determined(station: Station, findings: Findings) -> bool:
-    """Whether the motion has told both delays, if they are known; a hidden jaw tells none."""
+    """Whether the motion determined both delays, if they are checked at all."""
     told = [check.high is not None for check in findings.checks]
     return station.task.delays is None or (bool(told) and all(told))
 
 
 def identify(station: Station, findings: Findings) -> Findings:
-    """This cable's parameters, or why it is rejected."""
+    """Identify the cable's parameters, or reject it with a reason."""
     task, early = station.task, required(findings.held).early
     try:
         identified = identify_cable(
@@ -283,7 +283,7 @@ def identify(station: Station, findings: Findings) -> Findings:
 
 
 def simulate(station: Station, findings: Findings) -> Findings:
-    """What every offset would do, `lead_s` from now, or as simulated early if that still holds.
+    """Simulate every offset from `lead_s` after now, or reuse an early simulation that still holds.
 
     A cable whose swing cannot be simulated is rejected, as one that cannot be identified is.
     """
@@ -325,7 +325,7 @@ def choose(station: Station, findings: Findings) -> Findings:
 
 
 def review_choice(station: Station, findings: Findings, paused: bool) -> Findings:
-    """The choice settled if there is still time to execute it, or more time for the next one.
+    """Confirm the choice if there is still time to execute it; else give the next one more time.
 
     paused  the cell was held or suspended after the choice: the gripper did not wait for the
             computer
@@ -382,7 +382,7 @@ def execute(station: Station, findings: Findings) -> Findings:
 
 
 def verify(station: Station, findings: Findings) -> Findings:
-    """Whether the tip was seen to pass the destination, and how far the forecast was off."""
+    """Check whether the detected tip passed the destination, and compute the forecast's error."""
     executed, predicted = required(findings.executed), findings.predicted_choice
     passage = measured_passage(
         station.task.destination,
@@ -398,7 +398,7 @@ def verify(station: Station, findings: Findings) -> Findings:
 
 
 def review_insertion(station: Station, findings: Findings, paused: bool) -> Findings:
-    """Open again if the cable was stopped in front of the opening, and the task leaves a try."""
+    """Clear the outcome for another try, if the cable was stopped and the task allows one."""
     if findings.stopped is None or len(findings.stops) >= station.task.retries:
         return findings
     return replace(findings, outcome=None, reason=None)
@@ -448,7 +448,7 @@ def let_go(station: Station, findings: Findings) -> Findings:
 
 
 def is_past(station: Station, t_s: float) -> bool:
-    """Whether it is too late to tell the arm to start at a moment."""
+    """Whether it is too late to command the arm to start at time `t_s`."""
     return station.devices.clock.now_s() > t_s - AHEAD_S
 
 

@@ -1,5 +1,4 @@
-"""Filmed motions as the trials of a study: time from the first frame, the gripper as it was
-seen."""
+"""Converts filmed motions to trials of a study; time counts from the first frame."""
 
 from __future__ import annotations
 
@@ -60,7 +59,7 @@ def executed_trial(held: Trial, before: FilmedMotion, after: FilmedMotion) -> Tr
 
 
 def study_of(name: str, task: Task, trials: Sequence[Trial]) -> Study:
-    """Trials of one cable as a study; its noise is the camera's in motion, or more if seen at rest.
+    """Study of one cable's trials; noise: the camera's in motion, or that at rest if larger.
 
     The first trial begins at rest.
     """
@@ -74,7 +73,7 @@ def study_of(name: str, task: Task, trials: Sequence[Trial]) -> Study:
 
 
 def camera_offset_m_rad(logged: Trajectory, seen: Motion) -> FloatArray:
-    """(3,) x, y, angle offset of the gripper seen by the camera from where the arm says."""
+    """(3,) x, y, angle offset of the gripper as seen by the camera from its log."""
     return np.array(
         [
             seen.x_m[0] - logged.x_m[0],

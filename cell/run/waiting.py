@@ -1,4 +1,4 @@
-"""Waiting: until a moment, until the arm rests, for a computation; and looks at the devices."""
+"""Waits for a moment, for the arm's rest or for a computation, while checking the devices."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def rest_timeout_s(arm: Arm) -> float:
 
 
 def await_rest(station: Station) -> None:
-    """Wait until the arm rests and would take another path; its last one ends now, or has ended.
+    """Wait until the arm rests and accepts another path.
 
     raises  DeviceTimeoutError; StoppedError
     """
@@ -75,7 +75,7 @@ LONGEST_S = 5.0
 
 
 def result_of(job: Future[Value], commands: Commands) -> Value | None:
-    """What a job found; None if its process was killed or hangs, which only costs time.
+    """Result of a job; None if its process was killed or does not finish.
 
     raises  InterruptedByCommandError
     """
@@ -92,5 +92,5 @@ def result_of(job: Future[Value], commands: Commands) -> Value | None:
 
 
 def hurried(computer: Executor) -> AbstractContextManager[None]:
-    """While the gripper or a frame waits for the second process it need not give way."""
+    """Give the second process normal priority while the gripper or a frame waits for it."""
     return computer.hurried() if isinstance(computer, SecondProcess) else nullcontext()

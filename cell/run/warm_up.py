@@ -1,4 +1,4 @@
-"""Loads compiled code before a cable hangs in the jaws and waits for it."""
+"""Loads compiled code before the first cable is gripped."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _MARK_PX, _DARK, _BEHIND, _LIGHT = 6.0, 30, 120, 210
 
 @contextmanager
 def second_process(computer: Executor) -> Iterator[SecondProcess | None]:
-    """A process that computes beside this one: `computer` if it is one, else one that compiles.
+    """A second process for warming up: `computer` if it is one, else one that compiles; or None.
 
     None where nothing is to be compiled; a thread would share this process's compiler, and wait for
     its lock for ever where a signal has ended the other.
@@ -54,7 +54,7 @@ def second_process(computer: Executor) -> Iterator[SecondProcess | None]:
 
 @cache
 def warm_up(cable: Cable, kind: ModelClass = ModelClass()) -> None:  # noqa: B008
-    """Identify a made-up cable and choose a motion for it; what comes out is forgotten."""
+    """Identify a synthetic cable and choose a motion for it; the results are discarded."""
     home, limits, rate_hz = Pose(0.0, 0.0), MotionLimits(), 500.0
     length_m = cable.free_length_m
     down = identification_path(home, 0.5 * length_m, limits, rate_hz, hold_s=0.5)
@@ -81,20 +81,20 @@ def warm_up(cable: Cable, kind: ModelClass = ModelClass()) -> None:  # noqa: B00
 
 
 def warm_up_servo() -> None:
-    """Follow a made-up path with a lag, as measured motions are compared with commanded ones."""
+    """Simulate the lag on a synthetic path, as when measured and commanded motions are compared."""
     home = Pose(0.0, 0.0)
     executed_motion(insertion_path(home, 0.0, 0.05, MotionLimits(), 500.0), 0.03)
 
 
 def warm_up_vision(options: VisionOptions) -> None:
-    """Look at a made-up picture, and at one after it."""
+    """Process a synthetic picture, and a second one after it."""
     image, view = made_up_picture(options)
     list(detect_all([(0.0, image), (0.01, image)], view, options))
     find_jaw(image, view, options.marks)
 
 
 def made_up_picture(options: VisionOptions) -> tuple[NDArray[np.uint8], PlaneView]:
-    """(H, W) jaw and a straight cable, as the options say that they look, and the view of it."""
+    """Synthetic picture (H, W) of the jaw and a straight cable, and its map to the plane."""
     marks = options.marks
     scale_m = marks.radius_m / _MARK_PX
     around = np.abs(marks.centres_m).max() + 5.0 * marks.radius_m

@@ -1,4 +1,4 @@
-"""Looks at all devices while the steps of a cycle do their work, and stops the arm at a fault.
+"""Watches all devices while the steps of a cycle run, and stops the arm at a fault.
 
 A step looks at a device when it needs it; what happens in between would be noticed too late.
 """
@@ -24,7 +24,7 @@ _REMEDY = "look at the device, then acknowledge; if it comes again, report it wi
 
 
 class SafetyWatch:
-    """Watches from `begin` on; only devices that run in real time can be watched.
+    """Watchdog thread, active from `begin` on; only devices that run in real time are watched.
 
     holding  whether a cable has to be between the jaws
     """

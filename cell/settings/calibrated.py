@@ -1,4 +1,4 @@
-"""What a cell knows of its camera and its clocks: as calibrated, or as typed by hand."""
+"""What a cell knows of its camera and delays: from calibration files, or typed in the settings."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SET_BACK_H = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """Map, delays and their uncertainty.
+    """Map from pixels to the plane, delays and grip, with their uncertainty.
 
     view       pixel → plane
     latency_s  of the camera's stamps; lag_s of the arm
@@ -60,7 +60,7 @@ def board_of(settings: Settings) -> Board:
 
 
 def devices_of(settings: Settings) -> Mapping[str, Any]:
-    """What a calibration holds for: camera and its picture, arm and its servo."""
+    """Devices that a calibration is valid for: camera, picture size, arm, servo setting."""
     camera, arm = settings.camera, settings.arm
     camera_name = getattr(camera, "serial_number", None) or getattr(camera, "device", None)
     return {
@@ -86,7 +86,7 @@ def calibrate_command(settings: Settings, kind: str, config: Path) -> str:
 
 
 def calibrated(settings: Settings, config: Path, now: datetime | None = None) -> Calibrated:
-    """What is known of camera and clocks.
+    """Load and check the calibration that the settings name, or take what was typed.
 
     config  the settings' file, named in complaints
     raises  InputError: a calibration is missing, too old, too poor, or one of other devices; each
@@ -140,7 +140,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
 
 
 def not_yet_calibrated(settings: Settings, config: Path) -> tuple[str, ...]:
-    """Why a cell does not move with these settings before it is calibrated; empty = it does.
+    """Why a cell with these settings must be calibrated before it moves; empty = it need not.
 
     raises  InputError: a file of the calibration is there, and is not one
     """
@@ -171,7 +171,7 @@ def _grip_words(grip: StoredCalibration | None, now: datetime) -> str:
 
 
 def typed(settings: Settings) -> Calibrated:
-    """What a person typed."""
+    """Map and lag as typed in the settings, for a cell without calibration."""
     view = settings.camera.view
     assert view is not None  # `check` refuses anything else
     return Calibrated(
@@ -184,7 +184,7 @@ def typed(settings: Settings) -> Calibrated:
 
 
 def as_gripped(settings: Settings, known: Calibrated) -> Settings:
-    """The settings with the free length, and the discs about the gripping point, as calibrated."""
+    """Settings with the calibrated free length, and the jaw's discs about the calibrated point."""
     if known.grip is None:
         return settings
     x, y, angle, length_m = known.grip.tolist()
@@ -212,7 +212,7 @@ def view_of_stored(cell: StoredCalibration) -> PlaneView:
 def complaint_of(
     stored: StoredCalibration, wanted: Calibration, settings: Settings, now: datetime
 ) -> str | None:
-    """Why a calibration may not be used now; None = it may."""
+    """Why a calibration must not be used now; None = it can be used."""
     here = devices_of(settings)
     for name in _HOLDS_FOR[stored.kind]:
         if stored.devices.get(name) != here[name]:
@@ -232,7 +232,7 @@ def complaint_of(
 
 
 def bounds_of(wanted: Calibration) -> dict[str, float]:
-    """How large each of a calibration's stated errors may be; the unit is in its name."""
+    """Upper bound of each stated error of a calibration; the unit is in its name."""
     return {
         "map_95_m": wanted.max_error_m,
         "latency_95_s": wanted.max_time_error_s,

@@ -23,7 +23,7 @@ STREAM = re.compile(r"tcp://(127(?:\.\d{1,3}){3}):(\d{1,5})")
 
 
 def oddities(settings: Settings) -> tuple[str, ...]:
-    """What is possible and yet rarely meant, one sentence each."""
+    """Warnings about entries that are possible but probably not intended."""
     arm = settings.arm
     if not isinstance(arm, UrArmSettings) or arm.plane_y_axis[2] >= 0.0:
         return ()
@@ -34,7 +34,7 @@ def oddities(settings: Settings) -> tuple[str, ...]:
 
 
 def freedoms(settings: Settings, map_std_m: float) -> str:
-    """What may be chosen for a cable, and the narrowest opening that noise and offsets allow.
+    """Sentence: what may be chosen for a cable, and the narrowest opening that noise allows.
 
     map_std_m  of the camera's map, over both axes; 0 = not known
     """
@@ -57,7 +57,7 @@ def freedoms(settings: Settings, map_std_m: float) -> str:
 
 
 def contradictions(document: Document, settings: Settings) -> list[Problem]:
-    """Entries that are possible alone and impossible together."""
+    """Problems of entries that contradict each other."""
     problems = [
         *_cable(document, settings),
         *_offsets(document, settings),

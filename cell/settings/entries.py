@@ -39,7 +39,7 @@ _USED, _NOT_USED = "used", "not used"
 
 
 class SettingsForm(StrEnum):
-    """How a value is entered: chosen, as plain text, or as YAML in one line."""
+    """How a person enters a value: by choosing, as plain text, or as YAML in one line."""
 
     CHOSEN = "chosen"
     TEXT = "text"
@@ -91,7 +91,7 @@ def entries(data: Mapping[str, Any]) -> tuple[SettingsEntry, ...]:
 
 
 def change_for(data: Mapping[str, Any], key: Names, value: Any) -> dict[Names, Any]:
-    """Changes that make an entry say `value`.
+    """Edits of the file that set an entry to `value`.
 
     A section that the file does not have yet begins with what it would have by default.
     """

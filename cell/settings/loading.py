@@ -29,7 +29,7 @@ def load_settings(path: Path) -> Settings:
 
 
 def settings_of(document: Document) -> Settings:
-    """Settings from a file that was read.  Raises InputError, as above."""
+    """Settings from a parsed file.  Raises InputError as `load_settings`."""
     settings = _with_files(validated(document), document.path)
     problems = [*contradictions(document, settings), *_of_products(document, settings)]
     if problems:

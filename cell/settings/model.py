@@ -41,7 +41,7 @@ from cell.workers.executor import place
 
 
 def scheduler(address: str) -> str:
-    """The address itself.  Raises ValueError: it is none."""
+    """Validate the address of a scheduler, and return it.  Raises ValueError."""
     if not isinstance(place(address), str):
         raise ValueError(f"{address!r} is no address of a scheduler; give tcp://host:8786")
     return address

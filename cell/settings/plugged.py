@@ -84,7 +84,7 @@ def validated(document: Document) -> Settings:
 
 
 def settings_class(data: Mapping[str, Any]) -> type[Settings]:
-    """The class of settings for such data.  Raises ValueError: a kind that nobody has."""
+    """Settings class that accepts the kinds of devices in `data`.  Raises ValueError."""
     kinds = _foreign_kinds(data).items()
     return _with({section: driver_class(section, kind).settings_class for section, kind in kinds})
 
@@ -125,7 +125,7 @@ def _loaded(section: str, entry: EntryPoint) -> Any:
 
 
 def place_of(settings: Section) -> str | None:
-    """What two programs must not use at the same time; None = it is the project's own device."""
+    """Name of the resource that only one program may use; None = it is the project's own device."""
     return (
         f"{settings.kind} {settings.place}".rstrip()
         if isinstance(settings, PluggedDevice)
@@ -134,7 +134,7 @@ def place_of(settings: Section) -> str | None:
 
 
 def plugged_in(section: str, settings: Section, clock: Clock, delay_s: float = 0.0) -> Any:
-    """The device of another package, not connected; None = it is the project's own."""
+    """Device from another package, not connected; None = the device is the project's own."""
     if not isinstance(settings, PluggedDevice):
         return None
     return driver_class(section, settings.kind).from_settings(settings, clock, delay_s)

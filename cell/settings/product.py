@@ -15,7 +15,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
 def pattern(text: str) -> str:
-    """The pattern itself.  Raises ValueError: it is no regular expression."""
+    """Validate a regular expression, and return it.  Raises ValueError."""
     try:
         re.compile(text)
     except re.error as error:
@@ -67,7 +67,7 @@ REPLACED: Mapping[str, tuple[str, ...]] = {
 
 
 def named(products: dict[str, Product]) -> dict[str, Product]:
-    """The products themselves.  Raises ValueError: a name that can be none."""
+    """Validate the names of products, and return the products.  Raises ValueError."""
     for name in products:
         if NAME.fullmatch(name) is None:
             raise ValueError(
@@ -104,7 +104,7 @@ def product_of_part(patterns: Mapping[str, str | None], part: str) -> str | None
 def product_for(
     patterns: Mapping[str, str | None], asked: str | None, part: str | None, usual: str | None
 ) -> str | None:
-    """Which of the products is made of a part; None = there are no products.
+    """Name of the product to make of a part; None = there are no products.
 
     patterns  as for `product_of_part`
     asked     by name; None = as the part's id says, else the usual one
@@ -132,7 +132,7 @@ def product_for(
 
 
 def overlaid(whole: Mapping[str, Any], name: str, product: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain settings as they are for a product: the file's, with the product's entries in place.
+    """Plain settings for a product: those of the file, overridden by the product's entries.
 
     whole    as in the file, or as `Settings` gives it
     product  its section, the same way

@@ -1,6 +1,4 @@
-"""Writes the section `model` of a settings file or of one of its products, and nothing else in it;
-a history lies beside.
-"""
+"""Replaces the section `model` of a settings file or one of its products, and keeps a history."""
 
 from __future__ import annotations
 
@@ -35,7 +33,7 @@ _MADE = "made"
 
 
 def line_identity(settings: Settings) -> dict[str, Any]:
-    """Data sheet, camera, arm, calibration and simulated world of a line, as plain data.
+    """Identity of a line: data sheet, devices, calibration and simulated world, as plain data.
 
     A calibration that was made is told by its dates: it is made anew, on the same line.  What is
     typed instead is told by its numbers.
@@ -65,7 +63,7 @@ def _calibration(settings: Settings, plain: Mapping[str, Any]) -> dict[str, Any]
 
 
 def differences(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
-    """What two lines differ in, in words, the first few; none if they are one line."""
+    """Differences between two lines in words, the first few; empty if they are the same line."""
     were, are = dict(_leaves(theirs)), dict(_leaves(ours))
     keys = sorted(k for k in {*were, *are} if not k.startswith(f"calibration.{_MADE}"))
     apart = [key for key in keys if were.get(key) != are.get(key)]
@@ -74,7 +72,7 @@ def differences(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]
 
 
 def other_lines(lines: Sequence[Mapping[str, Any]], settings: Settings) -> list[str]:
-    """Sentences of lines that are not that of the settings."""
+    """Sentence about each of the lines that differs from that of the settings."""
     ours = line_identity(settings)
     return [
         f"cycles of another line are among these: {'; '.join(apart)}"
@@ -84,7 +82,7 @@ def other_lines(lines: Sequence[Mapping[str, Any]], settings: Settings) -> list[
 
 
 def distinct(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Lines, none of them twice."""
+    """Lines without duplicates."""
     return [line for i, line in enumerate(lines) if line not in lines[:i]]
 
 
@@ -122,7 +120,7 @@ class CandidateModel:
 
 
 def read_candidate(path: Path) -> CandidateModel:
-    """A candidate's file.  Raises InputError: it is none, or was changed and is wrong now."""
+    """Read a candidate's file.  Raises InputError: it is none, or was edited and is invalid."""
     document = read_yaml(path)
     data = document.data
     if not isinstance(data, dict) or data.get("format") != FORMAT:
@@ -268,7 +266,7 @@ def section_of(path: Path, text: str, product: str | None = None) -> str:
 
 
 def spliced(path: Path, text: str, section: str, product: str | None = None) -> str:
-    """The text with its section `model` replaced; all other lines are as they were.
+    """The text with its section `model` replaced; all other lines are unchanged.
 
     section  as `section_of` has it, or indented like a section of the outermost level
     product  whose model it is; None = that of the whole file
@@ -369,7 +367,7 @@ def _of(product: str | None) -> str:
 
 
 def read_exactly(path: Path) -> str:
-    """The text of a file with its ends of lines and its mark.  Raises OSError; ValueError."""
+    """Text of a file, line endings and byte order mark kept.  Raises OSError; ValueError."""
     with path.open(encoding="utf-8", newline="") as file:
         return file.read()
 

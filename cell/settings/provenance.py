@@ -38,8 +38,6 @@ def calibration_hash(settings: Settings) -> str | None:
 
 
 def line_name(settings: Settings | None) -> str:
-    """The line that a cell belongs to, as which its cycles are listed; the computer's name if the
-    settings, or their absence, say nothing.
-    """
+    """Name of a cell's line in the ledger; the computer's name if the settings give none."""
     named = None if settings is None or settings.ledger is None else settings.ledger.line
     return named or platform.node() or "line"

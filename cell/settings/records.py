@@ -16,7 +16,7 @@ from cell.settings.section import NotNegative, Positive, Section
 
 
 def database_url(url: str) -> str:
-    """The URL itself.  Raises ValueError: no database of a ledger, or it has a password in it."""
+    """Validate a ledger's URL, without password, and return it.  Raises ValueError."""
     parts = urlsplit(url)
     kind = parts.scheme.split("+")[0]
     if kind not in ("sqlite", "postgresql"):
@@ -32,7 +32,7 @@ def database_url(url: str) -> str:
 
 
 def store_url(url: str) -> str:
-    """The URL itself.  Raises ValueError: of no store, or with a secret in it."""
+    """Validate the URL of a store, without secrets, and return it.  Raises ValueError."""
     from fsspec.registry import known_implementations, registry
 
     parts = urlsplit(url)
@@ -51,7 +51,7 @@ def store_url(url: str) -> str:
 
 
 def times_of_day(times: tuple[str, ...]) -> tuple[str, ...]:
-    """The times themselves, HH:MM.  Raises ValueError: one is none, or they are not in order."""
+    """Validate times HH:MM in increasing order, and return them.  Raises ValueError."""
     if not times:
         raise ValueError("give at least one time, such as 00:00")
     for text in times:

@@ -20,7 +20,7 @@ Fraction = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
 def increasing(pair: tuple[float, float]) -> tuple[float, float]:
-    """The range itself.  Raises ValueError: it is none."""
+    """Validate a range [lower, upper], and return it.  Raises ValueError."""
     if not pair[0] < pair[1]:
         unlike = ", two numbers that differ" if pair[0] == pair[1] else ""
         message = f"[{pair[0]:g}, {pair[1]:g}] is not a range; give [lower, upper]{unlike}"
@@ -29,7 +29,7 @@ def increasing(pair: tuple[float, float]) -> tuple[float, float]:
 
 
 def address(host: str) -> str:
-    """The name or IP address itself.  Raises ValueError: it is none (RFC 1123)."""
+    """Validate a host name (RFC 1123) or IP address, and return it.  Raises ValueError."""
     wrong = f"{host!r} is no address; give a name or an IP address, such as 192.168.3.10"
     try:
         ipaddress.ip_address(host)

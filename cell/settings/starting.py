@@ -148,7 +148,7 @@ def questions(kind: CellKind) -> tuple[Question, ...]:
 
 
 def default(kind: CellKind, key: tuple[str, ...]) -> Any:
-    """What an entry starts from."""
+    """Default of an entry in the starting settings."""
     value: Any = STARTING[kind]
     for part in key:
         value = value[part]
@@ -167,7 +167,7 @@ def answered(kind: CellKind, answers: Mapping[tuple[str, ...], Any]) -> dict[str
 
 
 def answer_of(text: str, usual: Any) -> Any:
-    """What a person has typed, as text or as the numbers that the entry usually has."""
+    """A typed answer as text, or parsed as YAML if the entry's usual value is no text."""
     if isinstance(usual, str):
         return text
     try:
@@ -179,7 +179,7 @@ def answer_of(text: str, usual: Any) -> Any:
 def answer_problem(
     kind: CellKind, answers: Mapping[tuple[str, ...], Any], key: tuple[str, ...]
 ) -> str | None:
-    """What is wrong with the answer about an entry, with limit and remedy; None if it is right."""
+    """Problem of the answer for an entry, with limit and remedy; None if it is valid."""
     settings = answered(kind, answers)
     document = Document(Path("answers"), settings, dict.fromkeys(_keys(settings), (1, 1)))
     try:

@@ -114,7 +114,7 @@ class Surroundings:
 
 
 def pictured(view: PlaneView, width_px: int, height_px: int) -> tuple[Range, Range]:
-    """x and y of an upright rectangle that the view has within the picture, its edge left off."""
+    """x and y ranges of an upright rectangle that lies within the picture without its border, m."""
     right, bottom = width_px - 1 - EDGE_PX, height_px - 1 - EDGE_PX
     corners = [[EDGE_PX, EDGE_PX], [right, EDGE_PX], [right, bottom], [EDGE_PX, bottom]]
     x, y = view.to_plane(np.array(corners)).T
@@ -126,7 +126,7 @@ def pictured(view: PlaneView, width_px: int, height_px: int) -> tuple[Range, Ran
 
 @dataclass(frozen=True)
 class Swept:
-    """What a stroke sweeps, relative to where the gripper starts, m.
+    """Region that cable and jaw sweep in a stroke, relative to where the gripper starts, m.
 
     low_m, high_m  (2,) corners of all that the camera must see: cable and jaw
     cable_low_m    least x of the cable on the way
@@ -161,7 +161,7 @@ class Swept:
 
 
 def jaw_points_m(angle_rad: float) -> FloatArray:
-    """(points, 2) outermost points of the jaw's marks beside the gripping point, m."""
+    """(points, 2) corners of the jaw's marks relative to the gripping point, m."""
     marks = JawMarks()
     corners = marks.radius_m * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
     points = (np.array(marks.centres_m)[:, None] + corners).reshape(-1, 2)

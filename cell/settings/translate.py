@@ -50,7 +50,7 @@ def arm_limits_of(settings: Settings) -> ArmLimits:
 
 
 def picture_size(settings: Settings) -> tuple[int, int]:
-    """Width and height of the camera's pictures, px; of files, which say it themselves, usual."""
+    """Width and height of the camera's pictures, px; for a folder of pictures a usual size."""
     camera = settings.camera
     if isinstance(camera, FilesCameraSettings):
         return 1280, 1024
@@ -58,7 +58,7 @@ def picture_size(settings: Settings) -> tuple[int, int]:
 
 
 def vision_of(settings: Settings) -> VisionOptions:
-    """How cable and jaw are found in the pictures."""
+    """Vision options from the settings."""
     vision = settings.vision
     return VisionOptions(
         free_length_m=settings.cable.free_length_m,
@@ -78,7 +78,7 @@ def identification_of(settings: Settings) -> IdentifyOptions:
 
 
 def model_class_of(model: given.ModelSettings) -> ModelClass:
-    """What all cables have in common.
+    """Model class of the settings: the effects and priors that all cables have in common.
 
     raises  KeyError, FileNotFoundError, EffectError: an effect that is not there, or is wrong;
             ValueError: a parameter that it has not

@@ -189,9 +189,9 @@ class _Fit:
     """What curves leave of the values around samples, some values of which may be left out.
 
     curve     (rows, width, terms)
-    residual_m    (rows, width, channels) what is left
+    residual_m  (rows, width, channels)
     free      (rows, width, channels or 1) which part of each value the curve does not follow
-    left_out  (rows, width, channels or 1) of each value that is left out: a direction that the
+    omitted   (rows, width, channels or 1) of each value that is left out: a direction that the
               curve may follow besides, of length 1
     """
 

@@ -1,4 +1,4 @@
-"""Audit log: every action at the pages, as lines of JSON beside the folder of the records."""
+"""Audit log: every action at the pages, as lines of JSON next to the folder of the records."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class LivePicture:
 
 
 class LiveCamera:
-    """Keeps one picture, the newest: a browser that is slow misses those between.
+    """Holds the newest picture only: a slow browser misses the ones between.
 
     unrecorded  the cycle under way is not recorded
     """

@@ -1,4 +1,4 @@
-"""What a cycle's page shows, as plain data, from the cycle's folder."""
+"""Content of a cycle's page, as plain data, from the cycle's folder."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class CycleView:
 
 
 def cycle_view(folder: Path) -> CycleView:
-    """What is known of a cycle.  Raises InputError: the folder cannot be read."""
+    """Summary of a cycle.  Raises InputError: the folder cannot be read."""
     record = read_record(folder)
     result = record.result
     says, good = how_it_ended(record)

@@ -1,4 +1,4 @@
-"""Settings that a person is changing: what was entered, the text that follows, what is wrong."""
+"""Edits of a settings file before they are written: entries, the resulting text, problems."""
 
 from __future__ import annotations
 
@@ -145,5 +145,5 @@ def _in(data: Any, key: Names) -> Any:
 
 
 def value_text(value: str, t: Translate) -> str:
-    """A value as the file has it, where it has it; else in a language."""
+    """Text of a value as in the file; the words `used` and `not used` are translated."""
     return t(_WORDS[value]) if value in _WORDS else value

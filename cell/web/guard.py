@@ -1,4 +1,4 @@
-"""What every request must pass before a page sees it: host, origin, size, session, role, pace."""
+"""Checks every request before a page handles it: host, origin, size, session, role, rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A calibration as a process of its own, which tells what to do and waits for answers."""
+"""Runs a calibration command in a process of its own, and passes on its questions and answers."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _ENDS_S = 20.0
 
 @dataclass(frozen=True)
 class GuidedState:
-    """What a guided command has come to.
+    """State of a guided command: question, output, progress, exit code.
 
-    ask    what a person is to do now; "" = nothing
-    asked  number of that question, from 1; 0 = nothing is asked
-    said   its newest lines
-    code   how it has ended; None = it runs
+    ask              what a person is to do now; "" = nothing
+    question_number  of that request, from 1; 0 = there is none
+    output           its newest lines
+    code             exit code; None = it runs
     """
 
     title: str = ""
@@ -163,7 +163,7 @@ class Guided:
 
 
 class OpenQuestion:
-    """The question on an open page, which can be answered from the page's second look on.
+    """The question shown on an open page; it can be answered from the page's second refresh on.
 
     A second click that was meant for the question before it so answers none that nobody has read.
     """

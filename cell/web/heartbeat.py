@@ -1,4 +1,4 @@
-"""Heartbeats of an open page: how old its picture is, and how old what a person does on it.
+"""Heartbeats of an open page: they bound the age of its data and of commands given on it.
 
 The page asks, and the server answers with a number.  The picture is not older than the newest
 question that was answered.  A command quotes the newest number that its page had: so it was not
@@ -96,7 +96,7 @@ _SCRIPT = """
 
 
 class Heartbeats:
-    """The numbers that one page has had, and when each was sent."""
+    """Heartbeat numbers that were sent to one page, and when."""
 
     def __init__(self) -> None:
         self._newest = 0
@@ -115,7 +115,7 @@ class Heartbeats:
 
 
 def begin(heartbeats: Heartbeats, t: Translate) -> None:
-    """Have the page ask, and show how old its picture is."""
+    """Start the page's heartbeat, and show how old its data are."""
     words = {
         "since": t(N_("State unknown since")),
         "lost": t(
@@ -142,7 +142,7 @@ def begin(heartbeats: Heartbeats, t: Translate) -> None:
 def on_press(
     heartbeats: Heartbeats, button: ui.button, what: str, act: Callable[[float], Awaitable[None]]
 ) -> None:
-    """Do something when a button is pressed that may move the arm.
+    """Connect a button that may move the arm to an action that gets the age of the page.
 
     what  in the language of the page: it is said if nothing answers
     act   gets the time, on the monotonic clock, since when the button may have been pressed

@@ -1,4 +1,4 @@
-"""The lab's work, asked for at the pages: commands as child processes, one after another.
+"""Queue of the lab's computations for the pages: commands as child processes, one at a time.
 
 A page's own process computes nothing.  A job is what a person could type: its commands are shown,
 its progress is what they print on their error stream, its results are the files they write.
@@ -58,7 +58,7 @@ OPEN = frozenset({JobState.QUEUED, JobState.RUNNING, JobState.CANCELLING})
 
 @dataclass(frozen=True)
 class JobTask:
-    """What is to be done.
+    """A task to be run as a job.
 
     title     in English, marked for the catalogues
     subject   study or file that it is about
@@ -116,7 +116,7 @@ class CompletedCommand:
 
 
 def child(words: Sequence[str]) -> subprocess.Popen[str]:
-    """A command of the cell in a process group of its own, that gives way to others.
+    """Start a command of the cell in a process group of its own, at lower priority.
 
     One that moves the arm does not.
     """
@@ -147,7 +147,7 @@ def _kill_group(process: subprocess.Popen[str]) -> None:
 
 
 def run_command(words: Sequence[str], within_s: float) -> CompletedCommand:
-    """Run a short command beside the jobs; it is ended after `within_s`."""
+    """Run a short command at once, not as a job; it is ended after `within_s`."""
     process = child(words)
     try:
         printed, said = process.communicate(timeout=within_s)

@@ -1,4 +1,4 @@
-"""What all lab pages of a server share: the workspace, the jobs, short commands run at once."""
+"""State that all lab pages of a server share: the workspace, the jobs, and short commands."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ LONGEST_TEXT = 60_000
 
 @dataclass(frozen=True)
 class CheckedFile:
-    """What a check of a typed effect said.
+    """Result of checking a typed effect.
 
-    good   whether it can be fitted
-    said   its complaints, one a line, each with the line that it is about
-    law    its docstring
+    good    whether it can be fitted
+    output  its complaints, one a line, each with the line that it is about
+    law     its docstring
     """
 
     good: bool

@@ -1,4 +1,4 @@
-"""What can be done at the lab's page, as the commands that do it."""
+"""Tasks that the lab's page offers, each as the commands that do it."""
 
 from __future__ import annotations
 

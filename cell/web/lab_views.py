@@ -1,4 +1,4 @@
-"""What the lab's page shows of the files that commands wrote: rows and charts, no elements."""
+"""Rows and charts of the lab's page, as plain data, from the files that commands wrote."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def trials_of(comparison: Data) -> list[str]:
 
 
 def check_rows(diagnosis: Data, t: Translate) -> list[dict[str, str]]:
-    """Every check: what it asks, its statistic, its limit, and what came of it."""
+    """Row of each check: question, statistic, limit, result."""
     signs = {">=": "≥", "<=": "≤"}
     results = {True: t("passed"), False: t("not passed"), None: "–"}
     return [
@@ -183,7 +183,7 @@ def _why_none(check: Data, t: Translate) -> str:
 
 
 def ranking_rows(diagnosis: Data) -> list[dict[str, str]]:
-    """Every effect of the library beside the baseline: χ² explained, p, status."""
+    """Row of each effect of the library added to the baseline: χ² explained, p, status."""
     return [
         {
             "effect": r["effect"],
@@ -222,7 +222,7 @@ def _with_interval(name: str, found: Data) -> str:
 def candidate_table(
     candidates: Mapping[str, Path], t: Translate
 ) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
-    """Columns and rows of candidates with their gates side by side; a broken one is said so."""
+    """Table of candidates with their gates side by side; unreadable files are marked."""
     columns = [{"name": "gate", "field": "gate", "label": t("Gate"), "align": "left"}]
     rows: dict[str, dict[str, str]] = {"model": {"gate": t("Effects")}}
     rows["verdict"] = {"gate": t("Verdict")}

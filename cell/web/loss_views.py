@@ -1,4 +1,4 @@
-"""Lost time as texts for the pages: pure functions of what the ledger says."""
+"""Lost time as texts for the pages: pure functions of the ledger's data."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def time_text(shifts: Sequence[ShiftLosses], t: Translate) -> str:
 
 
 def waits_now(seen: WatchedState, now_s: float) -> dict[str, float]:
-    """What the cell waits for now, and since when, s: the ledger is not told of it yet.
+    """What the cell waits for now, and for how long, s: not in the ledger yet.
 
     now_s  Unix time
     """

@@ -38,7 +38,7 @@ _SHIFT = ("quality", "performance", "availability", "oee")
 
 
 class CellMetrics(Collector):
-    """The metrics of a watched cell, made anew for each request."""
+    """Metrics of a watched cell, collected at each request."""
 
     def __init__(self, watch: CellWatch) -> None:
         self._watch = watch
@@ -56,7 +56,7 @@ class CellMetrics(Collector):
 
 
 def metrics_of(seen: WatchedState) -> Iterator[Metric]:
-    """Metrics of one moment, without what is not known; of a cell that is away only that."""
+    """Metrics that are known at one moment; of a cell that is away only `cell_connected`."""
     yield GaugeMetricFamily("cell_connected", "Whether a cell runs", float(seen.connected))
     status = seen.status
     if status is None or not seen.connected:

@@ -115,7 +115,7 @@ def serve(
 
 
 def application(room: PagesContext, users: Users, secure: bool) -> FastAPI:
-    """The application without its guard."""
+    """The web application, without `Guard` around it."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     _login_routes(app, room, users, secure)
     _cycle_routes(app, room)

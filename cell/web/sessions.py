@@ -23,7 +23,7 @@ _MOST = 1000
 
 @dataclass(frozen=True)
 class LoginLimit:
-    """A limit of wrong passwords that is reached.
+    """A limit of wrong passwords that has been reached.
 
     counted   what was counted
     is_first  whether it has refused nobody else within the last minute
@@ -35,7 +35,7 @@ class LoginLimit:
 
 @dataclass
 class LoginSession:
-    """One person's time at the pages.
+    """Session of one logged-in person.
 
     key  what it is known by here; no cookie can be made of it
     """
@@ -155,7 +155,7 @@ def _limits(name: str, address: str) -> dict[str, int]:
 
 
 def local_session() -> LoginSession:
-    """Session of whoever sits at this computer: on loopback there are no accounts."""
+    """Session of a person at this computer, without login: loopback has no accounts."""
     return LoginSession(User("local", Role.engineer), "", 0.0, 0.0)
 
 
@@ -176,7 +176,7 @@ class Holder:
 
 
 class Control:
-    """The right to command the cell; Stop is everybody's who may operate."""
+    """The exclusive right to command the cell; Stop needs only the role that may operate."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s

@@ -111,7 +111,7 @@ window.addEventListener('beforeunload', (e) => { if (unsaved.size) e.preventDefa
 
 
 class Unsaved:
-    """Whether something of this name would be lost with the page."""
+    """Tells the browser whether an input has unsaved text that would be lost with the page."""
 
     def __init__(self, name: str) -> None:
         self._name, self._is_typed = name, False

@@ -176,7 +176,7 @@ def why_disabled(event: MachineEvent, view: LiveView, *, in_control: bool) -> st
 
 
 def ordered_counts(counts: Mapping[str, int], *, has_cycle: bool) -> dict[str, int]:
-    """Cycles by outcome, always in the same order; cycles without one are said to be what they are.
+    """Number of cycles by outcome, in a fixed order; unfinished: under way or broken off.
 
     has_cycle  whether a cycle is under way
     """
@@ -194,7 +194,7 @@ def step_word(step: str) -> str:
 
 
 def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
-    """Figures of a cycle's result, as texts with units; what is not known is left out."""
+    """Figures of a cycle's result, as texts with units; unknown ones are omitted."""
     named = (
         ("predicted_miss_m", N_("Tip predicted"), 1e3, "+z.2f", "mm"),
         ("measured_miss_m", N_("Tip seen"), 1e3, "+z.2f", "mm"),
@@ -293,7 +293,7 @@ def miss_chart(
 
 
 def compact(chart: dict[str, Any]) -> dict[str, Any]:
-    """The same without words: for a small place."""
+    """The chart without words and axes, for a small place."""
     grid = {"left": 60, "right": 10, "top": 8, "bottom": 8}
     axis = {**chart["xAxis"], "show": False, "name": ""}
     y_axis = {**chart["yAxis"], "splitNumber": 2}

@@ -1,4 +1,4 @@
-"""One page that a person has open: who it is, in which language, and what may be asked for."""
+"""An open page of one person: session, language, and what its context offers."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class PagesContext:
 
 @dataclass(frozen=True)
 class Visit:
-    """A page that is open.
+    """An open page.
 
     page        identifies it among all that are open
     t           translates a message into its language

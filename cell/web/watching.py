@@ -1,4 +1,4 @@
-"""The cell as the pages' process sees it: followed in a thread, never waited for."""
+"""Follows the cell in a thread, so that the pages never wait for it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MOST_CABLES = 20
 
 @dataclass(frozen=True)
 class ShiftFigures:
-    """What the ledger says of the shift under way.
+    """Figures of the current shift from the ledger.
 
     counts   cycles by outcome
     reasons  code of a fault, or "rejected" or "missed"; number of cycles, newest cause; most first
@@ -58,10 +58,10 @@ class ShiftFigures:
 
 @dataclass(frozen=True)
 class WatchedState:
-    """What is known of the cell at one moment.
+    """State of the cell as known to the pages at one moment.
 
     status        None = no cell was seen yet
-    there         whether a cell runs now
+    connected     whether a cell runs now
     unknown_s     since when nothing was heard of a cell that may run, Unix time; None = it was
     step_since_s  when the step under way began, Unix time
     note          why nothing is known, in words
@@ -81,7 +81,7 @@ class WatchedState:
 
 
 class CellWatch:
-    """Follows the cell within a `with`; `seen` is what is known, from any thread."""
+    """Follows the cell within a `with`; `seen` is the newest state, for any thread."""
 
     def __init__(self, client: Client, settings: Settings, runs: Path) -> None:
         self._seen = WatchedState()
@@ -164,7 +164,7 @@ class CellWatch:
 
 
 def state_after(seen: WatchedState, message: Notice | Status) -> WatchedState:
-    """What is known after a message of the cell."""
+    """The watched state, updated by a message of the cell."""
     if isinstance(message, Status):
         begun = time.time() if message.step else None
         return replace(seen, status=message, connected=True, step_since_s=begun)

@@ -52,7 +52,7 @@ def parts_of(message: str) -> Iterator[str | Placeholder]:
 
 @dataclass(frozen=True)
 class Template:
-    """A message with places, and what it is in the language."""
+    """A message with placeholders, and its translation."""
 
     message: str
     translated: str
@@ -106,10 +106,10 @@ class Template:
 
 @dataclass(frozen=True)
 class Translation:
-    """How a text is said.
+    """A translated text, and how well its message matched.
 
-    literal  so many of its characters are not those of values
-    kept     values that are said as they are, numbers apart
+    literal       number of its characters that belong to the message, not to values
+    untranslated  values that stay as they are, except numbers
     """
 
     literal: int
@@ -118,9 +118,9 @@ class Translation:
 
 
 class Sentences:
-    """Messages of a catalogue; a call translates a text, and says it as it is if it is unknown.
+    """Translates texts by the messages of a catalogue; unknown texts stay as they are.
 
-    decimal  sign of the language
+    decimal  decimal sign of the language
     """
 
     def __init__(self, known: Mapping[str, str], decimal: str = ".") -> None:

@@ -1,4 +1,4 @@
-"""The lab's folder beside the records: uploads, studies, results, effects; names, sizes, age.
+"""The lab's folder, next to the records: uploads, studies, results, effects; names, sizes, age.
 
 What comes from a browser is not trusted: no name leads out of the folder, no archive unpacks to
 more than is allowed, links are refused.

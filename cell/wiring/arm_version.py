@@ -1,4 +1,4 @@
-"""Who takes responsibility for a controller whose version is not proved, and after which dry run.
+"""Permits a controller with an unproved version: by an entry in the settings and a slow dry run.
 
 `arm.allow_version` names the version.  The first dry run at low speed with that controller is
 remembered in the folder of the records; without one, no cable is moved.
@@ -28,7 +28,7 @@ MOST_SPEED = 0.25
 
 @dataclass(frozen=True)
 class PassedDryRun:
-    """A dry run that found no error, with a controller whose version is not proved.
+    """A dry run without errors, with a controller whose version is not proved.
 
     host           address of the controller
     serial_number  None = it tells none, as PolyScope X: then its address has to do
@@ -90,7 +90,7 @@ def check_arm_version(settings: Settings, config: Path, runs: Path, speed: float
 
 
 def remember_dry_run(settings: Settings, runs: Path, results: Sequence[Result]) -> None:
-    """Keep that a dry run has passed, if it is one on which `check_arm_version` relies.
+    """Store that a dry run has passed, if `check_arm_version` needs it.
 
     raises  OSError: it cannot be written
     """
@@ -116,7 +116,7 @@ def remember_dry_run(settings: Settings, runs: Path, results: Sequence[Result]) 
 
 
 def passed_dry_runs(runs: Path) -> tuple[PassedDryRun, ...]:
-    """Those that are remembered; none if the file is missing or not what was written."""
+    """Dry runs stored in `runs`; none if the file is missing or invalid."""
     with suppress(OSError, ValueError, TypeError):
         text = (runs / FILE).read_text(encoding="utf-8")
         return tuple(PassedDryRun(**entry) for entry in json.loads(text))

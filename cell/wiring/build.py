@@ -70,7 +70,7 @@ PATIENCE_S = 60.0
 
 
 def listed(settings: Settings, runs: Path) -> LedgerSetup | None:
-    """The ledger that the settings name, and what it is told of this cell; None = there is none."""
+    """Ledger of the settings, with its writer's thread started; None = the settings name none."""
     wanted = settings.ledger
     if wanted is None:
         return None
@@ -80,7 +80,7 @@ def listed(settings: Settings, runs: Path) -> LedgerSetup | None:
 
 
 def in_real_time(settings: Settings) -> bool:
-    """Whether time passes in the cell as it does outside: what is late there is late."""
+    """Whether the cell's clock runs at the speed of real time, so that computing time counts."""
     simulated = isinstance(settings.arm, given.SimulatedArm)
     return not simulated or settings.world.real_time_factor is not None
 
@@ -88,7 +88,7 @@ def in_real_time(settings: Settings) -> bool:
 def with_recorder(
     settings: Settings, devices: Devices, runs: Path
 ) -> tuple[Devices, RecordingSetup | None]:
-    """Devices that are recorded, and how cycles are, as the settings say; None = not at all."""
+    """Recorded devices, and the set-up of recordings; None = nothing is recorded."""
     wanted = settings.recording
     if wanted is None:
         return devices, None
@@ -189,7 +189,7 @@ def cell_with(
 
 
 def product_task(settings: Settings, calibration: Calibrated | None = None) -> ProductTask:
-    """What the settings, resolved for a product if they have some, ask the cell to make."""
+    """Task of the settings, which are resolved for a product if there are some."""
     return ProductTask(
         settings.product,
         cell_task(settings, calibration),
@@ -201,7 +201,7 @@ def product_task(settings: Settings, calibration: Calibrated | None = None) -> P
 
 @contextmanager
 def emulating(settings: Settings, config: Path, seed: int) -> Iterator[EmulatedCell]:
-    """Emulators of the devices, where the settings say that those are.
+    """Run emulators of the devices, at the addresses in the settings.
 
     config  the settings' file
     raises  InputError: the settings have no section `emulated`, or an emulator does not start
@@ -218,7 +218,7 @@ def emulating(settings: Settings, config: Path, seed: int) -> Iterator[EmulatedC
 
 @contextmanager
 def emulators_asked_for(settings: Settings, config: Path, seed: int) -> Iterator[None]:
-    """Emulators if the settings ask for them and none run already.  Raises as `emulating`."""
+    """Run emulators if the settings have some and none run yet.  Raises as `emulating`."""
     with ExitStack() as stack:
         if settings.emulated is not None and not runs_already(settings):
             stack.enter_context(emulating(settings, config, seed))
@@ -227,7 +227,7 @@ def emulators_asked_for(settings: Settings, config: Path, seed: int) -> Iterator
 
 @dataclass(frozen=True)
 class StagedDevices:
-    """Devices within their limits, and what shows things to the camera; None = a person must."""
+    """Guarded devices, and the simulated assistant for calibrations; None = a person assists."""
 
     devices: Devices
     assistant: SimulatedAssistant | None
@@ -354,7 +354,7 @@ def cell_task(settings: Settings, calibration: Calibrated | None = None) -> Task
 
 
 def corrects_in_flight(settings: Settings, calibration: Calibrated) -> bool:
-    """Whether insertions are corrected while they are made: as said, or if time is well known."""
+    """Whether insertions are corrected in flight; `auto` = if the delays are well known."""
     if settings.feedback != "auto":
         return settings.feedback == "on"
     return calibration.delays_95_s is not None and max(calibration.delays_95_s) <= FEEDBACK_TIME_S

@@ -48,7 +48,7 @@ _LOADING, _POSE_S, _TREMBLING_M = 32, 2e-3, 2e-5
 
 @dataclass(frozen=True)
 class HiddenCableFactory:
-    """Makes the `number`-th cable, in whatever process it is needed; picklable."""
+    """Picklable factory of the `number`-th hidden cable, for another process."""
 
     settings: Settings
     seed: int
@@ -78,7 +78,7 @@ class EmulatedCable:
 
 @dataclass(frozen=True)
 class CellScene:
-    """Makes the scene in the camera's process, with the cables' code loaded; picklable."""
+    """Picklable factory of the scene in the camera's process; it loads the cables' code."""
 
     arm: ArmScene
     first: HiddenCableFactory
@@ -90,7 +90,7 @@ class CellScene:
 
 
 def load_code(cable: EmulatedCable) -> None:
-    """Hold a cable at rest, then in a trembling gripper, whose poses are smoothed.
+    """Load the code of a cable by simulating it at rest, then in a trembling gripper.
 
     What would be compiled while the camera films holds its pictures up for half a second.
     """

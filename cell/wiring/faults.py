@@ -1,4 +1,4 @@
-"""Faults that a person gives to emulated devices: at once, or after a cable is gripped."""
+"""Requests faults of emulated devices: at once, or some time after a cable is gripped."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class FaultKind:
 
 @dataclass(frozen=True)
 class RequestedFault:
-    """A fault that somebody gives.
+    """A fault that a person has requested.
 
     after_s  time from the next grip of a cable; None = at once
     """

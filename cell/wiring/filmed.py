@@ -1,4 +1,4 @@
-"""A film and the poses of its gripper → a recording: the cell plays it and identifies its cable."""
+"""Converts a film and its gripper poses to a recording, which a cell can replay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cell has one master: whoever commands its devices owns them, and a second one is refused.
+"""Locks that give one program at a time the right to command a cell's devices.
 
 Each device has a lock of the operating system, by its address.  All users of the computer share
 them, and the system frees them when their owner ends, however it ends.  An arm is also claimed at

@@ -35,7 +35,7 @@ _BEFORE_S = 60.0
 def replayed_devices(
     recording: Recording, settings: Settings
 ) -> tuple[Devices, Callable[[int, str], None]]:
-    """The devices of a recorded cycle, and what sets their clock as a step begins.
+    """Devices of a recorded cycle, and a function that sets their clock as a step begins.
 
     raises  InputError: the recording lacks what a replay needs
     """

@@ -95,7 +95,7 @@ _ASIDE = 0.25
 
 
 class SimulatedAssistant:
-    """Shows to the camera of a cell that is not real; tells it by `stage`."""
+    """Assistant of a simulated cell: shows board and plumb line to its camera by `stage`."""
 
     def __init__(
         self,

@@ -37,7 +37,7 @@ FIRST_MODE = 1.8751
 
 
 def hidden_cable(settings: Settings, seed: int, number: int) -> CableModel:
-    """The `number`-th individual of a simulated batch: what the cell must find out.
+    """The `number`-th cable of a simulated batch: the truth that the cell has to identify.
 
     Its rigidity varies along the cable, its exponent is not 1; both come from the seed alone.
     """
@@ -162,7 +162,7 @@ def _simulated_camera(
 def camera_twin(
     settings: Settings, look: given.SimulatedCamera | Emulated, seed: int
 ) -> CameraTwinOptions:
-    """Pictures as the camera of the settings takes them; `look` tells how good they are."""
+    """Options of the camera's twin, from the settings; `look` has blur, exposure and noise."""
     camera = settings.camera
     assert not isinstance(camera, given.FilesCameraSettings)
     vision = settings.vision

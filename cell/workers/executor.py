@@ -1,4 +1,4 @@
-"""What runs many independent jobs: one interface, wherever the jobs are done."""
+"""Interface of an executor of many independent jobs, here or on a cluster."""
 
 from __future__ import annotations
 

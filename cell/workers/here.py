@@ -14,7 +14,7 @@ from cell.workers.shipping import done, know_own_effects, pack, result_of
 
 
 class OneAfterAnother:
-    """An executor that does every job itself, as another with one core would: to the last bit."""
+    """Executor that runs jobs one after another in this process; same results to the bit."""
 
     workers = 1
 
@@ -79,7 +79,7 @@ def this_computer(cores: int | None = None) -> Executor:
 def executor(
     where: str | int | None = None, tell: Callable[[str], None] = lambda note: None
 ) -> Iterator[Executor]:
-    """An executor until it is left.
+    """Executor of a cluster or of this computer's cores, within the `with`.
 
     where   address of a scheduler, number of cores of this computer; None = all of its cores
     tell    is told what a person should know of the workers

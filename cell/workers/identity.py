@@ -1,4 +1,4 @@
-"""What a worker must have in common with whoever sends it jobs, so that results are the same."""
+"""Versions that workers and this process must share, so that results are the same."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class WorkerIdentity:
 
 @cache
 def identity() -> WorkerIdentity:
-    """That of this process, as its code was when this was first asked."""
+    """Identity of this process; computed once, from its code at that time."""
     from llvmlite.binding import get_host_cpu_name
 
     return WorkerIdentity(

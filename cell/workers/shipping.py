@@ -50,7 +50,7 @@ def unpack(packed: bytes) -> Any:
 
 
 def know_own_effects() -> None:
-    """Let copies of this process name the effects of users' files that it has loaded."""
+    """Remember the sources of loaded effects of users' files, so that forks can pack them."""
     for effect in _all_of(Effect):
         if effect.file is not None and effect not in _sources:
             try:
@@ -118,7 +118,7 @@ def _all_of(kind: type[Effect]) -> Iterator[type[Effect]]:
 
 
 def done(function: bytes, job: bytes) -> bytes:
-    """Value and error of a job, packed; function and job are as they were packed, every time."""
+    """Run a packed job with a packed function; returns its value and error, packed."""
     value, error = None, None
     try:
         value = unpack(function)(unpack(job))

@@ -1,4 +1,4 @@
-"""An emulated camera: a process that streams what it sees to whoever connects, on loopback.
+"""Emulated camera: a process that streams rendered pictures to its clients, on loopback.
 
 OpenCV opens its address as it is: pictures arrive unchanged, bit by bit, with their time stamps.
 """
@@ -30,7 +30,7 @@ from drivers.threads import GuardedThread, end_process, only_logged
 
 
 class Scene(Protocol):
-    """What is in front of the camera.  Lives in the camera's process; one thread uses it."""
+    """Interface of what an emulated camera sees.  Lives in its process; one thread uses it."""
 
     def picture(self, t_s: float) -> Image:
         """(H, W) picture with the middle of its exposure at `t_s` of the monotonic clock, a few
@@ -53,9 +53,7 @@ SceneFactory = Callable[[], Scene]
 
 @dataclass(frozen=True)
 class TestCard:
-    """A scene without anything: a ramp that moves by one grey level each period, so that every
-    picture tells its number, modulo 256.
-    """
+    """Empty scene: its grey level rises by one per period, and so encodes the frame number."""
 
     __test__ = False  # not a test, whatever its name
 
@@ -87,7 +85,7 @@ _GLANCE_S = 0.02  # how often whoever waits looks whether something changed
 
 @dataclass(frozen=True)
 class CameraEmulatorOptions:
-    """What is emulated.
+    """Properties of the emulated camera.
 
     poll_s     from the middle of an exposure until the scene is asked for the picture: it may
                need what others measured at that moment
@@ -105,7 +103,7 @@ class CameraEmulatorOptions:
 
 @dataclass(frozen=True)
 class StreamFaults:
-    """What goes wrong, until `faults` is set anew.
+    """Faults of the emulated camera, active until `faults` is set again.
 
     refuses  nobody may connect, and whoever is connected is cut off
     silent   no pictures leave, the connection stays
@@ -190,7 +188,7 @@ def serve(
     options: CameraEmulatorOptions,
     address: tuple[str, int],
 ) -> None:
-    """Be a camera until the other end of `door` is gone."""
+    """Main loop of the emulated camera's process: stream until the connection `door` is closed."""
     leave_interrupts_to_parent()
     cv2.setNumThreads(1)  # OpenCV's own threads would have to wait for the rest of the computer
     try:

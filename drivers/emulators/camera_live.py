@@ -24,7 +24,7 @@ _PATIENCE_S = 0.03  # longer than any pose is under way
 
 
 class PoseFeed(Protocol):
-    """Poses of the gripping point as they are measured: where the emulated arm really is."""
+    """Source of the measured poses of an emulated arm's gripping point."""
 
     def __call__(self) -> Trajectory | None:
         """Poses since the last call, times on the monotonic clock, at least one; None = none."""
@@ -32,7 +32,7 @@ class PoseFeed(Protocol):
 
 
 class LiveCable(Protocol):
-    """A cable that is moved along as the poses come; it keeps its own state."""
+    """Cable that is simulated step by step as poses arrive; it keeps its own state."""
 
     def advance(self, grip: Trajectory) -> FloatArray:
         """Shapes at the times of `grip`, which continues the one before; (T, K, 2) m, tip first.

@@ -1,4 +1,4 @@
-"""Where an emulated arm really is: a silent listener on its controller, as light would be.
+"""Reads an emulated arm's true poses over a connection of its own, independent of the driver.
 
 The pictures must not depend on what the driver under test believes, so this is a connection of
 its own: the joints of the controller, and the kinematics.

@@ -14,7 +14,7 @@ _TICK_NS = 1000
 
 
 def stream_header(width_px: int, height_px: int, frame_rate_hz: float) -> bytes:
-    """What a stream begins with."""
+    """Bytes at the beginning of a stream."""
     ebml = _element(
         b"\x1a\x45\xdf\xa3",
         _element(b"\x42\x86", _number(1))  # EBMLVersion

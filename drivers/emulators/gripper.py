@@ -18,7 +18,7 @@ _PRIORITY = 10
 
 @dataclass(frozen=True)
 class JawsObserver:
-    """The gripper as seen from outside.
+    """State of the emulated gripper, as an observer sees it.
 
     held  a cable is between the closed jaws
     """
@@ -73,7 +73,7 @@ class GripperProcess(EmulatorProcess):
 
 
 def serve(door: Connection, link: Path | None, address: int) -> None:
-    """Be a gripper until the other end of `door` is gone."""
+    """Main loop of the emulated gripper's process: run until the connection `door` is closed."""
     leave_interrupts_to_parent()
     run_in_real_time(_PRIORITY)  # a gripper does not slow down when the computer is busy
     try:

@@ -1,4 +1,4 @@
-"""Starts emulators as processes of their own, and talks to their doors for faults."""
+"""Starts emulators as processes, and sends them faults over connections called doors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ANSWER_S = 5.0
 
 
 class EmulatorError(RuntimeError):
-    """An emulator did not start, or did not understand."""
+    """An emulator did not start, or rejected a request."""
 
 
 class EmulatedController:
@@ -161,13 +161,13 @@ class EmulatorProcess:
 
 
 def leave_interrupts_to_parent() -> None:
-    """A Ctrl-C, or a closed terminal, is for the parent: it stops the cell, and then ends this."""
+    """Ignore Ctrl-C and a closed terminal: the parent stops the cell, then ends this process."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
 
 
 def serve_requests(door: Connection, do: Callable[[str, Any], object]) -> None:
-    """Do as the parent says; end the process when it is gone, whatever that process does."""
+    """Serve the parent's requests; end this process when the connection is closed."""
     try:
         while True:
             answer: tuple[bool, object]

@@ -113,7 +113,7 @@ def crc16(data: bytes) -> bytes:
 
 
 def frame_size(data: bytes) -> int | None:
-    """Size of the request that begins with `data`; None while it cannot be told yet."""
+    """Size of the request that begins with `data`; None while too few bytes are there."""
     if len(data) < 2:
         return None
     if data[1] == 16:

@@ -62,7 +62,7 @@ _ROBOT_MODES = {_POWER_OFF: "POWER_OFF", _IDLE: "IDLE", _RUNNING: "RUNNING"}
 
 @dataclass(frozen=True)
 class ControllerOptions:
-    """What is emulated.
+    """Properties of the emulated controller.
 
     version     PolyScope version: major, minor, bugfix, build
     time_scale  controller seconds per real second

@@ -1,4 +1,4 @@
-"""What a UR controller says on each of its ports, and on one of the emulator's own for faults."""
+"""Protocols of the emulated UR controller's ports, and of the emulator's own port for faults."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MAX_BACKLOG = 65536  # a slow reader loses packets rather than time
 
 
 class PortServer(Protocol):
-    """What a connection asks of the server that it belongs to."""
+    """Interface of the server that a connection belongs to."""
 
     controller: Controller
 

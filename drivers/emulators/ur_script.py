@@ -50,7 +50,7 @@ class Registers:
 
 @dataclass
 class Effects:
-    """What the program may do beyond moving joints and writing registers."""
+    """Callbacks for what the program does beyond moving joints and writing registers."""
 
     protective_stop: Callable[[str], None]
     watch: Callable[[int, float], None]  # register, lowest frequency in Hz

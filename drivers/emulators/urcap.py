@@ -33,7 +33,7 @@ _READ = _WRITTEN | {
 
 
 def respond(jaws: Jaws, line: str, plugged: bool) -> str:
-    """What the server says to a line."""
+    """Answer of the URCap's server to a line."""
     match line.split():
         case ["GET", name] if name in _READ:
             register, first, bits = _READ[name]

@@ -1,4 +1,4 @@
-"""Twin of an arm: follows paths with a lag, measures with noise, stops when told or broken."""
+"""Twin of an arm: follows paths with a lag, measures with noise, and has faults."""
 
 from __future__ import annotations
 

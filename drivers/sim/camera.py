@@ -23,7 +23,7 @@ _LOST_REMEDY = "check the camera's cable and power, then connect again"
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """What goes wrong with a camera, until `faults` is set anew.
+    """Faults of the simulated camera, active until `faults` is set again.
 
     Frames are given by their index in a recording, times on the cell's clock.
     """
@@ -60,7 +60,7 @@ class CameraTwinOptions:
 
 @dataclass(frozen=True, eq=False)
 class Staging:
-    """What a person holds before the camera: a board, a thread; and whether the jaw is in view."""
+    """What is shown to the simulated camera, a board or thread, and whether the jaw is in view."""
 
     patches: tuple[Patches, ...] = ()
     jaw: bool = True

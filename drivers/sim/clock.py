@@ -1,4 +1,4 @@
-"""Simulated time: sleeping forwards it at once, and events happen when it passes them."""
+"""Simulated time: sleeping advances it at once, and triggers the events that it passes."""
 
 from __future__ import annotations
 

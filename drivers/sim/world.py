@@ -1,4 +1,4 @@
-"""World that the twins share: the arm moves the gripper, it swings the cable, the camera looks."""
+"""Simulated world that the twins share: arm, gripper and cable move, the camera sees them."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Speed: of the engine beside its peer, of vision, of the waits of a cell."""
+"""Speed of the engine compared with a peer, of vision, and of the cell's waits."""

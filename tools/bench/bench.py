@@ -37,7 +37,7 @@ from tools.bench.bench_task import (
 
 
 def our_solver(exact: np.ndarray, segments: int | None) -> tuple[Solver, float]:
-    """The fastest of our settings within the error allowed."""
+    """Fastest solver settings of this engine within the allowed error."""
     meshes = (segments,) if segments else (8, 10, 12, 14, 16, 20)
     found = []
     for n in meshes:

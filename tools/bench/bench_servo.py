@@ -49,7 +49,7 @@ STROKE_M, SWING_S = 0.03, 1.5
 
 @dataclass(frozen=True)
 class Servo:
-    """Times between two commands as the controller got them, s, and frames seen meanwhile.
+    """Times between two commands at the controller, s, and frames processed in that time.
 
     cpu_s     of this process: arm, camera and vision
     troubles  what the camera said when it could not keep up; it was connected again
@@ -69,7 +69,7 @@ class Servo:
 
 
 def up_and_down(seconds: float, rate_hz: float) -> Trajectory:
-    """Down and up again and again, from rest to rest."""
+    """Path down and up repeatedly, from rest to rest."""
     t_s = np.arange(0.0, seconds, 1.0 / rate_hz)
     fade = np.clip(np.minimum(t_s, t_s[-1] - t_s) / SWING_S, 0.0, 1.0)
     fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade * fade)
@@ -190,7 +190,7 @@ def summary(found: Servo) -> str:
 
 
 def paired(pairs: int, seconds: float, what: str) -> None:
-    """Without and with something, in turn; the order changes from pair to pair."""
+    """Print measurements with and without an option, in pairs of alternating order."""
     p99_ms: dict[bool, list[float]] = {False: [], True: []}
     late: dict[bool, list[float]] = {False: [], True: []}
     for pair in range(pairs):

@@ -25,7 +25,7 @@ def least_jerk(t: np.ndarray, start_s: float, duration_s: float) -> np.ndarray:
 
 
 def offset_motion(offset_m: float) -> Motion:
-    """Down by the offset, then 50 mm to the left."""
+    """Motion down by the offset, then 50 mm to the left."""
     t = np.arange(0.0, 1.0, 0.002)
     down, left = least_jerk(t, 0.05, 0.25), least_jerk(t, 0.4, 0.3)
     return Motion(t, -0.05 * left, -offset_m * down, 0 * t)

@@ -61,7 +61,7 @@ CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 
 @dataclass(frozen=True)
 class Wait:
-    """One cycle.
+    """The cell's wait for the computer in one cycle, and its load.
 
     wait_s    from when the last frame of the hold was taken until the offset was chosen, as the
               cell reports it, and the time by which that frame was read later than it could have
@@ -142,7 +142,7 @@ class PlaybackCamera:
 def measured(
     settings: Settings, seed: int, cycles: int, to_parent: Connection, linked: Path | None = None
 ) -> None:
-    """Run the cycles whose pictures come through the pipe, and send back what they took.
+    """Run cycles on the pictures from a pipe, and send back the measured times.
 
     linked  folder of the records beside which the cell has its link; None = it has none
     """
@@ -190,7 +190,7 @@ _SIGNALS: list[int] = []
 
 
 def end_in_order() -> None:
-    """Have SIGTERM end this process as its last line would: else what it shares stays behind."""
+    """Let SIGTERM end this process by SystemExit, so that shared resources are released."""
 
     def end(number: int, frame: object) -> None:
         _SIGNALS.append(number)
@@ -200,7 +200,7 @@ def end_in_order() -> None:
 
 
 def cycle_of(cell: Cell, number: int) -> Result:
-    """Run a cycle, which takes whatever stops it for a fault; end after it if this is to end."""
+    """Run a cycle; after it, exit if SIGTERM was received meanwhile."""
     result = cell.run_cycle(number)
     if _SIGNALS:
         sys.exit(128 + _SIGNALS[0])
@@ -238,7 +238,7 @@ def waits(
     plant: Path | None = None,
     pages: bool = False,
 ) -> list[Wait]:
-    """Every cycle's wait, told as it comes.
+    """Run cycles at the speed of reality, and print and return the wait of each.
 
     settings  None = those of the simulated cell
     plant     folder for a plant around it; None = there is none
@@ -358,7 +358,7 @@ def main() -> None:
 
 
 def compared(name: str, base: list[Wait], found: list[Wait]) -> Iterator[str]:
-    """Ratios of what was measured with something and without it, cycle by cycle and of medians."""
+    """Sentences on the ratio of each measure with something to without it."""
     for of in ("wait_s", "after_cpu_s", "hold_cpu"):
         without, with_it = (np.array([getattr(w, of) for w in ws]) for ws in (base, found))
         low, middle, high = np.nanquantile(with_it / without, [0.25, 0.5, 0.75])

@@ -32,7 +32,7 @@ FLAT = (10_240.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class ResourceUse:
-    """What a process holds."""
+    """Memory, threads and handles of a process."""
 
     memory_kib: int
     threads: int
@@ -48,7 +48,7 @@ def held_by(pid: int) -> ResourceUse:
 
 
 def report(name: str, rows: list[ResourceUse]) -> bool:
-    """Print the growth per cycle after the first tenth, and whether it counts as none."""
+    """Print the growth of resources per cycle after the first tenth; returns whether it is flat."""
     kept, flat = rows[len(rows) // 10 :], True
     if len(kept) < 3:  # too few for a slope
         return True

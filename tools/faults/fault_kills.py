@@ -1,4 +1,4 @@
-"""Processes of a running cell killed while the emulated arm moves: it has to stand at once."""
+"""Kills processes of a running cell while the emulated arm moves: the arm must stop at once."""
 
 from __future__ import annotations
 

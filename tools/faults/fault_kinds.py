@@ -19,7 +19,7 @@ OFF_S = 0.5  # a power cycle
 
 @dataclass(frozen=True)
 class Victim:
-    """What a fault is done to: the emulators, and the process in which the arm's client lives."""
+    """Objects that faults act on: the emulators, and the process of the arm's client."""
 
     emulated: EmulatedCell
     child: Callable[[], int]
@@ -42,7 +42,7 @@ class Kind:
 
 @dataclass
 class FaultTrial:
-    """A fault in a step, and what came of it.
+    """A fault in a step, and the cell's reaction.
 
     reaction_s  from the fault, or from the beginning of the step that needs the device, until the
                 arm was commanded to stop; None = there was nothing to stop

@@ -1,4 +1,4 @@
-"""What fault trials have shown: a summary, a table, and the same table as CSV."""
+"""Results of fault trials: a summary, a table, and the same table as CSV."""
 
 from __future__ import annotations
 

@@ -187,7 +187,7 @@ class FaultRig:
 
 
 def run_trial(bench: FaultRig, trial: FaultTrial) -> None:
-    """One cycle with the fault, the next if that one did not need the device, and one after."""
+    """Run a cycle with the fault, the next one if that did not use the device, and one after it."""
     trial.begin()
     if trial.step == "connect":
         bench.cell.close()
@@ -251,7 +251,7 @@ def judge(bench: FaultRig, trial: FaultTrial, result: Result) -> None:
 def small_change(
     answers: Response, beside: Deviation, destination: object, from_s: float, *asked: object
 ) -> Tail:
-    """Up by 0.3 mm, at every decision."""
+    """Correction for trials: 0.3 mm up, at every decision."""
     return Tail(from_s, 3e-4, 0.0, 0.2, 1.0, 0.0, 1.0, answers.nodes_m[:, 0] + beside.tip_m)
 
 

@@ -48,7 +48,7 @@ _BEGIN_S = 180.0
 
 @dataclass(frozen=True)
 class HandshakeFindings:
-    """What the cell did, beside what it was asked for.
+    """What the cell did, compared with what the PLC requested.
 
     wrong  one sentence for everything that it may not do
     """
@@ -61,7 +61,7 @@ class HandshakeFindings:
 
 
 def compared(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> HandshakeFindings:
-    """What the PLC said and was told, compared with what happened in the cell.
+    """Compare what the PLC sent and received with what happened in the cell.
 
     said      lines of the scripted PLC
     happened  in the cell, since before the first of them
@@ -112,7 +112,7 @@ def _wrong_starts(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) ->
 
 
 class Follower:
-    """Gathers what happens in a cell, and aborts some of its cycles, in a thread."""
+    """Collects the notices of a cell, and aborts some of its cycles, in a thread."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -143,7 +143,7 @@ class Follower:
 
 
 def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindings:
-    """So many cycles over one carrier, in a folder of its own."""
+    """Run `cycles` cycles over one carrier of the handshake, in the given folder."""
     controller = carrier == "controller"
     port = free_port()
     handshake = {"carrier": carrier, "silence_s": SILENCE_S, **places()}

@@ -79,7 +79,7 @@ for number in range(1, 101):
 
 @dataclass(frozen=True)
 class KilledCell:
-    """What was left of one cell.
+    """What was recovered of one killed cell.
 
     after_s   since its first cable was grasped, by the computer's clock
     both      whether the recorder was killed at the same time
@@ -198,7 +198,7 @@ def _wait(child: subprocess.Popen[bytes], there: Callable[[], bool], seconds: fl
 
 
 def table(kills: list[KilledCell]) -> str:
-    """What was lost at most, in words."""
+    """Sentences on the largest losses."""
     lines = [f"{len(kills)} kills, {sum(k.both for k in kills)} of them with the recorder"]
     for what in ("poses", "frames"):
         lost_ms = 1e3 * np.array([getattr(k, f"{what}_lost_s") for k in kills])

@@ -212,7 +212,7 @@ def has_ended(heard: dict[str, bool]) -> bool:
 
 
 def held(plc: Plc) -> str:
-    """Start is not let fall after the cycle: no other begins."""
+    """Habit: start stays on after the cycle; no other cycle may begin."""
     told = plc.cycle()
     if told != "fault":
         plc.quiet()
@@ -220,7 +220,7 @@ def held(plc: Plc) -> str:
 
 
 def without_part(plc: Plc) -> str:
-    """The part goes as start comes, and comes again while start is held."""
+    """Habit: the part goes as start comes, and comes again while start is held."""
     plc.wait(lambda heard: heard["ready"])
     plc.say(part_present=False, start=True)
     plc.quiet()
@@ -231,8 +231,7 @@ def without_part(plc: Plc) -> str:
 
 
 def part_taken(plc: Plc) -> str:
-    """The part goes within the cycle, as when the gripper takes it, and is missing at the next
-    start.
+    """Habit: the part goes within the cycle, and is missing at the next start.
 
     That start does nothing, nor does the part when it comes while start is held.
     """
@@ -250,7 +249,7 @@ def part_taken(plc: Plc) -> str:
 
 
 def twice(plc: Plc) -> str:
-    """A second start within the cycle."""
+    """Habit: a second start within the cycle."""
     plc.begin()
     plc.say(start=False)
     time.sleep(0.06)
@@ -262,7 +261,7 @@ def twice(plc: Plc) -> str:
 
 
 def paused(plc: Plc) -> str:
-    """The machines beside the cell are not ready for a while, one after the other."""
+    """Habit: the machines up- and downstream are not ready for a while, one after the other."""
     plc.begin()
     for name in ("downstream_ready", "upstream_ready"):
         plc.say(**{name: False})
@@ -273,7 +272,7 @@ def paused(plc: Plc) -> str:
 
 
 def stopped(plc: Plc) -> str:
-    """The cycle is stopped, and start is tried while stop is held."""
+    """Habit: the cycle is stopped, and start is tried while stop is held."""
     plc.begin()
     plc.say(start=False, stop=True)
     told = plc.outcome()
@@ -284,7 +283,7 @@ def stopped(plc: Plc) -> str:
 
 
 def lost(plc: Plc) -> str:
-    """The wire is broken between two cycles, and start is on when it is there again."""
+    """Habit: the connection breaks between two cycles, and start is on when it returns."""
     plc.wait(lambda heard: heard["ready"])
     plc.wire.part()
     time.sleep(1.5 * SILENCE_S)
@@ -297,7 +296,7 @@ def lost(plc: Plc) -> str:
 
 
 def after_fault(plc: Plc) -> None:
-    """Start does nothing until someone has acknowledged, nor while it is held since before."""
+    """Check that start does nothing before a fault is acknowledged, or if held since before."""
     plc.say(start=False)
     plc.quiet()
     plc.say(start=True)
@@ -322,7 +321,7 @@ HABITS: dict[str, Callable[[Plc], str]] = {
 
 
 def play(plc: Plc, cycles: int, log: Callable[..., None]) -> None:
-    """Make cycles, each with the next habit."""
+    """Run cycles; each uses the next of `HABITS`, the PLC's ways to behave."""
     plc.connect()
     for number in range(cycles):
         name = list(HABITS)[number % len(HABITS)]

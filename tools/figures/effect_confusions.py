@@ -34,7 +34,7 @@ NOTHING_M, LEAST = 5e-9, 0.3
 
 
 def motions() -> dict[str, list[Motion]]:
-    """Motions by name; two are seen together."""
+    """Motions by name; the pairs `down and …` are fitted jointly."""
     t_s = np.arange(0.0, TIMES_S[-1] + 0.02, 0.002)
     none = 0.0 * t_s
 

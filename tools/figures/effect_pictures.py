@@ -69,7 +69,7 @@ def motion() -> Motion:
 
 
 def model(q: FloatArray, effects: tuple[ActiveEffect, ...] = ()) -> CableModel:
-    """A cable: log EI at its knots, N, log viscosity."""
+    """Cable model of the parameters: log EI at its knots, N, log viscosity."""
     return CableModel(CABLE, np.exp(q[:-2]), float(q[-2]), float(np.exp(q[-1])), effects=effects)
 
 
@@ -77,7 +77,7 @@ PLAIN = np.array([*np.log([3e-5] * 4), 1.0, np.log(2e-7)])
 
 
 def signature(name: str) -> Signature:
-    """What the effect does to a cable, and how well a baseline imitates it."""
+    """Effect on a cable, and the residual of the best baseline fit to it."""
     effect = (library() | unscreened())[name]
     shown = [p for p in effect.parameters if p.fitted]
     active = effect.active(**SIZES.get(name, {p.name: p.starts[0] for p in shown if p.amplitude}))

@@ -45,7 +45,7 @@ def read(name: str) -> Rows:
 
 
 def numbers(rows: Rows, column: str) -> np.ndarray:
-    """Of a column; nan where it is empty."""
+    """Numbers of a column; nan where it is empty."""
     return np.array([float(r[column] or "nan") for r in rows])
 
 
@@ -59,7 +59,7 @@ def share(axes: Axes, y: ArrayLike, of: Rows, count: str, colour: str, label: st
 
 
 def named(axes: Axes, names: Sequence[str], unit: str) -> None:
-    """Names at the left, the first at the top, and what the horizontal axis shows."""
+    """Label the rows at the left, the first at the top, and the horizontal axis."""
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.grid(axis="y", visible=False)
@@ -78,7 +78,7 @@ def legend(figure: Figure, axes: Axes, columns: int = 3) -> None:
 
 
 def panels(heights: Sequence[int]) -> tuple[Figure, list[Axes]]:
-    """A figure with one panel below another, for so many rows each."""
+    """A figure with panels below each other; `heights` in rows."""
     figure = Figure((7.2, 0.21 * sum(heights) + 0.75 * len(heights) + 0.4), layout="constrained")
     grid = figure.subplots(len(heights), 1, height_ratios=[h + 1 for h in heights], squeeze=False)
     return figure, list(grid[:, 0])
@@ -133,7 +133,7 @@ def lab() -> Figure:
 
 
 def several(name: str, group: str, rows_of: str, count: str, unit: str) -> Figure:
-    """Shares of several groups for each condition."""
+    """Plot shares of several groups for each condition."""
     rows = [r for r in read(name) if r[group]]
     names = list(dict.fromkeys(r[rows_of] for r in rows))
     groups = list(dict.fromkeys(r[group] for r in rows))

@@ -104,7 +104,7 @@ def figure_3() -> Figure:
 
 
 def figure_5() -> Figure:
-    """Uniform EI against the identified EI(s): still shape, and what it leaves."""
+    """Uniform EI and the identified EI(s): still shape, and its residual."""
     found, seen = identified(5)
     nodes = seen.xy_m[seen.t_s < STILL_S - 0.01].mean(0)
     uniform = best_uniform(nodes)
@@ -155,7 +155,7 @@ def figure_6() -> Figure:
 
 
 def figure_7() -> Figure:
-    """What N and C do to the swing; the still shape is kept while N changes."""
+    """Effect of N and C on the swing; EI is scaled with N so that the still shape stays."""
     found, _ = identified(4)
     base = found.model
     t_s = np.arange(0.0, hold().t_s[-1], 0.002)

@@ -1,4 +1,4 @@
-"""Every adapter, and the pages, killed in every step of a cycle: it ends as it would have.
+"""Kills every adapter, and the pages, in every step of a cycle, which must end as without it.
 
     python -m tools.plant.adapter_kills [--only mqtt] [--steps lower execute] [--quick]
 
@@ -53,7 +53,7 @@ class MadeCycle:
 
 
 def quick(config: Path) -> Path:
-    """The simulated cell with fewer and smaller pictures, not recorded."""
+    """Write settings of the simulated cell with fewer, smaller pictures, and without recordings."""
     content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
     content["camera"].update(frame_rate_hz=100.0, width_px=800, height_px=640)
     view = {"metres_per_pixel": 0.00032, "origin_column_px": 625, "origin_row_px": 93.75}
@@ -66,7 +66,7 @@ def quick(config: Path) -> Path:
 
 
 def service(config: Path, runs: Path, log: Path) -> AbstractContextManager[object]:
-    """A cell that waits for starts."""
+    """Run a cell as a service that waits for starts."""
     words = ("run", "-c", str(config), "--cycles", "forever", "--runs", str(runs))
     return running("cell", *words, log=log)
 
@@ -74,7 +74,7 @@ def service(config: Path, runs: Path, log: Path) -> AbstractContextManager[objec
 def made(
     client: Client, messages: Iterator[Notice | Status], on_step: Callable[[str], None]
 ) -> MadeCycle:
-    """One cycle, from Idle; `on_step` is called when a step begins."""
+    """Run one cycle from Idle; `on_step` is called when a step begins."""
     for message in messages:
         waits = message.data if isinstance(message, Notice) else vars(message)
         if "start" in waits.get("waiting_for", ()):
@@ -100,7 +100,7 @@ STEPS = [s.name for s in INSERTING.steps if s not in INSERTING.resetting and not
 def assigned(
     planned: list[tuple[str, str]], cycles: list[MadeCycle]
 ) -> list[tuple[str, str] | None]:
-    """Which kill each cycle gets: one in a step that it has; rare steps first."""
+    """Assign a planned kill to each cycle that has its step; rare steps first."""
     count = Counter(step for cycle in cycles for step in set(cycle.steps))
     left = sorted(planned, key=lambda kill: count[kill[1]])
     found = []

@@ -121,7 +121,7 @@ class Plant:
 
 @contextmanager
 def published(runs: Path) -> Iterator[None]:
-    """The link of a cell that is not there: its notices come as those of cycles would."""
+    """Open the link of a cell that does not exist, and publish notices as of its cycles."""
     refused = CommandReply(False, CellState.EXECUTE, "this cell only publishes")
 
     def refuse(request: Request) -> CommandReply:

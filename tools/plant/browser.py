@@ -24,7 +24,7 @@ _KIB = 1024
 
 
 class Pages:
-    """`cell serve` within a `with`, and what it costs."""
+    """Runs `cell serve` within a `with`, and measures its resources."""
 
     def __init__(self, config: Path, runs: Path, port: int | None = None) -> None:
         self.port = port or free_port()

@@ -1,4 +1,4 @@
-"""Memory of the pages' process over the updates of a shift, with five tabs, one of them stalled.
+"""Measures the memory of the pages' process over a shift, with five tabs, one of them stalled.
 
     python -m tools.plant.pages_soak [--hours 8] [--speed 100] [--cycle-s 15]
 
@@ -55,14 +55,14 @@ _FOLDERS = 300
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a cell told of one cycle, and the folder that the cycle left."""
+    """Notices of one cycle, and the folder that it left."""
 
     notices: tuple[Notice, ...]
     folder: Path
 
 
 def recorded(folder: Path, config: Path) -> Recorded:
-    """Have one simulated cycle made."""
+    """Run one simulated cycle, and return its notices and folder."""
     runs = folder / "made"
     with service(config, runs, folder / "log"):
         client = Client(runs, timeout_s=60.0).connect(300.0)
@@ -82,7 +82,7 @@ def recorded(folder: Path, config: Path) -> Recorded:
 
 
 class Line:
-    """A cell that is not there: tells of the same cycle again and again, each with its records."""
+    """Simulated line: publishes one recorded cycle repeatedly, each time with its records."""
 
     def __init__(self, told: Recorded, config: Path, runs: Path, cycle_s: float) -> None:
         self._told, self._runs, self._cycle_s = told, runs, cycle_s
@@ -140,7 +140,7 @@ class Line:
 
 @contextmanager
 def going_on(task: Callable[[threading.Event], None]) -> Iterator[None]:
-    """Something that goes on in a thread meanwhile, until it is told that all is over."""
+    """Run a task in a thread within the `with`; its event tells it to end."""
     over = threading.Event()
     thread = threading.Thread(target=task, args=(over,), daemon=True)
     thread.start()
@@ -152,7 +152,7 @@ def going_on(task: Callable[[threading.Event], None]) -> Iterator[None]:
 
 
 def stalls(browser: Browser) -> Callable[[threading.Event], None]:
-    """Halt a browser again and again; between, its page comes back."""
+    """Task that halts and resumes a browser repeatedly."""
 
     def task(over: threading.Event) -> None:
         while not over.is_set():
@@ -167,7 +167,7 @@ def stalls(browser: Browser) -> Callable[[threading.Event], None]:
 
 
 def people(browser: Browser, url: str) -> Iterator[None]:
-    """Open four tabs; each next() is one more look of somebody at another page."""
+    """Open four tabs; each `next()` opens another page in one of them, as a person would."""
     driver = browser.driver
     for _ in range(2):
         browser.tab(f"{url}/")
@@ -194,7 +194,7 @@ def people(browser: Browser, url: str) -> Iterator[None]:
 
 
 def soak(folder: Path, told: Recorded, config: Path, count: int, cycle_s: float) -> bool:
-    """Let it go on for so many cycles; whether the memory has grown by little enough.
+    """Run `count` cycles; returns whether the memory has grown by little enough.
 
     cycle_s  a cycle takes, at least: a busy computer takes longer
     """

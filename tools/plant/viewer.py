@@ -1,4 +1,4 @@
-"""A page of the cell that somebody looks at, without a browser: asked for, then followed.
+"""Simulates viewers of the cell's live page without a browser: requests it, then follows it.
 
     python -m tools.plant.viewer PORT [--viewers 5 --stalled 1]
 

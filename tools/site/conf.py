@@ -39,6 +39,6 @@ def _write_formula(display: str) -> Any:
 
 
 def setup(app: Any) -> None:
-    """Called by Sphinx."""
+    """Register the writers of formulas; Sphinx calls this."""
     app.add_node(nodes.math, override=True, html=(_write_formula("inline"), None))
     app.add_node(nodes.math_block, override=True, html=(_write_formula("block"), None))

@@ -1,1 +1,1 @@
-"""Studies with a known answer: what the lab says, and what the line learns, beside the truth."""
+"""Studies with a known answer: results of lab and line compared with the truth."""

@@ -1,4 +1,4 @@
-"""What the lab said of a study with a known answer, and whether that is right."""
+"""Result of a diagnosis of a study with a known answer, and whether it is right."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tools.worlds.known_truth import SHOWS, class_of
 
 @dataclass(frozen=True)
 class StudyAnswer:
-    """A study and what was said of it.
+    """A study and the result of its diagnosis.
 
     named, partial  effects joined by "+", ties by "|"; also of `cannot_tell`, which claims nothing
     noise_ratio     estimated over true noise; error_ratio: baseline's larger error over true noise

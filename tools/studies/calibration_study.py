@@ -1,4 +1,4 @@
-"""True errors of calibrations on rendered pictures, beside what they say, and beside OpenCV's own.
+"""True errors of calibrations on rendered pictures, compared with stated bounds and with OpenCV.
 
     python -m tools.studies.calibration_study --setups 20 -o study.csv
     python -m tools.studies.calibration_study --setups 100 --time
@@ -139,7 +139,7 @@ class Setup:
 
 
 def measured(seed: int) -> dict[str, float]:
-    """True errors and stated bounds of one set-up: mm, degrees; and the peers' errors."""
+    """Errors and stated bounds of one set-up's calibration: mm, degrees; and the peers' errors."""
     initial_states = time.process_time()
     setup = Setup(seed)
     camera, views, _ = camera_from(setup.board_pictures(), BOARD)
@@ -165,7 +165,7 @@ def measured(seed: int) -> dict[str, float]:
 
 
 def timed(seed: int) -> dict[str, float]:
-    """Errors of latency and lag and their stated half widths, ms, of one cell."""
+    """Errors of latency and lag of one simulated cell, and their stated half widths, ms."""
     rng = np.random.default_rng([seed, 18])
     settings = load_settings(Path("config/fake.yaml"))
     rate_hz, frames_hz = rng.choice([125.0, 500.0]), rng.uniform(60.0, 200.0)
@@ -334,7 +334,7 @@ def main() -> None:
 def summary(
     columns: dict[str, np.ndarray], quantities: tuple[tuple[str, str], ...]
 ) -> Iterator[str]:
-    """Lines of errors, and how often they are inside their bounds; of a map also the peers'."""
+    """Lines of errors, and of how often they lie within their bounds; of a map also the peers'."""
     for name, bound in quantities:
         off = columns[name]
         line = f"  {name:14} median {np.median(off):.4f} rms {rms(off):.4f} largest {off.max():.4f}"

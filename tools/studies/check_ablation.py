@@ -1,4 +1,4 @@
-"""What every check of a verdict is worth: the verdicts of studies with each check left out.
+"""Ablation of the checks of a verdict: verdicts of studies with each check left out.
 
 Of each study all checks are computed for the model that the search ended at, whatever failed
 before.  So the verdict without a check, or with another limit, follows from the kept statistics.

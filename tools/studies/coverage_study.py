@@ -67,7 +67,7 @@ def random_cable(rng: np.random.Generator) -> CableModel:
 
 
 def measured(model: CableModel, motion: Motion, errors: Errors, rng: np.random.Generator) -> Trial:
-    """What the cell would see and log of a cable's hold."""
+    """Trial of a cable's hold as the cell would measure it: nodes with noise, and a noisy log."""
     t_s = np.arange(0.001, motion.t_s[-1], FRAME_S)
     nodes = simulate(model, motion, t_s, NODES_M, solver=WORLD)[0]
     # the end is seen too far or too short, which shifts all nodes of equal arc length
@@ -79,7 +79,7 @@ def measured(model: CableModel, motion: Motion, errors: Errors, rng: np.random.G
 def photographed(
     model: CableModel, motion: Motion, errors: Errors, rng: np.random.Generator
 ) -> Trial:
-    """What the cell would see of a cable's hold through its camera, and log."""
+    """Trial of a cable's hold as the cell would measure it in rendered pictures."""
     t_s = np.arange(0.001, motion.t_s[-1], FRAME_S)
     instants = (t_s[:, None] + [-2e-4, 0.0, 2e-4]).ravel()
     lines = simulate(model, motion, instants, node_arc_lengths(0.1, 61), solver=WORLD)[0]
@@ -114,7 +114,7 @@ def photographed(
 
 
 def judge(model: CableModel, found: Identified, motion: Motion) -> CableCoverage:
-    """Compare what was found with the truth."""
+    """Errors of an identified cable, and whether its intervals cover the truth."""
     still = simulate(model, motion, motion.t_s[:2], PLACES_M, solver=WORLD)[0, 0]
     heading = np.unwrap(np.arctan2(*np.diff(still, axis=0).T[::-1]))
     curvature = np.append(np.abs(np.diff(heading)), [0.0, 0.0])

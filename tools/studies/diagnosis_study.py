@@ -1,4 +1,4 @@
-"""What the lab says of studies with a known answer: verdicts beside the truth, and CPU seconds.
+"""Diagnoses of studies with a known answer: verdicts compared with the truth, and CPU seconds.
 
     python -m tools.studies.diagnosis_study FILE.csv --made complete=100 one=100 pair=27
     python -m tools.studies.diagnosis_study FILE.csv --breadth complete=300 one=200 outside=100
@@ -119,7 +119,7 @@ def _short(error: Exception, folder: Path | str = "") -> str:
 
 
 def cases(options: argparse.Namespace) -> list[Case]:
-    """All studies that are asked for, in order."""
+    """All studies that the options request, in order."""
     found = []
     for kind, count in options.made:
         seeds = range(options.first, options.first + count)
@@ -193,7 +193,7 @@ COLUMNS = ("studies", "seen", "right", "wrong", "named right", "right in part", 
 
 
 def counts(rows: Iterable[StudyAnswer]) -> dict[str, int]:
-    """How many of some rows are so; all but the first of those that are seen."""
+    """Counts of verdicts and warnings of detectable studies; studies and wrong ones of all."""
     made = [r for r in rows if r.verdict != "not made"]
     seen = [r for r in made if r.seen]
     verdicts = [r.verdict for r in seen]

@@ -49,7 +49,7 @@ def fits_of(study: Study) -> FitCache:
 
 
 def is_right(name: str, seed: int, size: float) -> bool:
-    """Whether the law of a study is found; prints its row."""
+    """Whether `discover` finds the law hidden in a study; prints its row."""
     fits = fits_of(make_study(seed, [hidden(LAWS[name], size)], noise_m=NOISE_M))
     began_s = time.process_time()
     try:

@@ -69,7 +69,7 @@ PUFF_S, PUFF = 0.4, {"wind_x_m_per_s": 0.5, "wind_y_m_per_s": 0.5}
 
 @dataclass(frozen=True)
 class InsertedCable:
-    """One cable, once.
+    """Result of one simulated insertion.
 
     error_mm  of the forecast in the opening, in truth; `miss_mm` of the tip from its middle
     saved_s   by a hold that ended early
@@ -89,7 +89,7 @@ class InsertedCable:
 
 
 def settings_of(settings: Settings, world: str) -> Settings:
-    """The settings of cells in a world."""
+    """The settings with the physics of a world."""
     if world == "soft":
         low, high = settings.world.rigidity_n_m2
         soft = settings.world.model_copy(update={"rigidity_n_m2": (0.5 * low, 0.5 * high)})
@@ -101,7 +101,7 @@ def settings_of(settings: Settings, world: str) -> Settings:
 
 
 def hidden_in(settings: Settings, world: str, seed: int, cable: int) -> CableModel:
-    """A cable of that world."""
+    """The `cable`-th hidden cable of a world."""
     hidden = hidden_cable(settings, seed, cable)
     if world != "puff":
         return hidden
@@ -114,7 +114,7 @@ def hidden_in(settings: Settings, world: str, seed: int, cable: int) -> CableMod
 def tried(
     settings: Settings, world: str, half_mm: float, way: str, seed: int, cable: int
 ) -> InsertedCable:
-    """What becomes of one cable."""
+    """Simulate the cycle of one cable, and return its outcome."""
     there = settings_of(with_opening(settings, half_mm), world)
     task = cell_task(there)
     least_s = LEAST_HOLD_S if way == "short_hold" else None
@@ -144,7 +144,7 @@ def tried(
 
 
 def table(rows: list[InsertedCable]) -> str:
-    """Outcomes, stated and true share of those executed, and the tip in the opening."""
+    """Table of outcomes, of stated and true share of insertions, and of the tip's miss."""
     lines = [
         f"{'world':22}{'± mm':>6} {'way':11}{'inserted':>14}{'95 %':>12}{'missed':>7}"
         f"{'stated':>8}{'passed':>8}{'miss rms':>9}{'error rms':>10}{'saved s':>8}"

@@ -1,4 +1,4 @@
-"""A diagnosis that is interrupted at random moments: what it says, and how it ends.
+"""Interrupts a diagnosis at random moments, and checks what it prints and how it ends.
 
     python -m tools.studies.interruption_study STUDY [--moments 50] [--seed 1]
 
@@ -27,7 +27,7 @@ STARTING_S = 4.0
 
 
 def run(study: Path, out: Path, after_s: float, how: str) -> tuple[int, float, str, str]:
-    """Exit code, seconds from the signal to the end, standard output and error stream."""
+    """Run and interrupt a diagnosis: exit code, s from signal to end, output and error stream."""
     command = [sys.executable, "-m", "cell", "diagnose", str(study), "-o", str(out), "--force"]
     with subprocess.Popen(
         command,
@@ -51,7 +51,7 @@ def run(study: Path, out: Path, after_s: float, how: str) -> tuple[int, float, s
 def outcome(
     code: int, how: str, out: Path, said: str, errors: str, cpu_s: float
 ) -> tuple[bool, str]:
-    """Whether a command that took so much CPU time ended as it should, and what it said."""
+    """Whether an interrupted command ended as it should, and what it printed."""
     right = 128 + (signal.SIGINT if how == "SIGINT" else signal.SIGTERM)
     if code == 0 and "Verdict " in said:
         return True, "had ended before"

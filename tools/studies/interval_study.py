@@ -42,7 +42,7 @@ GROUPS = ("EI", "exponent", "viscosity", "amplitude", "shape")
 
 
 def drawn(seed: int, size: float, unknown: bool) -> tuple[str, FitCache, CableModel]:
-    """A study's two effects in words, the study with the first in the model, and the truth."""
+    """Random study of two effects: their names, its fits with one in the model, the truth."""
     known = library()
     names = sorted(known)
     rng = np.random.default_rng([seed, 7])
@@ -64,7 +64,7 @@ def drawn(seed: int, size: float, unknown: bool) -> tuple[str, FitCache, CableMo
 
 
 def drawn_rig(seed: int, kind: str) -> tuple[str, FitCache, CableModel]:
-    """A rig's study, its effect in words, the study with it in the model, and the truth."""
+    """Random rig's study of one effect: its name, its fits with it in the model, the truth."""
     known, rig = library(), KINDS[kind](seed)
     effect = known[sorted(known)[seed % len(known)]]
     active = hidden(effect, float(np.random.default_rng([seed, 9]).uniform(0.7, 2.0)), rig.cable)
@@ -75,7 +75,7 @@ def drawn_rig(seed: int, kind: str) -> tuple[str, FitCache, CableModel]:
 
 
 def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
-    """Name and kind of each parameter, and whether its interval holds the truth."""
+    """Name and kind of each parameter, and whether its interval covers the truth."""
     low, high = model.interval()
     space = model.space
     arcs = np.linspace(0.0, truth.cable.free_length_m, space.knots)
@@ -91,7 +91,7 @@ def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]
 
 
 def held_by_all(fits: FitCache, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
-    """The same of the effect's parameters from all trials, as in a diagnosis."""
+    """As `held`, for the effect's parameters estimated from all trials, as in a diagnosis."""
     present: ActiveEffect = truth.effects[0]
     found = estimate(fits.prepared, fits.base.fit, fits.library.values())
     true = dict(zip((p.name for p in present.effect.parameters), present.values, strict=True))

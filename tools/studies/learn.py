@@ -74,7 +74,7 @@ class CyclesOfModel:
 
 @dataclass
 class Commands:
-    """Runs the loop's commands, and says before each what is done and about how long it will take.
+    """Runs the loop's commands; prints before each its purpose and expected time.
 
     usual_s  first guess of what each takes; measured times correct what is left
     log      where their output goes; None = to the terminal

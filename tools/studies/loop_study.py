@@ -68,7 +68,7 @@ SHIFT_M = 3e-4
 
 @dataclass(frozen=True)
 class LearnedWorld:
-    """What became of one world.
+    """Results of the learning loop in one world.
 
     effect                  hidden in the world; two are joined by `+`
     named, tied, promoted   the effects that `learn` named, ties of the last, and whether the gates
@@ -114,7 +114,7 @@ class LearnedWorld:
 
 @dataclass(frozen=True)
 class Cables:
-    """Cables of one world with one model.
+    """Outcomes of the cables of one world with one model.
 
     error_m   root mean square over cables of the forecast's largest error in the opening
     """
@@ -151,7 +151,7 @@ def world(
     seed: int,
     laws: bool = False,
 ) -> LearnedWorld:
-    """One world from the first cable to the last."""
+    """Run one world from the first cable to the last."""
     parts = [] if effect == "none" else effect.split("+")
     known = LAWS | library()
     there = tuple(known[name].active(**typical(known[name], size)) for name in parts)
@@ -259,7 +259,7 @@ def cycles_of(
     numbers: Iterable[int],
     there: Sequence[ActiveEffect],
 ) -> list[FastCycle]:
-    """These cables of a world with these effects, one after another."""
+    """Cycles of the numbered cables of a world with the given effects."""
     complete = with_world(settings, {})
     return [
         fast_cycle(
@@ -281,7 +281,7 @@ def run(
     numbers: Iterable[int],
     there: Sequence[ActiveEffect],
 ) -> Cables:
-    """What became of these cables."""
+    """Run the cycles of cables, and count their outcomes."""
     begun_s = time.process_time()
     cycles = cycles_of(settings, task, seed, numbers, there)
     return Cables.of(cycles, time.process_time() - begun_s)
@@ -293,7 +293,7 @@ def run(
 def world_of_pictures(
     folder: Path, effect: str, size: float, cables: int, seed: int
 ) -> LearnedWorld:
-    """One world from the first cable to the last; its commands' output goes to a log."""
+    """Run one world from the first cable to the last; the commands' output goes to a log."""
     folder.mkdir()
     parts = [] if effect == "none" else effect.split("+")
     config = _config(folder, "cell", {name: typical(library()[name], size) for name in parts})
@@ -365,7 +365,7 @@ def _run_cell(commands: Commands, config: Path, out: Path, seed: int, cables: in
 
 
 def summary(worlds: Sequence[LearnedWorld]) -> list[str]:
-    """The bars: right class, error after, inserted after, nothing worse, nothing in vain."""
+    """Sentences on each criterion: class, error, insertions, no worsening, no useless promotion."""
     hidden = [w for w in worlds if w.effect != "none" and w.effect not in LAWS]
     seen = [w for w in hidden if w.shift_m > SHIFT_M]
     named = [w for w in seen if w.promoted and set(w.effect.split("+")) <= {*w.named, *w.tied}]

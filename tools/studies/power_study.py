@@ -51,7 +51,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class PowerCase:
-    """A case and what was found; noise in m."""
+    """A case of the power study and its result; noise in m."""
 
     case: int
     effect: str
@@ -90,7 +90,7 @@ def study_of(case: int) -> Study:
 
 
 def one(case: int, before: PowerCase | None, copies: int) -> PowerCase:
-    """A case with so many more copies."""
+    """Results of a case with `copies` more copies of its study."""
     began = time.process_time()
     name, share, motions = CASES[case]
     (asked,), selection = select_asked([name], [])

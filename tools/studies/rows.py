@@ -1,4 +1,4 @@
-"""Rows of results: dataclasses in a CSV file, to which a stopped study goes on adding."""
+"""Rows of results: dataclasses in a CSV file, to which a stopped study can be continued."""
 
 from __future__ import annotations
 

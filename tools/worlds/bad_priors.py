@@ -1,4 +1,4 @@
-"""Models of earlier cables that are no models of a study: four kinds of bad priors.
+"""Wrong priors: models of earlier cables that do not hold for a study; four kinds.
 
 plain         a plain fit to the same cable with an effect of 1 … 5 times its typical size,
               which the study has as well, and a load besides

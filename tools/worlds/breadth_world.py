@@ -1,4 +1,4 @@
-"""Studies over the breadth of what users bring: their conditions, and the studies themselves.
+"""Studies that vary over what users bring: cables, motions, noise, sampling.
 
 The conditions are a Latin hypercube: every one is spread evenly over its range, whatever the
 others are.  The world is simulated on two meshes and extrapolated to none, so that its own error
@@ -41,7 +41,7 @@ STRONGEST, ATTEMPTS = 20.0, 4
 
 @dataclass(frozen=True)
 class Conditions:
-    """How a study was measured, and of what cable.
+    """Conditions of a study: its cable, and how it was measured.
 
     droop       ρ g L³ / EI
     noise       standard deviation over the free length
@@ -80,7 +80,7 @@ class Conditions:
 
 
 def hypercube(count: int, seed: int) -> list[Conditions]:
-    """So many conditions, spread evenly."""
+    """`count` conditions of a Latin hypercube."""
     places = qmc.LatinHypercube(d=15, seed=seed).random(count)
     return [_conditions(number, u) for number, u in enumerate(places)]
 

@@ -1,4 +1,4 @@
-"""Studies with a known answer, made again from a source, a kind and a number."""
+"""Reproducible studies with a known answer, each given by a source, a kind and a number."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def _by_mujoco(case: Case, folder: Path) -> MadeStudy:
 def drawn(
     seed: int, kind: str, known: Mapping[str, type[Effect]]
 ) -> tuple[list[type[Effect]], list[float]]:
-    """What is hidden in a usual study, and how many times as strong as is typical."""
+    """Effects hidden in a usual study, and the size of each relative to its typical strength."""
     names = sorted(known)
     rng = np.random.default_rng(10_000 + seed)
     first = names[seed % len(names)]
@@ -195,14 +195,14 @@ def _broad(case: Case, folder: Path) -> tuple[Study, MadeStudy]:
 
 
 def true_noise_m(conditions: Conditions) -> float:
-    """With what rounding adds to it."""
+    """Noise of the measurements including that of rounding, m."""
     return conditions.noise_m * float(np.sqrt(1.0 + conditions.pixel**2 / 12.0))
 
 
 def hidden_effect(
     kind: str, number: int, known: Mapping[str, type[Effect]]
 ) -> tuple[type[Effect], dict[str, type[Effect]]]:
-    """The effect of a breadth study, and those that the lab is offered."""
+    """The effect hidden in a breadth study, and the effects that the lab may use."""
     names = sorted(known)
     if kind == "one":
         return known[names[number % len(names)]], dict(known)

@@ -1,4 +1,4 @@
-"""A cell without pictures: nodes with noise instead, everything else as `cell run` does it.
+"""Simulated cell without pictures: nodes with noise; everything else as in `cell run`.
 
 A cable takes a third of a second instead of several, so that thousands can be tried.  The world is
 finer than the model, and its noise is what vision has.
@@ -53,7 +53,7 @@ CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 
 @dataclass(frozen=True, eq=False)
 class FastCycle:
-    """One cable: what was measured, decided and done; None = the cycle did not come so far.
+    """Measurements, decision and result of one cable; None = the cycle did not come so far.
 
     best_margin_m   of all offsets, in truth: whether a perfect model could insert this cable;
                     nan = only the chosen one was simulated
@@ -94,14 +94,14 @@ def typical(effect: type[Effect], size: float) -> dict[str, float]:
 
 
 def with_world(settings: Settings, effects: dict[str, dict[str, float]]) -> Settings:
-    """The settings with other hidden physics."""
+    """The settings with other effects in the simulated world."""
     return settings.model_copy(
         update={"world": settings.world.model_copy(update={"effects": effects})}
     )
 
 
 def with_opening(settings: Settings, half_mm: float) -> Settings:
-    """The settings with an opening of so many mm on either side of its middle."""
+    """The settings with an opening of `half_mm` on either side of its middle."""
     middle_m = float(np.mean(settings.destination.y_m))
     height = (middle_m - half_mm * 1e-3, middle_m + half_mm * 1e-3)
     destination = settings.destination.model_copy(update={"y_m": height})
@@ -260,7 +260,7 @@ def _end_of_hold_s(task: Task, timing: Timing, held: Trial) -> float:
 
 
 def best_margin_m(settings: Settings, seed: int, number: int) -> float:
-    """Of all offsets, in truth: whether a perfect model could insert this hidden cable."""
+    """Largest true margin over all offsets, m: > 0 = a perfect model could insert this cable."""
     task, lag_s = cell_task(settings), settings.arm.lag_s
     down = true_hold(task, lag_s)
     start_s = float(down.t_s[-1]) + task.decide_s

@@ -1,4 +1,4 @@
-"""An insertion of a cell without pictures, with what happens in flight and its corrections."""
+"""Simulated insertion without pictures, with disturbances in flight and their corrections."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tools.worlds.made_studies import WORLD
 
 @dataclass(frozen=True)
 class Flown:
-    """What happens while a cable is inserted.
+    """Conditions of a simulated insertion.
 
     feedback   whether it is corrected
     late_s     by so much earlier the last frame was taken that is used
@@ -42,7 +42,7 @@ class Flown:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A hidden cable as the camera sees it in flight."""
+    """Gives what the camera measures of a hidden cable in flight."""
 
     task: Task
     timing: Timing
@@ -82,7 +82,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Inserted:
-    """What became of an insertion.
+    """Result of a simulated insertion.
 
     motion   true, of the gripper
     tails    changes of the path that were commanded
@@ -99,7 +99,7 @@ class Inserted:
 def inserted(
     view: View, path: Trajectory, flight: Flight, flown: Flown, rng: np.random.Generator
 ) -> Inserted:
-    """As `Corrector` does it."""
+    """Simulate an insertion with corrections decided as by `Corrector`."""
     done = Inserted(view.motion(path, flown), (), flight.response.nodes_m[:, 0])
     left = list(decisions_s(flight.response, flight.destination)) if flown.feedback else []
     while left:

@@ -1,4 +1,4 @@
-"""What a cable of a cell without pictures truly does, and what is seen of it: nodes with noise."""
+"""True motions of a simulated cable without pictures, and its measured nodes with noise."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RATE_HZ = 500.0
 
 @dataclass(frozen=True)
 class Errors:
-    """What measuring adds.  Standard deviations; the constant ones are drawn once per cable."""
+    """Measurement errors: standard deviations; constant ones are drawn once per cable."""
 
     node_m: float = 5e-5
     colour: float = 0.3
@@ -36,7 +36,7 @@ class Errors:
 
 
 def full_motion(task: Task, down: Motion, path: Trajectory, start_s: float, lag_s: float) -> Motion:
-    """The gripper's true motion when it follows a path after a hold."""
+    """True motion of the gripper: a hold, then a path, followed with the arm's lag."""
     late = executed_motion(path, lag_s, settle_s=task.settle_s)
     rows = np.column_stack([late.t_s + start_s, late.x_m, late.y_m, late.angle_rad])
     before = np.column_stack([down.t_s, down.x_m, down.y_m, down.angle_rad])
@@ -45,7 +45,7 @@ def full_motion(task: Task, down: Motion, path: Trajectory, start_s: float, lag_
 
 
 def until(trial: Trial, end_s: float) -> Trial:
-    """The same if it had ended then."""
+    """The trial cut at `end_s`."""
     seen = trial.markers.t_s < end_s
     markers = replace(trial.markers, t_s=trial.markers.t_s[seen], xy_m=trial.markers.xy_m[seen])
     return replace(trial, grip=moved_until(trial.grip, end_s), markers=markers)
@@ -63,8 +63,7 @@ def filmed_of(held: Trial) -> FilmedMotion:
 
 @dataclass(frozen=True, eq=False)
 class Truths:
-    """The gripper's true motion of every offset, holds before included, and the tips' true
-    paths."""
+    """The gripper's true motions for all offsets, with the hold before; gives the tips' paths."""
 
     task: Task
     hidden: CableModel
@@ -90,7 +89,7 @@ def truths(
     lag_s: float,
     table: Sequence[tuple[float, float, float, float]],
 ) -> Truths:
-    """`table`: offset, delay, pace of every motion, and how much further it goes."""
+    """Simulate the motions of a table: rows of offset, delay, pace and further advance."""
     motions = []
     for offset_m, delay_s, pace, further_m in table:
         limits, advance_m = task.insertion.slowed(pace), task.advance_m + further_m
@@ -112,7 +111,7 @@ def true_hold(task: Task, lag_s: float) -> Motion:
 
 
 def after_rest(motion: Motion, still_s: float) -> Motion:
-    """The motion with so long a rest before it, from time 0."""
+    """The motion preceded by a rest of `still_s`, from time 0."""
     t_s = np.arange(0.0, still_s + float(motion.t_s[-1]), 1.0 / RATE_HZ)
     poses = (motion.x_m, motion.y_m, motion.angle_rad)
     return Motion(t_s, *(np.interp(t_s - still_s, motion.t_s, v) for v in poses))
@@ -120,7 +119,7 @@ def after_rest(motion: Motion, still_s: float) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class Bias:
-    """Errors that are the same in every picture of a cable."""
+    """Measurement errors that are the same in all pictures of a cable."""
 
     stretch: FloatArray
     across_m: FloatArray
@@ -173,7 +172,7 @@ def seen_execution(
     errors: Errors,
     rng: np.random.Generator,
 ) -> Trial:
-    """As `station.executed_trial` makes it."""
+    """Trial of an execution, as `station.executed_trial` makes it."""
     period_s = float(np.median(np.diff(held.markers.t_s)))
     t_s = np.arange(start_s + 0.001, float(motion.t_s[-1]), period_s)
     nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]

@@ -1,4 +1,4 @@
-"""The test that knows the truth: by how much a hidden effect shows in a study, and its power.
+"""Power of an ideal test that knows the hidden effect of a study, and how large its signal is.
 
 The χ² that the hidden effect leaves on all trials after the baseline has been fitted without noise,
 against the χ² that a test over the whole library at 1 % asks for.
@@ -33,35 +33,35 @@ POWER, MOST_TRIED, MOST_AT_ONCE, STRONGEST = 0.95, 3, 5.0, 20.0
 
 
 def class_of(names: Iterable[str]) -> frozenset[str]:
-    """These effects and what no motion tells from them."""
+    """The effects, and those that no motion can distinguish from them."""
     some = frozenset(names)
     return some | ONE_CLASS if some & ONE_CLASS else some
 
 
 def without_noise(quiet: Study, noise: Noise) -> PreparedStudy:
-    """A study whose measurements have no noise, prepared as if they had the noise given."""
+    """Prepare a noise-free study as if its measurements had the given noise."""
     prepared = PreparedStudy.of(replace(quiet, noise_std_m=noise.std_m))
     return with_noise_model(prepared, replace(prepared.noise_model, noise=noise, dof=1e9))
 
 
 def evidence(quiet: PreparedStudy, space: ParameterSpace) -> float:
-    """χ² of independent values that a study without noise leaves when `space` is fitted to it."""
+    """χ² of the residual when `space` is fitted to a noise-free study."""
     return FitCache.of(SearchSetup(quiet, space, {})).base.fit.chi2
 
 
 def least_evidence(quiet: PreparedStudy, tests: int) -> float:
-    """χ² that a test over so many effects asks for."""
+    """Critical χ² of a test over `tests` effects."""
     count = quiet.count(fit_trials(quiet))
     return float(stats.chi2.isf(SIGNIFICANCE / tests, 1) + np.log(count))
 
 
 def power_of(chi2: float, quiet: PreparedStudy, tests: int) -> float:
-    """Of the test, by the χ² of independent values that the effect leaves."""
+    """Power of the test, from the χ² of the effect's residual."""
     return float(stats.ncx2.sf(least_evidence(quiet, tests), 1, chi2))
 
 
 def that_shows(rig: Rig, effect: type[Effect], tests: int) -> tuple[ActiveEffect, float]:
-    """The effect so strong that a rig's study shows it, and the power of the test."""
+    """Effect of a size that is detectable in a rig's study, and the power of the test."""
     rng = np.random.default_rng([rig.seed, 3])
     size = rng.uniform(0.7, 1.5)
     if all(p.low < p.default for p in effect.parameters if p.amplitude):

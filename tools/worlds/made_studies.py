@@ -54,7 +54,7 @@ STEP_KNOTS, STEP_WIDTH = 61, 0.01
 
 @dataclass(frozen=True)
 class Step:
-    """EI is `factor` times as large beyond `place`, a share of the free length."""
+    """A step of EI: it is `factor` times as large beyond `place`, a share of the free length."""
 
     factor: float
     place: float
@@ -112,7 +112,7 @@ def make_study(
 def random_model(
     rng: np.random.Generator, cable: Cable, effects: Sequence[ActiveEffect]
 ) -> CableModel:
-    """A cable's law of bending; of another cable than `CABLE` one that droops and swings alike."""
+    """Random cable model; of another cable than `CABLE` one that droops and swings alike."""
     s = np.linspace(0.0, 1.0, 9)
     wave = 0.2 * np.sin(2.0 * np.pi * (rng.uniform(0.4, 1.2) * s + rng.uniform()))
     rigidity = rng.uniform(1.8e-5, 4e-5) * (1.0 + wave + rng.uniform(-0.2, 0.2) * (s - 0.5))
@@ -129,7 +129,7 @@ def stroke(
     still_s: float = 0.2,
     after_s: float = 0.9,
 ) -> Motion:
-    """A smooth way of the gripper that begins after `still_s`; the record goes on for `after_s`."""
+    """Smooth motion of the gripper; begins after `still_s`, and is recorded for `after_s` more."""
     t = np.arange(0.0, still_s + 0.02 + seconds + after_s, 0.002)
     u = np.clip((t - still_s) / seconds, 0.0, 1.0)
     done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
@@ -137,13 +137,13 @@ def stroke(
 
 
 def logged(rng: np.random.Generator, hand: Motion, noise_m: float) -> Motion:
-    """The gripper's motion with the noise of its log."""
+    """The gripper's motion with noise added, as in a log."""
     x, y = (v + noise_m * rng.normal(size=len(v)) for v in (hand.x_m, hand.y_m))
     return Motion(hand.t_s, x, y, hand.angle_rad)
 
 
 def like(cable: Cable, unit: str) -> float:
-    """By how much a quantity with this unit is larger in a like cable than in `CABLE`."""
+    """Ratio of a quantity with this unit between a dynamically similar cable and `CABLE`."""
     of_density, of_length = LIKE.get(unit, (0.0, 0.0))
     heavier = cable.line_density_kg_per_m / CABLE.line_density_kg_per_m
     return float(heavier**of_density * (cable.free_length_m / CABLE.free_length_m) ** of_length)
@@ -163,7 +163,7 @@ def hidden(effect: type[Effect], size: float, cable: Cable = CABLE) -> ActiveEff
 
 
 def coloured(rng: np.random.Generator, shape: tuple[int, ...], rho: float) -> np.ndarray:
-    """Noise of variance 1, its first axis time, each value correlated by `rho` with the next."""
+    """AR(1) noise of variance 1 along the first axis, with correlation `rho`."""
     noise = rng.normal(size=shape)
     for i in range(1, len(noise)):
         noise[i] = rho * noise[i - 1] + np.sqrt(1.0 - rho**2) * noise[i]

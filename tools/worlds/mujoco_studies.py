@@ -29,7 +29,7 @@ MAGNET_RADIUS_M = 0.01
 
 @dataclass(frozen=True)
 class Stroke:
-    """From rest, clamp at `angle_rad`, by `way_m` in `seconds`, then held."""
+    """Motion from rest by `way_m` in `seconds` at a constant clamp angle, then held."""
 
     name: str
     role: str
@@ -50,7 +50,7 @@ STROKES = (
 
 @dataclass(frozen=True)
 class Hidden:
-    """What is true of a cable beyond the basic model; everything off by default.  SI units.
+    """Physics of a cable beyond the basic model; everything off by default.  SI units.
 
     point_mass          mass, and its place as a share of the free length
     grip_compliance     rad per N·m
@@ -67,7 +67,7 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Specimen:
-    """A cable: EI at link joints is `rigidity·(1 + wave)`, viscosity C.
+    """Parameters of a cable: EI at link joints is `rigidity·(1 + wave)`, viscosity C.
 
     step  factor by which EI is larger beyond a share of the free length
     """
@@ -229,7 +229,7 @@ class Chain:
 
 @dataclass(frozen=True)
 class Hand:
-    """Where the gripper is."""
+    """Motion of the gripper: one stroke."""
 
     stroke: Stroke
 
@@ -247,7 +247,7 @@ class Hand:
 def seen(
     specimen: Specimen, stroke: Stroke, t_s: np.ndarray, links: int = LINKS, step_s: float = STEP_S
 ) -> np.ndarray:
-    """(times, markers, 2) where a perfect camera sees the markers, m."""
+    """(times, markers, 2) markers as a perfect camera sees them, m."""
     hand, end_s = Hand(stroke), float(t_s[-1]) + 0.03
     chains = [Chain(specimen, stroke.angle_rad, step, links) for step in (step_s, step_s / 2)]
     (times, coarse), (_, fine) = (c.swing(hand, end_s) for c in chains)

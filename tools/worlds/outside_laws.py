@@ -1,7 +1,7 @@
-"""Laws that no effect of the library has, to be hidden in a world; typical values shift the tip.
+"""Laws that are not in the library, to be hidden in a world; typical values shift the tip.
 
-The ten were there before terms for the last four were thought of; those of LATER were invented
-after all terms.
+The search terms for the last four of the ten were designed with these laws in mind; the laws of
+LATER were invented after all terms.
 """
 
 # mypy: ignore-errors
@@ -69,7 +69,7 @@ class QuadraticViscosity(Effect):
 
 
 class Tether(Effect):
-    """A thread from the last third of the cable to a point."""
+    """Springs that pull mostly the last third of the cable to a fixed point."""
 
     name = "tether"
     parameters = _amplitude("stiffness", "N/m²", 0.1)
@@ -82,7 +82,7 @@ class Tether(Effect):
 
 
 class Lift(Effect):
-    """Across the way of a piece of cable, by the square of its speed."""
+    """Lift force: across the velocity of a piece of cable, by the square of its speed."""
 
     name = "lift"
     parameters = _amplitude("lift", "N·s²/m³", 0.02)
@@ -94,7 +94,7 @@ class Lift(Effect):
 
 
 class WindWithHeight(Effect):
-    """Air that blows the harder the lower."""
+    """Drag in horizontal wind that is proportional to the depth."""
 
     name = "wind_with_height"
     parameters = _amplitude("drag", "N·s²/m³", 0.015)
@@ -108,7 +108,7 @@ class WindWithHeight(Effect):
 
 
 class Shaking(Effect):
-    """The table shakes: all that is held moves with it, seen from the camera on it."""
+    """Force of a table that shakes at 5 Hz together with the camera."""
 
     name = "shaking"
     parameters = _amplitude("force", "N/m", 3e-3)
@@ -119,7 +119,7 @@ class Shaking(Effect):
 
 
 class SpeedyStiffness(Effect):
-    """A moment against bending by the third power of its rate."""
+    """Moment against bending, proportional to the third power of its rate."""
 
     name = "sudden_stiffness"
     parameters = _amplitude("moment", "N·m⁴·s³", 1e-11)
@@ -130,7 +130,7 @@ class SpeedyStiffness(Effect):
 
 
 class DragBetween(Effect):
-    """By a power of speed between viscous and turbulent."""
+    """Drag across the cable with exponent 1.5, between viscous and turbulent."""
 
     name = "drag_between"
     parameters = _amplitude("drag", "N·s^1.5/m^2.5", 0.015)
@@ -143,7 +143,7 @@ class DragBetween(Effect):
 
 
 class SpinningLift(Effect):
-    """Across the way of a piece of cable that turns, as of a ball with spin."""
+    """Magnus force: across the velocity of a piece of cable that turns, as of a ball with spin."""
 
     name = "spinning_lift"
     parameters = _amplitude("lift", "N·s²/m²", 7e-4)
@@ -154,7 +154,7 @@ class SpinningLift(Effect):
 
 
 class IncidenceLift(Effect):
-    """That of a plate at a small angle to its way."""
+    """Lift of a plate at a small angle of incidence."""
 
     name = "incidence_lift"
     parameters = _amplitude("lift", "N·s²/m³", 0.02)
@@ -167,7 +167,7 @@ class IncidenceLift(Effect):
 
 
 class Jet(Effect):
-    """Air that blows with the square of the depth."""
+    """Drag in horizontal wind that is proportional to the square of the depth."""
 
     name = "jet"
     parameters = _amplitude("drag", "N·s²/m³", 0.015)
@@ -181,7 +181,7 @@ class Jet(Effect):
 
 
 class TwoSlopes(Effect):
-    """Beyond a curvature the cable is stiffer by a share."""
+    """Bending stiffer by a share beyond a threshold of curvature."""
 
     name = "two_slopes"
     parameters = _amplitude("share", "1", 0.15)
@@ -193,7 +193,7 @@ class TwoSlopes(Effect):
 
 
 class Puff(Effect):
-    """As `draught`, from `begin_s` on; it rises within 50 ms.  Of worlds alone: no law to find."""
+    """As `draught`, from `begin_s` on, rising within 50 ms; only in worlds, never to be found."""
 
     name = "puff"
     parameters = (

@@ -1,4 +1,4 @@
-"""The world behind the paper's figures: cables, their motions, what is seen and identified."""
+"""Data of the paper's figures: cables, motions, measurements and identified models."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def individuals() -> tuple[CableModel, ...]:
 
 @cache
 def trio() -> tuple[int, int, int]:
-    """The most, a middling and the least drooping of the eight."""
+    """Indices of the most, a medium and the least drooping of the eight cables."""
     tips = [
         simulate(m, hold(), np.zeros(1), TIP_M, solver=WORLD)[0, 0, 0, 1] for m in individuals()
     ]
@@ -60,20 +60,20 @@ def trio() -> tuple[int, int, int]:
 
 @cache
 def hold() -> Motion:
-    """50 mm down, then held for a second."""
+    """Motion: 50 mm down, then at rest for a second."""
     path = identification_path(Pose(0.0, 0.0), LOWER_M, LIMITS, 500.0)
     return after_rest(executed_motion(path, LAG_S), STILL_S)
 
 
 @cache
 def insertion(offset_m: float) -> Motion:
-    """Down by the offset, 50 mm left, from rest at the lower place."""
+    """Motion: down by the offset and 50 mm left, from rest at the lower place."""
     path = insertion_path(Pose(0.0, -LOWER_M), offset_m, ADVANCE_M, INSERTION, 500.0)
     return executed_motion(path, LAG_S, settle_s=0.3)
 
 
 def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArray) -> Markers:
-    """What a camera at 200 frames/s sees of it, with noise."""
+    """Markers as a camera at 200 frames/s measures them, with noise."""
     t_s = np.arange(0.001, motion.t_s[-1], 0.005)
     clean = simulate(model, motion, t_s, arc_length_m, solver=WORLD)[0]
     noise = np.random.default_rng(seed).normal(0.0, NOISE_M, clean.shape)
@@ -82,7 +82,7 @@ def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArr
 
 @cache
 def identified(index: int) -> tuple[Identified, Markers]:
-    """A cable's model from its hold, and what was seen of that."""
+    """Model of a cable identified from its hold, and the markers used."""
     seen = measure(individuals()[index], hold(), index, NODES_M)
     log = logged(np.random.default_rng([index, 1]), hold(), 1e-5)
     trial = Trial("identify", "fit", "equilibrium", log, seen)
@@ -91,7 +91,7 @@ def identified(index: int) -> tuple[Identified, Markers]:
 
 @cache
 def guided() -> tuple[Destination, dict[int, Choice]]:
-    """One destination for three cables, and what is chosen for each."""
+    """A destination, and the offset chosen for each of three cables."""
     opening = Destination(x_min_m=-0.132, x_max_m=-0.128, y_min_m=-0.108, y_max_m=-0.102)
     motions = [insertion(float(offset)) for offset in OFFSETS_M]
     choices = {}
@@ -102,7 +102,7 @@ def guided() -> tuple[Destination, dict[int, Choice]]:
 
 
 def best_uniform(nodes_m: FloatArray) -> CableModel:
-    """The uniform linear cable whose still shape is nearest."""
+    """The uniform linear cable whose still shape has the least squared distance from `nodes_m`."""
     models = [CableModel(CABLE, np.array([r])) for r in np.geomspace(1e-5, 8e-5, 200)]
     shapes = simulate(models, hold(), np.zeros(1), NODES_M, solver=MODEL)[:, 0]
     return models[int(np.argmin(np.sum((shapes - nodes_m) ** 2, axis=(1, 2))))]

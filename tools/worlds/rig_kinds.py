@@ -1,4 +1,4 @@
-"""Rigs of one kind each, drawn at random: what a user may have that the cell has not."""
+"""Random rigs of one kind each, which users may have but the cell has not."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tools.worlds.rigs import ForceSensor, Rig
 
 
 def connector(seed: int) -> Rig:
-    """A connector at the end is stated, and markers are on it too.
+    """Rig whose cable ends in a stated connector, with markers on it, too.
 
     It has 0.2 to 3 times the mass of its cable, 5 to 30 % of its length, and up to 1.5 times the
     inertia of a rod.
@@ -27,7 +27,7 @@ def connector(seed: int) -> Rig:
 
 
 def laser(seed: int) -> Rig:
-    """A laser sees one coordinate of the tip, 500 times a second."""
+    """Rig with a laser that measures one coordinate of the tip at 500 Hz."""
     rng = np.random.default_rng([seed, 42])
     rig = _plain(rng, seed, "laser", CABLE)
     tilt_rad = float(rng.choice([0.0, 1.2]))
@@ -53,7 +53,7 @@ def long(seed: int) -> Rig:
 
 
 def clocks(seed: int) -> Rig:
-    """Trials have rates of their own, and so have their logs; in half a second camera sees the tip.
+    """Rig with other rates of camera and log in each trial; half have a second camera for the tip.
 
     Every sample has its true time: what differs is when which is taken.
     """
@@ -65,7 +65,7 @@ def clocks(seed: int) -> Rig:
 
 
 def arcs(seed: int) -> Rig:
-    """Nine markers whose arc lengths are known to 0.2 to 1 % of the length; the study states it."""
+    """Rig with nine markers whose arc lengths have a stated error of 0.2 to 1 % of the length."""
     rng = np.random.default_rng([seed, 45])
     rig = _plain(rng, seed, "arcs", CABLE)
     places_m = np.linspace(0.95, 0.15, 9) * CABLE.free_length_m

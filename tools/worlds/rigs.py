@@ -1,4 +1,4 @@
-"""Studies that imitate real rigs: their cables, and what is wrong with their measurements.
+"""Studies that imitate real rigs: their cables, and the errors of their measurements.
 
 The mesh is finer than the model's and the law of bending of another family (`made_studies.py`).
 """

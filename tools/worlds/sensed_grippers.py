@@ -1,5 +1,4 @@
-"""Studies whose gripper is told by an encoder or an accelerometer, imported as anybody's files
-are."""
+"""Studies whose gripper motion comes from an encoder or accelerometer, imported from files."""
 
 from __future__ import annotations
 
@@ -48,7 +47,7 @@ _TIME = TimeSection(column="t_s", seconds_per_unit=1.0)
 
 
 def arc(hand: Motion, radius_m: float, way_m: tuple[float, float]) -> Motion:
-    """A gripper on an arm about the origin that turns by as much as `hand` goes; the clamp follows.
+    """Motion of a gripper on a rotating arm, along an arc as long as the way of `hand`.
 
     At the clamp angle at which `hand` begins; down or to the left it turns downwards.
     """
@@ -58,14 +57,14 @@ def arc(hand: Motion, radius_m: float, way_m: tuple[float, float]) -> Motion:
 
 
 def drift_of(hand: Motion) -> HandDrift:
-    """What an accelerometer leaves open of a motion."""
+    """Drift that remains unknown in a motion integrated from an accelerometer."""
     moves = np.flatnonzero(np.hypot(np.diff(hand.x_m), np.diff(hand.y_m)) > 0.0)
     from_s, to_s = float(hand.t_s[moves[0]]), float(hand.t_s[moves[-1] + 1])
     return HandDrift(from_s, to_s, (DENSITY, DENSITY))
 
 
 def by_encoder(study: Study, radius_m: float, counts: int) -> Study:
-    """The study with its hands as an encoder of so many counts a turn shows them."""
+    """The study with each gripper motion replaced by encoder counts, `counts` per turn."""
     logs = []
     for trial in study.trials:
         t_s, (_, _, angle) = _at(trial.grip, ENCODER_HZ)
@@ -148,6 +147,6 @@ def _entry(trial: Trial) -> TrialEntry:
 
 
 def turning(hand: Motion, by_rad: float) -> Motion:
-    """The gripper with a clamp that turns by so much as it moves."""
+    """The motion with a clamp angle that changes by `by_rad` in proportion to the way."""
     way = np.hypot(hand.x_m, hand.y_m)
     return replace(hand, angle_rad=hand.angle_rad + by_rad * way / way[-1])

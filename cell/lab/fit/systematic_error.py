@@ -94,7 +94,7 @@ class SystematicError:
     mesh   (rows,) to what a simulation of twice the segments and half the step leaves, beyond what
            has been taken out of the study
     doubt  (rows,) the same whether taken out or not: a share `LEFT` of it may still be wrong
-    hands  (motions, rows) by other motions of the gripper, as likely as its log
+    gripper_motions  (motions, rows) by other motions of the gripper, as likely as its log
     ends   (trials,) where the rows of each trial end
     """
 

@@ -51,9 +51,8 @@ class TrialResidual:
     """Size of one trial's residual by time, place, phase and frequency.
 
     by_time     over `TIME_BINS` equal spans; by_arc_length over markers; by_phase over `PHASES`
-    tip_m       (TIME_BINS,) largest distance between tip seen and predicted, m
-    whiteness   p-value of Ljung and Box over all markers: small = the residual has a pattern
-    correlations   of the tip's residual with signals, strongest first
+    whiteness_p_value  of Ljung and Box over all markers: small = the residual has a pattern
+    correlations       of the tip's residual with signals, strongest first
     """
 
     trial: str

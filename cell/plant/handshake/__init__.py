@@ -1,1 +1,1 @@
-"""Digital handshake: a PLC starts the cell with single bits, and reads from bits what it does."""
+"""Digital handshake: a PLC starts the cell by single bits, and reads the cell's state from bits."""

@@ -1,4 +1,4 @@
-"""The handshake while it runs: looks at bits and cell, asks the cell, tells the PLC."""
+"""Runs the handshake: reads bits and status, sends requests to the cell, sets the PLC's bits."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ANSWER_S = 1.5
 
 
 class HandshakeAdapter:
-    """Carries a PLC's wishes to the cell, and the cell's state to the PLC.
+    """Translates the PLC's signals to requests, and the cell's state to signals.
 
     carrier  of the bits, opened and closed by the caller
     runs     folder of the cell's records

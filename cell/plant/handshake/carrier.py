@@ -1,4 +1,4 @@
-"""What carries the signals between PLC and cell: the interface, and signals as numbered bits."""
+"""Carriers of signals between PLC and cell: their interface, and signals as numbered bits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cell.settings.plant import InputSignals, OutputSignals, signals_of
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the PLC says.  A signal that is not wired has the value here.
+    """Signals from the PLC.  One that is not wired has its default.
 
     start             its rising edge asks for a cycle
     part_present      a cable is where the cell grips it
@@ -44,7 +44,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Outputs:
-    """What the cell says.
+    """Signals to the PLC.
 
     ready     a rising edge of start is obeyed now
     busy      a cycle is under way
@@ -65,11 +65,11 @@ UNKNOWN = Outputs(fault=True)
 
 
 class CarrierError(OSError):
-    """The other end is not there.  Scenario: the PLC was switched off, its cable was pulled."""
+    """The PLC is not connected.  Scenario: it was switched off, or its cable was pulled."""
 
 
 class Carrier(Protocol):
-    """Carries bits from and to a PLC within a `with`; it comes back by itself after a loss."""
+    """Carries bits from and to a PLC within a `with`; reconnects by itself after a loss."""
 
     def __enter__(self) -> Self: ...
 
@@ -85,7 +85,7 @@ class Carrier(Protocol):
 
 
 class LatestBits:
-    """Bits that have come last, between a protocol's thread and the adapter's.
+    """The newest bits, passed from a protocol's thread to the adapter's.
 
     A loss is told by `read`, however soon the other end is back: edges begin anew after it.
 
@@ -126,14 +126,14 @@ class LatestBits:
 
 
 def inputs_of(bits: Collection[int], places: InputSignals) -> Inputs:
-    """Signals from the numbers of the bits that are 1."""
+    """Signals from the set of bits that are 1."""
     return Inputs(
         **{name: (at.number in bits) is not at.inverted for name, at in signals_of(places)}
     )
 
 
 def bits_of(outputs: Outputs, places: OutputSignals) -> frozenset[int]:
-    """Numbers of the bits that are 1."""
+    """Set of bits that are 1."""
     return frozenset(
         at.number for name, at in signals_of(places) if getattr(outputs, name) is not at.inverted
     )

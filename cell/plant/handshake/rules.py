@@ -1,4 +1,4 @@
-"""The rules of the handshake: from bits and the cell's status to requests and bits; pure."""
+"""Rules of the handshake: pure functions from inputs and status to requests and outputs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _REJECTED = frozenset({Outcome.MISSED, Outcome.REJECTED, Outcome.UNFIT})
 
 @dataclass(frozen=True)
 class Memory:
-    """What the rules remember of the looks before.
+    """What the rules remember from one evaluation to the next.
 
     The values at the beginning let a start or an acknowledgement that is held then do nothing
     until it falls, and let a stop that is held then stop.
@@ -73,7 +73,7 @@ class Memory:
 
 @dataclass(frozen=True)
 class Ask:
-    """A command that the rules ask the cell for, its note, and the product of a start."""
+    """A request to the cell: command, note, and the product of a start."""
 
     command: MachineEvent
     note: str = ""
@@ -82,7 +82,7 @@ class Ask:
 
 @dataclass(frozen=True)
 class PlcInputs:
-    """All that a rule may look at, at one moment."""
+    """All that a rule depends on, at one moment."""
 
     inputs: Inputs
     status: Status
@@ -152,7 +152,7 @@ class PlcInputs:
 
 @dataclass(frozen=True)
 class Rule:
-    """When which command is asked for."""
+    """A command, and the condition under which it is requested."""
 
     command: MachineEvent
     applies: Callable[[PlcInputs], bool]
@@ -183,7 +183,7 @@ RULES = (
 def evaluate(
     inputs: Inputs, status: Status | None, memory: Memory
 ) -> tuple[tuple[Ask, ...], Outputs, Memory]:
-    """What is asked of the cell, what the PLC is told, and what is remembered.
+    """Requests to the cell, outputs to the PLC, and the memory for the next evaluation.
 
     status  of the cell, None = it is not reached: nothing is asked then, and a stop waits as
             long as it is held
@@ -216,19 +216,19 @@ def evaluate(
 
 
 def inputs_lost(memory: Memory) -> Memory:
-    """What is remembered when the inputs are not known: edges begin anew, results stay."""
+    """Memory after a loss of the inputs: edges are forgotten, results are kept."""
     return replace(memory, before=Memory().before, ready=False, cleared=False)
 
 
 def obeyed(ask: Ask, outputs: Outputs) -> Outputs:
-    """What the PLC is told at once: every start has its `busy`, however soon the cycle ends."""
+    """Outputs right after an accepted request: each start raises `busy`, even for a short cycle."""
     return (
         replace(outputs, ready=False, busy=True) if ask.command is MachineEvent.START else outputs
     )
 
 
 def not_obeyed(ask: Ask, before: Memory, after: Memory) -> Memory:
-    """What is remembered when a request did not reach the cell, or was refused.
+    """Memory after a request that did not reach the cell or was refused.
 
     A pause or a stop is asked for again.  A start or an acknowledgement is not: its edge is over.
 

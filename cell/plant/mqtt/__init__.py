@@ -1,1 +1,1 @@
-"""MQTT: what happens in the cell, reported to a plant's broker; nothing is obeyed from there."""
+"""MQTT: reports the cell's events to a plant's broker; takes no commands from there."""

@@ -1,4 +1,4 @@
-"""Delivers what waits in the outbox to the broker: in order, one message at a time.
+"""Delivers the notices of the outbox to the broker: in order, one message at a time.
 
 Every connection begins anew, with nothing that the one before has left in broker or library: what
 is not acknowledged is still in the outbox.  So nothing is lost, whoever is killed.  What was sent
@@ -63,7 +63,7 @@ def password_of(settings: Mqtt) -> str | None:
 
 
 def tls_of(settings: MqttTls | None) -> ssl.SSLContext | None:
-    """Certificates that are trusted and shown.  Raises ValueError: a file is missing or is none."""
+    """TLS context for the broker.  Raises ValueError: a certificate is missing or invalid."""
     if settings is None:
         return None
     try:
@@ -85,7 +85,7 @@ def tls_of(settings: MqttTls | None) -> ssl.SSLContext | None:
 
 
 class OutboxFeeder:
-    """Follows a cell within a `with`.
+    """Follows a cell, and puts its notices into the outbox, within a `with`.
 
     runs    folder of the cell's records
     outbox  where notices are put
@@ -162,7 +162,7 @@ class OutboxFeeder:
 
 @dataclass(frozen=True)
 class Access:
-    """What is needed to be let in by the broker.
+    """Credentials for the broker.
 
     client_id  of the connection
     password   None = no user

@@ -1,4 +1,4 @@
-"""What an adapter publishes: messages, and the forms in which they say what happens in a cell."""
+"""Messages to a broker, and the interface of their forms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Message:
 
 @dataclass(frozen=True)
 class PublishedState:
-    """What the adapter knows of the cell when it publishes.
+    """What the adapter knows of the cell at the time of a message.
 
     status   newest; None = no cell was reached since the adapter began
     is_cell  whether the cell is reached now
@@ -73,7 +73,7 @@ class PayloadForm(Protocol):
 
 
 class EndOfSessionError(Exception):
-    """The connection to the broker is to be ended and begun anew.
+    """The connection to the broker has to be closed and opened again.
 
     Scenario: the primary host of Sparkplug says that it goes offline.
     """

@@ -1,4 +1,4 @@
-"""Notices that wait for a broker: a file beside the records, which survives the adapter.
+"""Queue of notices for a broker: a file next to the records, which outlives the adapter.
 
 A notice is written with its place in the order of the cell in one transaction, before anybody tries
 to deliver it.  It is removed when the broker has acknowledged it.
@@ -52,7 +52,7 @@ class OutboxError(OSError):
 
 @dataclass(frozen=True)
 class Waiting:
-    """A notice that waits.
+    """A queued notice.
 
     number  in the outbox; none has that of another, even if that was removed
     """
@@ -68,7 +68,7 @@ def outbox_of(runs: Path) -> Path:
 
 
 class MqttOutbox:
-    """The notices that wait; safe to be used from several threads of one process.
+    """Queue of notices; safe to be used from several threads of one process.
 
     path  of the file, which is made if it is missing
     most  beyond so many the oldest that are not results are dropped

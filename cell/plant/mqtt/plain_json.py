@@ -120,7 +120,7 @@ class CycleData:
 
 @dataclass(frozen=True)
 class AcknowledgedData:
-    """A person has looked at a fault."""
+    """A person has acknowledged a fault."""
 
     by: str
     note: str
@@ -144,7 +144,7 @@ class WaitingData:
 
 @dataclass(frozen=True)
 class AdapterData:
-    """A program beside the cell has ended and is started again; empty = it runs again."""
+    """An adapter has ended, with the trouble, and is restarted; empty trouble = it runs again."""
 
     adapter: str
     trouble: str

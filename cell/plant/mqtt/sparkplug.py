@@ -28,7 +28,7 @@ _PACKAGE = "cell_sparkplug"
 
 
 class DataType(IntEnum):
-    """Type of a metric, and the value's field in which it is sent."""
+    """Type of a metric, and the field of the payload that holds its value."""
 
     INT64 = 4
     UINT64 = 8
@@ -73,7 +73,7 @@ _PAYLOAD = (
 
 @dataclass(frozen=True)
 class Metric:
-    """One value that is sent.
+    """One value of a payload.
 
     name           as in the birth; None = only its alias is sent
     time_ms        when it was so, Unix time, ms
@@ -112,7 +112,7 @@ _Payload = _payload_class()
 
 
 def encode(metrics: Iterable[Metric], time_ms: int, seq: int | None) -> bytes:
-    """Metrics as a payload.
+    """Payload that contains the metrics.
 
     time_ms  when it is sent, Unix time, ms
     seq      number of the message, 0 to 255; None = it has none
@@ -136,7 +136,7 @@ def encode(metrics: Iterable[Metric], time_ms: int, seq: int | None) -> bytes:
 
 
 def flags(payload: bytes) -> dict[str, bool]:
-    """Metrics of a payload that are true or false, by name.
+    """Boolean metrics of a payload, by name.
 
     raises  ValueError: it is no payload
     """

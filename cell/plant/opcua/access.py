@@ -1,4 +1,4 @@
-"""Who may do what: sessions of clients, their users and roles.
+"""Access to the OPC UA server: sessions of clients, their users and roles.
 
 asyncua alone would let a client in without encryption whatever endpoints are offered, and hand a
 session over to whoever names it.  Both are closed here.
@@ -38,7 +38,7 @@ _STRANGERS = 20
 
 
 def own_certificate(folder: Path, uri: str, listen: str) -> tuple[Path, Path]:
-    """Files of the server's certificate and key; made if missing, too old or of another server.
+    """Files of the server's certificate and key; created if missing, expired or another server's.
 
     uri     of the application; clients find it in the certificate
     listen  address at which the server listens
@@ -79,7 +79,7 @@ def _fits(path: Path, uri: str) -> bool:
 
 
 class TrustedClients:
-    """Certificates of clients in two folders: `trusted`, and `rejected`, where strangers' are put.
+    """Certificates of clients in two folders: `trusted`, and `rejected` for unknown ones.
 
     A person moves a file from one to the other; it counts from the next connection on.
     """
@@ -150,7 +150,7 @@ class OpcUaUser(User):  # type: ignore[misc]
 
 
 class OpcUaUsers:
-    """Tells asyncua who a client is, by the file of users."""
+    """Authenticates clients for asyncua, by the file of users."""
 
     def __init__(self, accounts: Accounts, anonymous: bool) -> None:
         self._accounts, self._anonymous = accounts, anonymous
@@ -188,7 +188,7 @@ class OpcUaUsers:
 
 
 class GuardedSession(InternalSession):  # type: ignore[misc]
-    """Session of one client."""
+    """Session of one client, which may have to present a trusted certificate."""
 
     trusted: TrustedClients | None = None
 
@@ -237,7 +237,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
 
 
 class GuardedServer(InternalServer):  # type: ignore[misc]
-    """The server within asyncua's server.
+    """Internal server of asyncua, with users, certificates and guarded sessions.
 
     accounts  who may come
     folder    of certificates

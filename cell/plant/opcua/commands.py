@@ -1,4 +1,4 @@
-"""Methods of a unit: what a client calls becomes a request to the cell, which may refuse it."""
+"""Methods of a unit: a client's call becomes a request to the cell, which may refuse it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _EVERY_S = 0.1
 
 
 class Idle:
-    """When the event loop has taken in all that was there, within a task of `note`."""
+    """Lower bound of the arrival time of messages, from the rounds of the event loop."""
 
     def __init__(self) -> None:
         now_s = time.monotonic()
@@ -89,7 +89,7 @@ class _Connections(BinaryServer):  # type: ignore[misc]
 
 
 class TimedServer(Server):  # type: ignore[misc]
-    """asyncua's server, whose messages have a time."""
+    """asyncua's server, extended by the arrival time of each message."""
 
     async def start(self) -> None:
         """Listen.  Raises OSError."""

@@ -1,4 +1,4 @@
-"""Tables of OPC 30050, PackML 1.01: its three state machines, each within a state of the other.
+"""Tables of OPC 30050, PackML 1.01: three nested state machines.
 
 Ids count in the namespace of `packml`.
 """
@@ -23,7 +23,7 @@ class MachineState:
 
 @dataclass(frozen=True)
 class Transition:
-    """A transition between states of one machine; cause = the method that brings it about."""
+    """A transition between states of one machine; cause = the method that triggers it."""
 
     source: str
     target: str
@@ -178,7 +178,7 @@ def active_states(state: CellState) -> tuple[str, ...]:
 
 
 def transition_between(before: CellState, after: CellState) -> tuple[int, str, Transition | None]:
-    """Which machine makes a transition of the cell, its name, and the transition of the table.
+    """Machine (level) of a transition of the cell, its name, and its entry in the table.
 
     That is None where PackML has none of this name: the cell may also be stopped while it clears.
     """

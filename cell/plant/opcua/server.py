@@ -1,4 +1,4 @@
-"""The server: a process beside the cell that follows it and shows it to clients of OPC UA."""
+"""OPC UA server: a process that follows the cell and shows it to clients."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _USUAL, _GRAVE = 100, 700
 
 
 class Transitions:
-    """Tells clients of transitions."""
+    """Sends events about transitions to clients."""
 
     def __init__(self, space: AddressSpace, unit: Unit, generators: list[EventGenerator]) -> None:
         self._space, self._unit, self._generators = space, unit, generators

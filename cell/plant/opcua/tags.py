@@ -1,4 +1,4 @@
-"""Variables of a unit: those of PackML, `Cell` with plain values, and how a view gives them."""
+"""Variables of a unit: those of PackML, `Cell` with plain values, and how each is computed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cell.run.machine import CellState
 
 @dataclass(frozen=True)
 class Missing:
-    """There is no value; `quality` is a status code of OPC UA that says why."""
+    """Value that is not available; `quality` is the OPC UA status code that says why."""
 
     quality: str
 
@@ -52,7 +52,7 @@ class Tag:
 
 
 def of(value: Callable[[Status], Any]) -> Value:
-    """A value that follows from the status alone; None = there is none now."""
+    """Reader of a variable that depends on the status alone; None becomes `NO_DATA`."""
 
     def read(view: PackmlView, now_s: float) -> Any:
         found = None if view.status is None else value(view.status)
@@ -62,7 +62,7 @@ def of(value: Callable[[Status], Any]) -> Value:
 
 
 def of_view(value: Callable[[PackmlView], Any]) -> Value:
-    """A value that follows from the view alone; None = there is none now."""
+    """Reader of a variable that depends on the view alone; None becomes `NO_DATA`."""
 
     def read(view: PackmlView, now_s: float) -> Any:
         found = value(view)
@@ -72,7 +72,7 @@ def of_view(value: Callable[[PackmlView], Any]) -> Value:
 
 
 def utc(seconds: float | None) -> datetime | None:
-    """A Unix time as a date."""
+    """A Unix time as a UTC date and time."""
     return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
 
 
@@ -86,7 +86,7 @@ ACTING = frozenset(s for s in CellState if s.value.endswith("ing")) | {CellState
 
 
 def machine_tags(level: int) -> tuple[Tag, ...]:
-    """Variables of a state machine, 0 = the outermost: its state, and what led there."""
+    """Variables of a state machine, 0 = the outermost: its state and last transition."""
     path, machine = MACHINE_PATHS[level], MACHINES[level]
     ids = {s.name: s.id for s in machine.states}
     numbers = {s.name: s.number for s in machine.states}
@@ -216,7 +216,7 @@ def _this_state(view: PackmlView, now_s: float) -> dict[CellState, float]:
 
 
 def status_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
-    """Status tags.
+    """Variables of PackML's `Status`.
 
     design_per_minute  cables that the cell makes at best; None = not said
     """
@@ -268,7 +268,7 @@ def status_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
 
 
 def admin_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
-    """Admin tags."""
+    """Variables of PackML's `Admin`."""
     alarms, alarm = "PackMLAlarmDataType[]", "PackMLAlarmDataType"
     count, times = "PackMLCountDataType[]", "Int32[][]"
     every = tuple(Outcome)

@@ -1,4 +1,4 @@
-"""What the server knows of the cell: its status, and what only a follower can count."""
+"""The cell as the OPC UA server knows it: its status, and counts kept while following it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PastFault:
 
 @dataclass(frozen=True)
 class PackmlView:
-    """What is known of the cell at one moment.
+    """The cell's status and counts at one moment.
 
     Moments are those of the computer's own clock, which nobody sets, unless Unix time is said.
 

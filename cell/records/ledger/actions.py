@@ -1,4 +1,4 @@
-"""What people have done at the pages: taken over into the ledger from the log of actions.
+"""Actions of people at the pages, copied into the ledger from the log of actions.
 
 The log, lines of JSON, is written first; the ledger may be away, and takes them up later.
 """
@@ -43,7 +43,7 @@ class Action:
 
 
 def take_over(ledger: str | Path, log: Path, line: str) -> int:
-    """Take new lines of a log of actions into the ledger; how many.
+    """Copy new lines of a log of actions into the ledger; returns how many.
 
     ledger  as of `Ledger`
     line    that the cell belongs to

@@ -62,7 +62,7 @@ def url_of(place: str | Path) -> URL:
 
 
 def need_file(place: str | Path | URL) -> None:
-    """Raises LedgerError: the ledger is a file, and that is not there."""
+    """Raise LedgerError if the ledger is a file that does not exist."""
     url = place if isinstance(place, URL) else url_of(place)
     path = Path(url.database or "")
     if url.drivername.startswith("sqlite") and url.database and not path.is_file():
@@ -114,7 +114,7 @@ def open_engine(url: URL, *, create: bool) -> Engine:
 
 @contextmanager
 def database_errors(engine: Engine) -> Iterator[None]:
-    """Raises LedgerError, in one line that names the database, for what it refuses."""
+    """Turn errors of the database into LedgerError: one line that names the database."""
     try:
         yield
     except SQLAlchemyError as error:

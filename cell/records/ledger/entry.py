@@ -1,4 +1,4 @@
-"""What the ledger is told of a cycle."""
+"""What the ledger stores of a cycle."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class LedgerEstimate:
 
 @dataclass(frozen=True)
 class Acknowledgement:
-    """A person's word that a fault was looked at; `at` with a time zone."""
+    """A person's acknowledgement of a fault; `at` with a time zone."""
 
     at: datetime
     by: str
@@ -115,13 +115,13 @@ class LedgerEntry:
 
 
 def estimates_of(model: Mapping[str, Any] | None) -> tuple[LedgerEstimate, ...]:
-    """Parameters of a `model.json`; none of None."""
+    """Parameters of the content of a `model.json`; none if it is None."""
     listed: Sequence[Mapping[str, Any]] = () if model is None else model["parameters"]
     return tuple(LedgerEstimate(p["name"], p["value"], p.get("low"), p.get("high")) for p in listed)
 
 
 def entry_of_folder(folder: Path, line: str) -> LedgerEntry | None:
-    """The entry of a cycle that left a folder; None = it is no cycle's, or cannot be read."""
+    """Ledger entry of a cycle's folder; None = it is no cycle's, or unreadable."""
     cycle, state = cycle_of(folder), known_json(folder / "state.json")
     if cycle is None:
         return None

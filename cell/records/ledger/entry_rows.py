@@ -22,7 +22,7 @@ from cell.records.ledger.tables import (
 
 
 def write_entry(connection: Connection, entry: LedgerEntry, of_now: bool) -> None:
-    """Write an entry, or what has changed of it; arguments as of `Ledger.write`."""
+    """Insert an entry, or update what has changed of it; arguments as of `Ledger.write`."""
     known = connection.execute(
         select(cycles.c.id, cycles.c.outcome, cycles.c.ordered).where(cycles.c.uid == entry.uid)
     ).first()
@@ -68,7 +68,7 @@ def write_entry(connection: Connection, entry: LedgerEntry, of_now: bool) -> Non
 
 
 def acknowledge_cycle(connection: Connection, at: int, said: Acknowledgement) -> None:
-    """Write a person's word on a cycle's fault; `at`: number of the cycle."""
+    """Write the acknowledgement of a cycle's fault; `at`: number of the cycle."""
     connection.execute(delete(acknowledgements).where(acknowledgements.c.cycle_id == at))
     row = {"cycle_id": at, "at": utc(said.at), "by": said.by, "note": said.note}
     connection.execute(insert(acknowledgements), [row])
@@ -132,5 +132,5 @@ def _short_names(seconds: Mapping[str, float]) -> dict[str, float]:
 
 
 def utc(moment: datetime) -> datetime:
-    """As the ledger keeps it: UTC without saying so."""
+    """A time in UTC without a time zone, as the ledger's tables store it."""
     return moment.astimezone(UTC).replace(tzinfo=None)

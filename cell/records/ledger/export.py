@@ -14,7 +14,7 @@ from drivers.installing import install_extra
 
 
 def rows_of(cycles: Sequence[ListedCycle]) -> tuple[list[str], list[dict[str, Any]]]:
-    """Names of the columns, those of parameters last, and one row per cycle; None = not known."""
+    """Column names, those of parameters last, and one row per cycle; None = not known."""
     rows = [cycle.to_json() for cycle in cycles]
     return list(dict.fromkeys(name for row in rows for name in row)), rows
 
@@ -30,7 +30,7 @@ def csv_text(cycles: Sequence[ListedCycle]) -> str:
 
 
 def write_csv(cycles: Sequence[ListedCycle], path: Path) -> None:
-    """The same as a file, UTF-8.  Raises OSError."""
+    """Write `csv_text` to a file, UTF-8.  Raises OSError."""
     write_atomic(path, csv_text(cycles))
 
 
@@ -47,7 +47,7 @@ def write_parquet(cycles: Sequence[ListedCycle], path: Path) -> None:
 
 
 def need_parquet() -> None:
-    """Raises ValueError: the package that writes Parquet is not installed."""
+    """Raise ValueError if the package that writes Parquet is not installed."""
     try:
         import pyarrow  # noqa: F401
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""The ledger of cycles: written once per cycle, asked for what a line has done."""
+"""The ledger: a database of cycles, written once per cycle, and queried for results and faults."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ STOPPED = "stop"
 
 @dataclass(frozen=True)
 class LedgerQuery:
-    """Which cycles are asked for; None or empty = all.
+    """Filter of cycles; None or empty = all.
 
     since, until   of their beginning; with a time zone
     outcomes       "running or killed" are those that have none
@@ -66,7 +66,7 @@ class LedgerQuery:
 
 @dataclass(frozen=True)
 class ListedCycle:
-    """A cycle as the ledger knows it; see `Entry` and `Result`."""
+    """A cycle as stored in the ledger; see `LedgerEntry` and `Result`."""
 
     line: str
     cycle: int

@@ -1,4 +1,4 @@
-"""What the ledger is to be told: files in a folder, until a thread has written them to it.
+"""Queue of entries for the ledger: files in a folder, which a thread writes to the ledger.
 
 A cycle never waits for a database.  While a server is away, entries stay in the folder and are
 written later, in their order; so are those of a program that was killed.
@@ -34,12 +34,12 @@ _TOGETHER = 100
 
 
 def outbox_of(runs: Path) -> Path:
-    """Folder beside one of records in which entries wait."""
+    """Folder of the queue, next to a folder of records."""
     return runs.with_name(f"{runs.name}.outbox")
 
 
 class Outbox:
-    """Entries that wait, each a file; the oldest first."""
+    """Queue of entries, each a file; the oldest first."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -93,7 +93,7 @@ def _number(file: Path) -> int:
 
 
 class WritesEntries(Protocol):
-    """A ledger, as far as it is written to."""
+    """Interface of a ledger that entries are written to."""
 
     def write(self, entries: Sequence[LedgerEntry]) -> None:
         """Write entries, all or none.  Raises LedgerError."""
@@ -103,7 +103,7 @@ class WritesEntries(Protocol):
 
 
 class LaterLedger:
-    """A ledger that is opened, and made if it is missing, when it is first written to."""
+    """A ledger that is opened, and created if it is missing, at the first write."""
 
     def __init__(self, place: str | Path) -> None:
         self._place = place

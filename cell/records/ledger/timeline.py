@@ -1,4 +1,4 @@
-"""What a line did at every moment: a timeline without a gap, from the ledger's cycles."""
+"""Timeline of a line without gaps, from the ledger's cycles: what it did at every moment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keeps of a film's frames what vision reads, so that far more recordings fit on a disk.
+"""Reduces recorded frames to the pixels that vision reads, to save room on the disk.
 
 The band of a frame is the jaw's marks, the cable, and what has changed since it was shown last.
 Outside it a frame is blank, and a reader shows there what was shown before.  Whole are the first
@@ -55,14 +55,14 @@ Tiles = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class VisionSetup:
-    """How a cell looks at its frames."""
+    """What vision needs to process a cell's frames: map to the plane, and options."""
 
     view: PlaneView
     options: VisionOptions
 
 
 class FilmBand:
-    """Decides frame by frame, in their order, what is kept of a cycle's films."""
+    """Decides for each frame of a cycle's films, in order, which pixels are kept."""
 
     def __init__(self, setup: VisionSetup) -> None:
         self._setup = setup
@@ -116,7 +116,7 @@ class FilmBand:
 
 
 def tile_means(image: Image) -> FloatArray:
-    """(⌈H/4⌉, ⌈W/4⌉) mean grey level of each square."""
+    """(⌈H/4⌉, ⌈W/4⌉) mean grey level of each tile of 4 × 4 pixels."""
     down, along = (-size % TILE_PX for size in image.shape)
     if down or along:
         image = np.pad(image, ((0, down), (0, along)), mode="edge")
@@ -125,7 +125,7 @@ def tile_means(image: Image) -> FloatArray:
 
 
 def read_tiles(sighting: Sighting, setup: VisionSetup, shape: tuple[int, ...]) -> Tiles:
-    """(⌈H/4⌉, ⌈W/4⌉) squares that vision reads near what it found."""
+    """(⌈H/4⌉, ⌈W/4⌉) mask of the tiles that vision reads, around the detected jaw and cable."""
     tiles = np.zeros([-(-size // TILE_PX) for size in shape], np.uint8)
     if np.isfinite(sighting.nodes_m).all():
         half_px = max(_CABLE_PX, _CABLE_WIDTHS * setup.options.line_width_px)
@@ -222,7 +222,7 @@ class _BandCopy(RecordingCopy):
 
 
 def keep_band(source: Path, target: Path, setup: VisionSetup, counts: Mapping[str, int]) -> None:
-    """Write a recording with bands in place of its frames, and read it back.
+    """Copy a recording with bands in place of whole frames, and verify the copy.
 
     source  a complete recording with whole frames
     counts  messages that it has, by topic

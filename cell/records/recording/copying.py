@@ -156,7 +156,7 @@ class RecordingCopy:
 
 
 def records_of(source: Path) -> Iterator[tuple[records.McapRecord, int]]:
-    """Whole records of a file with where they end, as far as they go; none is larger than it."""
+    """Records of a file up to the first incomplete one, and where each ends."""
     size = source.stat().st_size
     with source.open("rb") as file:
         file.seek(len(MAGIC))

@@ -1,4 +1,4 @@
-"""Devices that hand over their commands and answers to a recorder."""
+"""Devices that report their commands and answers to a recorder."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PAUSE_BEFORE_S = 0.03
 def recorded_devices(
     devices: Devices, recorder: Recorder, uploads: Uploads | None = None
 ) -> Devices:
-    """The same devices, recorded.
+    """The given devices, whose commands and answers are recorded.
 
     uploads  is told whether a cable is in the jaws; None = nothing is uploaded
     """

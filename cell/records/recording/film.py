@@ -1,4 +1,4 @@
-"""Single frames of a recording, found by its index: the rest of the file is not read."""
+"""Reads single frames of a recording by its index, without reading the rest of the file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SEEN = (255, 160, 0)
 
 @dataclass(frozen=True)
 class RecordedFilm:
-    """Frames of a recording, in the order of their times.
+    """Index of the frames of a recording, in the order of their times.
 
     stamps_ns  when each was taken, nanoseconds since 1970
     places     time → where in the file the chunk with the frame, and with what was seen in it, is
@@ -53,7 +53,7 @@ class RecordedFilm:
 
 
 def read_film(path: Path) -> RecordedFilm:
-    """Which frames a recording has.
+    """Read the index of a recording's frames.
 
     raises  InputError: it cannot be read
     """
@@ -166,7 +166,7 @@ def _read_errors(path: Path) -> Iterator[None]:
 
 
 def drawn(image: NDArray[np.uint8], points_px: NDArray[np.float64] | None) -> NDArray[np.uint8]:
-    """(H, W, 3) picture, blue first: a frame (H, W) with the cable as it was seen.
+    """(H, W, 3) picture, blue first: a frame (H, W) with the detected cable drawn on it.
 
     points_px  (n, 2) column and row; None = it was not seen
     """

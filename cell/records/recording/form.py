@@ -1,4 +1,4 @@
-"""What a recording holds: its topics, their schemas, and how times and angles are written.
+"""Format of a recording: its topics, their schemas, and the encoding of times and angles.
 
 Frames, poses, log and overlay have the standard schemas of Foxglove, which viewers draw.  Beside
 them stand JSON messages with the same numbers unrounded, from which a replay computes.

@@ -1,4 +1,4 @@
-"""The recorder's own process: takes what the cell's process has put into the ring, and writes it.
+"""The recorder's process: takes messages of the cell's process from the ring and writes them.
 
     python -m cell.records.recording.process RING WAKE STATUS PRIORITY [FILE]
 

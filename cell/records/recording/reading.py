@@ -1,4 +1,4 @@
-"""Reads recordings: frames, poses, JSON messages; says what is wrong with a file."""
+"""Reads recordings: frames, poses, JSON messages; reports what is damaged in a file."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ class Recording:
 
     What is read from it raises InputError where it is damaged.
 
-    begun   what was written at its beginning: software version, host, cycle …
-    closed  what was written at its end
+    started  what was written at its beginning: software version, host, cycle …
+    closed   what was written at its end
     """
 
     path: Path
@@ -167,7 +167,7 @@ class Recording:
 
 
 def damaged(path: Path, error: Exception) -> InputError:
-    """What a person is told of damage within a recording."""
+    """Error message about damage within a recording."""
     torn = isinstance(error, TornRecordingError)
     why = str(error).removeprefix(f"{path} ") if torn else _why(error)
     return InputError.at(path, f"{why}; `cell recover {path}` copies what is whole")
@@ -189,7 +189,7 @@ def lacks_end(path: Path) -> bool:
 
 
 def check_begins(path: Path) -> None:
-    """Raises InputError: a file is none of MCAP; OSError: it cannot be read."""
+    """Raise InputError if a file does not begin as MCAP; OSError if it cannot be read."""
     with path.open("rb") as file:
         begins = file.read(len(MAGIC))
     if begins != MAGIC:
@@ -260,7 +260,7 @@ def image_of(data: bytes) -> np.ndarray:
 def shown_image(
     before: NDArray[np.uint8] | None, image: NDArray[np.uint8], blank: int | None
 ) -> NDArray[np.uint8]:
-    """(H, W) grey levels of a frame of which a band was kept.
+    """(H, W) grey levels of a frame of which only a band is stored.
 
     before  what was shown before it; None = nothing
     image   as kept
@@ -274,7 +274,7 @@ def shown_image(
 
 
 class GrowingRecording:
-    """A file that another process writes; what was read once is not read again."""
+    """Reads a file while another process appends to it; each part is read once."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -320,7 +320,7 @@ def recording_under_way(runs: Path) -> Path | None:
 
 
 def is_unrecorded(runs: Path) -> bool:
-    """Whether the newest cycle has no result yet, and is not recorded either."""
+    """Whether the newest cycle is unfinished and not being recorded."""
     newest = _newest_cycle(runs)
     names = ("result.json", form.PART, form.FILE)
     return newest is not None and not any((newest / name).exists() for name in names)

@@ -1,4 +1,4 @@
-"""The cell's end of a recording: hands everything over at once, and never waits.
+"""The cell's side of a recording: passes messages to the recorder's process without waiting.
 
 Nothing here raises because of a recording: a cell goes on without one, and says so.
 """

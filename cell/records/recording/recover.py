@@ -28,7 +28,7 @@ from cell.records.recording.writer import RecordingSession
 
 @dataclass(frozen=True)
 class Recovered:
-    """What `recover` found.
+    """What was recovered of a recording.
 
     messages      number by topic, in the file that was written
     frames_s, poses_s   time of the last frame and of the last measured pose, s after the first
@@ -105,9 +105,7 @@ def recover_in_place(source: Path, target: Path | None = None) -> Recovered:
 
 
 def being_written(part: Path) -> bool:
-    """Whether a process has this file open, or has ended it just now; False where the system does
-    not tell.
-    """
+    """Whether a process has this file open or has just renamed it; False if unknown."""
     try:
         return open_somewhere(part)
     except FileNotFoundError:

@@ -59,7 +59,7 @@ class DiskRoom:
 
 @dataclass(frozen=True)
 class LastRemoved:
-    """Recordings that are removed after all others: of cycles that were not inserted, too.
+    """Recordings that are removed after all others, whatever the outcome of their cycle.
 
     every   cycles whose number is a multiple of it; 0 = none
     shifts  the first cycle of each shift; these are when they begin, local time
@@ -90,7 +90,7 @@ class _Known:
 
 
 class Retention:
-    """Keeps the recordings of one folder within their room.
+    """Removes recordings of a folder until the others fit into their room.
 
     The folder is listed once; what is recorded afterwards is known.
     """
@@ -227,7 +227,7 @@ _NEWEST = 20
 
 @dataclass(frozen=True)
 class RecordingRoom:
-    """How many recordings fit.
+    """Number of recordings that fit, and what it is computed from.
 
     cycle_bytes  of one recording: the mean of the newest ones, else what is usual
     cycle_s      time of one cycle: the median of the newest ones, else 10 s

@@ -37,7 +37,7 @@ RESERVE_BYTES = 8 * 2**20
 
 
 def shared_memory(size_bytes: int) -> tuple[int, Path | None]:
-    """File descriptor of memory that a child can share, and its file in memory if it has one.
+    """File descriptor of memory that a child can share; its path if it is a file in memory.
 
     The file outlives its processes: after they were killed at once, `cell recover` finds in it what
     was not written.  Where the system has no such place, or no room there, the memory ends with the
@@ -71,7 +71,7 @@ def _lengthen(descriptor: int, needed_bytes: int) -> None:
 
 
 def remove_forgotten() -> None:
-    """Remove what killed cells left in memory if nobody has recovered it for a day."""
+    """Remove the memory files of killed cells that nobody has recovered for a day."""
     if not _IN_MEMORY.is_dir():
         return
     for file in _IN_MEMORY.glob(f"{_NAME}*"):

@@ -1,4 +1,4 @@
-"""Where recordings live away from the cell: a folder, or any object store that fsspec knows."""
+"""Store of recordings away from the cell: a folder, or any object store that fsspec supports."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RecordingStoreError(Exception):
 
 @dataclass(frozen=True)
 class Stored:
-    """Where a recording is, and what must be in it.
+    """Location of a stored recording, and its size and hash.
 
     stored  when it was verified there, UTC
     """
@@ -47,7 +47,7 @@ class Stored:
 
 
 class Store:
-    """A place for recordings.
+    """Connection to a store of recordings.
 
     url     as the settings allow it
     raises  StoreError, from every method
@@ -157,12 +157,12 @@ def fetch(stored: Stored, target: Path, progress: Callable[[float], None]) -> No
 
 
 def mark(folder: Path, stored: Stored) -> None:
-    """Say in a cycle's folder where its recording is.  Raises OSError."""
+    """Write into a cycle's folder where its recording is stored.  Raises OSError."""
     write_atomic(folder / form.STORED, _json(stored))
 
 
 def stored_of(folder: Path) -> Stored | None:
-    """Where the recording of a cycle is; None = in no store.
+    """Where the recording of a cycle is stored; None = in no store.
 
     raises  InputError: what says so was changed
     """
@@ -178,7 +178,7 @@ def stored_of(folder: Path) -> Stored | None:
 
 
 def name_of(recording: Path, line: str) -> str:
-    """Where a cycle's recording goes in a store: by line, then by the cycle's folder."""
+    """Name of a cycle's recording in a store: line, then the cycle's folder."""
     return f"{line.replace('/', '_')}/{recording.parent.name}/{form.FILE}"
 
 

@@ -1,4 +1,4 @@
-"""Makes of a recording the folder that its cycle had left, without the pictures."""
+"""Unpacks a recording to a folder like that of its cycle, without the pictures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cell.study.wrench import SensorEntry, sensor_entry
 
 
 def study_to_plain(study: Study) -> dict[str, Any]:
-    """Names, numbers and arrays; notes and sources are left out."""
+    """A study as names, numbers and arrays, without notes and sources."""
     return {
         "name": study.name,
         "cable": study.cable.to_dict(),
@@ -50,7 +50,7 @@ def study_to_plain(study: Study) -> dict[str, Any]:
 
 
 def study_from_plain(data: Mapping[str, Any]) -> Study:
-    """Back from `study_to_plain`, by way of JSON or not; None in arrays is nan.
+    """The study of `study_to_plain`, directly or by way of JSON; None in arrays becomes nan.
 
     raises  KeyError, TypeError, ValueError: no study
     """

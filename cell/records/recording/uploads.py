@@ -32,13 +32,13 @@ class _NotNowError(RecordingStoreError):
 
 
 def waiting(runs: Path) -> list[Path]:
-    """Recordings of a folder that are in no store yet, oldest first."""
+    """Recordings in `runs` that are not uploaded yet, oldest first."""
     files = runs.glob(f"*/{form.FILE}") if runs.is_dir() else ()
     return sorted(p for p in files if not p.with_name(form.STORED).exists())
 
 
 def bring(store: Store, recording: Path, line: str, turn: Turn) -> Stored | None:
-    """Copy a recording to the store, verify it there, then remove it here unless it is marked.
+    """Upload a recording, verify it, then remove the local one unless it is marked as kept.
 
     returns  None = another process is at it, or has done it
     raises   StoreError: it stays here; OSError

@@ -59,7 +59,7 @@ class FullDiskError(OSError):
 
 
 class Sink:
-    """The file as the writing library wants it; keeps what the system has refused."""
+    """Output file for the MCAP library; keeps the system's error if writing fails."""
 
     def __init__(self, path: Path) -> None:
         self.refused: OSError | None = None
@@ -94,7 +94,7 @@ class Sink:
 
 
 def open_mcap(sink: Sink, context: Context, level: int = LEVEL) -> MCAPWriter:
-    """Begin an MCAP file for the channels of a context, compressed with a level of zstd."""
+    """Open an MCAP writer for the channels of a context; `level`: zstd compression."""
     return foxglove.open_mcap(
         sink,  # type: ignore[arg-type]
         context=context,

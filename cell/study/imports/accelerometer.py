@@ -45,13 +45,13 @@ class NotIntegrableError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class AccelerometerSamples:
-    """What a sensor showed.
+    """Samples of an accelerometer.
 
-    t_s         (T,)
-    shown       (T, 2) specific force along the sensor's right and up, m/s²; 0 where not measured
-    measured    which of both is measured
-    angle_rad   (T,) by which the sensor is turned
-    gravity     (x, y) in the study's frame, m/s²
+    t_s             (T,)
+    specific_force  (T, 2) along the sensor's right and up, m/s²; 0 where not measured
+    measured        which of both is measured
+    angle_rad       (T,) by which the sensor is turned
+    gravity         (x, y) in the study's frame, m/s²
     """
 
     t_s: FloatArray

@@ -51,10 +51,10 @@ class Root:
 class _PoseReader:
     """What a column of angles may mean.
 
-    seen      the cable shows the sign, by turning with the column
-    quarters  of a turn that are added
-    rest_rad  of the column at rest, in its sign
-    off_rad   by which the reading and the cable's root differ at rest
+    is_measured  the cable shows the sign, by turning with the column
+    quarters     of a turn that are added
+    rest_rad     of the column at rest, in its sign
+    off_rad      by which the reading and the cable's root differ at rest
     """
 
     unit: str
@@ -83,7 +83,7 @@ def clamp_angle(
 
     capture  with the gripper
     second   another point of the gripper, and the angle of the line to it at rest; None = none
-    gripper     name of the gripping point, by which its columns are known
+    hand     name of the gripping point, by which its columns are known
     """
     if (column := _column(inside, axes, hand)) is not None:
         return _of_column(capture, *column, root)

@@ -161,8 +161,8 @@ _MOST = 0.95
 class GripperFile:
     """A file of the gripper.
 
-    point  the gripping point; None = it has none
-    rest   (d,) where that rests at first, in the file's unit and axes; None = it never does
+    point    the gripping point; None = it has none
+    initial  (d,) where that rests at first, in the file's unit and axes; None = it never does
     """
 
     capture: Capture
@@ -226,8 +226,8 @@ _AS_FAR = 5.0
 class NearestMarker:
     """Motion of the marker next to the gripper, in the trial whose gripper moves most.
 
-    gripper   (rows, d) of that trial's gripper, in the unit and axes of its file
-    xy_m   (frames, 2) of the marker in the study's plane
+    hand  (rows, d) of that trial's gripper, in the unit and axes of its file
+    xy_m  (frames, 2) of the marker in the study's plane
     """
 
     hand: FloatArray

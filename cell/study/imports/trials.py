@@ -228,7 +228,7 @@ def _start(
 ) -> tuple[dict[str, Any], list[Finding]]:
     """At rest until the gripper moves, let go, or in motion from the first row on.
 
-    gripper  None = its path is not known yet
+    hand  times and places of the gripper; None = its path is not known yet
     """
     t_s, xy_m = seen
     rest = rest_rows(xy_m)

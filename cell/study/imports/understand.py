@@ -72,10 +72,10 @@ class Understanding:
 class _Scene:
     """The chain of points in the study's plane.
 
-    xy_m       (rows, points, 2), the gripping point first where it is in the same file
-    arcs       (markers,) from the gripping point, m
-    shape      (points, 2) at rest, the gripping point first where that is known
-    from_hand  whether it is; else arcs are from the first marker
+    xy_m          (rows, points, 2), the gripping point first where it is in the same file
+    arcs          (markers,) from the gripping point, m
+    shape         (points, 2) at rest, the gripping point first where that is known
+    from_gripper  whether it is; else arcs are from the first marker
     """
 
     xy_m: FloatArray

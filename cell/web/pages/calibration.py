@@ -1,4 +1,4 @@
-"""Calibrations: how old and how good each is; made anew, one instruction at a time."""
+"""Page of the calibrations: age and quality of each; repeats one, instruction by instruction."""
 
 from __future__ import annotations
 

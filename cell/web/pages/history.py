@@ -123,7 +123,7 @@ def _query(visit: Visit, wanted: LedgerQuery) -> tuple[list[ListedCycle], list[s
 
 
 def changes_of(ledger: Ledger, settings: Settings, product: str | None, t: Translate) -> list[str]:
-    """What the charts of a product say, or of each; of its newest model.  Raises LedgerError."""
+    """Control-chart signals of the newest model, of one product or of each.  Raises LedgerError."""
     names: list[str | None] = [*settings.products] if product is None else [product]
     found = []
     for name in names or [None]:

@@ -29,7 +29,7 @@ _HEADS = 7
 
 
 class LostTime:
-    """The part of the page."""
+    """Panel of the lost time: a table of causes with their share and evidence."""
 
     def __init__(self, visit: Visit) -> None:
         self._visit, self._t = visit, visit.t

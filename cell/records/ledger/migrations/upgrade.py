@@ -10,12 +10,12 @@ from sqlalchemy import Connection
 
 
 def upgrade(connection: Connection, to: str = "head") -> None:
-    """Do every migration that was not done yet, within the transaction of `connection`."""
+    """Apply all pending migrations, within the transaction of `connection`."""
     command.upgrade(config(connection), to)
 
 
 def config(connection: Connection | None = None) -> Config:
-    """Where the migrations are."""
+    """Configuration of Alembic: the folder of the migrations, and a connection."""
     found = Config()
     found.set_main_option("script_location", str(Path(__file__).parent).replace("%", "%%"))
     found.attributes["connection"] = connection

@@ -1,4 +1,4 @@
-"""Where models fail on the study: fitted models beside each other, by time, place, frequency."""
+"""Panels that compare fitted models on the study: errors by time, place, frequency."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cell.web.workspace import is_name
 
 
 class ModelsPanel:
-    """The part of the page."""
+    """Panel of the fitted models and their comparison."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t

@@ -1,4 +1,4 @@
-"""What the parts of one open lab page share: the study chosen, jobs asked for, what has changed."""
+"""State shared by the panels of one open lab page: chosen study, jobs, changes."""
 
 from __future__ import annotations
 
@@ -198,14 +198,14 @@ def frame(desk: Desk, page: str, title: str, path: Path) -> None:
 
 
 def output(title: str, log: Path | None) -> None:
-    """What a command printed, folded away."""
+    """Folded element with what a command printed."""
     if log is not None and log.is_file():
         with ui.expansion(title, icon="terminal").classes("w-full"):
             printed(log)
 
 
 def printed(log: Path | None) -> None:
-    """What a command printed."""
+    """Text that a command printed."""
     text = ui.label("\n".join(_lines(log)))
     text.classes("whitespace-pre font-mono text-xs overflow-x-auto w-full")
 
@@ -222,7 +222,7 @@ def first_lines(log: Path | None, most: int = 6) -> list[str]:
 
 
 def notes_after_tables(log: Path | None, heads: Sequence[str]) -> list[str]:
-    """What a command told after its tables, from a line that is one of `heads` on."""
+    """Lines that a command printed after its tables, from the first that is one of `heads`."""
     lines = _lines(log)
     begins = [i for i, line in enumerate(lines) if line.strip() in heads]
     return lines[begins[0] :] if begins else []

@@ -1,4 +1,4 @@
-"""What the model lacks: the diagnosis with its checks, and the motion that would tell more."""
+"""Panel of the diagnosis, with its checks, and of the motion that would be most informative."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _PASSED = """
 
 
 class DiagnosePanel:
-    """The part of the page."""
+    """Panel of the diagnosis: checks, effects, and the next motion."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t

@@ -20,7 +20,7 @@ _SHOWN = 4
 
 
 class LinePanel:
-    """The part of the page."""
+    """Panel that learns from many cables, compares candidates, promotes and undoes."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t

@@ -49,7 +49,7 @@ class MyDrag(Effect):
 
 
 class OwnEffectPanel:
-    """The part of the page."""
+    """Panel in which a person types an effect, has it checked, and fits it."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
@@ -184,6 +184,6 @@ def free_name(taken: Sequence[str]) -> str:
 
 
 def named(text: str) -> str:
-    """Name of the effect that a text says: its file is called so."""
+    """Name of the effect in a text, which is also its file's; `my_effect` if there is none."""
     found = _NAMED.search(text)
     return "my_effect" if found is None else found[1]

@@ -1,4 +1,4 @@
-"""The jobs, always in sight: what runs, how far it is, what it said; cancel."""
+"""Strip of jobs, always visible: running command, progress, output, cancel."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SHOWN, _LINES = 4, 12
 
 
 class Strip:
-    """Elements of the jobs, which are brought up to date in place."""
+    """Rows of the jobs, updated in place."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t

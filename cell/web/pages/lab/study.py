@@ -1,4 +1,4 @@
-"""The study that is worked on: chosen, uploaded, imported, gathered from cycles, looked at."""
+"""Panel of the study: choose, upload, import, gather from cycles, look at."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ _CSS = """
 
 
 def drop_zone(desk: Desk, uploaded: Callable[[dict[str, Any]], Awaitable[None]]) -> None:
-    """Make it; `uploaded` gets what the server answered to an upload that was taken."""
+    """Build the drop zone; `uploaded` gets the server's answer to an accepted upload."""
     t = desk.t
     ui.add_css(_CSS)
     with ui.element("div").classes("drop-zone w-full").props("data-test=drop"):
@@ -154,7 +154,7 @@ def chooser(desk: Desk) -> None:
 
 
 class StudyPanel:
-    """The part of the page."""
+    """Panel that chooses, uploads, imports and shows the study."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
