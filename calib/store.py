@@ -57,14 +57,14 @@ class StoredCalibration:
         return (now - self.made).total_seconds() / 3600.0
 
     def number(self, name: str) -> float:
-        """A number of the result.  Raises StoreError: it is none."""
+        """A number of the result.  Raises CalibrationFileError: it is none."""
         value = self.result.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise CalibrationFileError(self._wrong(f"{name} = {value!r} is no number"))
         return float(value)
 
     def array(self, name: str, shape: tuple[int, ...]) -> FloatArray:
-        """An array of the result.  Raises StoreError: it has another shape, or is not finite."""
+        """An array of the result.  Raises CalibrationFileError: wrong shape, or not finite."""
         try:
             value = np.asarray(self.result.get(name), dtype=np.float64)
         except (TypeError, ValueError):
@@ -96,7 +96,7 @@ def save(path: Path, stored: StoredCalibration) -> None:
 
 
 def load(path: Path, kind: str) -> StoredCalibration:
-    """A calibration of a given kind.  Raises StoreError, naming file, key and remedy."""
+    """A calibration of a given kind.  Raises CalibrationFileError, naming file, key and remedy."""
     remedy = f"run `cell calibrate {kind}`"
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))

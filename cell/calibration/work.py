@@ -118,7 +118,7 @@ class CalibrationJob:
         """Calibrate `camera`, `cell`, `time` or `grip`, live or from a folder.
 
         returns  None = it is left out: nobody has a cable, or its grip is known too poorly
-        raises  CalibrationError, StoreError, InputError; what a device raises ends the job
+        raises  CalibrationError, CalibrationFileError, InputError; a device error ends the job
         """
         self._say(f"--- {part}")
         parts: dict[str, Callable[[Path | None], StoredCalibration | None]] = {

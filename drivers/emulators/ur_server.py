@@ -6,7 +6,7 @@ Its own process, because ur-rtde holds the interpreter's lock while it waits for
 Several run side by side on different addresses 127.0.0.x.  It ends when its standard input does,
 so that it never outlives whoever started it.  PolyScope X, from version 10 on, has no dashboard.
 
-Faults come as lines of JSON on port 39999, `{"op": "protective_stop"}`; see `ur_ports.Faults`.
+Faults come as lines of JSON on port 39999, `{"op": "protective_stop"}`; see `ur_ports.PortFaults`.
 There the digital inputs are set, `{"op": "inputs", "bits": 5}`, and `{"op": "outputs"}` read.
 """
 

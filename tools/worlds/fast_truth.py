@@ -172,7 +172,7 @@ def seen_execution(
     errors: Errors,
     rng: np.random.Generator,
 ) -> Trial:
-    """Trial of an execution, as `station.executed_trial` makes it."""
+    """Trial of an execution, as `cell.run.trials.executed_trial` makes it."""
     period_s = float(np.median(np.diff(held.markers.t_s)))
     t_s = np.arange(start_s + 0.001, float(motion.t_s[-1]), period_s)
     nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]

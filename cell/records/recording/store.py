@@ -50,7 +50,7 @@ class Store:
     """Connection to a store of recordings.
 
     url     as the settings allow it
-    raises  StoreError, from every method
+    raises  RecordingStoreError, from every method
     """
 
     def __init__(self, url: str) -> None:
@@ -129,8 +129,8 @@ def fetch(stored: Stored, target: Path, progress: Callable[[float], None]) -> No
     """Bring a recording back, whole or not at all.
 
     progress  told of the share that is here
-    raises    StoreError: the store does not give it, or it is another; OSError: there is no place
-              for it here
+    raises    RecordingStoreError: the store does not give it, or it is another; OSError: there is
+              no place for it here
     """
     store = Store(stored.url)
     part = target.with_name(f"{target.name}.{os.getpid()}.fetched")

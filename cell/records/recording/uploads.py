@@ -41,7 +41,7 @@ def bring(store: Store, recording: Path, line: str, turn: Turn) -> Stored | None
     """Upload a recording, verify it, then remove the local one unless it is marked as kept.
 
     returns  None = another process is at it, or has done it
-    raises   StoreError: it stays here; OSError
+    raises   RecordingStoreError: it stays here; OSError
     """
     try:
         file = recording.open("rb")
