@@ -1,1 +1,1 @@
-"""What the lab's commands do, as functions whose results a notebook shows."""
+"""The lab's commands as functions, whose results a notebook shows."""

@@ -56,7 +56,7 @@ Tell = Callable[[Sequence[str]], None]
 
 
 def several(given: Sequence[T]) -> tuple[T, ...]:
-    """What is given where there may be several; one alone, such as a name, is one of them.
+    """The argument as a tuple; a single value, such as one name, becomes a tuple of one.
 
     raises  TypeError: a table, of which only the names would count
     """
@@ -67,7 +67,7 @@ def several(given: Sequence[T]) -> tuple[T, ...]:
 
 
 def effect_names(given: Sequence[Path | str], argument: str = "effects") -> tuple[str, ...]:
-    """Names of effects and files of your own, as text.  Raises TypeError: one is neither."""
+    """Effects' names and paths of users' files, as text.  Raises TypeError: one is neither."""
     for each in (found := several(given)):
         if not isinstance(each, str | Path):
             raise TypeError(f"{argument}: {each!r} is no effect; give a name, or a file.py")
@@ -228,7 +228,7 @@ def power(
 
 
 def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:
-    """The study with motions of `cell suggest`, from where its gripper begins, held out."""
+    """The fits, with motions of `cell suggest` files, from the gripper's home, held out."""
     from cell.lab.next.motion_file import hand_motion
     from cell.lab.next.planned import with_motions
 
@@ -240,7 +240,7 @@ def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:
 
 
 def silent(_: Sequence[str]) -> None:
-    """A result's study has the notes."""
+    """A `Tell` that shows nothing: the notes stay in the result's study."""
 
 
 def set_up(
@@ -252,7 +252,7 @@ def set_up(
     tell: Tell = silent,
     work: Work | None = None,
 ) -> FitCache:
-    """A study made ready to be fitted, with the files of models and settings that are named.
+    """The fits of a study, with the files of models and settings that are named.
 
     work  that the study may take, and that whoever waits may stop; None = that of a diagnosis
     """
@@ -268,7 +268,7 @@ def set_up_opened(
     tell: Tell = silent,
     work: Work | None = None,
 ) -> FitCache:
-    """The same of what `opened_study` gives."""
+    """As `set_up`, for a study that `opened_study` has opened."""
     work = Work(DIAGNOSIS) if work is None else work
     tell(opened.notes)
     model = read_prior(None if prior is None else Path(prior), selection.own)
@@ -326,17 +326,17 @@ def fitted(fits: FitCache) -> FitResult:
 
 
 def rules_with(checks: Sequence[Path | str]) -> Rules:
-    """The lab's limits, and a user's own checks.  Raises InputError, FileNotFoundError."""
+    """The lab's limits with the user's own checks.  Raises InputError, FileNotFoundError."""
     return replace(DEFAULT_RULES, own=tuple(read_own_checks(checks, [c.name for c in CHECKS])))
 
 
 def examined(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
-    """A study that was made ready, with all that is asked of it; stopped, what is known by then."""
+    """The diagnosis of a prepared study and its fits; if it is stopped, the results until then."""
     return with_strength(examine(fits, rules))
 
 
 def diagnosed(examination: Examination, folder: Path, *, every_step: bool = True) -> DiagnoseResult:
-    """What a person wants to know of an examination.
+    """The result of `cell.diagnose` from an examination: diagnosis, comparisons, next steps.
 
     folder      of the study, for the commands that it recommends
     every_step  compare the models with each effect added too, not only the first and the last
@@ -369,7 +369,7 @@ def _compared(fits: FitCache, models: Sequence[CableModel]) -> tuple[Comparison,
 
 
 def opened_study(study: StudyOrFolder) -> Study:
-    """A study that was checked, without copies of its trials.  Raises InputError, ValueError."""
+    """The checked study, without copies of its trials.  Raises InputError, ValueError."""
     if not isinstance(study, Study):
         return read_study(study)
     check_study(study)

@@ -1,4 +1,4 @@
-"""What the cables of a line have in common, as a function: learn."""
+"""Learning as a function, `learn`: which effect the model of a line's cables lacks."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def learn(
 
 
 def judged(result: LearningResult, settings: Settings, left_out: Sequence[str]) -> LearnResult:
-    """What was learned, held against the conditions of the line."""
+    """The result of learning, tested by the gates of the line."""
     result, judgement = best_judged(result, settings)
     left_out = (*left_out, *result.cables_left_out, *result.left_out)
     return LearnResult(result, judgement, settings, left_out)

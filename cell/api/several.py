@@ -1,4 +1,4 @@
-"""Several studies together, as a function: diagnose_together."""
+"""The joint diagnosis of several studies as a function, `diagnose_together`."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def found_together(
     rules: Rules = DEFAULT_RULES,
     executor: Executor | None = None,
 ) -> TogetherResult:
-    """Each study diagnosed alone, then all together.
+    """The joint diagnosis of several studies; each is first diagnosed alone.
 
     executor  who diagnoses; None = all cores of this computer
     """

@@ -72,13 +72,13 @@ def expressible(model: CableModel) -> tuple[CableModel, tuple[OmittedEffect, ...
 
 
 def unseen(model: CableModel) -> CableModel:
-    """The model without the effects that only concern the camera."""
+    """The model without the effects that act only on the camera image."""
     seen = [a for a in model.effects if all(getattr(a.effect, h) is None for h in _OF_CAMERA)]
     return replace(model, effects=tuple(seen))
 
 
 def value(model: CableModel, effect: type[Effect], name: str) -> float:
-    """A parameter of one of the model's effects; 0 if the model does not have the effect."""
+    """Value of an effect's parameter in the model; 0 if the model does not have the effect."""
     return next((a.named[name] for a in model.effects if a.effect is effect), 0.0)
 
 

@@ -18,7 +18,7 @@ _FRAME = "x right, y up; the cable points along -x at clamp angle 0, positive an
 
 
 def description(model: Identified, samples: int = 0) -> dict[str, Any]:
-    """Plain data; every number has its unit in its name or beside it.
+    """The description as plain data; each number has its unit in its name or next to it.
 
     samples  so many sets of parameters drawn from their distribution, with seed 0
     """

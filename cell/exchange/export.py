@@ -1,4 +1,4 @@
-"""A model for MuJoCo: what is in it, what is not, and how far it is from the model."""
+"""Export of a model to MuJoCo: what it contains, what it omits, and the error of its tip."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def export_to_mujoco(
     links: int | None = None,
     trials: Sequence[PeerTrial] = (),
 ) -> Export:
-    """The XML of a model, compared with the engine by the stroke and in these trials.
+    """Export a model as MJCF, and compare it with the engine in the stroke and in these trials.
 
     origin  where the model is from, for the comment in the file
     links   None = the fewest that keep the stroke within that share of the bar
@@ -102,7 +102,7 @@ def export_to_mujoco(
 
 
 def sampled_xml(done: Export, models: Sequence[CableModel], origin: str) -> list[str]:
-    """The XML of other cables of the same kind, with the links and the step of an export.
+    """MJCF texts of sampled parameter sets, with the links and the time step of an export.
 
     raises  `simulate`'s errors
     """
@@ -164,7 +164,7 @@ def _notes(
 
 
 def export_parts(done: Export) -> Iterator[TableData | str]:
-    """What is in the chain, what is not, and how far the tips are apart, mm."""
+    """What is printed of an export: its content, its omissions, distances of the tips, mm."""
     yield f"chain: {done.chain.links} links, steps of {done.step_s * 1e3:g} ms"
     yield f"effects in it: {', '.join(done.effects) or 'none'}"
     for effect in done.left_out:
@@ -178,7 +178,7 @@ def export_parts(done: Export) -> Iterator[TableData | str]:
 
 
 def difference_table(done: Export) -> TableData:
-    """Distances of the tips, motion by motion, mm; of the effects left out if there are any."""
+    """Table of the tips' distances by motion, mm, and of those by omitted effects."""
     heads = ["motion", "rms", "at most", *(["rms of what is left out"] if done.missing else [])]
     rows = []
     for i, one in enumerate(done.differences):

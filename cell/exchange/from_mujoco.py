@@ -33,7 +33,7 @@ _NOISE_M = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class FittedChain:
-    """A model of the chain in a file, and what of the file it does not have."""
+    """The model of a chain in a file, and notes on what of the file the model omits."""
 
     model: Identified
     notes: tuple[str, ...]

@@ -42,7 +42,7 @@ def mujoco_library() -> Any:
 
 @contextmanager
 def without_log() -> Iterator[None]:
-    """MuJoCo's warnings are not written to MUJOCO_LOG.TXT in the folder where one works."""
+    """Context in which MuJoCo writes no MUJOCO_LOG.TXT into the working folder."""
     mujoco = mujoco_library()
     former = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)

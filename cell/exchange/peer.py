@@ -1,4 +1,4 @@
-"""The exported chain in MuJoCo beside the project's own engine: how far the tips are apart."""
+"""The exported chain in MuJoCo, compared with the project's engine: distance of the tips."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COMPARED_S = 0.005
 
 @dataclass(frozen=True, eq=False)
 class PeerTrial:
-    """A motion with which two programs are compared.
+    """A motion in which the two programs are compared.
 
     straight_until_s  the cable is held straight along the clamp angle until then; None = at rest
     """
@@ -60,7 +60,7 @@ def stroke() -> PeerTrial:
 
 
 def trials_of(study: Study) -> tuple[tuple[PeerTrial, ...], tuple[str, ...]]:
-    """The motions of a study, and the names of its trials that begin bent: they are left out."""
+    """The motions of a study, and the names of trials that begin bent, which are omitted."""
     trials = []
     for t in study.trials:
         if not t.bent:
@@ -153,7 +153,7 @@ class Reference:
 
 
 def compare(model: CableModel, chain: Chain, step_s: float, reference: Reference) -> TipDifference:
-    """How far MuJoCo's tip is from the engine's, for a step of which 5 ms are a multiple."""
+    """Distance of MuJoCo's tip from the engine's, for a step that divides 5 ms."""
     xml = mjcf(chain, step_s, resting_bends(model, chain.links, 0.0), ())
     trial = reference.trial
     angle = float(trial.motion.splines[2](np.array([trial.start_s]))[0])

@@ -20,7 +20,7 @@ from cell.files.text_file import read_text
 
 @dataclass(frozen=True, eq=False)
 class Spring:
-    """Of one hinge: a D + b D² + c D³ beyond a dead band, D in rad from it; moments in N·m.
+    """Spring of one hinge: moment a D + b D² + c D³, N·m, of the angle D beyond a dead band, rad.
 
     low_rad, high_rad  ends of the dead band, from the bend free of load
     """
@@ -42,7 +42,7 @@ class Spring:
 
 @dataclass(frozen=True, eq=False)
 class HingeChain:
-    """What a file says of a chain of n hinges.  SI units; arc lengths from the clamp.
+    """A chain of n hinges as read from a file.  SI units; arc lengths from the clamp.
 
     length_m            of the cable
     arc_length_m        (n,) of the hinges

@@ -1,4 +1,4 @@
-"""The bending law as a sum of springs: one everywhere, others beyond a dead band.
+"""The bending law as a sum of springs: one without a dead band, the others each beyond one.
 
 MuJoCo has no |κ|^(N−1).  It has a hinge's spring a x + c x³, and fixed tendons whose spring
 begins beyond a dead band.  Together they are an odd cubic spline that is linear beyond the last
@@ -32,7 +32,7 @@ _SAMPLES = 500
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """M/EI = Σ a D(κ) + c D(κ)³ with D(κ) = sign κ · max(|κ| − dead band, 0); κ in 1/m.
+    """Springs with M/EI = Σ a D(κ) + c D(κ)³, D(κ) = sign κ · max(|κ| − dead band, 0); κ in 1/m.
 
     dead_band_1_per_m  (k,), the first is 0
     linear             (k,) a, no unit

@@ -142,7 +142,7 @@ def tip_error_m(
     arc_length_m: FloatArray,
     noise: Noise,
 ) -> float:
-    """Root mean square of what the model misses at the tip, beyond the noise, m."""
+    """Root mean square residual at the tip in excess of the noise, m."""
     tip, square, count, begin = int(np.argmax(arc_length_m)), 0.0, 0, 0
     for whitener in whiteners:
         error = whitener.error_m(white_residual[begin : begin + whitener.rows])[:, tip]
@@ -203,7 +203,7 @@ def _with_sampled_grips(
 
 
 def whiteners_of(trials: Sequence[Trial], noise: Noise) -> list[Whitener]:
-    """One per trial."""
+    """One whitener per trial, for the noise of the markers."""
     return [Whitener(t.markers.xy_m, noise) for t in trials]
 
 
@@ -234,7 +234,7 @@ def still_noise(
 
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """A model on the motion of a trial, seen at `times_s`.
+    """One simulation of a batch: a model on the motion of a trial, sampled at `times_s`.
 
     modes  (2, modes) places and velocities at first, of a trial that begins bent
     means  which values of a wrench are means of a sensor's rows, if some are

@@ -1,4 +1,4 @@
-"""Where a function of one number is least."""
+"""Minimum of a function of one variable by golden-section search."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _SHARE = 0.5 * (sqrt(5.0) - 1.0)
 
 
 def where_least(cost: Callable[[float], float], low: float, high: float, within: float) -> float:
-    """Place of the minimum between two others, within so much, by the golden section.
+    """Argument of a minimum between `low` and `high`, to within `within`, by golden section.
 
     Of several minima one is found.  scipy's function for it takes 0.15 s to import.
 

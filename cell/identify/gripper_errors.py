@@ -1,4 +1,4 @@
-"""The gripper's measured motion: where the camera saw it, and how far it may be wrong."""
+"""The gripper's motion: its alignment with the camera, and samples of its log's error."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def align_motion(
 
 @dataclass(frozen=True)
 class GripperLogErrors:
-    """Uncertainty of the gripper's motion beyond the noise found in its log.
+    """Uncertainty of the gripper's motion beyond the noise estimated from its log.
 
     samples       motions drawn to see what it does to the parameters; 0 = taken as exact
     offset_m      standard deviation of a constant error of the gripping point along x and y
@@ -57,7 +57,7 @@ class GripperLogErrors:
 
 
 def sampled_motions(motion: Motion, errors: GripperLogErrors, first: int = 0) -> list[Motion]:
-    """`errors.samples` motions as likely as the logged one.
+    """`errors.samples` random motions that are as likely as the logged one.
 
     The noise is the same on the same samples of a log that goes on longer.
 

@@ -1,4 +1,4 @@
-"""What identification returns: the cable's model, how sure it is, and what that rests on."""
+"""Result of identification: the cable's model, its covariance, and the data behind it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One cable from what was filmed while it hung and swung: accepted with its model, or rejected."""
+"""Identification of one cable from its filmed hold: an accepted model, or a rejection."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def hold_trial(
     grip_m: FloatArray,
     clamp_angle_rad: FloatArray,
 ) -> Trial:
-    """A filmed hold as a trial, the logged motion moved to where the jaw was seen.
+    """A filmed hold as a trial, with the logged motion shifted to the detected jaw.
 
     grip             logged motion of the gripper, on the camera's clock
     t_s              (T,) times of the frames, s
@@ -166,7 +166,7 @@ def predict_frames(
     identified: Identified,
     options: IdentifyOptions = IdentifyOptions(),
 ) -> PredictedFrames:
-    """What `identify` will need when the last frame of a hold is there.
+    """Predicted frames of a hold, which `identify` uses when the last frame has arrived.
 
     trial       what was filmed so far, from which `identified` is
     t_s         (T,) of all frames, those to come included

@@ -10,7 +10,7 @@ from cell.cable.arrays import FloatArray
 
 
 def frames_since(seen: NDArray[np.bool_]) -> NDArray[np.int_]:
-    """(T, series) own frames of a series from the last one in which it was seen; 0 = none before.
+    """(T, series) number of a series' own frames since it was last seen; 0 = not seen before.
 
     Where cameras have clocks of their own a table has a row for each of their frames, and a series
     is seen in every second row, say: what lies between two of its frames was none of its own.  A
@@ -33,9 +33,9 @@ def frames_since(seen: NDArray[np.bool_]) -> NDArray[np.int_]:
 def innovations(
     seen: NDArray[np.bool_], std_m: float, ar1: float, white: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(series, T) memory of the last frame's error, and 1/std of what is new, 1/m; 0 if unseen.
+    """(series, T) AR coefficient since the last frame, 1/std of the innovation, 1/m (0 if unseen).
 
-    And the share of what is new that the next frames remember.
+    And (series, T) the share of the innovation that enters the AR state: the Kalman gain.
     seen  (T, series)
     """
     since = frames_since(seen)
@@ -52,7 +52,7 @@ def innovations(
 def innovation_variances(
     seen: NDArray[np.bool_], memory: FloatArray, white: float, gain: FloatArray
 ) -> FloatArray:
-    """(T, series) variance of what is new, of AR(1) noise and a white share that are 1 together.
+    """(T, series) innovation variance of AR(1) plus white noise, for a total variance of 1.
 
     memory  (T, series) of the last frame's AR(1) error: 0 where there is none
     gain    (T, series) is filled with the share of it that the next frames remember
@@ -80,7 +80,7 @@ def made_white(
     white: float,
     of_white: float,
 ) -> tuple[FloatArray, float]:
-    """(frames, series, columns) made white, of the variance that they had; 0 where not seen.
+    """(frames, series, columns) whitened values, scaled to the original variance; 0 where not seen.
 
     since     (frames, series) from the last one seen, 0 = none
     of_white  AR(1) correlation of the white share
@@ -176,7 +176,7 @@ def whiten(
 def coloured(
     fresh: FloatArray, memory: FloatArray, weight: FloatArray, gain: FloatArray, error: FloatArray
 ) -> None:
-    """Fill `error` (T, markers, channels), m, with what is behind innovations; nan stays."""
+    """Fill `error` (T, markers, channels), m, with the errors of these innovations; nan stays."""
     markers, channels, frames = fresh.shape
     for marker in range(markers):
         for channel in range(channels):

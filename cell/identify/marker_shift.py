@@ -1,4 +1,4 @@
-"""How markers move with their arc length and with their gripper, where these are uncertain."""
+"""Derivatives of marker positions by arc length, and by the drift of the gripper."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ENOUGH = 5
 
 
 def derivative_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
-    """(T, markers, 2) change of markers' places by a metre of arc length, as measured.
+    """(T, markers, 2) derivative of measured marker positions by arc length.
 
     Of the cubic spline through the markers of a frame, not bent at the last one, as at the end of a
     cable.  If they are few it begins at the gripping point, and leaves it along the clamp's angle;
@@ -59,7 +59,7 @@ def derivative_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
 
 
 def carried_m(trial: Trial) -> FloatArray | None:
-    """(shapes, T, markers, 2) what the drift of a gripper's place does to markers; None = no drift.
+    """(shapes, T, markers, 2) shift of the markers by the gripper's drift; None = no drift.
 
     The gripper carries the whole cable with it: a drift is slower than a swing.  What it makes the
     cable swing beside that is found by simulation (`sampled_motions`).

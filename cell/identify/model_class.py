@@ -1,4 +1,4 @@
-"""What all cables of a kind have in common: physics beside the baseline, and a batch's prior."""
+"""What all cables of a kind share: effects added to the baseline, and a prior of parameters."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cell.identify.parameters import ParameterSpace, Prior
 
 @dataclass(frozen=True)
 class ModelClass:
-    """Physics that a kind of cable has beside the baseline, and what is known of its individuals.
+    """Effects that a kind of cable has beyond the baseline, and the prior of its parameters.
 
     effects     beside the baseline, their parameters fitted to each cable unless stated below
     exact       effects' parameters taken as they are: (`effect.parameter`, natural value)
@@ -126,7 +126,7 @@ def known_effects() -> Mapping[str, type[Effect]]:
 
 
 def source_of(effect: type[Effect]) -> str:
-    """What an effect is loaded by: its name, or the file of a user's own."""
+    """The text that `effect_from` loads an effect by: its name, or the path of a user's file."""
     if known_effects().get(effect.name) is effect:
         return effect.name
     if effect.file is None:
@@ -135,7 +135,7 @@ def source_of(effect: type[Effect]) -> str:
 
 
 def effect_from(source: str) -> type[Effect]:
-    """The effect of a name or a file; of the same file content always the same class.
+    """The effect with a name of the library, or in a file; one class for one file content.
 
     raises  KeyError, EffectError, FileNotFoundError
     """

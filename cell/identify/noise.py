@@ -116,7 +116,7 @@ def _variance_of_mean(colour: float, frames: float) -> float:
 
 
 def across(markers_m: FloatArray) -> FloatArray:
-    """(T, markers, 2) unit vectors across the cable, from the neighbours seen in the frame.
+    """(T, markers, 2) unit normals of the cable at the markers, from neighbours in the frame.
 
     Where there are none, that of the marker's last frame that has some, else upwards.
     """

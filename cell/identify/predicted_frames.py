@@ -1,4 +1,4 @@
-"""What the frames of a hold will show, simulated before the last of them has come."""
+"""Predicted frames of a hold: simulated before its last frame has arrived."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_OFF_S = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class PredictedFrames:
-    """Markers of all frames of a hold, at one cable and beside it.
+    """Predicted markers in all frames of a hold, for a cable and its finite-difference neighbours.
 
     grip       motion of the gripper so far, and then held
     t_s        (T,) of the frames, those to come included
@@ -94,7 +94,7 @@ def _same_motion(motion: Motion, predicted: Motion) -> bool:
 
 
 def extended_at_rest(motion: Motion, until_s: float) -> Motion:
-    """A log that goes on at rest: its end, back and forth, so that its noise goes on as well.
+    """The log extended to `until_s` by its rest, played back and forth, so that noise continues.
 
     Only the later half of the rest: in the first one the gripper still settles.
     """

@@ -1,4 +1,4 @@
-"""Profile likelihood: how much worse a fit becomes while one of its parameters is held elsewhere.
+"""Profile likelihood: the rise of −2 ln L while one parameter is held at other values.
 
 Where the fit is not linear in its parameters, or one of them hardly matters, this is the interval,
 and the symmetric one from the curvature at the minimum is not.
@@ -34,7 +34,7 @@ BETTER = 0.1
 
 @dataclass(frozen=True)
 class ProfilePoint:
-    """The best fit with a parameter held.
+    """The best fit with one parameter held at a value.
 
     q         where it is held
     rise      of the objective above the minimum
@@ -49,7 +49,7 @@ class ProfilePoint:
 
 @dataclass(frozen=True)
 class LikelihoodProfile:
-    """Of one parameter: points in its order, the minimum among them, and the interval of 95 %.
+    """Profile likelihood of one parameter: its points, their minimum, and the 95 % interval.
 
     low, high   -∞ or ∞ where no value is excluded; the parameter's bound if that ends the interval
     better      whether a lower minimum was found on the way: the fit was not at its best

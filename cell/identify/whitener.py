@@ -1,4 +1,4 @@
-"""Residuals of one trial made white: noise, uncertain arc lengths, a gripper's drift, tares."""
+"""Whitening of a trial's residuals: noise, uncertain arc lengths, gripper drift, tares."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHOWN_ROWS = 5
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """The last markers of a trial are none: what a sensor shows, as lengths.
+    """The last points of a trial that are no markers but values of a sensor, scaled to lengths.
 
     noises    of each of them, its bias that of a tare
     gain_std  standard deviation of the factor by which all that it shows is too large, beside 1

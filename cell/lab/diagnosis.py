@@ -119,7 +119,7 @@ def _concluded(judged: _Judged, rules: Rules) -> Examination:
 
 
 def with_strength(examination: Examination) -> Examination:
-    """The examination with limits of effects that were not found, and agreement of the trials."""
+    """The examination with limits of effects that are not named, and agreement of the trials."""
     return with_agreement(with_limits(examination))
 
 

@@ -1,4 +1,4 @@
-"""Which offset: every one simulated with the motion as it will be executed, and how surely."""
+"""The choice of an offset: each is simulated with the motion as executed, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SLOPES_COARSER, SLOPES_SEGMENTS = 4.0, 0.7
 
 @dataclass(frozen=True)
 class Freedom:
-    """What may be chosen beside the offsets.
+    """Degrees of freedom of an insertion in addition to the offset: delay, pace and reach.
 
     window_s  an insertion may begin so much later, with any offset between those; 0 = it may not
     paces     and be made in so many times the usual time
@@ -104,8 +104,7 @@ class Forecast:
 @dataclass(frozen=True)
 class OffsetForecast:
     """Forecast of one offset: probability of passing, margin (see `Destination`), m; delay, s;
-    pace; how much further the gripper goes, m (see `Forecast`).
-    """
+    pace; extra reach of the gripper, m (see `Forecast`)."""
 
     offset_m: float
     probability: float
@@ -180,7 +179,7 @@ def forecast(
 
 
 def coarsened(solver: Solver) -> Solver:
-    """Good enough for how a tip depends on parameters, and to look for where to look closely."""
+    """A coarser solver, for sensitivities of the tip and for a first search."""
     segments = max(4, round(SLOPES_SEGMENTS * solver.segments))
     return replace(solver, segments=segments, step_s=SLOPES_COARSER * solver.step_s)
 
@@ -191,8 +190,8 @@ def choose(
     destination: Destination,
     options: ChoiceOptions = ChoiceOptions(),
 ) -> Choice:
-    """The offset that passes most probably; of equally probable ones the earliest, of these the
-    quickest, then that of the widest margin.
+    """The offset most likely to pass; of equally likely ones the earliest, then the quickest, then
+    that of the widest margin.
 
     expected  forecast of `identified` or of nearly the same cable, made while the hold went on
     """
@@ -244,7 +243,7 @@ def choose(
 
 
 def missed_height_m(identified: Identified, options: ChoiceOptions) -> float:
-    """Standard deviation of the tip's height for reasons that are not the cable's parameters, m."""
+    """Standard deviation of the tip's height from causes other than the cable's parameters, m."""
     missed_m = options.model_error_growth * identified.model_error_m
     return float(np.hypot(missed_m, options.repeatability_m))
 
@@ -292,7 +291,7 @@ def enough_frames(
     destination: Destination,
     options: ChoiceOptions = ChoiceOptions(),
 ) -> bool:
-    """Whether an offset is chosen, and stays as probable however well the cable becomes known.
+    """Whether an offset is chosen whose probability further frames would hardly change.
 
     A cable that would be rejected is worth all the frames that there are.
 
@@ -310,11 +309,10 @@ def expected_change(
     destination: Destination,
     options: ChoiceOptions = ChoiceOptions(),
 ) -> float:
-    """By how much the best offset's probability would change in the mean, were the cable known.
+    """Expected change of the best offset's probability if the cable's parameters were known.
 
-    For every cable that this one may be the probability is that of the other reasons alone: what
-    the model lacks, arm, camera, draught, of which more frames tell nothing.  Only the nearer edge
-    of the opening counts.
+    Given the parameters, only the other causes remain uncertain: model error, arm, camera and
+    cross-flow, which more frames do not reduce.  Only the nearer edge of the opening counts.
     """
     index = choice.table.index(choice.best)
     shift = deviates(len(identified.mean) + 1, options.samples)[:, :-1] @ identified.root.T

@@ -1,4 +1,4 @@
-"""What to do in flight: leave the path, change it so that the tip passes, or stop."""
+"""The decision in flight: keep the path, change it so that the tip passes, or stop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WORTH, WORTH_STD, WORTH_M = 0.01, 2.0, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Tail:
-    """A change of height of the gripper from `from_s` on: two rises, one after the other.
+    """A change of the gripper's height from `from_s` on, as two successive rises.
 
     rise_m, then_m   by which the gripper is led up, each within `lasts_s`
     probability, margin_m   of passing, with it
@@ -144,8 +144,7 @@ def probability_of_passing(
 
 
 def decisions_s(response: Response, destination: Destination) -> tuple[float, ...]:
-    """When to decide on a change, from when the gripper is told to move; none if no tip gets
-    there."""
+    """Times of decisions on a change, after the commanded start; none if no tip arrives."""
     through = np.flatnonzero(response.nodes_m[:, 0, 0] <= destination.x_max_m)
     if not through.size:
         return ()
@@ -156,7 +155,7 @@ def decisions_s(response: Response, destination: Destination) -> tuple[float, ..
 def tail_response(
     response: Response, from_s: float, lasts_s: float, lag_s: float, nodes: slice = slice(None)
 ) -> FloatArray:
-    """(T, nodes, 2) per metre that the gripper is led up from a moment on."""
+    """(T, nodes, 2) response of the nodes to a rise of the gripper from a time on, per metre."""
     t_s = np.arange(0.0, lasts_s + INTERVAL_S, INTERVAL_S / 2.0)
     up = Trajectory(t_s, 0.0 * t_s, _smooth(t_s / lasts_s), 0.0 * t_s)
     led = servo_response(up, lag_s)
@@ -176,7 +175,7 @@ def _tip_responses(response: Response, from_s: float, lasts_s: float, lag_s: flo
 
 
 def moved_by(response: Response, tail: Tail, lag_s: float) -> Response:
-    """The expected motion once a change was told."""
+    """The expected motion after a commanded change."""
     led = tail.rise_m * tail_response(response, tail.from_s, tail.lasts_s, lag_s)
     then_s = tail.from_s + tail.lasts_s
     led += tail.then_m * tail_response(response, then_s, tail.lasts_s, lag_s)
@@ -206,7 +205,7 @@ LEAST_FRAMES = 10
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What to do.
+    """The decision in flight, and the prediction it rests on.
 
     tip_m        (T, 2) as predicted, at the times of the answers, if the path stays; None = unknown
     tail         the change that is worth it; None = there is none
@@ -227,7 +226,7 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """An insertion that is being made, and how the cable answers.
+    """An insertion in progress, with the cable's response to small deviations.
 
     noise_m          standard deviation of the nodes as seen
     lag_s            of the arm

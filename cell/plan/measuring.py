@@ -1,4 +1,4 @@
-"""A measuring motion: what the gripper does with a cable only to see what the cable does."""
+"""A measuring motion: a gripper motion whose only purpose is to observe the cable."""
 
 from __future__ import annotations
 

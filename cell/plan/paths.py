@@ -116,7 +116,7 @@ def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -
 
 
 def path_to_rest(path: Trajectory, from_s: float, limits: MotionLimits) -> Trajectory:
-    """The same path until a moment, and then to rest as soon as the limits allow.
+    """The path until a time, then a stop as fast as the limits allow.
 
     Where the path itself is brisker than the limits, it is left as briskly: a gripper that is
     slowed down already would otherwise go back.

@@ -1,4 +1,4 @@
-"""Where between the offsets, and when, an insertion passes best: a coarse look at all of it."""
+"""Coarse search between the offsets, delays and paces for the insertion of widest margin."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def refined_candidates(
     solver: Solver,
     options: ChoiceOptions,
 ) -> Spots:
-    """Offsets, delays and paces of insertions that seem to pass by the widest margin.
+    """Candidate offsets, delays and paces of insertions, predicted to pass by the widest margin.
 
     The tip of the most probable cable is simulated coarsely.  Its path is nearly the sum of what
     the gripper's motion makes and of the swing before, which goes on: what is left changes smoothly
@@ -132,7 +132,7 @@ class _Interpolated:
 
 
 def widest_between(at_once: Forecast, destination: Destination) -> float:
-    """The offset that seems to pass by the widest margin, at once and at the usual pace, m.
+    """The offset predicted to pass by the widest margin, without delay, at the usual pace, m.
 
     Tips are interpolated between the offsets around the best one.
     at_once  of the offsets, ascending

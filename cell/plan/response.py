@@ -1,4 +1,4 @@
-"""How a held cable responds to small deviations, which add up; and what the frames tell of them."""
+"""Linear response of a held cable to small deviations, and their estimate from the frames."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ _STEP_S = INTERVAL_S
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """A cable in a motion of the gripper, and its answers to what is not expected.
+    """Expected motion of a cable, and its linear responses to small deviations.
 
     Nodes are those that the camera sees, the tip first; all linear, of one cable near rest.
 
     t_s       (T,) from when the gripper is told to move, every `INTERVAL_S`
-    nodes_m   (T, nodes, 2) as expected
-    rise      (T, nodes, 2) after the gripper was led up by 1 m at 0
-    basis     (T, nodes', 2, unknowns) of one node in `EVERY_NODE`: by pictures that are `LATE_S`
-              late; by an end that is seen wrongly by `END_M`; by the cable's parameters, each as
-              uncertain as it is; then, for every knot, by forces that begin there and bend the tip
-              by 1 m at last, `MODES` of them, and by the gripper set off by 1 m right and up
-    tip       (T, 2, unknowns) of the tip itself, which is neither late nor elsewhere
+    nodes_m   (T, nodes, 2) expected positions
+    rise      (T, nodes, 2) response to a rise of the gripper by 1 m at 0
+    basis     (T, nodes', 2, unknowns) response of every `EVERY_NODE`-th node: to pictures `LATE_S`
+              late; to an end detected `END_M` off; to one standard deviation of each parameter;
+              then, for every knot, to `MODES` forces that begin there and finally bend the tip by
+              1 m, and to a displacement of the gripper by 1 m right and up
+    tip       (T, 2, unknowns) response of the true tip, without delay and detection error
     lasting   how many of the unknowns are not changes at a knot
     """
 
@@ -69,7 +69,7 @@ def simulate_response(
     arc_length_m: FloatArray,
     solver: Solver = Solver(),  # noqa: B008
 ) -> Response:
-    """Simulate the expected motion, and every answer once.
+    """Simulate the expected motion, and each linear response once.
 
     motion         of the gripper, on the clock of the identification
     begin_s, end_s on that clock: from when the gripper is told to move, until when nodes are wanted
@@ -168,7 +168,7 @@ EVERY, ALIKE = 2, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """How a cable's tip moves beside the expected, m.
+    """Estimated deviation of a cable's tip from the expected motion, m.
 
     tip_m       (T, 2) the tip's, at the times of the answers, those to come included
     tips_m      (samples, T, 2) of tips that are as probable
@@ -187,7 +187,7 @@ def deviation(
     std_m: float,
     samples: int = 32,
 ) -> Deviation:
-    """What the frames so far tell of the cable's motion until its end.
+    """Estimate the deviation, until the motion's end, from the frames so far.
 
     t_s      (frames,) from when the gripper was told to move
     nodes_m  (frames, nodes, 2) measured, nan = not seen

@@ -70,7 +70,7 @@ refused, noted = partial(_check, "refused"), partial(_check, "noted")
 def failures(
     checks: Sequence[DataCheck[EvidenceT]], evidence: EvidenceT
 ) -> Iterator[tuple[Failure, str]]:
-    """Of every check that fails, in order: its numbers, and its sentence."""
+    """Yield the numbers and the sentence of every check that fails, in order."""
     for check in checks:
         found = check.failure(evidence)
         if found is not None:

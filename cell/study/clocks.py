@@ -1,4 +1,4 @@
-"""Whether a gripper's log and the pictures of its cable are of one clock, and the log is whole."""
+"""Checks of time: gripper log and frames share one clock, and the log has no gap or cut-off."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def swing_hz(study: Study) -> float | None:
 
 
 def with_pull(study: Study) -> Study:
-    """The study with the scale of its cable's stiffness.
+    """The study with the acceleration that sets the scale of its cable's stiffness.
 
     raises  ValueError: gravity is weak, and no trial shows a swing
     """
@@ -35,9 +35,9 @@ def with_pull(study: Study) -> Study:
 
 
 def pull_m_per_s2(study: Study) -> float | None:
-    """Acceleration under which a cable of this size would swing as it is seen to, m/s².
+    """Equivalent gravity: a cable of this size would swing at the observed frequency, m/s².
 
-    None where gravity in the plane is not weak: then it is the scale.
+    None if gravity in the plane is not weak: then gravity itself is the scale.
     raises  ValueError: gravity is weak, and no trial shows a swing
     """
     if float(np.hypot(*study.gravity_m_per_s2)) >= WEAK_M_PER_S2:
@@ -228,7 +228,7 @@ def _std_per_s(noise: float, rows: int, step_s: float) -> float:
 
 
 def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None:
-    """That a cable at rest begins to move long before or after its gripper; None if it does not."""
+    """Start times of cable and gripper if they differ by much, for a cable at rest; else None."""
     any_seen = np.isfinite(trial.markers.xy_m).any(axis=(1, 2))
     t_s = trial.markers.t_s[any_seen]
     series_m = trial.markers.xy_m[any_seen].reshape(len(t_s), -1)
@@ -342,7 +342,7 @@ FEWEST_STILL = 10
 
 
 def at_rest(trial: Trial) -> NDArray[np.bool_]:
-    """(T,) frames before the gripper moves, of a cable that nothing else holds or swings."""
+    """(T,) whether a frame is before the gripper's motion, with the cable hanging at rest."""
     if trial.bent:
         return np.zeros(len(trial.markers.t_s), dtype=bool)
     return trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
@@ -350,7 +350,7 @@ def at_rest(trial: Trial) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class FirstMotion:
-    """How far a cable moves before its gripper does, and from which of its frames on."""
+    """Motion of a cable before its gripper moves: its size, and its first frame."""
 
     reach_m: float
     row: int
@@ -362,8 +362,7 @@ class FirstMotion:
 
 
 def first_motion(trial: Trial, cable: Cable) -> FirstMotion | None:
-    """That a cable said to begin in equilibrium moves, by a share of it, before its gripper
-    does."""
+    """Motion of a cable before its gripper moves, in a trial that states equilibrium; else None."""
     still = at_rest(trial)
     if trial.start != "equilibrium" or np.count_nonzero(still) < FEWEST_STILL:
         return None

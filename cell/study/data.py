@@ -17,7 +17,7 @@ from cell.study.hand_drift import HandDrift
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where measurements stand: in which lines of which file, and as which markers.
+    """Origin of measurements: file, lines, and names of the markers there.
 
     lines    (T,) counted from 1
     numbers  (markers,) of the columns' names

@@ -1,4 +1,4 @@
-"""What the description of a study may say: mistaken units, entries that contradict each other."""
+"""Plausibility of a study's entries: wrong units, and contradictions between entries."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ TrialName = Annotated[str, AfterValidator(_trial_name)]
 
 
 def datasheet_of(cable: Mapping[str, Any]) -> Cable | None:
-    """A round cable as a strip as wide that has the same section; None: neither or both given.
+    """The datasheet; a round cable becomes a strip of its width and area; None: neither or both.
 
     cable  entries that are given
     """
@@ -97,7 +97,7 @@ def implausible_entries(
     noise_std_m: float | None,
     arc_length_std_m: Sequence[float] = (),
 ) -> Iterator[Complaint]:
-    """What a schema cannot say.
+    """Complaints about entries that the schema cannot check.
 
     cable         entries that are given
     datasheet     of these; None = they are not one cable's

@@ -1,4 +1,4 @@
-"""What a trial shows before any model."""
+"""Facts of a trial, computed from its measurements without a model."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class TrialFacts:
 def trial_facts(
     trial: Trial, arc_length_m: FloatArray, gravity_m_per_s2: tuple[float, float] = EARTH
 ) -> TrialFacts:
-    """What a trial shows.
+    """The facts of a trial.
 
     arc_length_m  (markers,) from the gripping point; nan = unknown, then they stand tip first
     """
@@ -132,15 +132,14 @@ def trial_facts(
 
 
 def sensors_of(trial: Trial) -> tuple[str, ...]:
-    """What a trial states of sensors: of the gripper's place with an error of its own, of a
-    wrench."""
+    """Sensors that a trial states: of the gripper's position with an own error, of a wrench."""
     drift = trial.hand_drift
     hand = () if drift is None else (f"gripper by {drift.sensor}",)
     return hand if trial.wrench is None else (*hand, "wrench")
 
 
 def sensors_in_words(trials: Sequence[Trial]) -> str:
-    """The same of several trials, with how many state it; empty if none does."""
+    """The sensors that trials state, each with the number of trials; empty if there are none."""
     said = [sensor for trial in trials for sensor in sensors_of(trial)]
     return ", ".join(
         f"{sensor} ({said.count(sensor)} of {counted(len(trials), 'trial')})"
@@ -151,7 +150,7 @@ def sensors_in_words(trials: Sequence[Trial]) -> str:
 def facts_of(
     trials: Sequence[Trial], arc_length_m: FloatArray, gravity_m_per_s2: tuple[float, float]
 ) -> tuple[TrialFacts, ...]:
-    """The same of several trials."""
+    """The facts of several trials."""
     return tuple(trial_facts(trial, arc_length_m, gravity_m_per_s2) for trial in trials)
 
 

@@ -119,7 +119,7 @@ def read_study(folder: Path) -> Study:
 
 
 def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
-    """The study with every trial that can be read, and all that `read_study` refuses it for.
+    """The study with every readable trial, and the problems for which `read_study` refuses it.
 
     raises  InputError: no trial can be read
     """
@@ -457,7 +457,7 @@ def _read_trial(
 
 
 def thinned(trial: Trial) -> tuple[Trial, int]:
-    """The trial with at most `MAX_FRAMES` frames: one of every so many, which is told too."""
+    """The trial with every k-th frame, at most `MAX_FRAMES`; and k."""
     markers = trial.markers
     step = -(-len(markers.t_s) // MAX_FRAMES)
     if step <= 1:

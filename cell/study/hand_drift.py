@@ -1,8 +1,8 @@
-"""How far a gripper may be from where it is said to be, where its log does not show that.
+"""Drift of the gripper's position: an error that the gripper log does not show.
 
-White noise of acceleration that is integrated twice is smooth, as a motion is.  An encoder at rest
-shows the same count all the time, wherever within it the gripper is.  So a study states such
-errors, and what is fitted or claimed allows for them.
+White acceleration noise that is integrated twice is smooth, as a motion is.  An encoder at rest
+shows a constant count, wherever within that count the gripper is.  So a study states such errors,
+and fits and verdicts allow for them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class HandDriftSection(SectionPart):
 
 
 def drift_complaint(drift: HandDriftSection | None) -> str | None:
-    """That its motion ends before it begins."""
+    """Complaint that a drift's `to_s` is not after its `from_s`; None if it is."""
     if drift is None or drift.to_s > drift.from_s:
         return None
     message = f"{drift.to_s:g} s is not after from_s, {drift.from_s:g} s; give when the gripper "
@@ -53,7 +53,7 @@ def drift_complaint(drift: HandDriftSection | None) -> str | None:
 
 @dataclass(frozen=True)
 class HandDrift:
-    """Error of a gripper's place that its log does not show.
+    """Error of the gripper's position that its log does not show.
 
     The gripper is known to be at rest before `from_s` and after `to_s`.  An error by acceleration
     grows from 0 in between, its velocity 0 at both ends (zero-velocity update), and stays.  An

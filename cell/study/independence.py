@@ -1,4 +1,4 @@
-"""Which trials are independent recordings, and which of them repeat one motion.
+"""Independence of trials: copies of one recording, and repetitions of one motion.
 
 Copies of one recording are no evidence of each other, see `same_recording`.  Repetitions of a
 motion are independent recordings, but tell nothing of motions that were not fitted to.
@@ -25,7 +25,7 @@ Names = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Independence:
-    """Trials of a study by what they are evidence of.
+    """Trials of a study, grouped by recording and by motion.
 
     recordings  names of the trials of each recording: several are copies of one
     motions     the same of each motion
@@ -73,7 +73,7 @@ class Independence:
 
 
 def without_copies(study: Study) -> Study:
-    """The study with one trial of each recording, and a note that names those left out.
+    """The study with one trial per recording, and a note that lists the removed copies.
 
     The one with most values stays; it is fitted to if any of them is.
     """
@@ -116,7 +116,7 @@ def without_copies_of(study: Study, others: Sequence[Study]) -> Study:
 
 
 def copies_text(names: Sequence[str], kept: str) -> str:
-    """That trials are one recording, and the remedy."""
+    """Message that trials are copies of one recording, with the remedy."""
     listed = f"{', '.join(names[:-1])} and {names[-1]}"
     return (
         f"{listed} are one recording: their noise is the same. It is counted once, as {kept}, and "
@@ -134,7 +134,7 @@ SAME_SHAPE = 0.05
 
 
 def same_motion(first: Trial, second: Trial, length_m: float) -> bool:
-    """Whether two trials repeat one motion: the way of the gripper, from any place, at any time."""
+    """Whether two trials repeat one gripper motion, up to its start position and time."""
     grips = first.grip, second.grip
     if first.start != second.start:
         return False

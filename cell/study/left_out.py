@@ -1,4 +1,4 @@
-"""A study without the samples of markers and wrenches that are wrong, and notes of these."""
+"""A study without outliers of its markers and wrenches, with notes that list them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TOLD = 3
 
 
 def without_outliers(study: Study) -> Study:
-    """The study with samples that no cable shows as not seen, and with notes of them.
+    """The study with outliers of markers set to not seen, and notes of them.
 
     raises  InputError: too many of a marker are wrong
     """
@@ -36,7 +36,7 @@ def without_outliers(study: Study) -> Study:
 
 
 def without_samples(study: Study, wrong: Sequence[FloatArray]) -> Study:
-    """The study without what is wrong, and with a note for every trial that has such.
+    """The study with the given outliers set to not seen, and a note per trial that has any.
 
     wrong   per trial (times, channels), m: by how much samples lie apart, nan where one is right
     raises  InputError: too many of a marker are wrong
@@ -63,12 +63,12 @@ def without_samples(study: Study, wrong: Sequence[FloatArray]) -> Study:
 
 
 def most_outliers(seen: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Of so many rows seen, how many may be wrong."""
+    """Largest permitted number of outliers in so many rows seen."""
     return np.asarray(np.maximum(FEW, np.floor(MAX_OUTLIER_SHARE * seen)), dtype=int)
 
 
 def limit_text(most: int) -> str:
-    """The limit of wrong rows, as a message says it."""
+    """Text of the limit on outliers."""
     return f"limit {MAX_OUTLIER_SHARE:.0%}" if most > FEW else f"limit {most}"
 
 
@@ -131,7 +131,7 @@ def _place(row: int, apart_m: FloatArray, source: Source) -> str:
 
 
 def notes_of_samples(study: Study) -> list[str]:
-    """What is noted of single wrong samples, and of trials that are one recording.
+    """Notes of outliers, and of trials that are copies of one recording.
 
     raises  InputError: too many samples are wrong
     """
@@ -143,7 +143,7 @@ _TOGETHER = (slice(0, 2), slice(2, 3))
 
 
 def without_wrench_outliers(study: Study, folder: Path) -> Study:
-    """The study with values of wrenches that no motion makes as not measured, and notes of them.
+    """The study with outliers of wrenches set to not measured, and notes of them.
 
     folder  of the study, for what is told
     raises  InputError: too many of a column are wrong

@@ -1,4 +1,4 @@
-"""Checks of the record of a trial: what makes a fit of it weak or wrong.  The reader decides."""
+"""Checks of a trial's record for what makes its fit weak or wrong; they only warn."""
 
 from __future__ import annotations
 
@@ -327,7 +327,7 @@ STUDY_NOTES = (stated_noise, frequencies)
 
 
 def oddities(all_facts: Sequence[TrialFacts], noise_std_m: float | None) -> list[str]:
-    """What should be better, of every trial and of all together.
+    """Warnings of the checks of each trial and of all trials jointly.
 
     noise_std_m  that the study states; None = it states none
     """
@@ -343,7 +343,7 @@ def oddities(all_facts: Sequence[TrialFacts], noise_std_m: float | None) -> list
 
 
 def stated_oddly(all_facts: Sequence[TrialFacts], noise_std_m: float | None) -> str | None:
-    """That the noise of a study is stated much larger, or smaller, than it is at rest."""
+    """Warning that the stated noise differs much from the noise at rest; None if it does not."""
     return next((s for _, s in failures([stated_noise], (all_facts, noise_std_m))), None)
 
 

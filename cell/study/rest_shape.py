@@ -1,7 +1,7 @@
-"""What a cable's shape at rest says: how fast it must swing, and where and how it leaves its clamp.
+"""Checks by the shape at rest: expected swing frequency, and position and angle at the clamp.
 
-Neither needs a model that is fitted.  Gravity sets the frequency of a cable that its weight bends,
-whatever its stiffness; and a curve through markers goes on to where the cable is held.
+Neither needs a fitted model.  If the weight bends the cable, its droop gives the swing frequency,
+whatever its stiffness.  The curve through the markers, extended, ends at the clamp.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _POINTS = 161
 
 @dataclass(frozen=True)
 class SwingScale:
-    """Frequencies that gravity sets for a cable, whatever its stiffness.
+    """Swing frequencies of a cable that follow from gravity, whatever its stiffness.
 
     slowest_hz  of a chain that hangs: 1.2 √(g/L) / 2π; no cable is slower
     droops_hz   of a cantilever that its weight bends by δ at its tip: √(1.545 g/δ) / 2π, for the
@@ -48,7 +48,7 @@ class SwingScale:
 def swing_scale(
     trial: Trial, rest: int, tip: int, arc_m: float, gravity_m_per_s2: tuple[float, float]
 ) -> SwingScale | None:
-    """Frequencies of the cable up to a marker; None without gravity or an arc length.
+    """Swing frequencies of the cable up to a marker; None without gravity or an arc length.
 
     rest   frames at rest
     tip    number of the marker, at arc length arc_m
@@ -69,7 +69,7 @@ def swing_scale(
 
 @dataclass(frozen=True)
 class ClampedEnd:
-    """Where the curve through the markers at rest begins, beside what the trial says of the clamp.
+    """Where the curve through the markers at rest begins, relative to the trial's clamp pose.
 
     away_m   from the gripping point; length_m of the cable, up to its last marker
     turned_rad  of the direction in which it leaves, from the clamp angle; positive = down
@@ -84,7 +84,7 @@ class ClampedEnd:
 
 
 def clamped_end(trial: Trial, rest: int, arc_length_m: FloatArray) -> ClampedEnd | None:
-    """Where the curve through the markers begins; None where too few of them are near the clamp.
+    """The clamped end, by the curve through the markers; None if too few are near the clamp.
 
     The curvature of a cable with a free end is (1 − s/L)(a + b s): least squares of place and
     direction at s = 0, a and b.

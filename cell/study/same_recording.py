@@ -1,4 +1,4 @@
-"""Whether two recordings are copies of one, by their noise.
+"""Test whether two recordings are copies of one, by their common noise.
 
 Repetitions of a motion share their smooth course; their noise is independent.  Copies of one
 recording share the noise too, whatever was done to them: cropped, resampled, shifted in time,
@@ -56,7 +56,7 @@ CORRELATED, BY_CHANCE = 0.3, 50.0
 
 
 def same_recordings(recordings: Sequence[Markers]) -> tuple[int, ...]:
-    """Of each, the number of the first that is the same recording: its own if none before is."""
+    """For each recording, the index of its first copy among them; its own if it is the first."""
     prepared = [_Prepared.of(each) for each in recordings]
     first: list[int] = []
     for i, each in enumerate(prepared):
@@ -66,7 +66,7 @@ def same_recordings(recordings: Sequence[Markers]) -> tuple[int, ...]:
 
 
 def originals(recordings: Sequence[Markers], known: Sequence[Markers]) -> tuple[int | None, ...]:
-    """Of each recording, the number of the first of those known that is the same; None = none."""
+    """For each recording, the index of the first known one that it copies; None = none."""
     prepared = [_Prepared.of(each) for each in known]
     return tuple(
         next((i for i, other in enumerate(prepared) if _same(other, each)), None)

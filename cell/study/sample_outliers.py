@@ -1,7 +1,7 @@
-"""Single samples of markers that are no motion: a tracker's slip, a digit lost in a table.
+"""Outliers of single samples: a tracker's slip, or a digit lost in a table.
 
-A sample is compared with what those around it foretell, and judged by what is left of these
-themselves, so that a fast motion seen by a slow camera is as rough for its neighbours as for it.
+A sample is compared with its prediction from its neighbours.  The limit follows from the residuals
+of the neighbours themselves, which a fast motion before a slow camera raises equally.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class _Comparison:
 
 
 def outlier_distances(t_s: FloatArray, series_m: FloatArray) -> FloatArray:
-    """By how much samples that are wrong lie apart from their curve, m; nan where one is right.
+    """Distance of each outlier from the curve through its neighbours, m; nan for all other samples.
 
     t_s       (T,)
     series_m  (T, channels) coordinates, or what a model leaves of them; nan = not seen

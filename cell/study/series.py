@@ -1,4 +1,4 @@
-"""Statistics of places over time: how far they span, how noisy they are, where they stay."""
+"""Statistics of positions over time: span, noise, runs of true values, interpolation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cell.cable.arrays import FloatArray
 
 
 def span_m(xy_m: FloatArray, cut: float = 0.0) -> float:
-    """How far apart places (T, d) are, along the coordinates that are seen; nan = none is.
+    """Span of positions (T, d) over the coordinates that are seen; nan if there are none.
 
     cut  share of the smallest and of the largest values that do not count: single wrong ones
     """
@@ -27,7 +27,7 @@ def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def forward_filled(values: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
-    """Values (T, …), each that is not seen (T, channels) as it was last; as it is before that."""
+    """Values (T, …), each that is not seen (T, channels) as last seen; the first ones stay."""
     rows = np.where(seen, np.arange(len(seen))[:, None], 0)
     last = np.maximum.accumulate(rows, axis=0)
     return np.array(values[last, np.arange(seen.shape[1])])
@@ -40,7 +40,7 @@ def rounding_step_m(values_m: FloatArray) -> float:
 
 
 def first_lasting(flags: NDArray[np.bool_], count: int) -> int | None:
-    """Index of the first of so many true values (T,) in a row; None = there is none.
+    """Index of the first of `count` successive true values (T,); None = there are none.
 
     The last value is taken to go on.
     """
@@ -60,7 +60,7 @@ def interpolated(at_s: FloatArray, t_s: FloatArray, values: FloatArray) -> Float
 
 
 def by_missing_pattern(seen: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Channels (T, channels) that are seen in the same rows, pattern by pattern."""
+    """Indices of channels of `seen` (T, channels), grouped by the rows in which they are seen."""
     alike: dict[bytes, list[int]] = {}
     for channel, rows in enumerate(seen.T):
         alike.setdefault(rows.tobytes(), []).append(channel)
@@ -79,5 +79,5 @@ def noise_m(still_m: FloatArray) -> float:
 
 
 def wrapped(angle_rad: float) -> float:
-    """The same angle between −π and π."""
+    """The angle, wrapped to −π … π."""
     return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)

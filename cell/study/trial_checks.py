@@ -1,4 +1,4 @@
-"""Checks of a trial, whether it is of the cable described: frame, reach, clock, units.
+"""Checks whether a trial is of the cable described: coordinate frame, reach, clock, units.
 
 A model can be fitted to mirrored or reversed markers too, with intervals and all.  A check that is
 `refused` fails by what no cable does: the study is not read.  One that is `noted` fails by what
@@ -469,7 +469,7 @@ TRIAL_NOTES = (rises, cable_ahead, moves_first)
 def trial_problems(
     trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: tuple[float, float]
 ) -> tuple[list[Problem], list[str]]:
-    """What of a trial is refused, and what is odd and yet possible, each with its line.
+    """Problems for which a trial is refused, and notes of what is unusual but possible.
 
     arc_length_m  (markers,) from the gripping point, as in `trial.markers`
     """

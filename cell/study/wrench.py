@@ -1,4 +1,4 @@
-"""The wrench of a trial at its clamp: its file, what it shows, whether it can be of its trial."""
+"""The wrench of a trial at the clamp: its file, its facts, and its plausibility."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SensorEntry(SectionPart):
 
 
 def sensor_entry(sensor: WrenchSensor) -> Mapping[str, Any]:
-    """The key `wrench` of `study.yaml`, what is usual left out."""
+    """The key `wrench` of `study.yaml`, without entries that have default values."""
     tool = sensor.gauge.tool
     entry = SensorEntry(
         axes="hand" if sensor.gauge.turns else "plane",
@@ -128,7 +128,7 @@ _FARTHER = 4.0
 
 @dataclass(frozen=True)
 class ForceFactor:
-    """The measured force over that which moves the masses: about 1.
+    """Ratio of the measured force to the force that accelerates the cable; about 1 if correct.
 
     column  of the file, of the axis that moves most
     """
@@ -140,7 +140,7 @@ class ForceFactor:
 def force_factor(
     trial: Trial, cable: Cable, outermost_m: float, sensor: WrenchSensor
 ) -> ForceFactor | None:
-    """Of a trial's force; None where it shows too little to tell.
+    """The force factor of a trial; None if the motion is too small to determine it.
 
     Twice integrated it is mass times the way of the centre of mass, beside a parabola by weight and
     tare.  That centre is roughly in the middle between the gripper and where a straight cable
@@ -223,7 +223,7 @@ FORCE_NOTES = (force_reversed, force_large, force_small)
 def force_problems(
     trial: Trial, cable: Cable, outermost_m: float, sensor: WrenchSensor, file: Path
 ) -> tuple[list[Problem], list[str]]:
-    """What of a trial's wrench is refused, and what is noted.
+    """Problems for which a trial's wrench is refused, and notes.
 
     outermost_m  arc length of the outermost marker
     """
@@ -291,7 +291,7 @@ class WrenchFacts:
 
 
 def wrench_facts(trial: Trial) -> WrenchFacts | None:
-    """Of a trial; None if there is no wrench."""
+    """The facts of a trial's wrench; None if it has none."""
     wrench = trial.wrench
     if wrench is None:
         return None

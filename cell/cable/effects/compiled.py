@@ -50,12 +50,12 @@ def keep_nothing() -> None:
 
 
 def take_loops(effect: type[Effect], loops: Loops) -> None:
-    """Numbers that stand for the loops of an effect whose code is in another process."""
+    """Register the loops, given as numbers, of an effect whose code runs in another process."""
     _LOOPS[effect] = loops
 
 
 def symbol_of(address: int) -> str:
-    """Name of the effect of a loop."""
+    """Name of the effect whose loop has this address."""
     return next(e.name for e, loops in _LOOPS.items() if address in (loops.force, loops.moment))
 
 
@@ -145,7 +145,7 @@ class Hooks:
 
 
 def in_steps(effects: Sequence[ActiveEffect]) -> list[ActiveEffect]:
-    """Those that every step calls; what others do is known before, or done after."""
+    """The effects with a force or a moment, which the engine evaluates at every step."""
     return [a for a in effects if a.effect.force is not None or a.effect.moment is not None]
 
 
@@ -210,7 +210,7 @@ def _run(source: str, effect: type[Effect], path: Path) -> Any:
 
 
 def proof_of(file: Path) -> Path:
-    """File that is there once this content of an effect's file has passed its trial."""
+    """Marker file; it exists if this version of an effect's file has passed its trial."""
     depends = [str(file), fingerprint(), numba.__version__, np.__version__]
     key = hashlib.sha256("\0".join(depends).encode() + file.read_bytes()).hexdigest()[:20]
     return _cache_folder() / f"tried_{key}"

@@ -30,12 +30,12 @@ _RARE = (plastic, lens, rest, drag)
 
 
 def library() -> dict[str, type[Effect]]:
-    """The project's effects by name, family by family: those that may be the matter anywhere."""
+    """The project's effects by name, family by family, that every diagnosis tries."""
     return {e.name: e for module in _FAMILIES for e in _effects_in(module)}
 
 
 def unscreened() -> dict[str, type[Effect]]:
-    """The project's other effects, which are only looked for where they are named."""
+    """The project's effects that a diagnosis tries only if the user names them."""
     return {e.name: e for module in _RARE for e in _effects_in(module)}
 
 
@@ -84,7 +84,7 @@ def load_source(file: Path, source: bytes, doing: Doing) -> type[Effect]:
 
 
 def try_source(file: Path, source: bytes, doing: Doing) -> type[Effect]:
-    """The same, after everything that its code is run for: the states of a swing, too."""
+    """As `load_source`; the hooks are also called at the states of a swing."""
     effect = load_source(file, source, doing)
     _visit(effect, doing)
     return effect

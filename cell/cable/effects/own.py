@@ -1,4 +1,4 @@
-"""A user's own effect at work: whoever runs its hooks says so, and what they raise gets a place."""
+"""Errors in a user's own effect: tells which hook runs, and reports file and line if it raises."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COMPILED = ("force", "moment", "memory_rate", "memory_at_rest")
 
 
 def with_compiled_hooks(effects: Iterable[type[Effect]]) -> tuple[type[Effect], ...]:
-    """Those of a user that have hooks which are compiled."""
+    """The users' own effects among these that have a force or a moment, which are compiled."""
     return tuple(e for e in effects if e.file is not None and (e.force or e.moment))
 
 
@@ -41,7 +41,7 @@ def run_engine(function: Any, own: tuple[type[Effect], ...], *args: Any) -> Any:
 
 
 def watch_hooks(effect: type[Effect], hooks: Iterable[str]) -> None:
-    """Have the hooks of a user's effect that are not compiled say when they are at work."""
+    """Wrap the uncompiled hooks of a user's effect, so that they report when they run."""
     for hook in hooks:
         function = getattr(effect, hook)
         if function is not None and hook not in COMPILED:

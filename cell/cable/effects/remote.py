@@ -1,4 +1,4 @@
-"""Effects that nobody has read: classes of this process, of which all code runs in sandboxes."""
+"""Untrusted effects: classes in this process whose code runs only in sandboxes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a file that nobody has read can only be a law: its source is looked at, not run."""
+"""Static check of an untrusted effect file: its source may only compute; it is not run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks as data: a question to a model, the number that answers it, its limit, what failing means.
+"""Checks of a model as table rows: question, test statistic, limit, and the verdict on failure.
 
 Diagnosis and line have a table each; verdicts, text, pages, JSON and docs are made from the rows.
 """
@@ -27,7 +27,7 @@ COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator
 
 
 class HasRules(Protocol):
-    """What is known of a model, and the limits that it is held against."""
+    """Evidence about a model, with the limits that its checks use."""
 
     @property
     def rules(self) -> Any:
@@ -40,7 +40,7 @@ EvidenceT = TypeVar("EvidenceT", bound=HasRules)
 
 @dataclass(frozen=True)
 class Reading:
-    """The number that answers a question.
+    """The value of a check's test statistic.
 
     effects  that it is about
     found    the same in words, where the number alone says too little
@@ -57,7 +57,7 @@ def _none(evidence: Any, reading: Reading) -> tuple[Doubt, ...]:
 
 @dataclass(frozen=True)
 class Check(Generic[EvidenceT]):
-    """A question that is asked of a model before anything is claimed of it.
+    """A check of a model: a test statistic, its limit, and the verdict if it fails.
 
     name       code in JSON, and of the warning if there is one
     unit       of the statistic: p (of noise alone), ln LR (ln of a likelihood ratio), …
@@ -91,7 +91,7 @@ class Check(Generic[EvidenceT]):
 
 @dataclass(frozen=True)
 class CheckOutcome(Generic[EvidenceT]):
-    """A check's answer; `passed` is None where the question does not apply."""
+    """The result of a check; `passed` is None where the check does not apply."""
 
     check: Check[EvidenceT]
     reading: Reading | None
@@ -132,7 +132,7 @@ class CheckOutcome(Generic[EvidenceT]):
 
 
 def worst_verdict(found: Sequence[CheckOutcome[Any]], is_base: bool) -> Verdict:
-    """The worst of what failed; else that the model is complete, or an effect is missing.
+    """The worst verdict of the failed checks; if none failed, "complete" or "missing".
 
     is_base  nothing was added to the model
     """
@@ -150,7 +150,7 @@ MAX_BYTES = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """What a model leaves of one trial, fitted to all trials.
+    """The residual of a model in one trial, after a fit to all trials.
 
     trial         gripper, markers as measured (T, markers, 2), m, and their times, s
     arc_length_m  (markers,) from the gripping point
@@ -166,7 +166,7 @@ class Residual:
 
 @dataclass(frozen=True)
 class OwnCheck:
-    """A question of a user.
+    """A user's own check: a question, and a test statistic of the residuals.
 
     name       of the file, without its ending
     question   first line of its docstring
@@ -206,7 +206,7 @@ class OwnCheck:
 
 
 def read_own_checks(paths: Sequence[Path | str], taken: Sequence[str] = ()) -> list[OwnCheck]:
-    """Checks from files, each with a docstring that asks and a function `statistic(residuals)`.
+    """Users' checks from Python files: the docstring asks, `statistic(residuals)` is the test.
 
     The files are programs, and they are run.
     taken   names of checks that there are already

@@ -86,7 +86,7 @@ def read_cycles(
 
 
 def measured(runs: Sequence[Path]) -> tuple[list[Path], list[str]]:
-    """Folders without those of cycles that measured nothing; and what was left out, why.
+    """The folders without cycles that recorded no study; and a note on each omitted one.
 
     raises  InputError: none is left
     """

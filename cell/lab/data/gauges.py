@@ -1,8 +1,8 @@
-"""The wrench at a clamp among the markers of a study: as two further points, in lengths.
+"""The wrench at the clamp as two further points of a study's markers, in units of length.
 
-So whatever the lab knows of markers, their noise, their mesh's error or the gripper's, it knows of
-forces too.  The first point has the force as its coordinates.  The second has the moment, and
-another that is never seen.  Their unit is such that their noise is as large as the markers'.
+So noise, mesh error and gripper-log error of forces are treated as those of markers.  The first
+point has the force as its coordinates.  The second has the moment, and a second coordinate that is
+never seen.  The unit is chosen so that their noise equals that of the markers.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LATE_S = 0.02
 
 @dataclass(frozen=True, eq=False)
 class JoinedTrial:
-    """A trial with its wrench among the markers, as `AS_POINTS` more, in newtons.
+    """A trial with its wrench as `AS_POINTS` further points behind the markers, in newtons.
 
     wrench  all that the sensor showed, if it showed anything
     frames, rows  (T,) whether a row is one of the markers', and of the wrench
@@ -66,7 +66,7 @@ class JoinedTrial:
 
 
 def joined(trial: Trial, *, averaged: bool = True) -> JoinedTrial:
-    """A trial with its wrench among the markers.
+    """The trial with its wrench as further points behind the markers.
 
     Only while markers were looked for, and not while fingers hold the cable too.
 
@@ -150,14 +150,14 @@ TARE = 1e4
 
 @dataclass(frozen=True, eq=False)
 class Gauges:
-    """How a study's wrenches are told as points.
+    """How a study's wrenches are represented as points: scale, noise and gain.
 
     markers     how many points are places
     force, moment  noise of one value, N and N·m: of a row, or of a mean of rows
     std_m       noise that the points have, as the markers'
     inflation   by how much more they are doubted: a model's error that takes the noise's place
     gain_std    of a sensor's gain in one trial, were it another in each: see `whiteners_of`
-    joined  per trial what of its points is places, and what was measured of the wrench
+    joined      per trial its rows of markers and of the wrench, and the measured wrench
     """
 
     gauge: Gauge
@@ -222,7 +222,7 @@ class Gauges:
 def with_gauges(
     study: Study, std_m: float, inflation: float, *, averaged: bool = True
 ) -> tuple[Study, Gauges | None]:
-    """The study with its wrenches among the markers, if any trial has one.
+    """The study with its wrenches as further points of its markers, if any trial has one.
 
     std_m      noise of the markers
     inflation  see `Gauges`
@@ -244,7 +244,7 @@ def with_gauges(
 
 
 def scaled(study: Study, gauges: Gauges, factors: FloatArray) -> Study:
-    """The study with the coordinates of its wrenches multiplied by (AS_POINTS, 2)."""
+    """The study with its wrench points multiplied by factors (AS_POINTS, 2)."""
     return replace(study, trials=tuple(_scaled(t, gauges, factors) for t in study.trials))
 
 

@@ -48,7 +48,7 @@ class _Cycle:
 
 
 def merge_studies(runs: Sequence[Path], name: str) -> Study:
-    """One study of the studies in cycles' folders (or of studies themselves).
+    """One study, merged from the studies in cycles' folders (or from given studies).
 
     The first cycle's roles are kept; later cycles' trials are only compared with, so that what was
     fitted stays what one cable showed.  Trials are named after their cycle's folder.  The noise of

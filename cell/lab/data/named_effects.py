@@ -16,7 +16,7 @@ from cell.lab.data.work import Progress, no_progress
 
 @dataclass(frozen=True)
 class EffectSelection:
-    """Effects of a command line.
+    """The effects that a command works with: those in the model, and candidates.
 
     in_model    part of the model from the start
     candidates  by name: those that may be found missing, the library's included
@@ -54,7 +54,7 @@ def select_effects(in_model: Sequence[str], candidates: Sequence[str] = ()) -> E
 
 
 def select_for_diagnosis(tried: Sequence[str], known: Sequence[str]) -> EffectSelection:
-    """The same for whoever looks for what is missing: effects to try, and those of the model.
+    """As `select_effects`, for a diagnosis: effects to try, and effects of the model.
 
     raises  ValueError: one is tried anyway
     """

@@ -177,7 +177,7 @@ class RestFrames:
 
 @dataclass(frozen=True, eq=False)
 class ConfidenceSet:
-    """Levels that frames at rest allow, for each of some correlations and white shares.
+    """Noise levels that frames at rest allow, on a grid of correlations and white shares.
 
     level_m2   likeliest variance
     ratio      its −2 ln likelihood less that of the best

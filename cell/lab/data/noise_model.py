@@ -1,4 +1,4 @@
-"""The noise of the markers: which correlation is used, and where that is decided.
+"""The noise model of the markers: its level and correlation, and where they are estimated.
 
 The error of a coordinate is Gaussian AR(1) noise, with a white share where values are rounded
 (`cell.identify.noise.Noise`; likelihoods: `noise_likelihood`).  `noise_model_of` estimates level
@@ -59,7 +59,7 @@ class NoiseUnknownError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """Noise of a trial's markers over that of the study.
+    """Noise levels of a trial's markers, relative to the study's level.
 
     of_markers  (markers,)
     dof         degrees of freedom of their mean square: of the trial's still frames, if it has any
@@ -204,7 +204,7 @@ def noise_model_of_blocks(
 
 
 def still_blocks(trial: Trial, markers: slice) -> list[StillBlock]:
-    """Of every coordinate the longest run of still frames without a gap, equal runs together.
+    """Longest gap-free runs of still frames, by coordinate; equal runs share a block.
 
     So that a lost frame costs what came before or after it, and not the marker.
     """
@@ -333,7 +333,7 @@ def with_levels(study: Study, noise_model: NoiseModel) -> NoiseModel:
 def with_level_in(
     noise_model: NoiseModel, updated: NoiseModel, trials: Sequence[Trial]
 ) -> NoiseModel:
-    """An updated noise whose new level holds in some trials only: the others keep their own.
+    """An updated noise model whose new level applies to some trials only; the others keep theirs.
 
     noise_model  before the update, with levels
     """

@@ -36,7 +36,7 @@ VALUES = 100
 
 @dataclass(frozen=True)
 class RestDrift:
-    """How far a marker moves before the gripper does, in what time, and the noise.
+    """Motion of a marker before the gripper moves, in one trial: distance, duration, noise.
 
     bearable  whether the trial tells its initial state: it has the frames, and the course before
               the gripper moves is smooth
@@ -60,7 +60,7 @@ class RestDrift:
 
 
 def rest_drifts(study: Study) -> Iterator[RestDrift]:
-    """Of every trial that is said to begin in equilibrium and does not.
+    """The `RestDrift` of every trial that is stated to begin in equilibrium but does not.
 
     Not of one that is let go while the gripper rests, which is named when a study is read.
     """
@@ -71,7 +71,7 @@ def rest_drifts(study: Study) -> Iterator[RestDrift]:
 
 
 def with_tested_starts(study: Study) -> Study:
-    """The study with trials that do not begin at rest taken as moving where they can bear it."""
+    """The study; trials that drift before the gripper moves become `moving` if the data allow."""
     drifts = {d.trial: d for d in rest_drifts(study)}
     bearable = {name for name, d in drifts.items() if d.bearable}
     trials = [
@@ -123,7 +123,7 @@ TOLD = 3
 
 
 def open_study(folder: Path) -> Study:
-    """A study fit for the lab, by its folder or by that of the cycle that recorded it.
+    """Open a study for the lab, from its folder or from that of the cycle that recorded it.
 
     raises  InputError: it cannot be read, has nothing to fit, a trial is too short to tell, or too
             much of a marker is wrong

@@ -1,4 +1,4 @@
-"""A study made ready for the lab: models in, whitened residuals out, trial by trial."""
+"""A prepared study: for models it returns whitened residuals, trial by trial."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from cell.study.data import Study, Trial
 
 
 def placed(study: Study) -> Study:
-    """The study with markers where they are on cables that are held straight before release.
+    """The study without constant marker offsets, where the cable is held straight before release.
 
     There every point's place is known without a model.  The mean offset of a marker in the still
     frames is how it was put on; it is subtracted from all frames of the trial.
@@ -56,7 +56,7 @@ def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
 
 
 def arcs_are_uncertain(study: Study) -> bool:
-    """Whether the study says that arc lengths of its markers may be wrong."""
+    """Whether the study states an uncertainty of its markers' arc lengths."""
     return study.arc_length_std_m is not None and bool(np.any(study.arc_length_std_m > 0.0))
 
 
@@ -67,7 +67,7 @@ def whiteners_of(
     lines: Mapping[str, FloatArray] | None = None,
     levels: Mapping[str, Level] | None = None,
 ) -> dict[str, Whitener]:
-    """What whitens each trial of a study.
+    """The whiteners of a study's trials, one per trial.
 
     lines  per trial (times, markers, 2) derivative of markers' places by their arc length in a
            model; as measured where it is missing
@@ -109,7 +109,7 @@ ERRS = 1.1
 
 @dataclass(frozen=True, eq=False)
 class PreparedStudy:
-    """A study, its noise, and what whitens its trials.
+    """A study with its noise model and the whiteners of its trials.
 
     study  its markers, and behind them the measured wrench at the clamp as further points, if any:
            see `gauges`
@@ -327,7 +327,7 @@ class PreparedStudy:
 def once_per_study(
     function: Callable[Concatenate[PreparedStudy, Arguments], Result],
 ) -> Callable[Concatenate[PreparedStudy, Arguments], Result]:
-    """A function of a study and of other things, worked out once; the study keeps the result."""
+    """Decorator: a function of a study and other arguments whose results the study caches."""
 
     @wraps(function)
     def known(prepared: PreparedStudy, /, *of: Arguments.args, **named: Arguments.kwargs) -> Result:
@@ -341,7 +341,7 @@ def once_per_study(
 
 
 def as_measured(prepared: PreparedStudy) -> Study:
-    """The study as it was measured: what has been taken out of its markers is in it again."""
+    """The study as it was measured: corrections of its markers are undone."""
     taken = {*prepared.mesh_m, *prepared.rounding_m}
     trials = [
         replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + prepared.taken_out_m(t)))
@@ -354,20 +354,20 @@ def as_measured(prepared: PreparedStudy) -> Study:
 
 
 def of_frames(prepared: PreparedStudy, trial: Trial, rows: FloatArray) -> FloatArray:
-    """(frames, …) of (times, …) of a trial: without the times of a wrench alone."""
+    """(frames, …) rows of a trial at the camera's frames, of (times, …) at all sample times."""
     gauges = prepared.gauges
     return rows if gauges is None else rows[gauges.joined[trial.name].frames]
 
 
 def pooled(prepared: PreparedStudy) -> PreparedStudy:
-    """The same with every trial to be fitted to."""
+    """The prepared study with every trial as a fit trial."""
     if all(t.role == "fit" for t in prepared.study.trials):
         return prepared
     return replace(prepared, study=all_fitted(prepared.study))
 
 
 def all_fitted(study: Study) -> Study:
-    """The study with no trial held out."""
+    """The study with every trial in role `fit`."""
     return replace(study, trials=tuple(replace(t, role="fit") for t in study.trials))
 
 
@@ -409,7 +409,7 @@ def _begins(lane: Lane) -> object:
 
 
 def with_noise_from(prepared: PreparedStudy, errors: Sequence[FloatArray]) -> PreparedStudy:
-    """The same with the correlations of a stated error as a model's residuals have them.
+    """The prepared study; a stated noise gets the correlations of a model's residuals.
 
     errors  per trial to be fitted (times, channels), m, nan where not seen
     """
@@ -427,7 +427,7 @@ def with_noise_model(
     noise_model: NoiseModel,
     of_gauges: tuple[NoiseModel, NoiseModel] | None = None,
 ) -> PreparedStudy:
-    """The same, whitened for another noise of the measurement.
+    """The prepared study, whitened with another noise model.
 
     of_gauges  noise of force and moment, if there are gauges and it is another, too
     """

@@ -15,7 +15,7 @@ SIGNIFICANCE = 0.01
 
 @dataclass(frozen=True)
 class Rules:
-    """Limits at which an effect is accepted and a model called complete, and how far a search goes.
+    """Limits for accepting an effect and for calling a model complete, and the extent of a search.
 
     Probabilities:
     significance         of an effect on the fit trials, or on all of them given what was found,

@@ -69,7 +69,7 @@ class InitialState:
 
 
 def initial_state_of(trial: Trial, cable: Cable, scale_m_per_s2: float) -> InitialState:
-    """What is unknown of how a trial begins.
+    """The unknowns of a trial's initial state.
 
     scale_m_per_s2  acceleration that sets the pace of the cable, see `Study`
     """

@@ -91,7 +91,7 @@ class WorkStoppedError(KeyboardInterrupt):
 
 
 class SpentError(WorkStoppedError):
-    """The same because its budget is spent.  Scenario: a cable that can hardly be simulated."""
+    """Stopped because the budget of work is spent.  Scenario: a cable that is hard to simulate."""
 
 
 @dataclass
@@ -245,7 +245,7 @@ class _Done(Generic[Returned]):
 
 
 class SideBySide:
-    """Does jobs on all cores: the results, and the work counted, are those of one after the other.
+    """Runs jobs on all cores; results and counted work are the same as if run one after another.
 
     A job must not change what is looked at later: it may be done in a copy of this process.  Each
     has the same share of the work that is left, whichever core does it.
@@ -296,7 +296,7 @@ def side_by_side(
     effects: Iterable[type[Effect]],
     jobs: int,
 ) -> Iterator[SideBySide]:
-    """All cores for some functions.
+    """Context in which jobs of these functions run on all cores.
 
     effects  that what they take or give may have
     jobs     most that will be given at a time

@@ -53,7 +53,7 @@ class Linear:
 
 @dataclass(frozen=True, eq=False)
 class AllTrialsFit:
-    """A model fitted to the `fit` trials of a study, what may be wrong with it, and its slopes."""
+    """A model fitted to the `fit` trials of a study, with its systematic error and its jacobian."""
 
     prepared: PreparedStudy
     fit: Fit

@@ -1,4 +1,4 @@
-"""What a fitted model shows of the measurement: noise, mesh and rounding errors, sensor gain.
+"""Corrections of a study given a fitted model: noise, mesh error, rounding error, sensor gain.
 
 Each function returns the study re-whitened for it, or less it.
 """
@@ -106,12 +106,12 @@ def _projected(columns: Sequence[FloatArray]) -> ProjectedResidual:
 
 
 def gain_is_uncertain(prepared: PreparedStudy) -> bool:
-    """Whether there are wrenches that may all be too large by a factor."""
+    """Whether the study has wrenches whose sensor gain is uncertain."""
     return prepared.gauges is not None and prepared.gauges.gain_std > 0.0
 
 
 def with_gain_of(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
-    """The study whitened for a gain of the wrenches of a model; itself where no gain is uncertain.
+    """The study, whitened with the wrench that a fitted model predicts times an uncertain gain.
 
     A trial that the model cannot simulate stays as it is.
     source  Fuller 1987, Measurement Error Models, sec. 1.1: attenuation by errors in a regressor
@@ -137,7 +137,7 @@ SLOPE_STEP = 0.005
 
 
 def finer(prepared: PreparedStudy) -> PreparedStudy:
-    """The same on the finer mesh."""
+    """The prepared study with a finer mesh and a shorter time step."""
     coarse = prepared.solver
     return replace(
         prepared,
@@ -149,7 +149,7 @@ def finer(prepared: PreparedStudy) -> PreparedStudy:
 
 
 def mesh_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
-    """What the solver's mesh errs by in a fitted model, less what has been taken out already.
+    """Discretisation error of a fitted model, less what was subtracted already.
 
     By trial (times, markers, 2), m, of those that can be simulated on both meshes.
     source  Richardson's extrapolation
@@ -167,7 +167,7 @@ def mesh_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
 
 
 def moves_parameters(prepared: PreparedStudy, error_m: Mapping[str, FloatArray]) -> bool:
-    """Whether such an error would move some parameter by a noticeable part of its deviation.
+    """Whether an error of the markers shifts a parameter by a noticeable part of its std.
 
     Whitened it is a vector: along no direction does it move the residuals by more than its length.
     """
@@ -206,7 +206,7 @@ def without_mesh_error(
 def lines_of(
     prepared: PreparedStudy, model: CableModel, initial_states: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Per trial (times, markers, 2) change of a model's markers by a metre of arc length.
+    """Per trial (times, markers, 2) derivative of a model's marker positions by arc length.
 
     What is measured of it errs with the markers that it is to explain: in long records that alone
     looks like a cable of another length.
@@ -239,7 +239,7 @@ ON_GRID = 0.9
 
 
 def mean_rounding_error(place: FloatArray, std: FloatArray) -> FloatArray:
-    """Mean of what rounding to whole numbers adds to normal values.
+    """Mean error of normally distributed values that are rounded to whole numbers.
 
     place  mean of the values before they are rounded
     std    their standard deviation; as `place`, or what broadcasts to it
@@ -255,7 +255,7 @@ def mean_rounding_error(place: FloatArray, std: FloatArray) -> FloatArray:
 
 
 def rounding_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
-    """Mean error of a study's rounded values where a fitted model is right.
+    """Mean rounding error of a study's values, given that a fitted model is correct.
 
     Less what has been taken out already.  By trial (times, markers, 2), m; 0 where values are not
     rounded.  Empty where noise hides it, or where the study states its noise.
@@ -314,12 +314,12 @@ def without_rounding_error(
 
 
 def corrected(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
-    """The study with these errors as a model that explains it has them."""
+    """The study corrected for mesh error, rounding error and sensor gain, given a fitted model."""
     prepared = without_mesh_error(prepared, fit, mesh_error_m(prepared, fit))
     prepared = without_rounding_error(prepared, rounding_error_m(prepared, fit))
     return with_gain_of(prepared, fit)
 
 
 def moved_m(before: PreparedStudy, after: PreparedStudy) -> dict[str, FloatArray]:
-    """By which a correction moves a study's markers: per trial (times, markers, 2), m."""
+    """Per trial (times, markers, 2) difference in the markers between two corrections, m."""
     return {t.name: after.taken_out_m(t) - before.taken_out_m(t) for t in after.study.trials}

@@ -29,7 +29,7 @@ _PASSES = 3
 def estimate_initial_states(
     prepared: PreparedStudy, trials: Sequence[Trial], models: Sequence[CableModel]
 ) -> dict[str, FloatArray]:
-    """By trial the likeliest unknowns of its initial state, (models, unknowns); delays stay at 0.
+    """Likeliest initial states by trial, (models, unknowns); delays stay at 0.
 
     Of trials that do not begin bent, 0.  Gauss–Newton on the first frames; what cannot be simulated
     is left at 0.
@@ -131,7 +131,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A model that may be the right one, for planning the next measurement.
+    """A candidate model in the design of the next measurement.
 
     q, covariance  (p,), (p, p) coordinates of `space`, and their uncertainty
     """
@@ -227,7 +227,7 @@ def problem_of(
     trials: Sequence[Trial],
     residual_scale: float = 1.0,
 ) -> gauss_newton.LeastSquaresProblem:
-    """What a fit minimises: over the cable's coordinates, then the trials' initial states.
+    """The least-squares problem of a fit, in the cable's coordinates and the initial states.
 
     residual_scale  residuals are divided by it
     """
@@ -263,7 +263,7 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
 def by_trial(
     prepared: PreparedStudy, trials: Sequence[Trial], rows: FloatArray
 ) -> dict[str, FloatArray]:
-    """Unknowns of the trials' initial states (lanes, all of them) by the trials that have any."""
+    """Initial states (lanes, all unknowns), split by trial, for trials that have unknowns."""
     found, begin = {}, 0
     for trial in trials:
         if count := prepared.initial_state(trial).count:
@@ -357,7 +357,7 @@ def with_values(
 
 
 def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> ParameterSpace:
-    """The same cable, prior and baseline with other effects.
+    """The parameter space of the same cable, prior and baseline, with other effects.
 
     The prior of everything that both spaces have is kept, an earlier individual's included; the
     amplitudes of effects have none to speak of.
@@ -425,7 +425,7 @@ def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial)
 
 
 def best_initial_states(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
-    """By trial (1, unknowns): how each begins, as fitted or as is likeliest."""
+    """By trial (1, unknowns): the initial state, as fitted, else the likeliest one."""
     return {
         t.name: fit.initial_states.get(t.name, best_initial_state(prepared, fit.model, t))[None]
         for t in prepared.study.trials
@@ -439,7 +439,7 @@ HARMLESS = 0.02
 
 
 def with_slope_solver(prepared: PreparedStudy, fit: Fit) -> tuple[PreparedStudy, Fit]:
-    """The study with the longest step of time that leaves the slopes of a fit as they are.
+    """The study with the longest time step for which the jacobian of a fit stays the same.
 
     And the fit with slopes by that step: what is compared with them will be simulated so too.
     """

@@ -41,7 +41,7 @@ class Heldout:
 
 @dataclass(frozen=True, eq=False)
 class HeldoutRows:
-    """Whitened residuals of held-out trials, and what a fit leaves uncertain of them.
+    """Whitened residuals of held-out trials, and their change by what is uncertain in the fit.
 
     predicted_m    per trial (times, markers, 2)
     residual       (rows,) of all trials
@@ -95,7 +95,7 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
 
 @once_per_study
 def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
-    """Of the `validate` trials; not finite where the cable cannot be simulated."""
+    """The `HeldoutRows` of the `validate` trials; not finite where one cannot be simulated."""
     trials = prepared.study.role("validate")
     space, p = fit.space, len(fit.q)
     steps = space.difference_steps(fit.q, fit.covariance)
@@ -161,7 +161,7 @@ def predict_whole_cable(
     models: Sequence[CableModel],
     initial_states: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Where models put the markers, (models, times, markers, 2), and the cable, (…, `DRAWN`, 2).
+    """Predicted markers (models, times, markers, 2), and points along the cable (…, `DRAWN`, 2).
 
     In metres; nan where they cannot be simulated.  Behind the markers are gauges, if there are any.
     """

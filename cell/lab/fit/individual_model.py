@@ -127,7 +127,7 @@ def prior_space(study: Study, model: Identified) -> ParameterSpace:
 
 
 def misfit(model: Identified, rms_m: float = 0.0) -> Noise:
-    """What an individual's model has been seen to leave, as noise of independent frames.
+    """The residual of an earlier individual's model, as noise of independent frames.
 
     Where a model errs it errs for many frames; they count as the few that they are worth, by a
     level raised by the root of the residual's correlation time (`inflation` over its mean square).

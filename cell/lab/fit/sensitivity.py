@@ -1,4 +1,4 @@
-"""Sensitivities of a fitted study to effects: derivatives in amplitudes, for guesses of a shape."""
+"""Sensitivities of a fitted study to effects: derivatives by amplitude, for guessed shapes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Sensitivity:
 def sensitivities(
     prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
 ) -> list[Sensitivity]:
-    """Slopes of what is seen in every effect's amplitudes, at every guess of its shape."""
+    """Sensitivities of the fit trials to every effect's amplitudes, at every guess of its shape."""
     guesses = [g for effect in effects for g in _guesses(effect)]
     nuisance, seen = nuisance_of(fit), len(fit.solution.residual)
     rows = np.full((len(guesses), len(nuisance.residual)), np.nan)
@@ -74,7 +74,7 @@ def sensitivities(
 
 
 def one_sided(effect: type[Effect]) -> bool:
-    """Whether an effect has one amplitude, and that of one sign."""
+    """Whether an effect has exactly one amplitude, of a single sign."""
     amplitudes = [p for p in effect.parameters if p.amplitude]
     return len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default
 
@@ -110,7 +110,7 @@ def _share_of_slope(nuisance: Nuisance, row: FloatArray) -> float:
 
 
 def changes(prepared: PreparedStudy, fit: Fit, active: Sequence[ActiveEffect]) -> FloatArray:
-    """(effects, rows) whitened change of the fit trials' markers by each effect alone."""
+    """(effects, rows) whitened change of the fit trials' markers, by each effect alone."""
     model = fit.model
     models = [model, *(_with(model, a) for a in active)]
     initial_states = {
@@ -147,7 +147,7 @@ def _shapes(effect: type[Effect]) -> list[tuple[float, ...]]:
 
 
 def chances_of(effect: type[Effect]) -> int:
-    """Shapes that a fit from all that were looked at may end in: for each parameter some three."""
+    """Number of shapes in the correction for multiple testing: about three per shape parameter."""
     return int(3 ** sum(map(is_shape, effect.parameters)) * len(_shapes(effect)))
 
 
@@ -157,7 +157,7 @@ def shapes_of(effect: type[Effect]) -> int:
 
 
 def is_shape(parameter: Parameter) -> bool:
-    """Whether a parameter is unknown, but is not a strength of the effect."""
+    """Whether a parameter is fitted and is not an amplitude."""
     return parameter.fitted and not parameter.amplitude
 
 
@@ -179,7 +179,7 @@ def _with(model: CableModel, active: ActiveEffect) -> CableModel:
 
 
 def nuisance_of(fit: Fit) -> Nuisance:
-    """What the fitted parameters can imitate, their prior as further rows."""
+    """The nuisance space of a fit: changes by its parameters, with the prior as further rows."""
     root, p = prior_root(fit), len(fit.q)
     away = np.concatenate([fit.q - fit.space.mean, fit.solution.q[p:]])
     residual = np.concatenate([fit.solution.residual, root @ away])
@@ -187,7 +187,7 @@ def nuisance_of(fit: Fit) -> Nuisance:
 
 
 def prior_root(fit: Fit) -> FloatArray:
-    """(rows, p) rise of the prior's rows with the fit's coordinates, initial states included."""
+    """(rows, p) jacobian of the prior's residuals by the fit's coordinates and initial states."""
     p, rows = len(fit.q), len(fit.solution.q)
     precision = np.zeros((rows, rows))
     precision[:p, :p] = fit.space.precision

@@ -110,7 +110,7 @@ def smoothed(values: FloatArray, window: int) -> FloatArray:
 
 
 def correlation(a: FloatArray, b: FloatArray) -> tuple[float, float]:
-    """Of two series, nan = unseen, and its two-sided p-value with their autocorrelations.
+    """Correlation of two series, nan = unseen, and its two-sided p-value given autocorrelation.
 
     source  Bartlett 1935, J. R. Stat. Soc. 98, 536
     """
@@ -135,5 +135,5 @@ def _auto(values: FloatArray, lag: int) -> float:
 
 
 def overall(parts: Sequence[FloatArray]) -> float:
-    """rms over several residual arrays together."""
+    """Root mean square over several residual arrays; nan if there are none."""
     return rms(np.concatenate([p.ravel() for p in parts])) if parts else float("nan")

@@ -41,7 +41,7 @@ def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
 
 
 def along_lines(fit: SharedFit) -> list[PreparedStudy] | None:
-    """The cables, whose markers of uncertain arc length move along the line of a fitted model.
+    """The cables, whose uncertain markers shift along the centreline of a fitted model.
 
     Where that explains them: else the line as measured is nearer to the true one.
     returns  None if no cable has such markers and moves otherwise yet, or they are not explained
@@ -59,7 +59,7 @@ def along_lines(fit: SharedFit) -> list[PreparedStudy] | None:
 
 
 def simulated_s(cable: PreparedStudy) -> float:
-    """What simulating a cable in all its trials once counts as, s."""
+    """Work of one simulation of a cable in all its trials, s."""
     spans = (float(t.markers.t_s[-1] - t.markers.t_s[0]) for t in cable.study.trials)
     return Work.cost(cable.solver) * sum(spans)
 
@@ -197,7 +197,7 @@ class SharedFit:
 
 
 def along_end(trial: Trial) -> FloatArray:
-    """(T, 2) unit vectors along the cable at its end, as seen."""
+    """(T, 2) unit tangents at the tip, from the measured markers."""
     normal = across(trial.markers.xy_m)[:, 0]
     return np.stack([normal[:, 1], -normal[:, 0]], axis=1)
 

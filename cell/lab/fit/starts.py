@@ -35,7 +35,7 @@ def cold_start(prepared: PreparedStudy, space: ParameterSpace) -> FloatArray:
 
 
 def scaled(effect: type[Effect], guesses: Sequence[FloatArray]) -> list[FloatArray]:
-    """The guesses, then with larger and smaller amplitudes: far from zero a linear one is wrong."""
+    """The guesses, then with scaled amplitudes: guesses are linear, so wrong far from zero."""
     default = np.array([p.default for p in effect.parameters])
     low = np.array([p.low for p in effect.parameters])
     high = np.array([p.high for p in effect.parameters])
@@ -54,7 +54,7 @@ def each_once(starts: Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def is_new(q: FloatArray, others: Sequence[FloatArray]) -> bool:
-    """Whether a start is none of the others."""
+    """Whether a start differs from all others."""
     return not any(np.array_equal(q, other) for other in others)
 
 
@@ -65,7 +65,7 @@ def typical(effect: type[Effect]) -> list[FloatArray]:
 
 
 def taken_from(fit: Fit, space: ParameterSpace) -> FloatArray:
-    """(p,) coordinates in a space whose parameters a fit has."""
+    """(p,) coordinates in another space, for the parameters that a fit has."""
     q = space.mean.copy()
     for i, name in enumerate(space.names):
         q[i] = fit.q[fit.space.names.index(name)]

@@ -25,7 +25,7 @@ MOTIONS = 8
 
 @dataclass(frozen=True, eq=False)
 class GripperLogError:
-    """Whitened changes of residuals by motions of the gripper that are as likely as its log.
+    """Whitened changes of residuals for sampled gripper motions that are as likely as the log.
 
     rows  per trial (motions, rows)
     """
@@ -66,7 +66,7 @@ class GripperLogError:
 
 @once_per_study
 def gripper_log_error(prepared: PreparedStudy, fit: Fit) -> GripperLogError:
-    """Of every trial, near a fitted model.  What cannot be simulated counts as none."""
+    """The `GripperLogError` of all trials, near a fitted model; 0 where one cannot be simulated."""
     trials = prepared.study.trials
     states = {name: values[None] for name, values in fit.initial_states.items()}
     here = prepared.all_white(trials, [fit.model], states)[0]
@@ -76,7 +76,7 @@ def gripper_log_error(prepared: PreparedStudy, fit: Fit) -> GripperLogError:
 
 
 def by_other_hands(prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatArray) -> FloatArray:
-    """(motions, rows) change from `here`, a trial's whitened residual, by other hands' motions."""
+    """(motions, rows) change of a trial's whitened residual `here` for sampled gripper motions."""
     if trial.hand_drift is None and all(s.noise_std == 0.0 for s in trial.grip.splines):
         return np.zeros((MOTIONS, len(here)))
     motions = sampled_motions(trial.grip, GripperLogErrors(MOTIONS).of(trial))
@@ -89,7 +89,7 @@ def by_other_hands(prepared: PreparedStudy, fit: Fit, trial: Trial, here: FloatA
 
 @dataclass(frozen=True, eq=False)
 class SystematicError:
-    """Whitened changes of a fitted model's residuals by these errors.
+    """Whitened changes of a fitted model's residuals by mesh error and gripper-log error.
 
     mesh   (rows,) to what a simulation of twice the segments and half the step leaves, beyond what
            has been taken out of the study
@@ -129,7 +129,7 @@ class SystematicError:
 
 
 def systematic_error(prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial]) -> SystematicError:
-    """Of a model fitted to trials, at its parameters.  What cannot be simulated counts as none."""
+    """The systematic error of a fitted model in these trials; 0 where it cannot be simulated."""
     initial_states = {name: values[None] for name, values in fit.initial_states.items()}
     here = prepared.all_white(trials, [fit.model], initial_states)[0]
     fine = finer(prepared).predict_all(trials, [fit.model], initial_states)

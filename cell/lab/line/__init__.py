@@ -1,1 +1,1 @@
-"""Several cables: one answer of several studies, and what recorded cables of a line share."""
+"""Several cables: the joint diagnosis of studies, and learning from the cables of a line."""

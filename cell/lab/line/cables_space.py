@@ -1,4 +1,4 @@
-"""Sets of effects fitted to several cables, as a space that is searched: each alone, then all."""
+"""Model space of many cables: sets of effects, fitted to each cable alone, then to all jointly."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def common_start(
     effect: type[Effect],
     screened: Sequence[ScreenedEffect],
 ) -> tuple[FloatArray, FloatArray]:
-    """Cables' coordinates and the effects' values that lead furthest on a few of the cables."""
+    """Start of a joint fit: the cables' coordinates and the effects' values, from a few cables."""
     effects = (effect,) if simpler is None else (*simpler.effects, effect)
     known = np.zeros(0) if simpler is None else simpler.fit.shared_values
     # The slope says how much of it there is, but the cables were fitted without it: from a
@@ -96,7 +96,7 @@ def values_of(fit: Fit, effects: Sequence[type[Effect]]) -> FloatArray:
 def distinct(
     candidates: Sequence[FittedModel], effects: Sequence[type[Effect]]
 ) -> list[FittedModel]:
-    """Own solutions, the clearest first, without those that say the same of the effects.
+    """Solutions of single cables, best objective first, without those with equal effect parameters.
 
     A candidate's covariance is widened by what it leaves.
     """
@@ -127,9 +127,7 @@ Progress = Callable[[str], None]
 
 
 def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
-    """The likeliest first; a law of a file gives way to an effect of the library that explains as
-    much: its free exponents and places always explain a little more.
-    """
+    """Fits, likeliest first, but an effect of the library before a file's law that it ties with."""
     named = [t for t in ranked[:1] if t.effect.file is not None]
     same = [t for t in ranked[1:] if named and t.effect.file is None and is_tied(t, ranked[0])]
     return sorted(ranked, key=lambda t: t is not same[0]) if same else list(ranked)
@@ -321,7 +319,7 @@ class CablesSpace:
 
 
 def ranked_by_screens(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[Effect]]:
-    """Effects by the sum of their scores in all cables' screens, the likeliest first."""
+    """Effects by the sum of their scores over all cables, the largest first."""
     score: dict[str, float] = {}
     effects: dict[str, type[Effect]] = {}
     for s in (s for screened in screens for s in screened):
@@ -338,7 +336,7 @@ def on_all(
     best: EffectFit,
     budget: LearningBudget,
 ) -> EffectFit:
-    """Effects fitted to more cables than they were found on, from there.
+    """Effects refitted to all cables, starting from their fit to a few.
 
     The other cables begin as their holds show them or, where one of them cannot be simulated so
     with the effects, as the simpler model has fitted them.
@@ -371,7 +369,7 @@ def on_all(
 
 
 def as_fit(alone: SharedFit) -> Fit:
-    """The fit of a single cable as the screen takes it."""
+    """The fit of a single cable as a `Fit`, the type that the screen needs."""
     return Fit(
         space=alone.space,
         q=alone.q[0],

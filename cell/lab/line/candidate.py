@@ -1,4 +1,4 @@
-"""A candidate model as a file: the section `model` for the settings, and what speaks for it."""
+"""A candidate model as a file: section `model` of the settings, and the evidence for it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from cell.settings.translate import cable_of, identification_of, model_hash
 
 @dataclass(frozen=True)
 class Judgement:
-    """Conditions that a candidate was held against, and the forecasts they rest on."""
+    """Results of a candidate's gates, and the forecasts that they are computed from."""
 
     gates: tuple[CheckOutcome[LineEvidence], ...] = ()
     paired: tuple[ForecastPair, ...] = ()
@@ -53,7 +53,7 @@ class Judgement:
 def judge(
     result: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
 ) -> Judgement:
-    """The candidate held against every condition, for the line of these settings.
+    """The gates of a candidate, evaluated for the line of these settings.
 
     known   forecasts of the present model that were made already; of any candidate
     raises  as `identification_of`
@@ -70,7 +70,7 @@ def judge(
 def best_judged(
     result: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
 ) -> tuple[LearningResult, Judgement]:
-    """The result, or the simpler one in it if its last effect does not help; and its judgement.
+    """The result, or without its last effect if that does not improve forecasts; its gates.
 
     The last effect helps if with it unseen cables are forecast better than without, by the gate
     that a first effect must pass.
@@ -94,7 +94,7 @@ def best_judged(
 
 
 def lines_of(cycles: Sequence[RecordedCycle], settings: Settings) -> list[dict[str, Any]]:
-    """The lines that cycles were recorded on; one without settings of its own counts as here.
+    """The different lines that cycles were recorded on; cycles without settings count as this line.
 
     raises  InputError: a cycle's settings cannot be read
     """
@@ -112,7 +112,7 @@ def write_candidate(
     lines: Sequence[Mapping[str, Any]],
     product: str | None = None,
 ) -> None:
-    """Write what was learned, and what from; `read_candidate` reads it.
+    """Write the learned effects and the cycles behind them; `read_candidate` reads the file.
 
     present  the model given which it was learned
     lines    on which the cycles were recorded, as `lines_of` has them
@@ -141,7 +141,7 @@ def write_candidate(
 
 
 def section(result: LearningResult, present: ModelSettings) -> ModelSettings:
-    """The present model with the effects that were learned.
+    """Settings section `model`: the present model with the learned effects.
 
     One parameter is written as `fixed` with its standard deviation, several as a prior, because
     they depend on each other.

@@ -29,7 +29,7 @@ MOST_SIMULATED_S, MOST_CPU_S = 80_000.0, 480.0
 
 @dataclass(eq=False)
 class LearningBudget:
-    """The limit of simulated work, and what was left out because of it.
+    """The limit of simulated work, and notes on what was omitted because of it.
 
     most_s  seconds of cables' motion
     most_cpu_s  of CPU time, the outer limit: simulations that fail count for little motion
@@ -119,7 +119,7 @@ class EffectFit:
 
 
 def is_tied(other: EffectFit, best: EffectFit) -> bool:
-    """Whether an effect explains as much, or would: its fit was left short of its end.
+    """Whether an effect fits as well as the best, or would if its fit had converged.
 
     As much is less than what noise or the simulation's own error can make of it.
     """

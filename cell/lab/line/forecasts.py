@@ -51,9 +51,9 @@ class TipForecast:
 
 @dataclass(frozen=True)
 class ForecastPair:
-    """One recorded motion, forecast by both models from what was seen of that cable before.
+    """Forecasts of one recorded motion by the present and the candidate model.
 
-    candidate  its effects are those that the other cables show
+    candidate  with effects learned from the other cables only
     of         an execution, forecast from that cycle's own hold; of a cable that was rejected the
                rest of the hold, forecast from its first frames
     """
@@ -91,7 +91,7 @@ def forecasts(
     destination: Destination,
     known: Sequence[ForecastPair] = (),
 ) -> list[ForecastPair]:
-    """Every recorded execution of the result, and holds without one, out of sample.
+    """Out-of-sample forecasts of all recorded executions, and of holds without an execution.
 
     known  as in `judge`
     """
@@ -115,7 +115,7 @@ def forecasts(
 def with_effect(
     kind: ModelClass, tried: EffectFit, theta: FloatArray, result: LearningResult
 ) -> ModelClass:
-    """The model class with an effect at theta: as uncertain as it is, and as cables differ."""
+    """The model class with an effect at theta; covariance: of the fit plus between cables."""
     covariance = tried.fit.covariance.copy()
     covariance[np.diag_indices_from(covariance)] += result.between
     natural, k = tried.fit.natural(theta), len(kind.names)

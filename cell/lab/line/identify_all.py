@@ -25,7 +25,7 @@ _FLOATS = ("moved_std", "residual_rms_m", "noise_std_m")
 
 
 class IdentifiedTable:
-    """A table that rows are added to; each is in the file before the next is computed."""
+    """A table file of results; each row is written before the next one is computed."""
 
     def __init__(self, file: TextIO, known: dict[str, IdentifiedAgain]) -> None:
         self._file = file
@@ -40,7 +40,7 @@ class IdentifiedTable:
 
 @contextmanager
 def identified_table(path: Path, *, afresh: bool = False) -> Iterator[IdentifiedTable]:
-    """The table in a file, with the rows that it has, each recording's last, without parameters.
+    """Open the table in a file, with the last row of each recording, without parameters.
 
     A line that was torn when a run was killed is removed.
     afresh  any other file is overwritten too, and no row is known
@@ -64,7 +64,7 @@ def identified_table(path: Path, *, afresh: bool = False) -> Iterator[Identified
 
 
 def rows_of(path: Path) -> Iterator[IdentifiedAgain]:
-    """Rows of a table, one after another.
+    """Yield the rows of a table.
 
     raises  InputError: a line is wrong
     """
@@ -129,7 +129,7 @@ _NAMED = 10
 
 @dataclass
 class IdentifiedAll:
-    """The results of all recordings, at a glance.
+    """Summary of the results of all recordings.
 
     recordings    in the folder
     known         of them, those that the table had already

@@ -1,4 +1,4 @@
-"""Learning the effect that a line's model lacks from recorded cables: which, how much, how sure."""
+"""Learning the effects that a line's model lacks, with their parameters, from recorded cables."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def identified_cables(
     budget: LearningBudget,
     executor: Executor,
 ) -> list[tuple[RecordedCycle, Identified]]:
-    """Cycles with what each says of its own cable; what says nothing is left out, and told."""
+    """Cycles with the identified model of their cable; the budget notes cycles that have none."""
     usable = []
     progress(f"identifying {counted(len(cycles), 'cable')}")
     with closing(executor.map(_IdentifiedBy(cable, options), cycles)) as results:
@@ -104,7 +104,7 @@ def identified_cables(
 def learned_from(
     usable: Sequence[tuple[RecordedCycle, Identified]], budget: LearningBudget
 ) -> list[tuple[RecordedCycle, Identified]]:
-    """Those that are learned from.
+    """The cycles used for learning, at most `FITTED_TO`, the most informative first.
 
     What was measured to tell effects apart comes first, then executions, which are judged by; of
     these, those that the model misses most tell most.
@@ -317,7 +317,7 @@ class _LineCables:
 
 @dataclass(frozen=True, eq=False)
 class LearningSpace:
-    """Results with one effect, and with one more, as a search takes them.
+    """Model space of learning: results with one effect, and with one more.
 
     search     on a few of the cables
     alone      the present model fitted to each of these
@@ -405,7 +405,7 @@ class LearningSpace:
 
 
 def negligible(fit: SharedFit) -> bool:
-    """Whether a model misses no more than the noise, for the line's purpose.
+    """Whether the error beyond the noise is negligible for the line, and the ends are in place.
 
     How far along it a cable's end is seen is allowed for in each cable alone, and hides there how
     far all of them are: that must be no more than chance, too.
@@ -416,9 +416,6 @@ def negligible(fit: SharedFit) -> bool:
 
 
 def ends_seen_beyond(fit: SharedFit) -> float:
-    """How far along them all cables' ends are seen from where a model has them, on average.
-
-    In standard deviations of that average.
-    """
+    """Mean offset of detected from predicted cable ends, along the cable, in its own std."""
     beyond_m = fit.end_seen_beyond_m
     return abs(float(beyond_m.mean())) * float(np.sqrt(len(beyond_m))) / fit.end_std_m

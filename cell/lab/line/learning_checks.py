@@ -1,9 +1,9 @@
-"""The checks of what was learned from many cables, as two tables of the kind that a diagnosis has.
+"""Checks of a model learned from many cables, and gates of a candidate, as two tables.
 
-`LEARNING` asks what may be said of the model: the questions of a diagnosis that make sense for many
-cables.  `GATES` asks what a candidate must meet before a line uses it: forecasts of unseen cables.
-A diagnosis asks per trial and in p-values of smooth residuals; vision of a line has errors of its
-own that are smooth, so that a line is judged by the size of an error and by forecasts.
+`LEARNING` has the checks of a diagnosis that apply to many cables.  `GATES` has the conditions that
+a candidate must meet before a line uses it: forecasts of unseen cables.  A diagnosis uses p-values
+of smooth residuals per trial; the vision of a line has smooth errors of its own, so a line is
+judged by the size of the error and by forecasts.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class LineRules:
 
 @dataclass(frozen=True, eq=False)
 class LineEvidence:
-    """What was learned, and forecasts of the recorded motions by the present model and with it."""
+    """What was learned, and forecasts by the present model and by the candidate."""
 
     result: LearningResult
     paired: Sequence[ForecastPair] = ()
@@ -102,22 +102,22 @@ class LineEvidence:
 
 
 def error_ratio(evidence: LineEvidence) -> Reading | None:
-    """Error on all cables over the noise."""
+    """Ratio of the rms error on all cables to the noise."""
     return Reading(evidence.fit.rms_m / evidence.fit.noise_m)
 
 
 def ends_beyond(evidence: LineEvidence) -> Reading | None:
-    """How far along them ends are seen from where the model has them, in standard deviations."""
+    """Mean offset of detected from predicted ends, along the cable, in standard deviations."""
     return Reading(ends_seen_beyond(evidence.fit))
 
 
 def most_tied(evidence: LineEvidence) -> Reading | None:
-    """Number of effects that explain as much as the one found, itself included."""
+    """Number of effects that fit as well as the best one, including it."""
     return None if evidence.result.best is None else Reading(1.0 + len(evidence.result.tied))
 
 
 def noise_range(evidence: LineEvidence) -> Reading | None:
-    """One camera saw them all: the cable that shows its noise best decides."""
+    """Smallest ratio, over cables, of the noise variance's upper bound to its estimate."""
     cables = evidence.fit.cables
     allowed = [c.noise_model.allowed_over_level for c in cables if c.noise_model.range_m]
     known = [a for a in allowed if a is not None]
@@ -139,12 +139,12 @@ def _enough(evidence: LineEvidence) -> bool:
 
 
 def chance_of_gain(evidence: LineEvidence) -> Reading | None:
-    """p-value of better forecasts by chance; None of too few."""
+    """p-value of the improvement of forecasts; None if there are too few."""
     return forecast_better(evidence) if _enough(evidence) else None
 
 
 def forecast_better(evidence: LineEvidence) -> Reading:
-    """p-value of better forecasts by chance; 1 where the tip in the destination gains too little.
+    """p-value of the improvement of forecasts; 1 if the tip in the destination improves too little.
 
     A single frame's noise is as large as what a small effect does there; all of them tell it.
     """
@@ -170,7 +170,7 @@ def forecast_better(evidence: LineEvidence) -> Reading:
 
 
 def worst_change(evidence: LineEvidence) -> Reading | None:
-    """By how much the worst forecast becomes worse, m."""
+    """Increase of the largest forecast error with the candidate, m."""
     if not _enough(evidence):
         return None
     before, after = (float(v.max()) for v in evidence.errors_m)
@@ -178,7 +178,7 @@ def worst_change(evidence: LineEvidence) -> Reading | None:
 
 
 def lost_passages(evidence: LineEvidence) -> Reading | None:
-    """Number of forecasts that leave the opening with the candidate."""
+    """Number of passages through the opening that the candidate's forecast errors lose."""
     opening = evidence.destination
     if opening is None or not _enough(evidence):
         return None
@@ -231,14 +231,14 @@ def _amplitudes(tried: EffectFit) -> Iterator[_Amplitude]:
 
 
 def least_stds(evidence: LineEvidence) -> Reading | None:
-    """Standard deviations of the least clear effect from none."""
+    """Smallest distance of an effect from zero, in standard deviations."""
     clearest = [_clearest(evidence.best, effect) for effect in evidence.best.effects]
     least = min(0.0 if found is None else found.stds for found in clearest)
     return Reading(least, found=f"{least:.1f} standard deviations from none")
 
 
 def most_changed(evidence: LineEvidence) -> Reading | None:
-    """Largest factor between the size of an effect from all cables and from all but one."""
+    """Largest ratio of an effect's size from all cables and with one cable left out."""
     tried, fit = evidence.best, evidence.best.fit
     if len(fit.cables) < 2:
         return Reading(np.inf, found="1 cable")
@@ -254,7 +254,7 @@ def most_changed(evidence: LineEvidence) -> Reading | None:
 
 
 def chance_of_spread(evidence: LineEvidence) -> Reading | None:
-    """Smallest p-value of Cochran's Q beyond what cables may differ by."""
+    """Smallest p-value of Cochran's Q for a spread between cables beyond the allowed one."""
     tried, fit = evidence.best, evidence.best.fit
     values, std = fit.by_cable
     if len(values) < 2:
@@ -324,14 +324,14 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
 
 
 def learning_outcomes(result: LearningResult) -> list[CheckOutcome[LineEvidence]]:
-    """Of every question that is asked of what was learned."""
+    """Results of all checks of what was learned."""
     return [check.evaluate(LineEvidence(result)) for check in LEARNING]
 
 
 def learning_verdict(
     result: LearningResult, found: Sequence[CheckOutcome[LineEvidence]]
 ) -> Verdict:
-    """Of what was learned; nothing is complete while effects were left out of the search."""
+    """The verdict on what was learned; not `complete` if the search left effects out."""
     verdict = worst_verdict(found, result.best is None)
     return "cannot_tell" if verdict == "complete" and result.left_out else verdict
 
@@ -429,6 +429,6 @@ GATES: tuple[Check[LineEvidence], ...] = (
 
 
 def gate_outcomes(evidence: LineEvidence) -> list[CheckOutcome[LineEvidence]]:
-    """Of every condition that applies to a candidate."""
+    """Results of all gates that apply to a candidate."""
     found = [gate.evaluate(evidence) for gate in GATES]
     return [answer for answer in found if answer.passed is not None]

@@ -54,7 +54,7 @@ def study_to_identify(folder: Path) -> Study:
 
 
 def options_with(settings: Path | None, effects: Sequence[str]) -> IdentifyOptions:
-    """How a cable is identified by settings, with more effects in the model, by name or file.
+    """Options of identification by a settings file, with further effects in the model.
 
     settings  None = the baseline
     raises    InputError; ValueError as `select_effects`
@@ -67,12 +67,12 @@ def options_with(settings: Path | None, effects: Sequence[str]) -> IdentifyOptio
 
 
 def recorded_settings(folder: Path) -> Path | None:
-    """Where the settings of a cycle are; None if the folder is not that of a cycle."""
+    """Path of the settings of a cycle; None if the folder is not that of a cycle."""
     return folder / "settings.yaml" if (folder / "state.json").exists() else None
 
 
 def identify_again(study: Study, options: IdentifyOptions) -> Identified:
-    """The cable as its first trial with the role `fit` shows it.  Raises CableRejectedError."""
+    """The cable, identified from its first trial with role `fit`.  Raises CableRejectedError."""
     return identify(
         study.role("fit")[0],
         study.arc_length_m,
@@ -85,7 +85,7 @@ def identify_again(study: Study, options: IdentifyOptions) -> Identified:
 
 @dataclass(frozen=True)
 class Packed:
-    """A recording as it is sent to a worker.
+    """The files and options of one recording, as sent to a worker.
 
     name     path below the folder of the recordings
     key      hash of all that its result depends on, the program's code included
@@ -127,7 +127,7 @@ def _recordings(folder: Path) -> Iterator[Path]:
 
 
 def packer(folder: Path, config: Path | None, effects: Sequence[str]) -> Callable[[Path], Packed]:
-    """What reads a recording below a folder.
+    """Function that reads a recording below a folder into a `Packed`.
 
     config   settings for all; None = as recorded with each cycle, or the baseline
     effects  part of the model too, by name or file

@@ -1,7 +1,7 @@
-"""Several studies diagnosed together: one answer, or why there is none.
+"""Joint diagnosis of several studies: one set of missing effects, or the reason for none.
 
-Each study keeps its own cable, noise and parameters.  Every set of effects that one study finds, or
-that all together suggest, is fitted to each study; their likelihoods add up.
+Each study keeps its own cable, noise and parameters.  Each candidate set of effects, proposed by
+one study or by all jointly, is fitted to every study; the ln likelihoods are summed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Says = Literal["shows", "excludes", "cannot tell"]
 
 @dataclass(frozen=True)
 class StudyPart:
-    """One study's part in the answer.
+    """Contribution of one study to the joint diagnosis.
 
     alone         verdict of the study alone
     missing       effects that it alone finds missing, each with those tied with it
@@ -69,7 +69,7 @@ class StudyPart:
 
 @dataclass(frozen=True)
 class StudyValue:
-    """A parameter by one study alone, with its 95 % interval."""
+    """The estimate of a parameter from one study alone, with its 95 % interval."""
 
     study: str
     value: float
@@ -79,7 +79,7 @@ class StudyValue:
 
 @dataclass(frozen=True)
 class Consistency:
-    """A parameter of the effects found, over the studies that do not exclude them.
+    """Random-effects mean of a parameter over the studies that do not exclude the effect.
 
     value, low, high     mean and its 95 % interval
     tau                  standard deviation between cables: of ln(value) if `logarithmic`
@@ -102,7 +102,7 @@ class Consistency:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects that was tried on all studies.
+    """A set of effects, fitted to every study.
 
     evidence    ln likelihood less BIC's penalty, beyond the model without them, all studies
     delta_chi2  by which χ² falls, all studies
@@ -115,7 +115,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Together:
-    """One answer of several studies, or why there is none.
+    """Result of a joint diagnosis: the verdict, and the effects that all studies share.
 
     why         in a sentence
     effects     missing in the model; empty if none is
@@ -177,7 +177,7 @@ def pool(values: FloatArray, std: FloatArray) -> Pooled:
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """A study and its diagnosis alone."""
+    """A study and its own diagnosis."""
 
     name: str
     examination: Examination
@@ -213,7 +213,7 @@ def check_names(names: Sequence[str]) -> None:
 
 
 def together(studies: Sequence[Examined], rules: Rules = DEFAULT_RULES) -> Together:
-    """The answer of several studies of cables that may lack the same effects.
+    """The joint diagnosis of several studies whose cables may lack the same effects.
 
     raises  ValueError: of fewer than two studies, or of two of one name
     """
@@ -411,7 +411,7 @@ def _consistency(studies: Sequence[tuple[str, Evidence]], name: str) -> Consiste
 def joint_verdict(
     best: Hypothesis, tied: Sequence[Names], parts: Sequence[StudyPart], rules: Rules
 ) -> tuple[Verdict, str]:
-    """The verdict of all studies, and why."""
+    """The joint verdict of all studies, and its reason."""
     names = " and ".join(best.effects)
     left = [p.study for p in parts if not p.explained]
     if left:

@@ -1,1 +1,1 @@
-"""What to measure next, and what that would show: advice, motions, power, laws to discover."""
+"""The next measurement: advice, suggested motions, power of a diagnosis, discovered laws."""

@@ -1,4 +1,4 @@
-"""What to do next after a finding of the lab: commands that can be typed as they are printed."""
+"""Next steps after a result of the lab, as commands that can be typed as printed."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def advice(
     known: tuple[str, ...] = (),
     accepted: tuple[str, ...] = (),
 ) -> tuple[NextStep, ...]:
-    """What to do after a diagnosis; nothing with an effect that the diagnosis itself rules out.
+    """Next steps after a diagnosis; none with an effect that the diagnosis excludes.
 
     known     effects that were part of the model
     accepted  effects that were confirmed on the way; what explains most, if anything does, is more
@@ -148,7 +148,7 @@ def advice(
 def after_discovery(
     effect: str, complete: bool, paths: Paths, known: tuple[str, ...] = ()
 ) -> tuple[NextStep, ...]:
-    """What to do with a discovered law."""
+    """Next steps after the discovery of a law."""
     steps = comparison_steps(paths, [effect], known)
     if complete:
         return steps

@@ -1,4 +1,4 @@
-"""Effects of which the power is asked: which amplitude, and how strong."""
+"""Effects given to `cell power`: which amplitude, and of which size."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cell.lab.fit.sensitivity import is_shape
 
 @dataclass(frozen=True)
 class AskedEffect:
-    """One amplitude of an effect, the effect's other amplitudes off and its shape typical.
+    """One amplitude of an effect, with its other amplitudes off and a typical shape.
 
     size  of the parameter; None = the smallest that is found
     """
@@ -38,7 +38,7 @@ class AskedEffect:
 def select_asked(
     asked: Sequence[str], known: Sequence[str]
 ) -> tuple[tuple[AskedEffect, ...], EffectSelection]:
-    """Effects given as NAME, NAME=SIZE or NAME.PARAMETER=SIZE, and those that are looked for.
+    """Effects from texts NAME, NAME=SIZE or NAME.PARAMETER=SIZE, and the effects to try.
 
     NAME is of the library, or a user's own file.py.  SIZE is the parameter's value in its unit.
 

@@ -1,4 +1,4 @@
-"""What a diagnosis would decide, for draws of the scores that it looks at."""
+"""Decisions of a diagnosis for random draws of its test scores."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SLOW_CHECKS = 2
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What the limits of a diagnosis depend on, apart from its rules.
+    """Constants of a study that the limits of its diagnosis depend on, in addition to the rules.
 
     library     number of effects that are tried
     fitted, heldout   values of the trials fitted to and held out
@@ -50,7 +50,7 @@ class Circumstances:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """(draws,) what a diagnosis says of one effect added to the baseline.
+    """(draws,) decisions of a diagnosis on one effect added to the baseline.
 
     significant  on the trials fitted to, among the library
     confirmed    by the trials held out
@@ -68,9 +68,8 @@ class Judged:
 class EffectTest:
     """The test of one effect: information of its amplitudes (k, k), and their mean scores.
 
-    inside     in the trials fitted to; outside: in those held out, what the fit leaves uncertain
-               allowed for
-    shown      the same of the effect alone, all else as fitted
+    inside     in the fit trials; outside: in the held-out ones, allowing for the fit's uncertainty
+    shown      the same for the effect alone, all else as fitted
     raw_m2     square by which unit amplitudes change the held-out trials, m²
     fitted, heldout   numbers of its scores among those that are drawn
     """
@@ -141,7 +140,7 @@ class EffectTest:
 
 @dataclass(frozen=True, eq=False)
 class HalfSizeTest:
-    """The check whether half of the effect would be detected.
+    """The check whether an effect of half the size would be detected.
 
     scores  numbers of its scores among those that are drawn
     least   χ² from which it would
@@ -157,7 +156,7 @@ class HalfSizeTest:
 
 @dataclass(frozen=True)
 class Chances:
-    """Probabilities of what a diagnosis says of a hidden effect.
+    """Probabilities of the possible results of a diagnosis, given a hidden effect.
 
     found        it is named, alone or tied with no more than two others, and claimed
     confused     another effect is claimed in its place: names, probabilities, the likeliest first
@@ -179,7 +178,7 @@ class Chances:
 
 @dataclass(frozen=True, eq=False)
 class Tests:
-    """All that a diagnosis looks at of a hidden effect.
+    """All tests of a diagnosis, given a hidden effect, as functions of the residual.
 
     effects   the hidden one first
     functions (n, rows) of the residual; by_change: (n,) of them by the hidden change itself

@@ -1,4 +1,4 @@
-"""Discovers a missing law: admissible terms are tried on the residual, those confirmed kept."""
+"""Discovery of a missing law: terms are fitted to the residual, and confirmed ones are kept."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _at(number: Parameter, values: Mapping[str, float]) -> Parameter:
 
 @dataclass(frozen=True)
 class Discovery:
-    """A law that was found, and what it does to the error on held-out trials (else fitted ones).
+    """A discovered law, and the held-out error with and without it (else the fitted error).
 
     effect     its name, that of its file
     noise_m    of the measurement
@@ -232,7 +232,7 @@ def _loaded(path: Path, source: str) -> type[Effect]:
 
 @dataclass(frozen=True)
 class Laws:
-    """Admissible laws as effects, for `learn` to try in addition to the library's.
+    """Admissible laws as effects, which `learn` tries in addition to the library.
 
     effects  by name, each in a file of its own
     written  files that were not there before
@@ -252,7 +252,7 @@ class Laws:
 
 
 def laws_in(folder: Path, studies: Sequence[Study], known: Sequence[type[Effect]] = ()) -> Laws:
-    """Laws that no effect of the library has; a file that is there already is taken as it is.
+    """Laws that no effect of the library has, as files in a folder; existing files are kept.
 
     folder   of their files; a model may refer to them
     studies  of where the cables have been

@@ -1,8 +1,8 @@
-"""Probability that a diagnosis finds a hidden effect, and the smallest size that it finds.
+"""Power: probability that a diagnosis finds a hidden effect, and the smallest size it finds.
 
-A hidden effect moves the whitened residual by what the fitted parameters cannot imitate of it.  One
-fit without noise tells that.  The scores of all effects move with it, and noise moves them
-linearly.  So the distribution of all that a diagnosis looks at is known.
+A hidden effect changes the whitened residual by the part that the fitted parameters cannot imitate,
+which one fit without noise gives.  The scores of all effects are linear in that change and in the
+noise.  So the joint distribution of a diagnosis's test statistics is known.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _RIVALS = 8
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect that looks like the hidden one.
+    """A rival of the hidden effect: an effect with a collinear signature.
 
     correlation  of what both do to all trials, without what the parameters imitate
     """
@@ -48,7 +48,7 @@ class Alternative:
 
 @dataclass(frozen=True)
 class PowerForecast:
-    """Of an effect hidden in a study: what a diagnosis is likely to say.
+    """Forecast of a study's diagnosis, given a hidden effect.
 
     size      of the amplitude asked; None = none within its bounds has the power
     chances   with an effect of this size
@@ -65,7 +65,7 @@ class PowerForecast:
 
 
 def forecast(fits: FitCache, asked: AskedEffect, linear: LinearStudy) -> PowerForecast:
-    """What a diagnosis of a study with this effect would say, and from which size on it names it.
+    """Forecast of the diagnosis with this effect hidden, and the smallest size that it names.
 
     linear  the study near the baseline of `fits`
     """
@@ -89,7 +89,7 @@ def forecast(fits: FitCache, asked: AskedEffect, linear: LinearStudy) -> PowerFo
 
 @dataclass(frozen=True, eq=False)
 class SizeSearch:
-    """The tests of an effect at a size, and the smallest size that is found."""
+    """Search for the smallest size of an effect that a diagnosis finds."""
 
     fits: FitCache
     asked: AskedEffect

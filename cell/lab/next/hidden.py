@@ -1,4 +1,4 @@
-"""Copies of a study with an effect hidden: same motions, markers and frames, fresh noise."""
+"""Simulated copies of a study with a hidden effect: same motions and frames, new noise."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from cell.study.data import Markers, Study, Trial
 
 @dataclass(frozen=True, eq=False)
 class HiddenEffectWorld:
-    """A cable as fitted to a study, with an effect: what copies of the study are measured of.
+    """A fitted cable with a hidden effect, from which copies of the study are simulated.
 
     clean_m   per trial (times, markers, 2), m, by a finer mesh than the fit's
     channels  (channels, channels) root of how far coordinates of markers err together; None =
@@ -133,7 +133,7 @@ def _with_each_row(
 
 
 def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArray:
-    """(rows,) whitened residual of all trials that a refit leaves of an effect, without noise.
+    """(rows,) whitened residual of all trials, refitted to noise-free data with a hidden effect.
 
     fit     a model of the `fit` trials, to which it is refitted with the effect in them
     raises  UnsimulatedError: it cannot be simulated

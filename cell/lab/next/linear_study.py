@@ -52,7 +52,7 @@ class Sensitivities:
 
 @dataclass(frozen=True, eq=False)
 class LinearStudy:
-    """A study near its baseline, fitted to all trials.
+    """A study linearised at its baseline, which is fitted to all trials.
 
     slopes  (rows, free) derivatives of the residual in the free coordinates
     fitted  (rows,) whether a value is of a trial that the diagnosis fits to
@@ -212,7 +212,7 @@ def own_sensitivities(
     alone: FloatArray,
     shapes: FloatArray,
 ) -> Sensitivities | None:
-    """A hidden effect's own: its change (rows,) as it is, and slopes of its other parameters.
+    """Sensitivities of a hidden effect: its change (rows,), and slopes of its other parameters.
 
     which   number of the amplitude that is hidden, among the effect's amplitudes
     hidden  what a refit leaves of the change; alone: the change itself

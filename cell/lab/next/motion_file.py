@@ -83,7 +83,7 @@ def load_motion(path: Path, settings: Settings) -> Measuring:
 
 
 def hand_motion(path: Path, home: tuple[float, float]) -> tuple[str, Motion]:
-    """Name of the motion in a YAML file, and the gripper's pose against time, in no cell's limits.
+    """Name of the motion in a YAML file, and the gripper's pose; no cell's limits are checked.
 
     home    x and y from which the file's are given, m
     raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy

@@ -1,4 +1,4 @@
-"""A study with motions that are not recorded yet, as its fitted model says they would look."""
+"""A study with planned trials, simulated by its fitted model."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ _NOISE = 1_000_000
 
 
 def with_motions(fits: FitCache, hands: Sequence[tuple[str, Motion]]) -> FitCache:
-    """The study with motions of the gripper, each with its name, as further trials held out.
+    """The study with one planned, held-out trial for each named motion of the gripper.
 
     They begin at rest.  Markers, wrench and gripper are measured at the study's usual rates, with
     its noise, nothing lost.

@@ -40,7 +40,7 @@ Said = Literal["found", "confused", "missed", "undecided", "unexplained", "faile
 
 @dataclass(frozen=True)
 class CopyOutcome:
-    """What a diagnosis says of a copy of a study.
+    """Result of the diagnosis of one copy of a study.
 
     said   found: the effect is claimed, alone or in a tie, and nothing else; confused: another is
            claimed; missed: the model is called complete; undecided: nothing is claimed;
@@ -54,7 +54,7 @@ class CopyOutcome:
 
 @dataclass(frozen=True)
 class Recovery:
-    """Of all copies that were diagnosed.
+    """Results of the diagnoses of all copies.
 
     asked  copies that were to be diagnosed
     """
@@ -120,7 +120,7 @@ def recover(
     first: int = 0,
     executor: Executor | None = None,
 ) -> Recovery:
-    """What diagnoses say of copies of a study with an effect hidden in them.
+    """Diagnose copies of a study with a hidden effect; returns their results.
 
     Interrupted, it has those that were diagnosed.
 
@@ -155,7 +155,7 @@ def recover(
 
 
 def judged(diagnosis: Diagnosis, name: str) -> CopyOutcome:
-    """A diagnosis compared with the name of what is hidden."""
+    """Whether a diagnosis names the hidden effect `name`."""
     named = [(m.effect, *m.tied_with) for m in diagnosis.missing]
     words = tuple(" or ".join(names) for names in named)
     if diagnosis.verdict == "missing":
@@ -170,7 +170,7 @@ FORMAT = "cable-power/1"
 
 @dataclass(frozen=True)
 class EffectPower:
-    """An effect that is hidden, the forecast, and what copies with it have shown.
+    """The power for one hidden effect: the forecast, and the results of its copies.
 
     recovery  None = no copies were made
     """
@@ -197,7 +197,7 @@ class EffectPower:
 
 @dataclass(frozen=True)
 class StudyPower:
-    """What a diagnosis of a study would find.
+    """The power of a study: forecasts of its diagnosis for hidden effects.
 
     noise_m   of the measurement
     """
@@ -227,7 +227,7 @@ def power_of(
     progress: Progress = no_progress,
     executor: Executor | None = None,
 ) -> StudyPower:
-    """What a diagnosis would find of each effect, were it in a study.
+    """The power of a study's diagnosis for each effect, if it were hidden in the study.
 
     copies    that are made and diagnosed with each, to compare with the forecast
     executor  who diagnoses them; None = all cores of this computer

@@ -70,14 +70,14 @@ def suggest_motion(examination: Examination, surroundings: Surroundings) -> Sugg
 
 
 def worth_a_cable(found: Suggestion, prepared: PreparedStudy) -> Suggestion:
-    """The same, if a motion may decide.  Raises ValueError: what would help."""
+    """The suggestion, if a motion is likely to decide.  Raises ValueError with a remedy."""
     if max(option.power for option in found.options) < NO_POWER:
         raise ValueError(_what_would_help(found, prepared))
     return found
 
 
 def worth_measuring(suggestion: Suggestion) -> Option | None:
-    """The motion that a line is asked for; None = none is likely to decide."""
+    """The motion to request from a line; None = no motion is likely to decide."""
     best = suggestion.options[0]
     return best if best.power >= WORTH_ASKING_POWER else None
 
@@ -297,7 +297,7 @@ def _looked_at(
 
 
 def whitener_of_planned(prepared: PreparedStudy, trial: Trial, shown_m: FloatArray) -> Whitener:
-    """Of a trial that is not recorded yet.
+    """The whitener of a trial that is not recorded yet.
 
     shown_m  (times, points, 2) what it will show by and large: where arc lengths move the markers,
              and what a gain changes of a wrench
@@ -358,7 +358,7 @@ def split_effects(effects: Sequence[str]) -> tuple[list[str], list[str]]:
 def showing_motion(
     fits: FitCache, asked: Sequence[AskedEffect], surroundings: Surroundings
 ) -> Suggestion:
-    """The safe motion at which these effects differ most from what the model can do without them.
+    """The safe motion with the largest change by these effects that the model cannot imitate.
 
     An effect of which no size is given has its typical one.
     raises  ValueError: the study cannot be fitted, no motion keeps the limits, or none shows them

@@ -32,7 +32,7 @@ TURN_RAD = np.radians(15.0)
 
 @dataclass(frozen=True)
 class Stroke:
-    """From rest at (x, y), clamp at `angle_rad`, straight by (dx, dy) in `duration_s`, held."""
+    """A straight stroke by (dx, dy) in `duration_s` from rest at (x, y), clamp at `angle_rad`."""
 
     angle_rad: float
     dx_m: float

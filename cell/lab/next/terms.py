@@ -1,4 +1,4 @@
-"""Forces and moments that physics admits, as text: single effects to try, or one file to keep."""
+"""Physically admissible force and moment laws as source text, for single effects or one file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WEIGHTED = "weighted along the cable as (s/L)^m, of which c = (m + 1)/(m + 2) i
 
 @dataclass(frozen=True)
 class Term:
-    """One law.
+    """One force or moment law, as source text.
 
     hook         "force" (adds to fx, fy, N/m) or "moment" (adds to moment, N·m)
     law          for the docstring

@@ -63,7 +63,7 @@ Z_95 = float(normal_quantile(0.975))
 
 
 def profile_curves(found: Sequence[ParameterProfile]) -> go.Figure:
-    """Rise of −2 ln likelihood with each parameter held elsewhere, and the parabola of Wald."""
+    """Profile likelihoods: rise of −2 ln L against each parameter, with Wald's parabola."""
     columns = 3
     rows = -(-len(found) // columns)
     titles = [f"{p.name}, {p.unit}" for p in found]
@@ -101,7 +101,7 @@ def profile_curves(found: Sequence[ParameterProfile]) -> go.Figure:
 
 
 def listed_exactly(values: FloatArray) -> list[float | None]:
-    """Plain numbers as they are; None where there is none."""
+    """The values as plain numbers, unrounded; None for nan and infinity."""
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
@@ -117,7 +117,7 @@ _STATUS = {
 
 
 def waterfall(diagnosis: Diagnosis) -> go.Figure:
-    """Error of the baseline and after each effect added, and the noise."""
+    """Error of the baseline, error after each added effect, and the noise."""
     found = diagnosis.missing or diagnosis.partial
     names = ["model", *(f"+ {'<br>or '.join((f.effect, *f.tied_with))}" for f in found)]
     label = noise_label(diagnosis.noise_is_stated)
@@ -134,7 +134,7 @@ def waterfall(diagnosis: Diagnosis) -> go.Figure:
 
 
 def history(comparisons: Sequence[Comparison]) -> go.Figure:
-    """Error of models in their order, with the effects that each has more, and the noise."""
+    """Errors of models in sequence, labelled with the effects that each adds, and the noise."""
     names, before = [], comparisons[0]
     for c in comparisons:
         changes = [f"+ {e}" for e in c.effects if c is before or e not in before.effects]
@@ -272,7 +272,7 @@ def ranking(diagnosis: Diagnosis) -> go.Figure:
 
 
 def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
-    """Residual distance of one trial against time and arc length, each model's beside the other.
+    """Maps of one trial's residual over time and arc length, one for each model.
 
     Colours are logarithmic, from the noise, which is white.
     """

@@ -34,7 +34,7 @@ LEARNING_VERDICTS: dict[Verdict, str] = {
 
 
 def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]:
-    """What is missing, how much of the error it explains, and how sure that is.
+    """Sentences: the missing effects, the share of the error they explain, and their evidence.
 
     so_far  the search for effects was interrupted
     """
@@ -89,7 +89,7 @@ def _nothing(result: LearningResult) -> str:
 def learning_parts(
     result: LearningResult, judged: Sequence[CheckOutcome[LineEvidence]]
 ) -> list[str | TableData]:
-    """What the result rests on: the verdict, its checks, the evidence of each cycle, the gates."""
+    """Sentences and tables behind the result: verdict, checks, evidence per cycle, gates."""
     found = learning_outcomes(result)
     verdict = learning_verdict(result, found)
     parts: list[str | TableData] = [
@@ -112,7 +112,7 @@ def cycle_table(result: LearningResult) -> TableData:
 
 
 def gates_table(judged: Sequence[CheckOutcome[LineEvidence]]) -> TableData:
-    """What a candidate must pass."""
+    """Table of a candidate's gates: limit and result of each."""
     limits = [row[2] for row in check_rows([g.result for g in judged])]
     rows = [
         [g.name, g.found, limit, "passed" if g.passed else "not passed"]
@@ -127,7 +127,7 @@ def _chance(p_value: float) -> str:
 
 
 def common_error_line(paired: Sequence[ForecastPair]) -> str:
-    """What the forecasts of all executions have in common, at present and with the candidate.
+    """Sentence on the mean error of all forecasts, with the present model and with the candidate.
 
     Empty if they are too few to tell.
     """
@@ -158,7 +158,7 @@ _TEXT = 60
 
 
 def identified_parts(found: IdentifiedAll, table: Path) -> list[str | TableData]:
-    """All that is printed, in its order."""
+    """What `cell identify` prints of all recordings: sentences and tables in order."""
     counts = ", ".join(f"{count} {name}" for name, count in sorted(found.outcomes.items()))
     known = f" ({found.known} known from before)" if found.known else ""
     return [
@@ -200,7 +200,7 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 
 def together_parts(found: Together) -> list[str | TableData]:
-    """All that is printed, in its order."""
+    """What is printed of a joint diagnosis: sentences and tables in order."""
     return [
         f"Verdict {found.verdict}: {found.why}.",
         *([_tied(found)] if found.tied else []),
@@ -263,7 +263,7 @@ def consistency_table(consistency: Sequence[Consistency]) -> TableData:
 
 
 def values_table(consistency: Sequence[Consistency]) -> TableData:
-    """Each parameter by each study alone."""
+    """Table of each parameter's estimate from each study alone."""
     rows = [
         [value.study, *(
             f"{digits(v.value, 4)} ({digits(v.low, 4)} … {digits(v.high, 4)})"
@@ -276,7 +276,7 @@ def values_table(consistency: Sequence[Consistency]) -> TableData:
 
 
 def hypotheses_table(found: Together) -> TableData:
-    """What was tried on all studies."""
+    """Table of the sets of effects that were fitted to all studies."""
     rows = [
         [" + ".join(h.effects) or "none", f"{h.evidence:.1f}", f"{h.delta_chi2:.1f}"]
         for h in found.hypotheses
@@ -287,7 +287,7 @@ def hypotheses_table(found: Together) -> TableData:
 
 
 def together_page(found: Together) -> str:
-    """The same as a page."""
+    """The result of a joint diagnosis as an HTML page."""
     return page(
         _TEMPLATES, "together.html", f"{len(found.studies)} studies", parts=together_parts(found)
     )

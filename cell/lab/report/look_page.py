@@ -1,4 +1,4 @@
-"""The page of a study before any fit: what is odd, facts, and pictures of every trial."""
+"""The page of a study before any fit: warnings, facts, and figures of every trial."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
 
 
 def courses(trial: Trial, facts: TrialFacts) -> go.Figure:
-    """Tip, gripper and clamp angle against time; the gripper moves between the dotted lines."""
+    """Tip, gripper and clamp angle against time; dotted lines bound the gripper's motion."""
     titles = ("tip, mm", "gripper, mm", "clamp angle, degrees")
     figure = make_subplots(3, 1, shared_xaxes=True, subplot_titles=titles, vertical_spacing=0.08)
     markers, grip = trial.markers, trial.grip
@@ -173,7 +173,7 @@ FACT_NOTE = (
 
 @dataclass(frozen=True)
 class StudyOverview:
-    """What is shown of measurements.
+    """Content of a study's overview page: trials, facts and warnings.
 
     title  of the page
     says   sentences at the top, in groups under their headings
@@ -295,7 +295,7 @@ _HEADS = {
 def preview_of(
     files: Sequence[Files], understood: Understanding, mapping_file: Path
 ) -> StudyOverview:
-    """Trials as they would be, what is odd, and what the study would be refused for.
+    """Overview of trials before their import: trials as mapped, warnings, and refusals.
 
     mapping_file  where the mapping will be, for complaints about it
     """

@@ -57,7 +57,7 @@ def errors_line(prepared: PreparedStudy, errors: Errors) -> str:
 
 
 def comparison_sentence(comparisons: Sequence[Comparison]) -> str:
-    """What models miss, from the first to the last."""
+    """Sentence that compares the errors of models, from the first to the last."""
     first, last = comparisons[0], comparisons[-1]
     held = not np.isnan(first.heldout_rms_m)
     where = "motions not fitted to" if held else "the motions fitted to"
@@ -149,7 +149,7 @@ def effects_table(library: Mapping[str, type[Effect]]) -> TableData:
 
 
 def describe_effects(library: Mapping[str, type[Effect]]) -> list[dict[str, Any]]:
-    """The same as plain data."""
+    """Names, laws and parameters of effects, as plain data."""
     return [
         {
             "effect": name,
@@ -179,7 +179,7 @@ def discovery_table(discovery: Discovery) -> TableData:
 
 
 def discovery_sentence(discovery: Discovery) -> str:
-    """What a discovered law does to the error."""
+    """Sentence on the error with and without a discovered law."""
     where = "held-out error" if discovery.confirmed else "error on the trials fitted to"
     times = discovery.after_m / discovery.noise_m
     left = "What is left is noise."
@@ -196,7 +196,7 @@ def discovery_sentence(discovery: Discovery) -> str:
 
 
 def suggestion_table(suggestion: Suggestion) -> TableData:
-    """The motions and what they would tell."""
+    """Table of the suggested motions and how well each distinguishes the candidates."""
     rows = [
         [o.motion.describe(), f"{o.separation:.1f}", o.hardest, f"{o.power:.2f}"]
         for o in suggestion.options[:5]
@@ -259,7 +259,7 @@ def power_table(power: StudyPower) -> TableData:
 
 
 def recovery_table(power: StudyPower) -> TableData | None:
-    """What diagnoses of copies said; None if there were no copies."""
+    """Table of the copies' diagnoses; None if there were no copies."""
     tried = [(e, e.recovery) for e in power.effects if e.recovery is not None]
     if not tried:
         return None

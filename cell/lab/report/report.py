@@ -190,7 +190,7 @@ def _range(low: float, high: float) -> str:
 
 
 def series_of(comparisons: Sequence[Comparison]) -> list[Series]:
-    """Models under the names and in the colours of all figures; the last is the one to believe."""
+    """Models with the names and colours of all figures; the last one is the result."""
     if len(comparisons) == 1:
         return [Series("model", "of the model", MODEL, comparisons[0])]
     colours = [MODEL, *(BETWEEN[i % len(BETWEEN)] for i in range(len(comparisons) - 2)), ADDED]

@@ -46,7 +46,7 @@ _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim"}
 def sentence(
     diagnosis: Diagnosis, baseline: Comparison | None = None, final: Comparison | None = None
 ) -> str:
-    """The finding in one sentence, for a production engineer.
+    """The result of a diagnosis in one sentence, for a production engineer.
 
     baseline  the model without the effects found, compared with the trials: to say where it fails
     final     with them: to say whether what is left is noise in every respect
@@ -104,7 +104,7 @@ def _worst_place(comparison: Comparison) -> str:
 
 
 def nearest_table(diagnosis: Diagnosis) -> TableData:
-    """Of an unexplained study: the effects that leave least, how much and where."""
+    """Table, for an unexplained study, of the effects with the smallest residuals."""
     base, left = diagnosis.baseline, diagnosis.left
     before_m = float("nan") if left is None else left.before_rms_m
     each = [("none", before_m, base, "")]
@@ -157,7 +157,7 @@ def waterfall_table(diagnosis: Diagnosis) -> TableData:
 
 
 def ranking_table(diagnosis: Diagnosis) -> TableData:
-    """All effects, what explains most first."""
+    """Table of all effects, by the χ² that each explains, the largest first."""
     rows = [
         [r.effect, places(r.score, 1), chance(r.p_value), r.status] for r in by_evidence(diagnosis)
     ]
@@ -168,7 +168,7 @@ def ranking_table(diagnosis: Diagnosis) -> TableData:
 
 
 def limits_table(diagnosis: Diagnosis) -> TableData:
-    """How strong the effects could be that are neither named nor tied."""
+    """Table of the limits of effects that are neither named nor tied."""
     rows = []
     for limit in sorted(diagnosis.limits, key=lambda one: one.high is None):
         possible = "this study could not have shown it"
@@ -201,7 +201,7 @@ def check_rows(checks: Sequence[CheckResult]) -> list[tuple[str, str, str, str]]
 
 
 def checks_table(checks: Sequence[CheckResult]) -> TableData:
-    """What a verdict rests on."""
+    """Table of the checks of a verdict."""
     heads = ("question", "answer", "limit", "result")
     colours = {"passed": "green", "failed": "red", "–": "dim"}
     note = (
@@ -239,7 +239,7 @@ def agreement_table(found: Sequence[Agreement]) -> TableData:
 def diagnosis_parts(
     diagnosis: Diagnosis, comparisons: Sequence[Comparison], steps: Sequence[NextStep]
 ) -> list[str | TableData]:
-    """All that is printed of a diagnosis, in its order.
+    """Everything that is printed of a diagnosis: sentences and tables in order.
 
     comparisons  of the baseline, and last of the model with everything found
     """
@@ -260,7 +260,7 @@ def diagnosis_parts(
 
 
 def evidence_tables(diagnosis: Diagnosis) -> list[TableData]:
-    """What a diagnosis rests on, and what it leaves open: each table that has rows."""
+    """Tables of a diagnosis's evidence and limits, without empty ones."""
     tables = (
         nearest_table(diagnosis) if diagnosis.nearest else None,
         checks_table(diagnosis.checks) if diagnosis.checks else None,
@@ -277,7 +277,7 @@ def verdict_line(diagnosis: Diagnosis) -> str:
 
 
 def knots_lines(knots: int) -> list[str]:
-    """How finely EI(s) is described, where that is not as usual."""
+    """Sentence on the number of knots of EI(s), if it is not the default."""
     usual = Prior().knots
     if knots == usual:
         return []

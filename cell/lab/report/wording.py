@@ -1,4 +1,4 @@
-"""Findings in plain words: sentences and parts of sentences of the lab."""
+"""Sentences and parts of sentences about results of the lab."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cell.lab.strength.trial_residual import TrialResidual
 
 
 def catalogue_entry(effects: Sequence[str]) -> str:
-    """Where the project's effects among these are described; empty if there is none."""
+    """Sentence that refers to the manual's entries on these effects; empty if there are none."""
     described = library() | unscreened()
     names = [name for name in dict.fromkeys(effects) if name in described]
     if not names:
@@ -34,12 +34,12 @@ def catalogue_entry(effects: Sequence[str]) -> str:
 
 
 def why_not_told(diagnosis: Diagnosis) -> str:
-    """Why nothing is claimed of a model that leaves noise; empty if nothing speaks against it."""
+    """The failed checks that prevent a claim, as text; empty if none failed."""
     return " ".join(c.failed for c in diagnosis.checks if c.passed is False)
 
 
 def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noise") -> str:
-    """Sentence of a study that no effect explains to the noise: what comes nearest.
+    """Sentence for a study that no effect explains down to the noise, with the nearest effect.
 
     misses  how much the model misses and where, the beginning of the sentence
     """
@@ -68,7 +68,7 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
 
 
 def interrupted(diagnosis: Diagnosis, misses: str) -> str:
-    """Sentence of a diagnosis that ended early: what came nearest until then."""
+    """Sentence for a diagnosis that ended early, with the nearest effect until then."""
     why = "Interrupted." if "interrupted" in diagnosis.codes else "The limit of work was reached."
     said = f"{why} {misses}, {at_noise(diagnosis)}"
     left = diagnosis.left
@@ -79,13 +79,13 @@ def interrupted(diagnosis: Diagnosis, misses: str) -> str:
 
 
 def at_noise(diagnosis: Diagnosis) -> str:
-    """The noise compared with an error."""
+    """Part of a sentence: the noise, or the stated error, that an error is compared with."""
     noise = f"{short(diagnosis.noise_m * 1e3)} mm"
     return f"at a stated error of {noise}" if diagnosis.noise_is_stated else f"at {noise} of noise"
 
 
 def noise_label(stated: bool) -> str:
-    """What the line of the noise is called in tables and figures."""
+    """Label of the noise in tables and figures."""
     return "stated error" if stated else "noise"
 
 
@@ -103,7 +103,7 @@ def _class(found: MissingEffect) -> str:
 
 
 def noise_like(noise_mm: float, final: Comparison | None) -> str:
-    """One statement of an error that is no larger than the noise."""
+    """Part of a sentence that states that an error is no larger than the noise."""
     if final is None:
         return f"camera noise ({short(noise_mm)} mm)"
     patterns, trials = final.patterns(), len(final.where)
@@ -124,7 +124,7 @@ def noise_like(noise_mm: float, final: Comparison | None) -> str:
 
 
 def left_in_words(where: TrialResidual, comparison: Comparison) -> str:
-    """What a model leaves of a trial: noise, a pattern that is no larger, or more."""
+    """The residual of a trial in words: noise, a pattern within the noise, or more than noise."""
     white = not where.whiteness_p_value < NOTICEABLE
     if where.rms_m > ERRS * comparison.noise_m:
         return "more than noise" if white else "a pattern above the noise"
@@ -149,7 +149,7 @@ def noise_in_words(comparison: Comparison) -> str:
 
 
 def peak_in_words(peak: Peak) -> str:
-    """Where a residual is largest."""
+    """Place of the largest residual, in words."""
     at = f"{peak.arc_length_m * 1e3:.0f} mm from the grip at {peak.time_s:.2f} s of {peak.trial}"
     return at if not np.isfinite(peak.frequency_hz) else f"{at}, at {peak.frequency_hz:.1f} Hz"
 
@@ -160,7 +160,7 @@ def mm(value_m: float) -> str:
 
 
 def agreement_sentence(found: Sequence[Agreement]) -> str:
-    """Whether the trials agree, and on what they do not; "" of a single trial."""
+    """Which parameters agree between trials, and which do not; "" for a single trial."""
     if not found:
         return ""
     trials = f"The {len(found[0].by_trial)} trials"
@@ -192,7 +192,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def apart(low: float, high: float) -> tuple[str, str]:
-    """Two numbers with three digits, and as many more as tell them apart to a tenth."""
+    """Two numbers with three digits, or more, until rounding is a tenth of their difference."""
     many = 3
     while many < 12 and abs(float(f"{low:.{many}g}") - low) > 0.1 * (high - low):
         many += 1
@@ -230,12 +230,12 @@ def short(value_mm: float) -> str:
 
 
 def digits(value: float, many: int) -> str:
-    """A number with so many digits; 0 has no sign."""
+    """A number with `many` significant digits; 0 has no sign."""
     return f"{value + 0.0:.{many}g}"
 
 
 def size_in_digits(value: float, none: float) -> str:
-    """A size with three digits of what it is apart from the value at which the effect is none."""
+    """A size with three digits of its difference from `none`, the value without the effect."""
     if value in (0.0, none) or not math.isfinite(value):
         return f"{value:.3g}"
     more = math.floor(math.log10(abs(value))) - math.floor(math.log10(abs(value - none)))

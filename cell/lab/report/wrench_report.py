@@ -29,7 +29,7 @@ _PANEL_PX, _AROUND_PX = 190, 90
 
 
 def wrench_facts_table(facts: Sequence[WrenchFacts]) -> TableData:
-    """A row for every trial and what was measured."""
+    """Table of the wrench's facts, one row per trial and axis."""
     rows = [
         [
             f.trial,

@@ -29,7 +29,7 @@ MISFIT = 1.5
 
 @dataclass(frozen=True, eq=False)
 class SearchSetup:
-    """What a search for effects starts from; `FitCache.of` fits its baseline.
+    """Inputs of a search for effects; `FitCache.of` fits its baseline.
 
     prepared         the study with the noise that its frames at rest show
     space            parameters of the baseline, with those of its effects
@@ -70,7 +70,7 @@ class BaselineFit:
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """How the baseline of a search is fitted.
+    """Fits the baseline of a search.
 
     by_adding  its fit from where a search ends that adds effects of which nothing is known; None
                if there are none

@@ -31,7 +31,7 @@ def errors_in_words(candidate: FittedModel) -> str:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """What the held-out trials say of one more effect.
+    """Held-out test of one more effect.
 
     gain         ln of how much likelier they become
     fall_m2      of their mean square; least_m2: from which it matters
@@ -121,7 +121,7 @@ class ConfirmedEffects:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Where a search ended, and what was fitted on the way.
+    """Result of a search: the final model, and the models fitted on the way.
 
     fits       models by their effects
     singles    the baseline with each effect that was worth a fit
@@ -190,5 +190,5 @@ def _two_leave_most(fits: FitCache, current: FittedModel, rules: Rules) -> bool:
 
 
 def path_to(fits: FitCache, final: FittedModel, rules: Rules) -> tuple[FittedModel, ...]:
-    """From the baseline to `final`, the effect with the most evidence first."""
+    """Models from the baseline to `final`, the effect with the most evidence first."""
     return tuple(in_order(StudySpace(fits, rules.max_refits), final, lambda c: c.evidence))

@@ -55,7 +55,7 @@ SEARCH = Options(tolerance=0.3, max_iterations=10, least_gain=1e-3, updates=3)
 
 @dataclass(frozen=True, eq=False)
 class Extension:
-    """A model of a study, and where fits with one effect more begin.
+    """A model of a study, with starting points of fits with one more effect.
 
     origins    (p,) coordinates of what the model has already: its own, and others it may come from
     far        whether the model may be far from the cable: then slopes say little of sizes

@@ -272,7 +272,7 @@ def noise_reestimated(fits: FitCache, model: FittedModel) -> SearchSetup | None:
 
 
 def with_lower_baseline(fits: FitCache, start: FloatArray, least: float) -> FitCache:
-    """A cache with the baseline fitted from another start too, if χ² ends so much lower.
+    """A cache whose baseline is fitted from another start, if that lowers χ² by `least` or more.
 
     It is the baseline then, and nothing is fitted beyond it yet; else this cache itself.
     """
@@ -289,7 +289,7 @@ def with_lower_baseline(fits: FitCache, start: FloatArray, least: float) -> FitC
 def with_joined(
     fits: FitCache, model: FittedModel, effect: type[Effect], names: Mapping[str, str]
 ) -> tuple[FitCache, FittedModel]:
-    """The model with one effect that does what all its added effects do, and a cache for it.
+    """The model with its added effects replaced by one equivalent effect, and a cache for it.
 
     It is fitted from where the model is.
     names   of the effect's parameters, by those of the effects added

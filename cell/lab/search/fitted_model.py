@@ -20,13 +20,13 @@ from cell.lab.fit.systematic_error import GripperLogError
 
 
 def p_value_of_fall(effect: type[Effect], delta_chi2: float) -> float:
-    """p of such a fall of χ² by a refit with an effect, when the effect is absent."""
+    """p-value of a fall of χ² by a refit with one more effect, if that effect is absent."""
     amplitudes = sum(p.amplitude for p in effect.parameters)
     return boundary_p_value(delta_chi2, amplitudes, int(one_sided(effect)), chances_of(effect))
 
 
 def bic_penalty(effects: Iterable[type[Effect]], values: int, effective_fraction: float) -> float:
-    """Fall of χ² from which effects pay by BIC; autocorrelated values count as fewer."""
+    """Fall of χ² that effects must exceed by BIC; autocorrelated values count as fewer."""
     fitted = sum(p.fitted for e in effects for p in e.parameters)
     return float(fitted * np.log(max(values * effective_fraction, 2.0)))
 
@@ -97,12 +97,12 @@ def error_over_noise(prepared: PreparedStudy, model: FittedModel) -> float:
 
 
 def is_below_stated(prepared: PreparedStudy, model: FittedModel, share: float) -> bool:
-    """Whether a model errs by less than a share of the measurement's stated error."""
+    """Whether a model's error is less than this share of the error that the study states."""
     return prepared.noise_model.stated and error_over_noise(prepared, model) < share
 
 
 def penalty_of(prepared: PreparedStudy, effects: Sequence[type[Effect]]) -> float:
-    """BIC's penalty for effects of a model: from such a fall of χ² on they pay."""
+    """BIC's penalty of a model's effects: the fall of χ² that they must exceed."""
     count = prepared.count(fit_trials(prepared))
     return bic_penalty(effects, count, prepared.noise_model.noise.effective_fraction)
 
@@ -121,7 +121,7 @@ def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, Fl
 def gained(
     prepared: PreparedStudy, small: FittedModel, large: FittedModel, log_error: GripperLogError
 ) -> Gain:
-    """What `large` has over `small`, which lacks one of its effects.
+    """Gain of `large` over `small`, which has one effect less.
 
     log_error  what the gripper log may be wrong by: what could be that is worth as much less
     """
@@ -136,7 +136,7 @@ def gained(
 
 
 def error_text(prepared: PreparedStudy, *errors_m: float) -> str:
-    """Errors of the trials fitted to, rms, one after the other, and what a right model leaves."""
+    """Text: rms errors of successive models on the fit trials, and the noise."""
     noise_m = prepared.expected_m("fit")
     scale, unit = (1e3, "mm") if max(errors_m) >= 1e-4 else (1e6, "µm")
     shown = [f"{error_m * scale:#.3g}" for error_m in (*errors_m, noise_m)]
@@ -146,7 +146,7 @@ def error_text(prepared: PreparedStudy, *errors_m: float) -> str:
 def worth_of(
     prepared: PreparedStudy, small: FittedModel, large: FittedModel, log_error: GripperLogError
 ) -> tuple[float, float]:
-    """Fall of the objective from one model to another, and ln of how much likelier held-out trials.
+    """Fall of the objective and held-out ln likelihood ratio, less by the log error's inflation.
 
     log_error  as of `gained`
     """

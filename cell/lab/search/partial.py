@@ -1,8 +1,8 @@
-"""Partial explanations: effects that explain most of an error but not all, and their residuals.
+"""Partial explanations: effects that explain most of an error, but leave more than noise.
 
-Where no set of effects leaves noise, the model's own error is what an answer could be wrong by.  So
-it is taken for the noise here, with its correlation.  The model is fitted to all trials together:
-which effect makes the largest difference to what is seen is asked, not what it would forecast.
+Where no set of effects fits to the noise, the model's own error limits every conclusion.  So it
+takes the place of the noise here, with its correlation.  The model is fitted to all trials jointly:
+effects are compared by how much they change the fit, not by their forecasts.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ def _significant_steps(
 
 
 def p_value_of(fits: FitCache, small: FittedModel, large: FittedModel, library: int) -> float:
-    """Of the last effect of `large`, for all of the library: by the fit, and by what both leave."""
+    """p-value of the last effect of `large`, the larger of two tests, corrected for the library."""
     by_fit = fits.gain(small, large).p_value
     by_residual = chance_of(fits, small, large)
     return min(1.0, max(by_fit, by_residual) * max(1, library - len(small.effects)))
@@ -216,9 +216,9 @@ def largest_step(
     library: int,
     rules: Rules,
 ) -> FittedModel | None:
-    """The option that leaves least, if it removes most of the error, significantly.
+    """The model with the smallest residual, if it removes most of the error significantly.
 
-    What is at its bound is none: the limit has given that answer, not the measurement.
+    Models whose added effect is at a bound are excluded: the bound decided, not the measurement.
     """
     options = [c for c in options if not is_at_bound(current, c)]
     if not options:

@@ -40,7 +40,7 @@ class ResidualSummary:
 
 @once_per_study
 def residual_summary(prepared: PreparedStudy, candidate: FittedModel) -> ResidualSummary:
-    """What a candidate leaves of all trials."""
+    """The residual summary of a model over all trials."""
     held = candidate.heldout
     if held is not None and not np.isfinite(held.rms_m):
         return ResidualSummary(np.inf, 2.0)
@@ -51,7 +51,7 @@ def residual_summary(prepared: PreparedStudy, candidate: FittedModel) -> Residua
 
 
 def independent_values(errors: Sequence[FloatArray]) -> float:
-    """How many independent values have a mean square as uncertain as that of these residuals.
+    """Number of independent values whose mean square varies as much as that of these residuals.
 
     Correlation counts along the frames and between channels, wherever a model errs it errs for
     many frames and along the whole cable.
@@ -76,7 +76,7 @@ def independent_values(errors: Sequence[FloatArray]) -> float:
 
 
 def log_variance_ratio(better: ResidualSummary, worse: ResidualSummary) -> float:
-    """−2 ln of how much less likely the worse residual is, if neither's size is known beforehand.
+    """−2 ln of the likelihood ratio of two residuals whose variances are unknown.
 
     Where models err by more than the measurement, what they could be wrong by is what they leave.
     """
@@ -88,7 +88,7 @@ def log_variance_ratio(better: ResidualSummary, worse: ResidualSummary) -> float
 def vuong_z(
     prepared: PreparedStudy, better: FittedModel, worse: FittedModel, lag_share: float = 0.25
 ) -> float:
-    """By how many standard deviations one candidate leaves less than another, both of them wrong.
+    """Vuong's statistic: difference of the residuals of two wrong models, in standard deviations.
 
     What they differ by is summed over channels and trials frame by frame, so that trials which
     repeat each other count as the one motion that they are, and its standard deviation is that of
@@ -109,7 +109,7 @@ def vuong_z(
 
 
 def removed_share(noise_m: float, before: ResidualSummary, after: ResidualSummary) -> float:
-    """Share of the mean square beyond noise that is gone, 0 … 1."""
+    """Share, 0 … 1, of the mean square in excess of noise that the second model removes."""
     if not np.isfinite(after.mean_square_m2):
         return 0.0
     if not np.isfinite(before.mean_square_m2):
@@ -119,7 +119,7 @@ def removed_share(noise_m: float, before: ResidualSummary, after: ResidualSummar
 
 
 def peak(prepared: PreparedStudy, candidate: FittedModel) -> Peak:
-    """Where a candidate leaves most: in the trial, at the time and at the marker of largest rms."""
+    """Place of a model's largest residual: trial, then time and marker of largest rms."""
     study = prepared.unjoined
     errors = _of_places(prepared, residuals_m(prepared, candidate))
     trial = max(errors, key=lambda name: _size(errors[name]))

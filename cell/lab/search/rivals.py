@@ -1,4 +1,4 @@
-"""Models that explain as much as another, and the chance of what one more effect removes."""
+"""Models that fit as well as another, and the p-value of one more effect."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def close_rivals(
 
 
 def chance_of(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
-    """p-value of what one more effect removes, against what it leaves, over all trials."""
+    """p-value of the fall of the residual by one more effect, over all trials."""
     prepared = fits.prepared
     return chance(
         small, large, residual_summary(prepared, small), residual_summary(prepared, large)
@@ -48,7 +48,7 @@ def chance_of(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
 def chance(
     small: FittedModel, large: FittedModel, before: ResidualSummary, after: ResidualSummary
 ) -> float:
-    """p-value of the fall from what `small` leaves to what `large`, with one effect more, does."""
+    """As `chance_of`, from residual summaries `before` (`small`) and `after` (`large`)."""
     effect = added_effect(small, large)
     fall = max(log_variance_ratio(after, before), 0.0)
     return float(chi2_sf(sum(p.amplitude for p in effect.parameters), max(fall, 0.0)))
@@ -62,9 +62,9 @@ def added_effect(small: FittedModel, large: FittedModel) -> type[Effect]:
 def near_singles(
     fits: FitCache, final: FittedModel, singles: Sequence[FittedModel], rules: Rules
 ) -> list[FittedModel]:
-    """The nearest other single effects, where `final`, itself one, leaves more than noise.
+    """Other single effects near `final`, if `final` is a single effect and leaves more than noise.
 
-    Something is missing with each of them then, as with `final`.
+    Then a further effect is missing with each of them, as with `final`.
     """
     prepared = fits.prepared
     left = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
@@ -75,12 +75,12 @@ def near_singles(
 
 
 def is_at_bound(small: FittedModel, large: FittedModel) -> bool:
-    """Whether the effect that `large` has more is as strong as its bound lets it be."""
+    """Whether a parameter of the effect that `large` adds to `small` is at a bound."""
     own = f"{added_effect(small, large).name}."
     return any(name.startswith(own) for name, *_ in at_bound(large.fit))
 
 
 def any_at_bound(candidate: FittedModel) -> bool:
-    """Whether any effect of a candidate is as strong as its bound lets it be."""
+    """Whether the amplitude of any effect of the model is at a bound."""
     own = tuple(f"{name}." for name in candidate.names)
     return any(name.startswith(own) for name, *_ in at_bound(candidate.fit))

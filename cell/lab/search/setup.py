@@ -1,7 +1,7 @@
-"""The set-up of a command: the fits of its study, with earlier models if there are any.
+"""Set-up of a command: its study's fits, with an earlier model as prior, and without outliers.
 
-What the motion hides of outliers from a look at the measurements alone, in few frames a second or
-in little noise, shows in what a fitted model leaves of them.
+Outliers that the measurements alone do not reveal, for few frames per second or little noise, show
+in the residual of a fitted model.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def fit_cache_of(
     kind: ModelClass = ModelClass(),  # noqa: B008
     work: Work | None = None,
 ) -> FitCache:
-    """The study made ready, with an earlier individual's model as prior if there is one.
+    """The fit cache of a study, with an earlier individual's model as prior if one is given.
 
     The prior's effects are part of the model, and those of the selection that are.
     kind  what all such cables have in common; an individual's prior has its own
@@ -74,7 +74,7 @@ def fit_cache_of(
 
 
 def read_kind(config: Path | None) -> ModelClass:
-    """What the section `model` of a cell's settings says; the baseline without.
+    """The `ModelClass` of the section `model` in a cell's settings; the baseline without one.
 
     raises  InputError
     """
@@ -109,7 +109,7 @@ def _least_rms_m(
 def read_prior(
     path: Path | None, own: Mapping[str, type[Effect]]
 ) -> tuple[Path, Identified] | None:
-    """The model that `--prior` names; `own` effects are given instead of its files'."""
+    """The model in the file of `--prior`; effects in `own` replace those of its own files."""
     return None if path is None else (path, read_model(path, own))
 
 
@@ -136,7 +136,7 @@ def read_models(paths: Sequence[Path], cable: Cable, own: Sequence[str]) -> list
 
 
 def without_outliers(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
-    """The fits of a study without its outliers from the baseline, and a note on each of these.
+    """The fits of a study without its outliers, by the baseline's residual, and a note on each.
 
     A trial that the model cannot simulate is kept as it is.
     raises  InputError: too many samples of a marker are outliers

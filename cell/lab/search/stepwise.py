@@ -1,8 +1,8 @@
-"""The search for the effects that a model lacks: sets of effects, one effect more at a time.
+"""Stepwise search for missing effects: sets of effects, one effect more at a time.
 
-Three things are kept apart, and the search knows none of them.  A *space* fits sets of effects: to
-one study, to many cables, or given a model's own error.  It offers the sets with one effect more,
-and with one less.  A *criterion* says which of these is kept.
+The search is independent of its two parts.  A *space* fits sets of effects: to one study, to many
+cables, or with a model's own error as noise.  It offers the sets with one effect more, and with one
+less.  A *criterion* selects the set that is kept.
 
 source  forward and backward selection with exchange: Miller 2002, Subset Selection in Regression;
         the parts kept apart as in PEtab Select (Pathirana et al. 2025)
@@ -33,7 +33,7 @@ class ModelSpace(Protocol[State]):
 
 
 def holm_among(p_values: Sequence[float], library: int) -> list[float]:
-    """p-values adjusted for choosing among a library, of which the rest was no better than chance.
+    """Holm-corrected p-values, where the untested rest of the library counts as p = 1.
 
     p_values  of those that were fitted
     library   number of effects to choose from (Holm's correction)
@@ -46,7 +46,7 @@ def levels(
     extended: Callable[[State], Sequence[Option]],
     kept: Callable[[State, Sequence[Option]], Sequence[State]],
 ) -> Iterator[Sequence[State]]:
-    """The start, then what is kept of it with one effect more, and so on until nothing is kept.
+    """Yield the sets kept at each level, one effect more at each, until none is kept.
 
     A forward search keeps one set of effects of a level, an exhaustive one keeps them all, each
     once.  The next level is fitted when it is asked for.
@@ -64,7 +64,7 @@ def exchanged(
     better: Callable[[FittedModel, Sequence[FittedModel], FittedModel], FittedModel | None],
     allowed: Callable[[], bool],
 ) -> FittedModel:
-    """The model with effects exchanged, one at a time, for others while that is better.
+    """The model after exchanges of single effects for others, as long as each is better.
 
     An effect that was found first was found without the others, and may have stood in for one.
 
@@ -100,7 +100,7 @@ def pruned(space: ModelSpace[State], model: State, needed: Callable[[State, Stat
 def in_order(
     space: ModelSpace[State], model: State, score: Callable[[State], float]
 ) -> list[State]:
-    """From the start to the model, each time without the effect that the rest needs least."""
+    """Models from the start to `model`; backwards, each step drops the least needed effect."""
     steps = [model]
     while smaller := list(space.reduced(steps[0])):
         steps.insert(0, max(smaller, key=score))

@@ -1,4 +1,4 @@
-"""A model against every trial of a study, and where it fails."""
+"""Comparison of a model with every trial of a study: its errors, and where they occur."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ NOISY = 1.02
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A model and a study side by side.
+    """Errors of a model on the trials of a study.
 
     noise_m      of the measurement: as the study states it, else the camera's at rest
     noise_at_rest_m   the camera's, from frames in which nothing moves; nan if there are none
@@ -195,7 +195,7 @@ def _noise_at_rest_m(prepared: PreparedStudy) -> float:
 
 
 def comparisons_json(comparisons: Sequence[Comparison]) -> dict[str, Any]:
-    """Plain data of models side by side: the last one's, and all of them in `models`."""
+    """Comparisons as plain data: the last model's, and all of them in `models`."""
     first = comparisons[0]
     models = [
         {

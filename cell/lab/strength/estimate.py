@@ -1,4 +1,4 @@
-"""Strength of the effects found: parameters from all trials, with intervals for all errors."""
+"""Estimates of a model's parameters from all trials, with intervals for all errors."""
 
 from __future__ import annotations
 

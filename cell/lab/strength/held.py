@@ -1,8 +1,8 @@
-"""The residual of an effect held at a strength while all other parameters are refitted.
+"""Residual of an effect held at a given size, while all other parameters are refitted.
 
-Slopes say how much of an effect the other parameters can imitate.  Where they imitate most of it,
-the remainder is small compared with the curvature of both, and only a fit with the effect held
-there tells.
+The jacobian says how much of an effect the other parameters can imitate.  Where they imitate most
+of it, the remainder is small compared with second-order terms, and a fit with the effect held is
+needed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _REFIT = Options(tolerance=0.1, max_iterations=15, least_gain=1e-3, updates=3)
 
 @dataclass(frozen=True, eq=False)
 class HeldEffect:
-    """An effect given a fitted model, one amplitude and all its shape held.
+    """An effect added to a fitted model, with one amplitude and the shape held.
 
     amplitude  number of the parameter that is held; other amplitudes are free
 
@@ -99,7 +99,7 @@ class HeldEffect:
 
 
 def all_changes(held: Sequence[HeldEffect], q: Sequence[FloatArray]) -> list[FloatArray]:
-    """(rows,) change from the fit to the model of each effect at its q, simulated together.
+    """(rows,) change from the fit by each held effect at its q, simulated in one batch.
 
     held  given the same fit
     q     (p + unknowns of initial states,) of each

@@ -1,8 +1,8 @@
-"""A fit in the form in which a cable's model is kept, with intervals widened by what it lacks.
+"""A fit as the stored model of a cable, with intervals widened by possibly omitted effects.
 
-Most of an effect that is missing does not remain to be seen: the other parameters have moved to
-imitate it, by far more than what remains of noise would let them.  What remains tells which effects
-it may be and how strong, and these how far the parameters have moved.
+Most of an omitted effect does not appear in the residual: the other parameters imitate it, and so
+are biased by far more than the noise would explain.  The residual shows which effects may be
+omitted and how strong they are; from these follows the bias of the parameters.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LEAST_LEFT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class OmittedEffectBias:
-    """What is seen of effects given a fitted model.
+    """Omitted effects that explain the residual, and the bias of the parameters without them.
 
     effects     that explain what it leaves, linearly, the one that explains most first
     covariance  (p, p) of the fit's coordinates by their absence: how far they move with these in,
@@ -58,7 +58,7 @@ class _Option:
 
 
 def omitted_effect_bias(joint: AllTrialsFit, effects: Iterable[type[Effect]]) -> OmittedEffectBias:
-    """Of a fitted model that lacks some of the effects, or others."""
+    """The bias of a fitted model's parameters that omitted effects may cause."""
     prepared, fit, errs = joint.prepared, joint.fit, joint.systematic_error
     p, none = len(fit.q), np.zeros((len(fit.q), len(fit.q)))
     tried = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
@@ -155,7 +155,7 @@ def _by_parts(prepared: PreparedStudy, fit: Fit, linear: Linear) -> FloatArray:
 def identified(
     prepared: PreparedStudy, fit: Fit, effects: Iterable[type[Effect]] = ()
 ) -> Identified:
-    """A fit in the form in which models are kept, with intervals widened by its residual.
+    """A fit as an `Identified` model, with intervals widened by its residual.
 
     effects  that it may lack: where what is left is not noise, its parameters are as uncertain as
              they move with those in that explain it

@@ -1,4 +1,4 @@
-"""Limits, 95 %, of the strength of effects that were not found, in one study."""
+"""95 % limits of the size of effects that the diagnosis of a study does not name."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ STEEPEST = 3.0
 
 @dataclass(eq=False)
 class Side:
-    """One end of the range of an amplitude, as far from none of the effect as `size` says.
+    """One end of the interval of an amplitude; `size` is its distance from no effect.
 
     sign    of the side
     std     of the amplitude
@@ -75,7 +75,7 @@ class Side:
 
 
 class LimitSearch:
-    """The range of one amplitude of an effect that a study leaves possible."""
+    """Search for the interval of one amplitude that a study does not exclude."""
 
     def __init__(
         self,

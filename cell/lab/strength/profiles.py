@@ -67,7 +67,7 @@ class ParameterProfile:
 def each_profile(
     prepared: PreparedStudy, fit: Fit, model: Identified, progress: Progress = no_progress
 ) -> Iterator[ParameterProfile]:
-    """Profile of one parameter after another that is free, all else refitted at every point.
+    """Yield the profile of each free parameter, all others refitted at every point.
 
     What the model leaves beyond noise weighs as in its other intervals: all but the prior is
     divided by the root of its inflation, so that the likeliest value is nearer to the prior.  What

@@ -95,21 +95,21 @@ def trial_residual(
 
 
 def unsimulated_trial(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> TrialResidual:
-    """Of a trial that the model cannot be simulated in: an infinite error, and no place for it."""
+    """The `TrialResidual` of a trial that cannot be simulated: its error is infinite."""
     nothing = np.full((len(trial.markers.t_s), len(arc_length_m), 2), np.nan)
     found = trial_residual(trial, nothing, nothing, nothing, arc_length_m, noise)
     return replace(found, rms_m=float("inf"), correlations=())
 
 
 def displacement(measured: FloatArray, predicted: FloatArray) -> FloatArray:
-    """(…, 2) from predicted to measured; 0 in a coordinate that alone was not measured."""
+    """(…, 2) measured minus predicted; 0 in a single coordinate that was not measured."""
     away = measured - predicted
     lost = np.isnan(away)
     return np.where(lost & ~lost.all(axis=-1, keepdims=True), 0.0, away)
 
 
 def distance(measured: FloatArray, predicted: FloatArray) -> FloatArray:
-    """(…) of `displacement`, nan where neither coordinate was measured."""
+    """(…) length of `displacement`; nan where neither coordinate was measured."""
     return np.asarray(np.linalg.norm(displacement(measured, predicted), axis=-1))
 
 
@@ -231,7 +231,7 @@ class WrenchResidual:
 def wrench_residual(
     prepared: PreparedStudy, trial: Trial, points: FloatArray, white: FloatArray
 ) -> WrenchResidual | None:
-    """Of a model's points (T, all points, 2) in a trial; None where no wrench was measured.
+    """Measured wrench and that of a model's points (T, all points, 2); None if not measured.
 
     white  (T, all points, 2) whitened residual, nan where not seen
     """

@@ -34,7 +34,7 @@ from cell.lab.verdict.smooth_part import (
 
 
 def within_stated(evidence: Evidence) -> Reading | None:
-    """p-value of an error so far above what the study states; None if it states none."""
+    """p-value of the residual under the stated noise; None if the study states none."""
     prepared = evidence.prepared
     if not prepared.noise_is_stated:
         return None
@@ -42,7 +42,7 @@ def within_stated(evidence: Evidence) -> Reading | None:
 
 
 def fitted_ratio(evidence: Evidence) -> Reading | None:
-    """Error on the trials fitted to, over that of noise and the gripper log together."""
+    """Ratio of the fitted error to the expected one, of noise and gripper-log error."""
     prepared, fit = evidence.prepared, evidence.final.fit
     if prepared.noise_is_stated:
         return None
@@ -58,12 +58,12 @@ def heldout_smooth(evidence: Evidence) -> Reading | None:
 
 
 def parameter_constancy(evidence: Evidence) -> Reading | None:
-    """p-value of the changes of the parameters if each trial had parameters of its own."""
+    """p-value of the test that all trials share the same parameters."""
     return _p_value_of_part(evidence, parameter_constancy_of)
 
 
 def wider_law(evidence: Evidence) -> Reading | None:
-    """Smallest p-value of the wider laws of effects beyond a negligible part; those broken."""
+    """Smallest p-value of an effect's more general law; the effects whose law is rejected."""
     before, rules = evidence.smooth_before, evidence.rules
     if before is None:
         return None
@@ -79,7 +79,7 @@ def wider_law(evidence: Evidence) -> Reading | None:
 
 
 def residual_level(evidence: Evidence) -> Reading | None:
-    """p-value of the whole error, 1 where it is so little above noise that a model errs as much."""
+    """p-value of the total χ²; 1 if the excess over noise is within the model error."""
     prepared, final = evidence.prepared, evidence.final
     if prepared.noise_is_stated:
         return None
@@ -101,7 +101,7 @@ def residual_level(evidence: Evidence) -> Reading | None:
 
 
 def explained_of_earlier(evidence: Evidence) -> Reading | None:
-    """Share that is gone of what an earlier cable's model misses here; 1 at the noise."""
+    """Share of an earlier cable model's error that is explained; 1 if only noise remains."""
     prepared = evidence.prepared
     if prepared.noise_is_measured:
         return None
@@ -115,12 +115,12 @@ def explained_of_earlier(evidence: Evidence) -> Reading | None:
 
 
 def heldout_motions(evidence: Evidence) -> Reading | None:
-    """Number of independent motions held out, which confirm what was found; None without that."""
+    """Number of independent held-out motions; None if no effect was added."""
     return None if evidence.is_base else Reading(float(evidence.independence.held_out))
 
 
 def least_visible(evidence: Evidence) -> Reading | None:
-    """Smallest ln likelihood ratio, on held-out trials, with and without an effect found."""
+    """Smallest held-out ln likelihood ratio of an added effect; the effects below the limit."""
     if evidence.final.heldout is None or not evidence.added:
         return None
     seen = {e.name: evidence.fits.heldout_log_lr(evidence.final, e) for e in evidence.added}
@@ -129,7 +129,7 @@ def least_visible(evidence: Evidence) -> Reading | None:
 
 
 def most_tied(evidence: Evidence) -> Reading | None:
-    """Largest number of effects that explain as much as one found, itself included."""
+    """Largest number of tied effects, the named one included."""
     if evidence.is_base:
         return None
     counts = {name: len(tied) + 1 for name, tied in evidence.tied.items()}
@@ -137,7 +137,7 @@ def most_tied(evidence: Evidence) -> Reading | None:
 
 
 def detectable_at_half_size(evidence: Evidence) -> Reading | None:
-    """Largest p-value, over the effects found, that half of what each explains would have."""
+    """Largest p-value that an added effect would have at half its size; the weak effects."""
     if not evidence.added:
         return None
     without = {e.name: evidence.fits.fit_reduced(evidence.final, e).fit for e in evidence.added}
@@ -163,10 +163,10 @@ def _chance_of_half(evidence: Evidence, without: Fit) -> float:
 
 
 def possibly_omitted(evidence: Evidence) -> Reading | None:
-    """Smallest Holm-corrected p-value of another effect in all trials; those plain.
+    """Smallest Holm-corrected p-value of a further effect, in all trials; the significant ones.
 
-    Those held out do not confirm them, or they would have been accepted.  Who has all that is
-    there asks for nothing more than a negligible part of what was explained.
+    The held-out trials do not confirm these effects, or they would have been accepted.  Effects
+    that explain only a negligible share of the model's fall of χ² are not counted.
     """
     if not evidence.prepared.noise_is_measured or evidence.below_stated:
         return None
@@ -185,7 +185,7 @@ def possibly_omitted(evidence: Evidence) -> Reading | None:
 
 
 def noise_range(evidence: Evidence) -> Reading | None:
-    """Largest mean square that the rest allows the noise, over its best estimate."""
+    """Ratio of the upper confidence bound of the noise variance to its estimate."""
     allowed = evidence.noise_model.allowed_over_level
     return Reading(allowed) if evidence.is_base and allowed is not None else None
 
@@ -223,7 +223,7 @@ def _p_value(chi2: float, count: int, dof: float) -> float:
 
 
 def chance_of_stated(prepared: PreparedStudy, final: FittedModel, negligible: float) -> float:
-    """p-value of the residual under the error of the markers that the study states.
+    """p-value of the residual under the noise that the study states.
 
     Fitted, held out (allowing for what the fit leaves uncertain there), and fitted to all trials
     together: a right model can do that.  A mean square of them is worth as many values as their
@@ -279,7 +279,7 @@ LEAST_ASKED = 1e-6
 def parameter_constancy_of(
     prepared: PreparedStudy, fit: Fit, parameters: Fit | None = None
 ) -> SmoothPart | None:
-    """Test of the changes of the model's parameters if each trial had parameters of its own.
+    """Test whether the model's parameters are the same in all trials.
 
     A right model is the same in every trial.  A wrong one must bend for each motion, and does so
     in these few directions: far from noise where all that is smooth still looks like it.
@@ -307,7 +307,7 @@ def parameter_constancy_of(
 def directions_of_trials(
     slopes: FloatArray, covariance: FloatArray, ends: NDArray[np.intp]
 ) -> list[FloatArray]:
-    """Per trial (rows, directions) orthonormal: by what it shows of parameters of its own.
+    """Per trial (rows, directions): orthonormal directions of a change of that trial's parameters.
 
     slopes      (rows, free) of all trials, which end at `ends`
     covariance  (free, free) of what all trials and the prior leave open
@@ -320,10 +320,10 @@ def directions_of_trials(
 
 
 def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
-    """Of what an effect's wider law would explain in addition; None without one.
+    """χ² that an effect's more general law would explain in addition; None if it has none.
 
-    If an effect is present, its own law explains everything.  One in the place of another, which no
-    library has, leaves a little of it, the same in every trial, and in these few directions.
+    If the effect is present, its own law explains everything.  If it stands in for another effect,
+    outside the library, part of that remains, alike in every trial and in these few directions.
     """
     left = None if effect.wider is None else all_trials_residual(prepared, fit)
     if effect.wider is None or left is None:
@@ -335,10 +335,10 @@ def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> Smo
 def of_effects(
     prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
 ) -> dict[str, tuple[SmoothPart, float]]:
-    """Of what each of some effects would explain given the model: the plainest of its shapes.
+    """χ² that each effect would explain beyond the model, for its most significant shape.
 
-    returns  by name, with the p-value of the plainest of so many; without those that change nothing
-             that the parameters do not, and empty where a trial cannot be simulated
+    returns  by name, with its p-value corrected for the number of shapes; without effects that the
+             parameters imitate fully, and empty where a trial cannot be simulated
     """
     left = all_trials_residual(prepared, fit)
     found: dict[str, tuple[SmoothPart, float]] = {}

@@ -121,7 +121,7 @@ def _own(evidence: Evidence, name: str) -> Reading | None:
 
 
 def explains(evidence: Evidence) -> bool:
-    """Whether what the model leaves is noise, or of an earlier cable's error."""
+    """Whether the residual passes every check for noise (or for an earlier model's error)."""
     return all(check.evaluate(evidence).passed is not False for check in _of_noise(evidence))
 
 
@@ -224,7 +224,7 @@ CHECKS = (*LEAVES_NOISE, *MAY_BE_CLAIMED)
 
 
 def evaluate(evidence: Evidence) -> Iterator[CheckOutcome[Evidence]]:
-    """Of every check that is needed for the verdict, in order.
+    """Yield the results of the checks that the verdict needs, in order.
 
     Where a model is far above the noise, nothing is asked after the first check that fails; what
     may be claimed is asked only of a model that leaves noise.

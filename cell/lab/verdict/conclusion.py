@@ -1,4 +1,4 @@
-"""The conclusion of a diagnosis: the verdict, what is claimed, ranked and doubted."""
+"""Conclusion of a diagnosis: verdict, claimed effects, ranking and doubts."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def conclude(
     *,
     all_tried: bool,
 ) -> Examination:
-    """The verdict, and what it rests on.
+    """The diagnosis: its verdict, effects, checks and doubts.
 
     evidence   of the model that the search accepted
     checks     their outcomes
@@ -122,7 +122,7 @@ def conclude(
 
 
 def interrupted(fits: FitCache, rules: Rules, error: WorkStoppedError) -> Examination:
-    """What is known of a study when its diagnosis is stopped, nothing of it confirmed."""
+    """The diagnosis of a study that was stopped early; no effect is confirmed."""
     base = fits.base
     tried = sum(len(c.names) == len(base.names) + 1 for c in fits.known())
     doubt = ended_doubt(
@@ -133,7 +133,7 @@ def interrupted(fits: FitCache, rules: Rules, error: WorkStoppedError) -> Examin
 
 
 def unconfirmed(fits: FitCache, rules: Rules, verdict: Verdict, why: Doubt) -> Examination:
-    """What is known of a study without a search, or before its end; nothing of it is confirmed."""
+    """The diagnosis without a completed search; no effect is confirmed."""
     base = fits.base
     one_more = len(base.names) + 1
     singles = tuple(c for c in fits.known() if len(c.names) == one_more)
@@ -159,7 +159,7 @@ def unconfirmed(fits: FitCache, rules: Rules, verdict: Verdict, why: Doubt) -> E
 
 
 def sound(singles: Sequence[FittedModel], base: FittedModel) -> list[FittedModel]:
-    """Those that leave no more than the model without their effect: others ended anywhere."""
+    """The models whose fit is no worse than without their effect; others have not converged."""
     return [c for c in singles if c.fit.objective <= base.fit.objective]
 
 
@@ -170,7 +170,7 @@ def added_effects(
     library: int,
     rules: Rules,
 ) -> tuple[MissingEffect, ...]:
-    """What each step after the first has added."""
+    """The effects that the steps after the first one have added, with their evidence."""
     if len(steps) == 1:
         return ()
     final = estimate(fits.prepared, steps[-1].fit, fits.library.values())
@@ -216,7 +216,7 @@ def ranked(
     rivals: set[str],
     rules: Rules,
 ) -> tuple[RankedEffect, ...]:
-    """All effects, by the evidence of adding each alone to the baseline.
+    """All effects, ranked by the evidence for each as the only addition to the baseline.
 
     None is absent given a final model whose parameters mean nothing.
     """
@@ -260,7 +260,7 @@ def _too_small(screened: ScreenedEffect) -> bool:
 def nearest(
     partial: PartialExplanation, tried: Sequence[FittedModel], rules: Rules
 ) -> tuple[Nearest, ...]:
-    """The single effects that leave least of all trials together, how much, and where.
+    """The single effects with the smallest residual over all trials: its size and place.
 
     tried  the same fitted to the fit trials alone: their errors are what a forecast would have
     """
@@ -295,7 +295,7 @@ def _at_bound(candidate: FittedModel, effect: str) -> tuple[str, ...]:
 
 
 def remaining_error(fits: FitCache, base: FittedModel, final: FittedModel) -> RemainingError:
-    """How much a candidate leaves, of what the baseline missed, and where."""
+    """Residual of a model: its size, the explained share of the baseline's error, its place."""
     prepared = fits.prepared
     noise_m = prepared.noise_model.noise.std_m
     before, after = residual_summary(prepared, base), residual_summary(prepared, final)

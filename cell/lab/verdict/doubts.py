@@ -32,7 +32,7 @@ MEANINGLESS = frozenset({"hopeless", "implausible", "starts_disagree"})
 
 
 def is_meaningless(fits: FitCache, candidate: FittedModel) -> bool:
-    """Whether the parameters of a fit mean nothing, so that no effect can be excluded given it."""
+    """Whether a fit is so poor that its parameters, and limits given it, have no meaning."""
     return bool(MEANINGLESS & {doubt.code for doubt in fit_doubts(fits, candidate)})
 
 
@@ -108,7 +108,7 @@ def _wrong_minimum(fits: FitCache, candidate: FittedModel) -> list[Doubt]:
 
 
 def not_converged(fit: Fit) -> list[Doubt]:
-    """Of a fit that was left before its minimum."""
+    """Warning of a fit that stopped before it reached its minimum."""
     if fit.arrived:
         return []
     distance = np.sqrt(fit.solution.promised / fit.widening)
@@ -123,7 +123,7 @@ def not_converged(fit: Fit) -> list[Doubt]:
 
 
 def starts_disagree(fits: FitCache) -> list[Doubt]:
-    """Of a baseline that a second start leads to another minimum, in EI or in its effects."""
+    """Warning of a baseline whose second start leads to another minimum, in EI or effects."""
     base, other = fits.base.fit, fits.second_start()
     if other is None:
         return []
@@ -177,7 +177,7 @@ MEANINGS = {
 
 
 def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
-    """Warning of a fit given which effects are detected; empty if there are none."""
+    """Warning of a fit that lacks these effects; empty if there are none."""
     if not lacks:
         return ()
     return (
@@ -191,7 +191,7 @@ def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
 
 
 def no_model_doubt() -> Doubt:
-    """Warning of a diagnosis that looked for no effect."""
+    """Warning of a diagnosis that did not search for effects."""
     return Doubt(
         "not_searched",
         "no effect was looked for: a model whose error is larger than the motion of the markers is "
@@ -211,7 +211,7 @@ def unsimulated_doubt() -> Doubt:
 
 
 def doubts(fits: FitCache, whole: FitCache, final: FittedModel) -> tuple[Doubt, ...]:
-    """Warnings of a diagnosis: about its final model, and what its budget has left out.
+    """Warnings of a diagnosis: about its final model, and about omissions by its budget.
 
     whole  what the final model was fitted with
     """
@@ -238,7 +238,7 @@ def _of_estimate(fits: FitCache, final: FittedModel, codes: Collection[str]) -> 
 
 
 def cut_short_doubt(what: str) -> Doubt:
-    """Warning of a result of which the budget of work has left something out."""
+    """Warning of a result that is incomplete because the budget of work was spent."""
     return Doubt("cut_short", f"the limit of work was reached: {what}")
 
 
@@ -248,12 +248,12 @@ def interrupted_doubt(what: str) -> Doubt:
 
 
 def ended_doubt(spent: bool, what: str) -> Doubt:
-    """Warning of what ended early, because its budget was spent or a person stopped it."""
+    """Warning of a computation that ended early: budget spent, or stopped by the user."""
     return cut_short_doubt(what) if spent else interrupted_doubt(what)
 
 
 def insensitive_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Warnings of effects that only the fit trials support."""
+    """Warnings of effects that the held-out trials cannot confirm."""
     return tuple(
         Doubt(
             "heldout_insensitive",
@@ -265,7 +265,7 @@ def insensitive_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...
 
 
 def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Warning of a model that leaves noise, if the rest is too short to determine the noise."""
+    """Warning that frames at rest are too few, or rounding too coarse, to determine the noise."""
     noise_model = evidence.noise_model
     low_m, high_m = noise_model.range_m or (noise_model.noise.std_m, noise_model.noise.std_m)
     remedy = f"record at least {noise_model.frames_needed} frames at rest before each motion"
@@ -282,7 +282,7 @@ def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
 
 
 def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Warnings of effects with a signal too weak to identify their cause."""
+    """Warnings of effects that would not be detected at half their size."""
     least = evidence.rules.heldout_gain
     seen = [e for e in evidence.added if e.name in reading.effects]
     if evidence.final.heldout is not None:

@@ -1,4 +1,4 @@
-"""The quantities that the checks need of a model, each computed once."""
+"""Evidence of the checks: the test quantities of a model, each computed once."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FINEST = 0.5
 def p_values(
     prepared: PreparedStudy, fit: Fit, checks: Sequence[OwnCheck], limit: float
 ) -> dict[str, float] | None:
-    """Of each check by name, Holm-corrected; None where a trial cannot be simulated.
+    """Holm-corrected p-values of users' checks by name; None if a trial cannot be simulated.
 
     A draw is white noise with errors of mesh and gripper log, less what the parameters imitate.
 

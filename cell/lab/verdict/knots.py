@@ -1,8 +1,8 @@
-"""The number of knots of EI(s): more than usual where the data show that EI changes faster.
+"""The number of knots of EI(s), increased where the data show that EI changes faster.
 
-The prior of log EI is the same random walk whatever their number, and the splines contain each
-other, so that more knots only describe a cable more finely.  They are chosen by the likelihood
-integrated over the parameters, which pays for each of them.
+The prior of log EI is the same random walk for every number of knots, and the splines are nested,
+so more knots only refine the description.  Their number is chosen by the marginal likelihood, which
+penalises each knot.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PROMISED, NEAR = 0.5, 2.0
 
 
 def with_more_knots(fits: FitCache, first: FitCache) -> FitCache | None:
-    """A study's fits with as many knots as it shows; None if those that there are suffice.
+    """The fits with more knots of EI(s), if the data favour them decisively; else None.
 
     More are shown where with them the baseline, or else the likeliest model, explains the study and
     is decisively likelier than every model so far, and held-out trials do not say otherwise.

@@ -1,4 +1,4 @@
-"""Check whether effects found with the prior of an earlier cable are needed without it too."""
+"""Check whether effects estimated with an earlier cable's prior are needed without that prior."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Explains = Callable[[Evidence], bool]
 
 
 def prior_driven_effects(evidence: Evidence, explains: Explains) -> tuple[str, ...]:
-    """Effects that are not needed, or explain nothing, if the cable is not that of the prior.
+    """Effects that are not needed, or explain nothing, without the prior.
 
     The study is asked without the prior: the fewest of them that explain it to its noise are
     needed, each unless another, not `tied` with it, explains as much or more in its place.
@@ -69,7 +69,7 @@ def unconfirmed_without_prior(
     rules: Rules,
     explains: Explains,
 ) -> tuple[str, ...]:
-    """Those of some effects that a study without a prior does not need or explain."""
+    """The effects that are not needed, or explain nothing, in a study without a prior."""
     base = alone.base
 
     def extended(model: FittedModel) -> Sequence[FittedModel]:

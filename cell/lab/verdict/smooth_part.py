@@ -1,4 +1,4 @@
-"""Test whether the slow part of a residual is noise: it has misfits, and little noise."""
+"""Test of the smooth part of a residual against noise; model errors are smooth, noise is not."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from cell.lab.fit.systematic_error import MOTIONS, SystematicError, systematic_e
 
 @dataclass(frozen=True)
 class ExpectedSquare:
-    """Of a sum of squares under noise alone: its mean, and how well that is known.
+    """Expected value of a sum of squares under noise alone, and its degrees of freedom.
 
     mean       of the sum
     dof        of the χ² that has, scaled, the same mean and variance: the number of values if all
@@ -129,10 +129,10 @@ class SmoothPart:
 
 @once_per_study
 def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
-    """Of what a fit leaves on the held-out trials; None where it says nothing.
+    """The smooth part of the held-out residual; None if it cannot be tested.
 
-    It says nothing without held-out trials, and where the noise is an earlier model's misfit or a
-    level that the study states: that may be smooth itself.
+    It cannot be tested without held-out trials, nor if the noise is an earlier model's misfit or a
+    level that the study states, because such errors may be smooth themselves.
     """
     if not noise_was_seen(prepared) or not prepared.study.role("validate"):
         return None
@@ -152,7 +152,7 @@ def noise_was_seen(prepared: PreparedStudy) -> bool:
 
 @once_per_study
 def of_a_finer_model(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
-    """The same of a converged mesh, and less what the gripper log may be wrong by.
+    """As `smooth_part`, without mesh error and gripper-log error.
 
     To first order: the parameters follow what mesh and log change in the trials that they were
     fitted to, and what stays of it is seen in those held out.
@@ -192,7 +192,7 @@ def _each_alone(errors: SystematicError) -> list[FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class AllTrialsResidual:
-    """A model fitted to all trials: what it leaves, and what that is known to be wrong by.
+    """The residual of a model fitted to all trials, and its systematic error.
 
     every     (1 + errors + basis, rows) residual, less the mesh's error, and without what the
               parameters imitate; what mesh and hands may still change it by; the parameters' basis.
@@ -247,7 +247,7 @@ class AllTrialsResidual:
 
 @once_per_study
 def all_trials_residual(prepared: PreparedStudy, fit: Fit) -> AllTrialsResidual | None:
-    """A model fitted to all trials; None where one of them cannot be simulated."""
+    """The residual of the model refitted to all trials; None if one cannot be simulated."""
     try:
         whole = of_all_trials(prepared, fit)
     except UNSIMULATED:

@@ -1,4 +1,4 @@
-"""Effects that explain as much as one that was found, in its place."""
+"""Ties: effects that fit as well as an added one, in its place."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from cell.lab.verdict.evidence import Evidence
 
 
 def with_ties(evidence: Evidence) -> Evidence:
-    """The evidence with the ties of each effect, without one that too many others could be.
+    """The evidence with the ties of each added effect; effects with too many ties are dropped.
 
-    Not the only one, and only if what was found explains the study without it too: what any of
-    many effects does as well is none of them in particular.
+    An effect is dropped only if it is not the only one, and the others explain the study without
+    it: an effect that many others could replace is not identified.
     """
     fits, added = evidence.fits, evidence.added
     for effect in added:
@@ -69,7 +69,7 @@ def _tied(
 def tied_so_far(
     fits: FitCache, final: FittedModel, effect: type[Effect], rules: Rules
 ) -> tuple[str, ...]:
-    """Effects that leave as little in place of `effect`, of the sets of effects fitted already.
+    """Effects that tie with `effect`, among the models fitted so far.
 
     Of a single effect that leaves more than noise also those that do with one more added:
     more than one is missing then, and what is nearest alone need not be one of these.

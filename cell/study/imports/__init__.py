@@ -1,1 +1,1 @@
-"""Anybody's measurements as a study: files read, what their data show, a mapping, the trials."""
+"""Import of other programs' files as a study: read files, propose a mapping, make trials."""

@@ -36,7 +36,7 @@ _BLOCKS = 10
 
 
 class NotIntegrableError(ValueError):
-    """Acceleration of which no place can be made; `row` says where."""
+    """Acceleration that cannot be integrated to a position; `row` says where."""
 
     def __init__(self, row: int, message: str) -> None:
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""What one file holds: named columns of numbers, the line of every row, what was said beside it."""
+"""Content of one file: named columns of numbers, line numbers of the rows, stated metadata."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _dated_s(text: str) -> float | None:
 
 
 class Sure(Enum):
-    """Where something that was understood comes from."""
+    """Source of a proposed entry, and so how certain it is."""
 
     SAID = "said"
     """The file states it."""
@@ -126,7 +126,7 @@ class Sure(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One sentence, and the entry of the mapping that it is about."""
+    """A sentence about one entry of the proposed mapping."""
 
     entry: str
     sentence: str

@@ -1,4 +1,4 @@
-"""Which points of a file are of the cable, in what order, and which is the gripping point."""
+"""Choice of the cable's points in a file, their order, and the gripping point."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, Fl
 def detected_places(
     capture: Capture, columns: Sequence[str], lost: Sequence[float], of_hand: bool = False
 ) -> FloatArray:
-    """(rows, 2 or 3) in the file's unit and axes, nan where the point was not seen."""
+    """(rows, 2 or 3) positions of a point in the file's unit and axes; nan where not seen."""
     raw = capture.at(list(columns)).copy()
     raw[lost_rows(raw, lost, of_hand)] = np.nan
     return raw
@@ -232,7 +232,7 @@ def _typical(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
 
 
 def columns_finding(capture: Capture) -> Finding:
-    """What a person may choose from where a gripper is not found."""
+    """The file's columns, listed for a person to choose the gripper's, if none was recognised."""
     names, most = capture.names, 24
     more = f" and {len(names) - most} more" if len(names) > most else ""
     sentence = f"columns of {capture.path.name}: {', '.join(names[:most])}{more}"

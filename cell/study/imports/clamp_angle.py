@@ -1,4 +1,4 @@
-"""The clamp angle that a file tells: which column, unit and sign, or the shape of the cable."""
+"""The clamp angle from a file: its column, unit and sign, or the cable's shape."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def clamp_angle(
     second: tuple[Point, float] | None,
     hand: str,
 ) -> tuple[AngleSection, list[Finding]]:
-    """How the clamp angle is told.
+    """The mapping's section of the clamp angle, and findings about it.
 
     capture  with the gripper
     second   another point of the gripper, and the angle of the line to it at rest; None = none

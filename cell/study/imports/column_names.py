@@ -1,4 +1,4 @@
-"""What the name of a column says it is: time, a coordinate of a point, an angle, or another."""
+"""Meaning of a column by its name: time, a coordinate of a point, an angle, or other."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ColumnKind(Enum):
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a name says.
+    """Meaning of a column name.
 
     group  name of the point or body, in small letters; empty = none
     axis   x, y, z of a coordinate or of the axis of an angle, and w of a quaternion; empty = none
@@ -152,7 +152,7 @@ _SURE_FROM = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible
 
 
 def confidence(column: CapturedColumn) -> tuple[str, float] | None:
-    """Point of a column of confidence, and the value below which it is not seen; None = it is none.
+    """The point and the threshold of a column of detection confidence; None for other columns.
 
     source  DeepLabCut, `pcutoff` 0.6; PhaseSpace, a condition below 0
     """

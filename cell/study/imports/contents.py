@@ -1,4 +1,4 @@
-"""What a file seems to hold, by the names of its columns: time, points, angles, quaternions."""
+"""Content of a file by its column names: time, points, angles, quaternions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Contents:
-    """What the columns of a file seem to be.
+    """Content of a file by its column names.
 
     time         name of the column of times, else of numbers of frames; None = there is none
     counts       whether these are numbers of frames
@@ -100,7 +100,7 @@ def contents(capture: Capture) -> Contents:
 
 
 def without_unsure(capture: Capture) -> Capture:
-    """The same without places of which a program says that it is not sure.
+    """The file without positions whose detection confidence is below the threshold.
 
     A point that is seen in fewer than half of the rows so is kept as it is.
     """

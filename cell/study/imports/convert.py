@@ -33,7 +33,7 @@ _DEGREES = 0.1
 
 @dataclass(frozen=True)
 class Imported:
-    """A study made of files, and what was odd in them, one sentence each."""
+    """An imported study, with one warning for each oddity of its files."""
 
     study: Study
     notes: tuple[str, ...]

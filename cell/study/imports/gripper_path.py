@@ -1,4 +1,4 @@
-"""Where the gripper was: by columns, at rest, by an encoder, or integrated from acceleration."""
+"""The gripper's path: from columns, constant, from an encoder, or from integrated acceleration."""
 
 from __future__ import annotations
 
@@ -257,7 +257,7 @@ _MOST = 2.0**53
 
 
 def count_of(values: FloatArray) -> float:
-    """The step in whole numbers of which all values (rows,) are apart; 0 = there is none."""
+    """The common step of which all differences of the values (rows,) are multiples; 0 = none."""
     different = np.unique(values[np.isfinite(values)])
     if len(different) < 3:
         return 0.0
@@ -271,7 +271,7 @@ def count_of(values: FloatArray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """Turn of an arm: 0 = it points to the left, positive = pointing down.
+    """Rotation angle of an arm: 0 = it points to the left, positive = pointing down.
 
     angle_rad  (rows,) nan = unknown
     count_rad  of one count; 0 = the numbers are no counts

@@ -1,4 +1,4 @@
-"""What is proposed for a gripper with a file of its own, or with an encoder or accelerometer."""
+"""Proposed mapping of a gripper with its own file, an encoder or an accelerometer."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def sensor_section(
     root: Root,
     of_file: dict[str, Any],
 ) -> tuple[GripperSection, list[Finding]]:
-    """The gripper's section with null where somebody must fill it in, and why.
+    """The gripper's section for an encoder or accelerometer, null where the user must fill it in.
 
     axes     of the markers
     of_file  entries of the section that are of a file of its own
@@ -172,7 +172,7 @@ class GripperFile:
 
 
 def gripper_file(capture: Capture) -> GripperFile:
-    """What a file of the gripper holds."""
+    """The content of a file of the gripper."""
     inside = contents(capture)
     named = [p for p in inside.points if p.on_gripper] or list(inside.points)
     named.sort(key=lambda p: "actual" not in p.name.split())  # before what was only commanded
@@ -340,5 +340,5 @@ def _plane_of(right: FloatArray) -> AxesSection:
 
 
 def reach(places: FloatArray) -> float:
-    """How far apart the middle 98 % of places (rows, d) are; 0 = none is seen."""
+    """Span of the middle 98 % of positions (rows, d); 0 if none is seen."""
     return float(np.nan_to_num(reach_of(places, 0.01)))

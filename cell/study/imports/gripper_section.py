@@ -1,5 +1,4 @@
-"""The mapping's section of the gripper: its place and its angle, each told in one of several
-ways."""
+"""The mapping's section of the gripper: alternative ways to give its position and angle."""
 
 from __future__ import annotations
 
@@ -153,7 +152,7 @@ class GripperSection(SectionPart):
 
 
 def entries_to_fill_in(hand: GripperSection) -> list[tuple[Key, str]]:
-    """Entries that are left to be filled in, and how they are found out."""
+    """Entries that the user must fill in, and how to determine them."""
     entries: list[tuple[Key, Any, str]] = []
     if (turns := hand.turns) is not None:
         entries += [
@@ -174,7 +173,7 @@ def entries_to_fill_in(hand: GripperSection) -> list[tuple[Key, str]]:
 
 
 def gripper_complaints(hand: GripperSection) -> Iterator[tuple[Key, str]]:
-    """Ways to say one thing, of which exactly one must be given."""
+    """Complaints about alternatives of which not exactly one is given."""
     angle = hand.angle
     given = [name for name in WAYS if getattr(hand, name) is not None]
     if len(given) != 1:

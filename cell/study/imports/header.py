@@ -1,4 +1,4 @@
-"""What stands above a table: names of columns over one or more lines, units, rate, remarks."""
+"""Lines above a table: column names over one or more lines, units, rate, remarks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MARKER_NAMES = re.compile(r"marker_?names")
 
 @dataclass(frozen=True)
 class Header:
-    """Columns, and what is said of all of them."""
+    """Columns of a table, and metadata that apply to all of them."""
 
     columns: tuple[CapturedColumn, ...]
     rate_hz: float | None

@@ -1,4 +1,4 @@
-"""Tables with a row per time and marker, as one row per time."""
+"""Tables with one row per time and marker, converted to one row per time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST_LABELS = 300
 
 
 def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
-    """The table with one row per time, if its rows are of single markers; else as it is.
+    """The table with one row per time, if each row has a single marker; else unchanged.
 
     labels  columns of text, by name
     raises  InputError: a marker is there twice at one time
@@ -45,7 +45,7 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
 
 
 def time_column(capture: Capture) -> int | None:
-    """The column that tells rows of one time: times, else numbers of frames."""
+    """Index of the column that identifies rows of one time: times, else frame numbers."""
     kinds = [meaning(c).kind for c in capture.columns]
     for kind in (ColumnKind.TIME, ColumnKind.FRAME):
         if kind in kinds:

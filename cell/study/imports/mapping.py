@@ -171,7 +171,7 @@ def _counting(time: TimeSection, seconds_per_unit: float | None) -> TimeSection:
 
 @dataclass(frozen=True)
 class ReadMapping:
-    """A mapping, and its document, which knows where everything stands."""
+    """A mapping with its document, which gives the line of every entry."""
 
     mapping: Mapping
     document: Document

@@ -87,7 +87,7 @@ def angle_towards(from_m: FloatArray, to_m: FloatArray, offset_rad: float = 0.0)
 
 
 def continuous(angle_rad: FloatArray, offset_rad: float = 0.0) -> FloatArray:
-    """(rows,) angles plus an offset, without jumps by whole turns and with none too many.
+    """(rows,) angles plus an offset, unwrapped, and shifted by whole turns to the principal range.
 
     Angles beyond ±2π are of no count of a turn, but of another unit: they stay as they are.
     """

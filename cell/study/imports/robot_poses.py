@@ -1,4 +1,4 @@
-"""Orientations as robots write them, as quaternions in columns beside those of the file.
+"""Robots' orientations as quaternions, in columns added to those of the file.
 
   UR         pose_0 … pose_5: place, m, and rotation vector, rad
   KUKA       X, Y, Z, A, B, C: turns about Z, then the new Y, then the new X, degrees

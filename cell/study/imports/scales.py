@@ -1,4 +1,4 @@
-"""Units of time and length where a file states none, and how well guessed arc lengths are known."""
+"""Units of time and length for files that state none, and standard deviations of arc lengths."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ def time_section(
 
 
 def is_coarse(times: FloatArray) -> bool:
-    """Whether times (rows,) are of a clock that stands still in most of the rows."""
+    """Whether times (rows,) are from a coarse clock, which repeats in most of the rows."""
     steps = np.diff(times)
     return bool(len(steps) and np.all(steps >= 0.0) and 2 * np.count_nonzero(steps) < len(steps))
 
 
 def other_rate(capture: Capture, section: TimeSection) -> str:
-    """That rows are counted at another rate than their file states; empty if they are not."""
+    """Message that rows are timed at another rate than their file states; else empty."""
     unit, rate_hz = section.seconds_per_unit, capture.rate_hz
     counts = (
         section.column == ROW_NUMBER

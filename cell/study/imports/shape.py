@@ -1,4 +1,4 @@
-"""Shape of a chain of points: when at rest, in what order, how far along, in which direction."""
+"""Shape of a chain of points: frames at rest, order of points, arc lengths, direction."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def rest_rows(places: FloatArray) -> slice:
 
 
 def still_rows(places: FloatArray) -> slice:
-    """Rows at rest without those in which a motion already begins, below what `rest_rows` sees.
+    """The rows at rest, without the last ones, in which a slow motion may have begun.
 
     A motion begins slowly: as many rows again are left out as show it beyond their noise.
     """
@@ -52,7 +52,7 @@ def still_rows(places: FloatArray) -> slice:
 
 
 def resting(places: FloatArray) -> FloatArray | None:
-    """Rows at rest, in which every point is seen at least once; None if there are none."""
+    """(rows, points, d) positions at rest that show every point at least once; else None."""
     for rows in (still_rows(places), rest_rows(places)):
         if np.isfinite(places[rows]).all(axis=2).any(axis=0).all():
             return places[rows]
@@ -83,7 +83,7 @@ def _begin(places: FloatArray) -> int:
 
 
 def reach_of(places: FloatArray, cut: float = 0.0) -> float:
-    """How far apart places (rows, d) are in rows that show all coordinates; nan = none does.
+    """Span of positions (rows, d), over rows with all coordinates; nan if there are none.
 
     cut  share of the smallest and of the largest values that do not count
     """
@@ -136,7 +136,7 @@ def root_direction(shape: FloatArray) -> FloatArray:
 
 
 def distinct_points(shape: FloatArray) -> FloatArray:
-    """(points, d) without those that lie where the one before them does.
+    """(points, d) shape without points that coincide with the one before them.
 
     Between such points, a marker at the gripping point and the gripper for instance, noise alone
     makes a direction.  The last point is kept.
@@ -174,7 +174,7 @@ _NEVER_NEAR = 0.5
 
 
 def means_lost(value: float, raw: FloatArray) -> bool:
-    """Whether a point (rows, d) is not seen where all its coordinates are a value.
+    """Whether a value in all coordinates of a point (rows, d) marks that it was not seen.
 
     A place that is passed, or at which a point rests before or after its motion, is no such.
     """
@@ -191,7 +191,7 @@ def means_lost(value: float, raw: FloatArray) -> bool:
 
 
 def lost_rows(raw: FloatArray, values: Sequence[float], of_hand: bool) -> NDArray[np.bool_]:
-    """(rows,) of a point (rows, d) that are one of the values in all coordinates.
+    """(rows,) whether all coordinates of a point (rows, d) equal one value that means "lost".
 
     of_hand  a gripper may rest at a value that means that a marker was lost, such as 0: of it only
              those rows count to which it jumps and from which it jumps back

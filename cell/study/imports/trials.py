@@ -1,4 +1,4 @@
-"""Files of the trials, and what a proposed mapping says of each: start, role, clock, form, rate."""
+"""The files of the trials, and their entries in the proposed mapping: start, role, clock, rate."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Files:
 
 
 def trial_names(files: Sequence[Path]) -> list[str]:
-    """Names of trials by those of their files, each once."""
+    """Unique names of trials, from the names of their files."""
     names: list[str] = []
     for file in files:
         name = re.sub(r"[^A-Za-z0-9_.-]+", "_", file.stem).strip("_.-") or "trial"
@@ -265,7 +265,7 @@ _MOVING = 0.1
 def clock_shift_s(
     hand_s: FloatArray, hand_m: FloatArray, seen_s: FloatArray, seen_m: FloatArray
 ) -> float | None:
-    """What to add to the gripper's times so that a marker near it moves as it does; None = unknown.
+    """Offset of the gripper's clock by the motion of a marker near it, s; None = unknown.
 
     hand_m  (T, 2) path of the gripping point
     seen_m  (frames, 2) places of the marker nearest to it, nan = not seen

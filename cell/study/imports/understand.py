@@ -1,4 +1,4 @@
-"""What files of one kind say and show: a mapping proposed from the first of them, and how sure."""
+"""Mapping proposed from the first of several like files, with findings and how certain they are."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _SAME_FRAME = 0.05
 
 @dataclass(frozen=True)
 class Stated:
-    """What somebody says of cable and files; None = nothing."""
+    """What the user states about cable and files; None = not stated."""
 
     name: str
     free_length_m: float | None = None
@@ -62,7 +62,7 @@ class Stated:
 
 @dataclass(frozen=True)
 class Understanding:
-    """A mapping that is proposed, and why."""
+    """A proposed mapping, with findings that explain it."""
 
     mapping: Mapping
     findings: tuple[Finding, ...]

@@ -1,4 +1,4 @@
-"""Units as files write them: how many SI units one is, and where a name ends in one."""
+"""Units as files write them: their size in SI units, and the unit at the end of a name."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _AT_END = re.compile(
 
 
 def unit_of(text: str) -> str:
-    """The unit that a word is, as written in `METRES` … ; empty = it is none."""
+    """The unit of a word, as a key of `METRES` and the like; empty if it is no unit."""
     word = text.strip().strip("()[]{}").strip()
     if word in _KNOWN:
         return word

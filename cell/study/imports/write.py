@@ -89,7 +89,7 @@ _FRAME = "frame"
 
 
 class NotReadBackError(RuntimeError):
-    """A study reads back as another than was written: a mistake of this program."""
+    """A study that does not read back as it was written: an error of this program."""
 
 
 def write_imported(study: Study, folder: Path) -> Study:
