@@ -241,7 +241,7 @@ def _connectors(
 
 
 def slipped_out(model: CableModel) -> bool:
-    """Whether its effects leave less than a tenth of a cable, of which no mesh is made."""
+    """Whether the effects leave less than a tenth of the free length, too little for a mesh."""
     return _total_length_m(model) < 0.1 * model.cable.free_length_m
 
 

@@ -1,4 +1,4 @@
-"""Several motions of each cable that are the same at first: simulated once until they part."""
+"""Motions of one cable with a common beginning: it is simulated once, up to their branching."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From where points are to where, and when, a camera sees them: the effects on the camera."""
+"""The effects on the camera: from true marker positions to the positions that the image shows."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _PAST_S = 4e-3
 
 
 def shifts_time(models: Sequence[CableModel]) -> bool:
-    """Whether any model's camera shows points of other times than its pictures'."""
+    """Whether a model has an effect on the camera's time, such as latency."""
     return any(a.effect.camera_time is not None for m in models for a in m.effects)
 
 
 def earlier_steps(models: Sequence[CableModel], step_s: float) -> int:
-    """Steps before a picture from which on its camera may show points; whole spacings of a scene.
+    """Number of steps before an image at which its scene may begin; a multiple of the spacing.
 
     Two spacings more than the clock's, which `scene_times` adds, and one for rounding.
     """
@@ -43,7 +43,7 @@ def earlier_steps(models: Sequence[CableModel], step_s: float) -> int:
 def scene_times(
     model: CableModel, times_s: FloatArray, begin_s: float, end_s: float, step_s: float
 ) -> FloatArray:
-    """Times at which positions are needed: the pictures', or a fine grid around them."""
+    """Times at which marker positions are needed: the images', or a fine grid around them."""
     if not shifts_time([model]):
         return times_s
     spacing = min(EVERY * step_s, _LONGEST_S)
@@ -63,7 +63,7 @@ def seen(
     *,
     in_motion: bool = False,
 ) -> FloatArray:
-    """(times, markers, 2) what the camera shows.
+    """(times, markers, 2) marker positions as the camera shows them.
 
     times_s      (times,) of the pictures
     scene_s, xy  (scene,) of `scene_times`, and (scene, markers, 2) where the points are then

@@ -56,7 +56,7 @@ class _Logged:
 
 
 class Instants:
-    """When steps ask for the gripper's pose, two before and two after them included.
+    """Times at which the steps need the gripper's pose, with two before and two after.
 
     What the logs say there is found once.
     """

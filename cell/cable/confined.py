@@ -1,4 +1,4 @@
-"""In a sandbox: loads effects that nobody has read, calls their hooks, and the engine with them."""
+"""The process inside a sandbox: loads untrusted effects, and runs their hooks and the engine."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _LONGEST = 2000
 
 
 def main(control: int) -> NoReturn:
-    """Of the nursery: load what sandboxes need, and make them."""
+    """Entry point of the process that loads the engine and then forks the sandboxes."""
     _load_engine()
     tend(control, serve, libraries())
 
 
 def serve(channel: Channel) -> None:
-    """Do requests until nobody gives any more."""
+    """Serve requests until the channel is closed."""
     compiled.keep_nothing()
     effects: dict[str, type[Effect]] = {}
     while True:

@@ -188,7 +188,7 @@ def _moved(
 
 @dataclass(frozen=True)
 class Beginning:
-    """How all lanes of a batch begin; its fields are as arguments of `simulate`."""
+    """Initial condition of all lanes of a batch; the fields are arguments of `simulate`."""
 
     start: Start
     release_s: float | None

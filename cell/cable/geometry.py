@@ -160,7 +160,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class SmoothedMotion(Motion):
-    """A motion whose splines are given, because the noise in its log is known from another's."""
+    """A motion with given splines, whose noise level is known from another motion."""
 
     smoothed: MotionSplines = field(kw_only=True, repr=False, compare=False)
 
@@ -177,8 +177,7 @@ def node_arc_lengths(free_length_m: float, nodes: int = 11) -> FloatArray:
 
 @dataclass(frozen=True)
 class StillWithin:
-    """Distance within which a gripper is still from where it began: m along either axis, and
-    rad."""
+    """Largest distance from its start at which a gripper counts as still: m per axis, and rad."""
 
     position_m: float
     angle_rad: float

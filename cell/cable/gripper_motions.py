@@ -1,4 +1,4 @@
-"""The hands of many lanes: their poses at the steps of a block and at its pictures."""
+"""Gripper motions of many lanes: poses at the steps of a block and at the image times."""
 
 from __future__ import annotations
 

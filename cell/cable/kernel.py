@@ -130,7 +130,7 @@ def kinematics(
 
 @inline
 def bending(S: FloatArray, lanes: int, n: int, nonlinear: bool, dq: float, dv: float) -> None:
-    """The cable's own bending moments and their slope against the step's acceleration."""
+    """The cable's bending moments, and their derivatives by the step's acceleration."""
     widest_vectors()
     for w in range(lanes):
         spring = S[w + SPRING * LANES]

@@ -1,4 +1,4 @@
-"""A held cable that swings on as poses of its grip become known: the engine, portion by portion."""
+"""A held cable simulated in portions, as the gripper's poses become known."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _ALL_LANES = (0,) * at.LANES
 
 
 def shown_live(effect: type[Effect]) -> bool:
-    """Whether an effect needs nothing but the present; others look at poses of other times."""
+    """Whether an effect depends on the current pose only, not on poses at other times."""
     return effect.camera_time is None and effect.clamp is None
 
 
 class SwingingCable:
-    """A cable that begins in equilibrium at the first pose and keeps its own state.
+    """A simulated cable that starts in equilibrium at the first pose and keeps its state.
 
     What was swung through is final up to a few poses before the last; the rest is computed again
     when more is known, so that the result does not depend on the portions.

@@ -1,4 +1,4 @@
-"""Values of a logged signal that are wrong: told from noise, and made up from those beside them."""
+"""Outliers of a logged signal: detected against its noise, and replaced by interpolation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MOST_WRONG = 50
 
 
 def wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
-    """Numbers of single wrong values among good ones, be these ever so exact; the largest first.
+    """Indices of single outliers, the largest first, also if the other values are exact.
 
     A smoothing that follows the noise closely follows a wrong value too.
     """
@@ -89,7 +89,7 @@ def _alone(t: FloatArray, rough: FloatArray, i: int, noise: float) -> int:
 
 
 def made_up(t: FloatArray, y: FloatArray, wrong: Sequence[int]) -> FloatArray:
-    """Values with the wrong ones made up: cubics between two on either side, lines at the ends."""
+    """The values with outliers interpolated: by cubics in between, by lines at the ends."""
     if not wrong:
         return y
     good = np.setdiff1d(np.arange(len(t)), wrong)
@@ -100,7 +100,7 @@ def made_up(t: FloatArray, y: FloatArray, wrong: Sequence[int]) -> FloatArray:
 
 
 def bridged(t: FloatArray, y: FloatArray, wrong: NDArray[np.bool_]) -> FloatArray:
-    """(T,) values, each wrong one put on a line between good ones, or at an end beyond the last.
+    """(T,) values with outliers interpolated linearly, and extrapolated at the ends.
 
     t  (T,) s; y (T,) m or rad; wrong (T,)
     """
@@ -120,7 +120,7 @@ def _interpolation_at(good: NDArray[np.intp], i: int) -> Callable[..., float]:
 
 
 def glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
-    """Values that lie apart from their neighbours by more than noise does; one or two in a row.
+    """Flags of values that differ from the local median by more than noise; one or two in a row.
 
     Where a curve is smoothed too much its neighbours lie beside it as well.
     """
@@ -136,7 +136,7 @@ def off_curve(
     wrong: NDArray[np.bool_],
     noise: float,
 ) -> NDArray[np.bool_]:
-    """Those suspected values that lie farther from their neighbours' curve than these do.
+    """Flags of suspected values that lie farther from their neighbours' curve than these do.
 
     Where rows are few for a motion, every value lies beside the curve through those around it.  At
     an end that is a line: a cubic would make eight times as much of the noise.
@@ -186,7 +186,7 @@ def _from_cubic(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp]) ->
 
 
 def longest_run(wrong: NDArray[np.bool_]) -> int:
-    """Most of them in a row."""
+    """Length of the longest run of true flags."""
     edges = np.flatnonzero(np.diff(np.pad(wrong.astype(np.int8), 1)))
     return int(np.max(edges[1::2] - edges[::2], initial=0))
 

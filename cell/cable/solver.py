@@ -71,7 +71,7 @@ _ALONE = ContextVar("one_core", default=False)
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """One core for all that is computed until it is left: many such go side by side."""
+    """Context in which simulations use one core, so that several processes run in parallel."""
     before = _ALONE.set(True)
     try:
         yield

@@ -163,7 +163,7 @@ def _never_moves(y: FloatArray, noise: float) -> bool:
 
 
 def refit(spline: Spline, values: FloatArray) -> list[Spline]:
-    """Splines through or near other values (signals, T) of a like curve at the same times.
+    """Splines of other values (signals, T) at the same times, with settings near this spline's.
 
     Noise and penalty are searched anew, but near those of `spline`, and where the curve bends is
     known from it, which is far less work than `fit`.
@@ -371,7 +371,7 @@ def spread_values(
     out: FloatArray,
     axis: int,
 ) -> None:
-    """A spline's values at times (N,) into an axis and some lanes of `out` (N, axes, LANES)."""
+    """Write a spline's values at times (N,) to an axis and some lanes of `out` (N, axes, LANES)."""
     j = 0
     for k in range(at.size):
         x = at[k]
@@ -385,7 +385,7 @@ def spread_values(
 def spread_steps(
     t: FloatArray, pieces: FloatArray, steps: Steps, lanes: NDArray[np.int64], out: FloatArray
 ) -> None:
-    """A spline at the collocation times of steps into some lanes of `out` (steps, 3, LANES).
+    """Write a spline at the collocation times to some lanes of `out` (steps, 3, LANES).
 
     Value, rate, and the change of the rate over a step's length around that time, per second.
     """

@@ -41,7 +41,7 @@ _STILL_RAD2_PER_S2 = 1e-10
 
 @inline
 def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
-    """Bends and rates at the collocation time, were the acceleration the predicted one."""
+    """Predicted bends and rates at the collocation time, from the predicted acceleration."""
     widest_vectors()
     for i in range(n + 1):
         R = S[i * BODY :]
@@ -57,7 +57,7 @@ def predict(S: FloatArray, lanes: int, n: int, step: FloatArray) -> None:
 
 @inline
 def turned(S: FloatArray, lanes: int, n: int, step: FloatArray) -> bool:
-    """Whether a hinge's rate has another sign than the one that its moment was taken at."""
+    """Whether a hinge's rate has another sign than where its moment was evaluated."""
     widest_vectors()
     worst = 0.0
     for i in range(n + 1):
@@ -102,7 +102,7 @@ def diverged(S: FloatArray, lanes: int, n: int) -> bool:
 
 
 def sample_times(when: Sequence[FloatArray]) -> FloatArray:
-    """When `integrate` records which lanes.
+    """The times at which `integrate` records samples, and of which lanes.
 
     when     (times,) of every lane in steps from the start, increasing; one array for neighbours
              that are recorded together
@@ -127,7 +127,7 @@ def sample_times(when: Sequence[FloatArray]) -> FloatArray:
 def record(
     S: FloatArray, first: int, last: int, n: int, h: float, u: float, out: FloatArray, row: int
 ) -> None:
-    """Bends of lanes first … last − 1 at `u` of the step just made, by cubic interpolation."""
+    """Record bends of lanes first … last − 1 at fraction `u` of the last step (cubic)."""
     widest_vectors()
     u2 = u * u
     u3 = u2 * u
@@ -310,7 +310,7 @@ def nodes(
 
 @compiled
 def spread_rows(rows: FloatArray, lanes: NDArray[np.int64], out: FloatArray) -> None:
-    """Rows (N, fields) into some lanes of `out` (N, fields, LANES)."""
+    """Write rows (N, fields) to some lanes of `out` (N, fields, LANES)."""
     for i in range(rows.shape[0]):
         for j in range(rows.shape[1]):
             for w in lanes:

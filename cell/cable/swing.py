@@ -1,4 +1,4 @@
-"""Cables moved along with their hands: blocks of lanes on one grid of steps."""
+"""Simulation of moved cables: blocks of lanes on a common grid of steps."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _STEPS_AROUND = 3
 
 @dataclass(frozen=True)
 class Swing:
-    """Model, motion, times and, if it begins bent, the modes of each lane.
+    """Inputs of a batch: model, motion and times of each lane, and modes if it begins bent.
 
     moving  whether it moves before it begins too, not held still until then
     gauge   what measures the wrench at the clamp, if that is wanted: behind the markers of a lane
@@ -87,7 +87,7 @@ def failures(
     arc_length_m: FloatArray,
     out: Sequence[FloatArray] | FloatArray,
 ) -> list[tuple[ParameterBlock, LanesError]]:
-    """The same; blocks of which lanes cannot be simulated, with why.  None of theirs is written."""
+    """As `move`; returns blocks with lanes that cannot be simulated, which are not written."""
     cell, weights = marker_weights(swing.models, arc_length_m, swing.solver.segments)
     longest = max(grids, key=lambda grid: grid.steps)
     hands = GripperMotions(swing.paths, swing.models, longest.in_equal_steps)
@@ -294,7 +294,7 @@ def _in_steps(times_s: Sequence[FloatArray], grid: Grid) -> list[FloatArray]:
 def each_once(
     function: Callable[[FloatArray], FloatArray], arrays: Sequence[FloatArray]
 ) -> list[FloatArray]:
-    """What a function makes of arrays; what was one array is one again."""
+    """Apply a function to arrays; an array that occurs several times is computed once."""
     made = {id(a): a for a in arrays}
     made = {number: function(a) for number, a in made.items()}
     return [made[id(a)] for a in arrays]

@@ -78,7 +78,7 @@ class Gauge:
 
 @dataclass(frozen=True, eq=False)
 class RowMeans:
-    """Means of a sensor's rows over spans of time: what is measured and simulated of it alike.
+    """Means of a sensor's rows over time spans, the same for measured and simulated values.
 
     t_s          (R,) times of the rows
     seen         (R, AXES) whether a row shows an axis
@@ -117,7 +117,7 @@ class RowMeans:
 
 
 def at_places(rows: FloatArray, places: FloatArray) -> FloatArray:
-    """(T, k) values at places (T,), counted in rows (rows, k): cubic between them, held outside."""
+    """(T, k) values of rows (rows, k) at fractional row numbers (T,): cubic, held outside."""
     last = len(rows) - 1
     places = np.clip(places, 0.0, last)
     k = np.minimum(places.astype(np.int64), max(last - 1, 0))
@@ -131,5 +131,5 @@ def at_places(rows: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def as_points(rows: FloatArray) -> FloatArray:
-    """(T, AS_POINTS, 2) of (T, 3): force x, y; moment, 0."""
+    """(T, AS_POINTS, 2) points of wrenches (T, 3): (force x, force y), (moment, 0)."""
     return np.concatenate([rows, np.zeros((len(rows), 1))], axis=1).reshape(-1, AS_POINTS, 2)

@@ -1,4 +1,4 @@
-"""Pictures for the record: what was seen and expected, with legend, scale bar and inset."""
+"""Annotated images for the record: detected and predicted nodes, legend, scale bar, inset."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _FULL_PX = 1280.0
 
 
 def sixteenths(pixels: FloatArray) -> NDArray[np.int32]:
-    """Fixed-point pixels for cv2; far outside the picture is as good as outside."""
+    """Fixed-point pixels for cv2, clipped far outside the image."""
     return np.rint(np.clip(pixels, -1e4, 1e4) * (1 << _SHIFT)).astype(np.int32)
 
 
@@ -72,7 +72,7 @@ def title(picture: Image, lines: Sequence[tuple[str, Colour]]) -> None:
 
 
 def legend(picture: Image, entries: Sequence[tuple[str, Colour]]) -> None:
-    """Say in the bottom left corner what is drawn in which colour."""
+    """Draw the legend of colours in the bottom left corner."""
     scale, height = _letters(picture), picture.shape[0]
     step, left = round(28 * scale), round(16 * scale)
     for i, (words, colour) in enumerate(entries):
@@ -102,7 +102,7 @@ def scale_bar(picture: Image, metres_per_pixel: float) -> None:
 def difference_inset(
     picture: Image, seen_m: FloatArray, predicted_m: FloatArray, metres_per_pixel: float
 ) -> float:
-    """Draw in the top right corner how far what was seen lies from what was predicted, magnified.
+    """Draw the magnified difference of detected and predicted nodes in the top right corner.
 
     Every predicted point lies in the middle, and what was seen of it beside it, enlarged so many
     times as the words say; a circle shows the largest difference.

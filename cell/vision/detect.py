@@ -47,7 +47,7 @@ _EVERY_POINT = 4  # one of so many dense points of the cable is compared with
 
 @part
 def another_line(picture, memory, grip, outward, contrast, length):  # type: ignore[no-untyped-def]
-    """Whether a second line like the cable runs near it: long, as strong, and somewhere else.
+    """Whether a second line similar to the cable runs near it, of like contrast and length.
 
     Arcs about the gripping point are searched for lines; what crosses them away from the cable is
     followed both ways, and counts if that goes on for a fifth of the cable's length.
@@ -343,7 +343,7 @@ def detect_all(
     view: PlaneView,
     options: VisionOptions,
 ) -> Iterator[Sighting]:
-    """One sighting per (time, image), in order, each looked for around the one before."""
+    """One sighting per (time, image), in order; each search starts from the one before."""
     previous: Sighting | None = None
     for t_s, image in frames:
         previous = detect(image, t_s, view, options, previous)

@@ -126,7 +126,7 @@ def _contrast(scratch, row, k):  # type: ignore[no-untyped-def]
 
 @part
 def find_start(picture, at, direction, reach, slope, scratch):  # type: ignore[no-untyped-def]
-    """Where a line leaves a place about `at`, heading about `direction` (column, row each).
+    """The start of a line near the place `at`, heading about `direction` (column, row each).
 
     A fan of straight lines of ± `slope` and ± `reach` pixels sideways is tried.
     scratch  memory, see `new_scratch`: reach ≤ 6 and slope ≤ 1 need no more
@@ -236,7 +236,7 @@ def follow(picture, start, share, step, gap, line, scratch):  # type: ignore[no-
 
 @inline
 def offset_at(picture, u, v, nu, nv, fit, scratch):  # type: ignore[no-untyped-def]
-    """How far a line lies beside (u, v) along the unit normal (nu, nv), by a `ProfileFit`.
+    """Offset of a line from (u, v) along the unit normal (nu, nv), by a `ProfileFit`.
 
     scratch  memory, of which the last row is written
     returns  offset δ in px (nan where there is no line), amplitude a, and the standard deviation

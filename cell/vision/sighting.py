@@ -80,7 +80,7 @@ def steady_nodes(sightings: Sequence[Sighting]) -> FloatArray:
 
 
 def why_unseen(sightings: Sequence[Sighting], free_length_m: float) -> str:
-    """Why pictures gave no nodes, with their numbers, the most frequent first; '' if all did.
+    """Text: reasons why images gave no nodes, with counts, most frequent first; '' if all did.
 
     free_length_m  that the cable should have
     """

@@ -27,7 +27,7 @@ COLUMN, ROW, STRENGTH, PARAMETER, WEIGHT = range(5)
 
 
 def pieces_of_splines(derivative: int = 0) -> FloatArray:
-    """(INTERVALS, 6, C) from coefficients of splines to those of powers of the place in a piece.
+    """(INTERVALS, 6, C) matrices from spline coefficients to polynomial coefficients of each piece.
 
     source  de Boor 1972 (recursion over the degree)
     """

@@ -66,7 +66,7 @@ class CableAppearance(NamedTuple):
 
 
 class TraceMemory(NamedTuple):
-    """Memory that following and measuring a cable needs; its curve is left in it.
+    """Memory for following and measuring a cable; it holds the resulting curve.
 
     line       (capacity, 5) points of a line that was followed; columns as in `spline`
     samples    (SAMPLES, 10) the same of the measured points, then of each the place and the
