@@ -11,8 +11,9 @@ import pytest
 
 
 @pytest.fixture
-def full_disk() -> Iterator[None]:
-    """No file may have more than a thousand bytes."""
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No file may have more than a thousand bytes; Python would keep bytecode that is cut off."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     former = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, former[1]))
     yield
