@@ -77,7 +77,7 @@ TABLE: dict[str, Small | ByTest | OfCI] = {
                       "test_a_study_is_made_diagnosed_and_counted_by_the_command"),
     "checks": Small("ARGS='{out}/c.csv --breadth complete=1 --workers 1'", "all checks", "c.csv"),
     "discover": ByTest("tools/studies/test_discover_study.py::"
-                       "test_a_law_is_right_by_its_family_and_by_what_it_leaves"),
+                       "test_the_target_asks_for_the_ten_laws_unless_some_are_named"),
     "fault-trials": ByTest("end_to_end/test_fault_trials.py::"
                            "test_the_cell_stops_names_the_fault_keeps_the_cable_and_works_again"),
     "handshake": Small("ARGS='--cycles 1 --carrier modbus'", "1"),

@@ -30,3 +30,20 @@ def test_a_law_is_right_by_its_family_and_by_what_it_leaves(
     monkeypatch.setattr(discover_study, "fits_of", lambda _: None)
     monkeypatch.setattr(discover_study, "discover", found)
     assert discover_study.is_right("cubic_drag", 1, 1.0) is right
+
+
+@pytest.mark.parametrize(("given", "asked"), [([], 10), (["lift", "jet"], 2)])
+def test_the_target_asks_for_the_ten_laws_unless_some_are_named(
+    monkeypatch: pytest.MonkeyPatch, given: list[str], asked: int
+) -> None:
+    """Without a name it ended with "invalid choice"."""
+    names: list[str] = []
+
+    def is_right(name: str, *_: object) -> bool:
+        names.append(name)
+        return len(names) != 1
+
+    monkeypatch.setattr(discover_study, "is_right", is_right)
+    monkeypatch.setattr("sys.argv", ["discover", *given])
+    assert discover_study.main() == (0 if asked == 10 else 1)  # eight of ten, or all that are named
+    assert len(set(names)) == asked
