@@ -2,8 +2,9 @@
 
     python -m tools.quick [--since HEAD]
 
-Prints files of tests: those that were changed, those that import a changed module, and those that
-import a module which does.  Whole cells and pages (`end_to_end`, `docs`) are left to `make test`.
+Prints files of tests: those that were changed, those that import a changed module, those that
+import a module which does, and those of the rules for all code.  Whole cells and pages
+(`end_to_end`, `docs`) are left to `make test`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 ROOMS = ("cell", "drivers", "calib", "tools")
 _SLOW = ("tests/end_to_end", "tests/docs")
+#: Tests of rules for all code, such as the length of functions.
+RULES = ("tests/test_project.py",)
 
 
 def changed_files(root: Path, since: str) -> list[str]:
@@ -64,6 +67,7 @@ def touched(
     near = {module_of(name) for name in changed if name.endswith(".py")}
     far = {name for name, imports in modules.items() if imports & near} - near
     ways = (
+        (name for name in tests if name in RULES and near),
         (name for name in tests if name in changed),
         (name for name, imports in tests.items() if imports & near),
         (name for name, imports in tests.items() if imports & far),

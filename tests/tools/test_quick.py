@@ -50,6 +50,16 @@ def test_a_changed_module_leads_to_its_tests_and_to_those_of_its_importers(
     assert of(project, capsys)[-1] == "tests/cell/test_c.py"
 
 
+def test_rules_for_all_code_are_tested_whichever_code_has_changed() -> None:
+    """Three functions grew too long after they had been tested last."""
+    tests: dict[str, set[str]] = {
+        "tests/cell/test_a.py": {"cell.a"},
+        "tests/test_project.py": set(),
+    }
+    assert touched(["cell/a.py"], {}, tests) == ["tests/test_project.py", "tests/cell/test_a.py"]
+    assert touched(["README.md"], {}, tests) == []
+
+
 def test_changed_and_new_tests_come_first(
     project: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
