@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import timedelta
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -14,7 +13,7 @@ from cell.files.words import counted
 from cell.records.folder import Recorded
 from cell.records.ledger.effectiveness import Shift
 from cell.records.ledger.ledger import ListedCycle
-from cell.records.ledger.losses import ShiftLosses, merged
+from cell.records.ledger.losses import ShiftLosses, merged, minutes_in
 from cell.records.past_cycles import UNFINISHED, PastCycle
 from cell.records.result import AgreementCheck, Outcome, Result
 from cell.run.computer_check import Condition
@@ -250,11 +249,11 @@ def losses_parts(shifts: Sequence[ShiftLosses]) -> list[Part]:
     """One row per cause of lost time, the longest first; and where all planned time went."""
     if not shifts:
         return ["no shift in which the cell ran"]
-    planned_min = sum(_minutes(s.planned) for s in shifts)
-    productive_min = sum(_minutes(s.productive) for s in shifts)
+    planned_min = sum(minutes_in(s.planned) for s in shifts)
+    productive_min = sum(minutes_in(s.productive) for s in shifts)
     rows = []
     for loss in merged(shifts):
-        minutes = _minutes(loss.lasted)
+        minutes = minutes_in(loss.lasted)
         rows.append(
             [
                 loss.text,
@@ -272,10 +271,6 @@ def losses_parts(shifts: Sequence[ShiftLosses]) -> list[Part]:
         f"{productive_min:.1f} min of inserted cables ({inserted}), "
         f"{planned_min - productive_min:.1f} min lost",
     ]
-
-
-def _minutes(lasted: timedelta) -> float:
-    return lasted.total_seconds() / 60.0
 
 
 def replayed_parts(replayed: Replayed, most: int) -> Iterator[Part]:

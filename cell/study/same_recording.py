@@ -12,6 +12,7 @@ independent, unless they agree to a thousandth.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -36,11 +37,12 @@ FALSE_ALARM = 1e-5
 #: Of a copy, at least this share of the noise is explained in nine of ten parts of the record: each
 #: a third of the degrees of a block and marker.  What a smooth course leaves is in few of them.
 LEAST_SHARED, LOWEST, BANDS = 0.5, 0.1, 3
-#: Where symmetric filters explain less, no row between two rows explains half: of that in their
-#: middle, the worst, they explain three quarters.
-HARDLY = 0.5 * LEAST_SHARED
 #: The same where rounding alone makes half of the noise, because equal courses are rounded alike.
 LEAST_SHARED_ROUNDED = 0.98
+#: No alignment within half a row explains `LEAST_SHARED` where the symmetric filters at its middle
+#: explain less than this share.  Of linear interpolation half a row away, the worst case, symmetric
+#: filters explain 3/4 (white noise).
+LEAST_FILTERED = 0.5 * LEAST_SHARED
 #: Noise, white or of first order, differs by less between those thirds; a course that blocks do not
 #: follow falls or rises by more, and repetitions share it.  They do not agree as well as this, but
 #: where they were simulated without noise: in proportion to their motions, as linear cables swing.
@@ -165,11 +167,12 @@ def _noise_is_shared(finer: _Prepared, coarser: _Prepared) -> bool:
     for late_s in late:
         pairs = _matched_markers(finer, coarser, late_s)
         shifts = _shifts_near(finer, coarser, late_s)
-        found = _explained(finer, coarser, late_s, pairs, TAPS)
-        if found is not None and found.share < HARDLY:
+        filtered = _explained(finer, coarser, late_s, pairs, TAPS)
+        if filtered is not None and filtered.share < LEAST_FILTERED:
             continue
-        for shift_s, taps in [(shifts[0], TAPS), (late_s, TAPS), *((s, 0) for s in shifts)]:
-            found = _explained(finer, coarser, shift_s, pairs, taps)
+        others = [(shifts[0], TAPS), *((s, 0) for s in shifts)]
+        each = (_explained(finer, coarser, s, pairs, taps) for s, taps in others)
+        for found in itertools.chain([filtered], each):
             if found is None or found.chance * tried >= FALSE_ALARM:
                 continue
             noise = found.share >= least and found.steepness < STEEPEST

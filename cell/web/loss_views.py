@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import timedelta
 
-from cell.records.ledger.losses import ShiftLosses, merged
+from cell.records.ledger.losses import ShiftLosses, merged, minutes_in
 from cell.web.watching import WatchedState
 from cell.web.wording import Translate
 
@@ -36,11 +35,11 @@ class LossRow:
 def loss_rows(shifts: Sequence[ShiftLosses], t: Translate) -> list[LossRow]:
     """A row for each cause, the longest first, in a language."""
     losses = merged(shifts)
-    lost_min = sum(_minutes(loss.lasted) for loss in losses)
+    lost_min = sum(minutes_in(loss.lasted) for loss in losses)
     rows: list[LossRow] = []
     so_far_min = 0.0
     for loss in losses:
-        minutes = _minutes(loss.lasted)
+        minutes = minutes_in(loss.lasted)
         so_far_min += minutes
         links = tuple(
             (c.folder.name, f"{c.started:%m-%d %H:%M:%S} · {c.cycle}")
@@ -52,7 +51,7 @@ def loss_rows(shifts: Sequence[ShiftLosses], t: Translate) -> list[LossRow]:
                 t(f"{minutes:.1f}"),
                 t(f"{100.0 * minutes / lost_min:.0f}"),
                 t(f"{100.0 * so_far_min / lost_min:.0f}"),
-                minutes / _minutes(losses[0].lasted),
+                minutes / minutes_in(losses[0].lasted),
                 "; ".join(t(text) for text in (loss.evidence, loss.physics) if text),
                 len(loss.cycles),
                 links,
@@ -65,8 +64,8 @@ def time_text(shifts: Sequence[ShiftLosses], t: Translate) -> str:
     """Where the planned time went, in a language."""
     if not shifts:
         return t("The cell has not run.")
-    planned = sum(_minutes(s.planned) for s in shifts)
-    good = sum(_minutes(s.productive) for s in shifts)
+    planned = sum(minutes_in(s.planned) for s in shifts)
+    good = sum(minutes_in(s.productive) for s in shifts)
     cables = sum(s.inserted for s in shifts)
     return t(
         f"{planned:.1f} min planned = {good:.1f} min of inserted cables ({cables}) + "
@@ -83,7 +82,3 @@ def waits_now(seen: WatchedState, now_s: float) -> dict[str, float]:
     if status is None or not seen.connected:
         return {}
     return dict.fromkeys(status.waiting_for[:1], now_s - status.since_s)
-
-
-def _minutes(lasted: timedelta) -> float:
-    return lasted.total_seconds() / 60.0

@@ -66,7 +66,7 @@ class HandshakeAdapter:
         self._over.set()
 
     def close(self) -> None:
-        """Part from the cell; who calls only `poll` calls this at the end."""
+        """Close the connection to the cell.  `run` does it; a caller of `poll` alone must."""
         self._client.close()
 
     def poll(self) -> None:

@@ -37,6 +37,11 @@ _WAITS = {
 }
 
 
+def minutes_in(lasted: timedelta) -> float:
+    """A duration in minutes."""
+    return lasted.total_seconds() / 60.0
+
+
 @dataclass(frozen=True)
 class Loss:
     """Time that was lost for one reason.
@@ -83,7 +88,7 @@ class Loss:
         return {
             "cause": self.kind.value,
             "reason": self.reason,
-            "minutes": self.lasted.total_seconds() / 60.0,
+            "minutes": minutes_in(self.lasted),
             "evidence": self.evidence,
             "passing": None if self.passing is None else self.passing.to_json(),
             "cycles": [str(cycle.folder) for cycle in self.cycles],
@@ -117,8 +122,8 @@ class ShiftLosses:
             "line": self.line,
             "begin": self.begin.isoformat(),
             "end": self.end.isoformat(),
-            "planned_minutes": self.planned.total_seconds() / 60.0,
-            "inserted_minutes": self.productive.total_seconds() / 60.0,
+            "planned_minutes": minutes_in(self.planned),
+            "inserted_minutes": minutes_in(self.productive),
             "inserted": self.inserted,
             "losses": [loss.to_json() for loss in self.losses],
         }
@@ -227,9 +232,11 @@ def _shift(
             cycles = tuple(c for c in cycles if c.outcome == Outcome.INSERTED)
         lasted = _lasted(parts) + (rest if cause == off else _NONE)
         evidence = _slow_steps(cycles, times, quick_s) if kind is LossKind.SLOWER else ""
+        if cause == off and rest > max((s.end - s.begin for s in parts), default=_NONE):
+            evidence = "no cycle is listed"
         evidence = evidence or _evidence(kind, parts, cycles)
-        judged = candidate is not None and kind in (LossKind.REJECTED, LossKind.MISSED)
-        passing = candidate.share(cycles) if candidate is not None and judged else None
+        judged = candidate if kind in (LossKind.REJECTED, LossKind.MISSED) else None
+        passing = None if judged is None else judged.share(cycles)
         losses.append(Loss(kind, reason, lasted, cycles, evidence, passing))
     losses.sort(key=lambda loss: -loss.lasted)
     inserted = sum(begin <= c.started < end for c in _cycles_of(productive))
@@ -256,10 +263,8 @@ def _evidence(kind: LossKind, parts: Sequence[Segment], cycles: Sequence[ListedC
         note = f": {seen.note}" if seen.note else ""
         at = seen.at.astimezone()
         return f"{newest.fault.cause}; acknowledged by {seen.by} at {at:%m-%d %H:%M}{note}"
-    if not parts:
-        return "no cycle is listed"
     longest = max(parts, key=lambda s: s.end - s.begin)
-    minutes = (longest.end - longest.begin).total_seconds() / 60.0
+    minutes = minutes_in(longest.end - longest.begin)
     return f"at most {minutes:.1f} min at a time, from {longest.begin.astimezone():%m-%d %H:%M}"
 
 

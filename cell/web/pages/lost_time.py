@@ -68,7 +68,7 @@ class LostTime:
 
     def _head(self) -> None:
         t = self._t
-        heads = (t("Cause"), "", t("Minutes"), "%", t("% so far"), t("Evidence"), t("Cycles"))
+        heads = (t("Cause"), "", t("Minutes"), "%", t("Cumulative %"), t("Evidence"), t("Cycles"))
         with ui.element("thead"), ui.element("tr"):
             for number, head in enumerate(heads):
                 with ui.element("th").classes("text-right" if number in (2, 3, 4) else ""):

@@ -146,6 +146,16 @@ def test_a_wait_counts_where_it_was(
     assert lost == found[0].planned == at(*until) - at(*since)
 
 
+def test_time_before_the_first_cycle_is_not_said_to_be_as_short_as_that_after_it(
+    ledger: Ledger,
+) -> None:
+    """Of 461 min in which nothing ran, 0.2 min after the last cycle were the evidence."""
+    ledger.write(by_hand()[:1])
+    (shift,) = shift_losses(ledger, LedgerQuery(), BEGINS, at(6, 17), 30.0)
+    (off,) = (x for x in shift.losses if x.text == "not running")
+    assert (minutes_of(shift)[OFF], off.evidence) == (11.0, "no cycle is listed")
+
+
 # --- a simulated week ---------------------------------------------------------------------------
 
 IDEAL_S = 180.0
