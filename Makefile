@@ -7,7 +7,7 @@ INSTALL := $(if $(shell command -v uv),uv pip install --quiet --python $(BIN)/py
 PYTHON ?= $(firstword $(foreach p,python3.12 python3.11 python3.13 python3,$(shell $(p) -c "import sys; print('$(p)' if (3,11) <= sys.version_info[:2] < (3,14) else '')" 2>/dev/null)))
 CYCLES ?= 3
 
-.PHONY: run serve test lint types imports quick compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice studies checks discover fault-trials handshake calibration-study malformed endurance kills plant insertion clean help jaw-plate picture docs docs-site
+.PHONY: run serve test lint types imports quick compiled compiled-cell compiled-arm compiled-effects compiled-tests tests tests-real-time tests-computing hardware bench figures learn pages coverage practice studies checks benchmark-effects benchmark-rods discover fault-trials handshake calibration-study malformed endurance kills plant insertion clean help jaw-plate picture docs docs-site
 
 help:            ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -91,7 +91,7 @@ learn: $(VENV)/.dev   ## an effect hidden in the world is found, promoted, and i
 jaw-plate: $(VENV)/.dev   ## the drawing of the jaw's plate, to scale
 	$(BIN)/python -m tools.figures.jaw_plate $(or $(ARGS),-o docs/images/jaw_plate.pdf --png docs/images/jaw_plate.png)
 
-picture: $(VENV)/.dev   ## the README's picture, of a simulated cycle; DRAW=effect_pictures: those of the effects
+picture: $(VENV)/.dev   ## the README's picture, of a simulated cycle; DRAW=effect_pictures: of the effects; page_pictures: of the pages
 	$(BIN)/python -m tools.figures.$(or $(DRAW),cycle_picture) $(ARGS)
 
 docs-site: $(VENV)/.dev   ## the manual as a site, in cell/manual: for the pages, `cell help --browser`, a wheel
@@ -111,6 +111,12 @@ studies: $(VENV)/.dev   ## verdicts on 900 studies with a known answer (hours; a
 
 checks: $(VENV)/.dev   ## what each check of the verdict is worth: 411 studies, 40 min
 	$(BIN)/python -m tools.studies.diagnosis_study --checks $(or $(ARGS),checks.csv --first 2000 --seed 2 --breadth complete=200 one=100 outside=50 --made pair=27 unknown=34)
+
+benchmark-effects: $(VENV)/.benchmark   ## this lab and its peers on 300 studies (14 CPU hours; a stopped one goes on)
+	$(BIN)/python -m tools.studies.benchmark_effects $(or $(ARGS),benchmark --seed 1)
+
+benchmark-rods: $(VENV)/.benchmark   ## simulators of planar rods: CPU time to a stated error (an hour; a stopped one goes on; --small: 2 min)
+	$(BIN)/python -m tools.bench.benchmark_rods $(or $(ARGS),benchmark/rods_tried.csv --table benchmark)
 
 discover: $(VENV)/.dev   ## the laws of ten effects outside the library, inferred (20 min)
 	$(BIN)/python -m tools.studies.discover_study $(ARGS)
@@ -154,6 +160,10 @@ $(VENV)/.user: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	$(INSTALL) -e ".[dev]"
 	@touch $(VENV)/.user $@
+
+$(VENV)/.benchmark: pyproject.toml | $(VENV)/bin/python
+	$(INSTALL) -e ".[dev,benchmark]"
+	@touch $(VENV)/.user $(VENV)/.dev $@
 
 $(VENV)/.web: pyproject.toml | $(VENV)/bin/python
 	$(INSTALL) -e ".[web]"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import threading
@@ -49,6 +50,8 @@ def only_logged(error: BaseException) -> None:
 
 
 def end_process(error: BaseException) -> None:
-    """Handler for a thread that its process needs: log the exception, and end the process."""
+    """Handler for a thread that its process needs: say the exception, and end the process."""
     _LOG.error("%s", said(error), exc_info=error)
+    with contextlib.suppress(OSError):  # where nothing is logged, the process does not end silently
+        os.write(2, f"this process ends: {said(error)}\n".encode())
     os._exit(1)

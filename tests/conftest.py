@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import itertools
+import logging
 import os
 import signal
 import time
@@ -19,7 +20,9 @@ from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
+from cell.cli.logs import PACKAGES
 from drivers.priority import session_nice, set_session_nice
+from tools.worlds.made_studies import moved
 
 HARDWARE = "hardware"
 #: Rooms of tests in which devices run in real time, as do tests that want to run alone.  A busy
@@ -68,6 +71,16 @@ def no_precedence() -> Iterator[None]:
             set_session_nice(0)
 
 
+@pytest.fixture(autouse=True)
+def no_log_to_streams() -> Iterator[None]:
+    """What a command logs here goes to the streams of its test, which are closed after it."""
+    yield
+    for name in PACKAGES:
+        logger = logging.getLogger(name)
+        for handler in [h for h in logger.handlers if type(h) is logging.StreamHandler]:
+            logger.removeHandler(handler)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def no_forks_of_the_lab() -> Iterator[None]:
     """Beside other processes of the tests the lab makes no forks: no core is free for them.
@@ -103,9 +116,7 @@ def arc() -> np.ndarray:
 @pytest.fixture
 def jerk() -> Motion:
     """50 mm down in 0.3 s, least jerk, sampled at 500 Hz."""
-    t = np.arange(0.0, 0.8, 0.002)
-    x = np.clip((t - 0.1) / 0.3, 0.0, 1.0)
-    return Motion(t, 0 * t, -0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0 * t)
+    return moved(np.arange(0.0, 0.8, 0.002), (0.0, -0.05), 0.3, begin_s=0.1)
 
 
 @pytest.fixture

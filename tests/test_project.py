@@ -1,4 +1,4 @@
-"""What is installed where, how long functions are, and which modules call devices."""
+"""What is installed where, how long functions are, names of classes, which modules call devices."""
 
 from __future__ import annotations
 
@@ -84,6 +84,15 @@ def test_functions_are_short_and_have_few_parameters() -> None:
                 where = f"{path}:{node.lineno} {node.name}"
                 wrong.append(f"{where}: {lines} lines, {len(parameters)} parameters")
     assert not wrong, "\n".join(wrong)
+
+
+def test_a_class_name_means_one_thing() -> None:
+    places: dict[str, list[str]] = {}
+    for path, tree in sources("cell", "drivers", "calib"):
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(str(path))
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
 def test_only_a_few_modules_call_devices() -> None:

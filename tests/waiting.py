@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
+
+from tools.processes import free_port, listens
+
+__all__ = ["free_port", "is_alive", "listens", "wait_until"]
 
 Reached = TypeVar("Reached")
 
@@ -32,10 +35,3 @@ def is_alive(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:
         return False
-
-
-def free_port() -> int:
-    """A TCP port of this computer that nobody uses."""
-    with socket.socket() as bound:
-        bound.bind(("127.0.0.1", 0))
-        return int(bound.getsockname()[1])

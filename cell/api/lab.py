@@ -104,7 +104,8 @@ def fit(
     prior    model of an earlier cable, written by `FitResult.write`
     config   settings of a cell, whose `model` is the model to start from
     progress told what is computed, and how much of it is done
-    raises   InputError, ValueError: study, effect or model is wrong, and how to mend it
+    raises   InputError, ValueError: study, effect or model is wrong, and how to mend it;
+             FileNotFoundError: there is no such file of an effect
     """
     return fitted(set_up(study, select_effects(effect_names(effects)), prior, config, progress))
 
@@ -332,7 +333,7 @@ def rules_with(checks: Sequence[Path | str]) -> Rules:
 
 def examined(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
     """The diagnosis of a prepared study and its fits; if it is stopped, the results until then."""
-    return with_strength(examine(fits, rules))
+    return with_strength(examine(fits.with_rules(rules)))
 
 
 def diagnosed(examination: Examination, folder: Path, *, every_step: bool = True) -> DiagnoseResult:

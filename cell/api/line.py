@@ -13,7 +13,7 @@ from cell.lab.data.cycles import read_cycles
 from cell.lab.data.named_effects import select_effects
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.line.candidate import Judgement, best_judged, lines_of, write_candidate
-from cell.lab.line.learn import LearningResult
+from cell.lab.line.effect_fit import LearningResult
 from cell.lab.line.learn import learn as learn_from
 from cell.lab.report.line_tables import common_error_line, learning_lines, learning_parts
 from cell.settings import Settings

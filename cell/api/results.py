@@ -40,7 +40,7 @@ from cell.lab.report.wording import agreement_sentence, by_evidence
 from cell.lab.report.wrench_report import wrenches_table
 from cell.lab.strength.compare import Comparison, comparisons_json
 from cell.lab.strength.kept_model import identified
-from cell.lab.verdict.doubts import interrupted_doubt
+from cell.lab.verdict.doubts import ended_doubt
 from cell.study.wrench import COLUMNS
 from drivers.installing import install_extra
 
@@ -119,7 +119,7 @@ class FitResult(Shown):
 
     def interrupted(self) -> FitResult:
         """The same with the warning that not all was computed."""
-        doubt = interrupted_doubt("the computations after the fit are missing or incomplete")
+        doubt = ended_doubt(False, "the computations after the fit are missing or incomplete")
         others = (w for w in self.warnings if w.code != doubt.code)
         return replace(self, warnings=(doubt, *others))
 
@@ -307,10 +307,10 @@ class PowerResult(Shown):
             {
                 "effect": one.asked.effect.name,
                 "parameter": one.asked.parameter.name,
-                "size": one.forecast.size,
+                "size": one.size,
                 "unit": one.asked.parameter.unit,
-                "found": None if one.forecast.chances is None else one.forecast.chances.found,
-                "smallest": one.forecast.smallest,
+                "found": None if one.chances is None else one.chances.found,
+                "smallest": one.smallest,
             }
             for one in self.power.effects
         ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +26,10 @@ from cell.files.table import TableData
 from cell.lab.data.named_effects import EffectSelection, select_for_diagnosis
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import Progress, no_progress
-from cell.lab.line.together import Examined, Together, check_names, together
+from cell.lab.line.together import Together, check_names, together
 from cell.lab.report.line_tables import together_page, together_parts
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.verdict.conclusion import Examination
 from cell.study.data import Study
 from cell.study.independence import without_copies_of
 from cell.workers.executor import Executor
@@ -97,31 +98,30 @@ def found_together(
         raise ValueError("studies: there is none; give two or more")
     check_names(names)
     opened: list[Study] = []
-    for study in studies:
-        opened.append(without_copies_of(opened_study(study), opened))
+    for study, name in zip(studies, names, strict=True):
+        named = replace(opened_study(study), name=name)
+        opened.append(without_copies_of(named, opened))
     made_ready = [set_up_opened(study, selection, None, config, tell=tell) for study in opened]
     executor = this_computer(min(threads(), len(names))) if executor is None else executor
     each = []
     progress("diagnosing each study", 0, len(names))
-    jobs = zip(names, made_ready, strict=True)
-    with closing(executor.map(_Diagnosed(rules), jobs)) as results:
+    with closing(executor.map(_Diagnosed(rules), made_ready)) as results:
         for result in results:
             each.append(result.value)
             progress("diagnosing each study", len(each), len(names))
     progress("comparing the studies")
-    return TogetherResult(together(each, rules))
+    return TogetherResult(together(each))
 
 
 @dataclass(frozen=True)
 class _Diagnosed:
-    """A study's diagnosis alone, by its name and what is made ready of it."""
+    """A study's diagnosis alone, by what is made ready of it."""
 
     rules: Rules
 
-    def __call__(self, named: tuple[str, FitCache]) -> Examined:
-        name, fits = named
-        found = Examined(name, examined(fits, self.rules))
-        found.examination.fits.work.renew()
+    def __call__(self, fits: FitCache) -> Examination:
+        found = examined(fits, self.rules)
+        found.fits.work.renew()
         return found
 
 

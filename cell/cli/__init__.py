@@ -21,24 +21,18 @@ from cell.cli import (
     adapters,
     bundle,
     calibrate,
-    emulate,
     export,
     fit,
-    help,
-    identify,
     imports,
     lab,
     ledger,
     line,
     plant,
-    power,
     recordings,
-    records,
     run,
     serve,
     settings,
     studies,
-    users,
 )
 from cell.cli.logs import about, to_file, to_terminal
 from cell.cli.shared import BAD_INPUT
@@ -168,14 +162,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for group in (
-    *(run, emulate, plant, settings, records, identify, ledger, bundle),
-    *(recordings, fit, lab, power, studies, imports, export, line, adapters, help),
+    *(run, plant, settings, ledger, bundle),
+    *(recordings, fit, lab, studies, imports, export, line, adapters),
 ):
     app.add_typer(group.app)
 app.add_typer(calibrate.app)
 app.add_typer(serve.app)
 app.add_typer(adapters.opcua_app)
-app.add_typer(users.app, name="user", help="Users of pages and OPC UA.")
+app.add_typer(serve.users_app, name="user", help="Users of pages and OPC UA.")
 
 
 def _version(wanted: bool) -> None:

@@ -1,10 +1,17 @@
-"""Commands of the processes between a cell and its plant: opcua, mqtt, handshake."""
+"""Commands of processes beside a cell: emulate in place of its devices; opcua, mqtt and handshake
+between it and its plant.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
+import select
 import signal
-from collections.abc import Callable, Iterator
+import sys
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,8 +20,18 @@ import typer
 
 from cell.cli.arguments import Runs
 from cell.cli.output import print_json
-from cell.cli.shared import Config, MaybeConfig, group, needing, refuse, refusing
-from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
+from cell.cli.serve import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
+from cell.cli.shared import (
+    NOT_ALL_DONE,
+    Config,
+    MaybeConfig,
+    group,
+    interrupted_once,
+    needing,
+    refuse,
+    refusing,
+)
+from cell.cli.streams import is_in_foreground
 
 if TYPE_CHECKING:
     from cell.plant.handshake.carrier import Carrier
@@ -23,28 +40,31 @@ if TYPE_CHECKING:
     from cell.plant.mqtt.outbox import MqttOutbox
     from cell.settings import Settings
     from cell.settings.plant import Handshake, Mqtt
+    from cell.wiring.faults import DeviceFaults
 
 app = group()
-opcua_app = typer.Typer(
-    name="opcua",
-    invoke_without_command=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
+opcua_app = group("opcua")
 opcua_user = group()
 opcua_app.add_typer(opcua_user, name="user", help="Users of the OPC UA server.")
+
+
+def _settings(config: Path | None) -> Settings:
+    """Settings that a command needs.  Raises ValueError: they are not named; InputError."""
+    from cell.settings import load_settings
+
+    if config is None:
+        raise ValueError("--config is missing: name the settings of the cell")
+    return load_settings(config)
 
 
 def _section(config: Path | None, name: str, remedy: str) -> tuple[Settings, Any]:
     """Settings, and their section `plant.NAME`, which must be there."""
     from cell.files.input_error import InputError
-    from cell.settings import load_settings
 
-    if config is None:
-        raise ValueError("--config is missing: name the settings of the cell")
-    settings = load_settings(config)
+    settings = _settings(config)
     section = getattr(settings.plant, name, None)
     if section is None:
+        assert config is not None, "it was read"
         raise InputError.at(config, f"is missing; {remedy}", key=f"plant.{name}")
     return settings, section
 
@@ -53,11 +73,12 @@ def _section(config: Path | None, name: str, remedy: str) -> tuple[Settings, Any
 def handshake(*, config: MaybeConfig = None, runs: Runs = Path("runs")) -> None:
     """Let a PLC start a running cell with digital signals (plant.handshake).
 
-    They come over Modbus/TCP, or are wired to the inputs and outputs of the arm's controller.
+    The signals come over Modbus/TCP, or are wired to the inputs and outputs of the arm's
+    controller.
 
     It is a process of its own: it may begin and end before or after the cell, and be killed.  A
-    start that is held at its beginning does nothing until it falls.  At its end the PLC reads a
-    fault.
+    `start` that is on when the command begins does nothing until it falls. When the command ends,
+    the PLC reads a fault.
 
     Exit codes: 0 if it was ended by Ctrl-C or SIGTERM; 2 if the settings are wrong, the port cannot
     be listened at, or another program sets the controller's outputs.  A controller that does not
@@ -84,7 +105,7 @@ def handshake(*, config: MaybeConfig = None, runs: Runs = Path("runs")) -> None:
 
 @contextmanager
 def _carrier(settings: Settings, section: Handshake, config: Path) -> Iterator[Carrier]:
-    from cell.plant.handshake.controller import ControllerCarrier
+    from cell.plant.handshake.carrier import ControllerCarrier
     from cell.plant.handshake.modbus import ModbusCarrier
     from cell.settings.check import controller_of
     from cell.wiring.ownership import owned_outputs
@@ -132,7 +153,7 @@ def mqtt(
             import aiomqtt  # noqa: F401
         try:
             outbox = MqttOutbox(outbox_of(runs), section.most_waiting)
-            asyncio.run(_run(lambda: _mqtt_adapter(settings, section, runs, outbox)))
+            asyncio.run(_run(_mqtt_adapter(settings, section, runs, outbox)))
         except (OutboxError, LinkError) as error:
             refuse(error)
         except ExceptionGroup as errors:  # of tasks that ran at the same time
@@ -142,8 +163,7 @@ def mqtt(
             refuse(known.exceptions[0])
 
 
-async def _run(make: Callable[[], MqttAdapter]) -> None:
-    adapter = make()
+async def _run(adapter: MqttAdapter) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, adapter.end)
@@ -151,7 +171,7 @@ async def _run(make: Callable[[], MqttAdapter]) -> None:
 
 
 def _mqtt_adapter(settings: Settings, section: Mqtt, runs: Path, outbox: MqttOutbox) -> MqttAdapter:
-    from cell.plant.mqtt.adapter import Access, MqttAdapter, password_of, tls_of
+    from cell.plant.mqtt.adapter import MqttAdapter
     from cell.plant.mqtt.plain_json import PlainJson
     from cell.plant.mqtt.sparkplug import EdgeNode
     from cell.settings.provenance import line_name
@@ -165,8 +185,7 @@ def _mqtt_adapter(settings: Settings, section: Mqtt, runs: Path, outbox: MqttOut
             return PlainJson(f"{section.prefix}/{line}")
         return EdgeNode(section.group, line, outbox.count_up("births") - 1, section.primary_host)
 
-    access = Access(section.client_id or f"cell-{line}", password_of(section), tls_of(section.tls))
-    return MqttAdapter(section, access, runs, outbox, new_form)
+    return MqttAdapter(section, section.client_id or f"cell-{line}", runs, outbox, new_form)
 
 
 @opcua_app.callback()
@@ -186,12 +205,9 @@ def opcua(
     if context.invoked_subcommand is not None:
         return
     from cell.cli.logs import to_file, warnings_to_terminal
-    from cell.settings import load_settings
 
-    try:
-        if config is None:
-            raise ValueError("--config is missing: name the settings of the cell")
-        settings = load_settings(config)
+    with refusing():
+        settings = _settings(config)
         with needing("opcua", "OPC UA needs", "asyncua", "argon2", "cryptography"):
             from cell.plant.opcua.server import serve
 
@@ -199,8 +215,6 @@ def opcua(
             if settings.plant is not None and settings.plant.opcua is not None:
                 to_file(settings.plant.opcua.folder / "opcua.log")
             serve(settings, runs, lambda address: print(f"listens at {address}", flush=True), users)
-    except ValueError as error:
-        refuse(error)
 
 
 @opcua_user.command()
@@ -222,3 +236,114 @@ def _opcua_folder(config: Path) -> Path:
         message = f"{config}: has no section plant.opcua; add one, it may be empty: {{}}"
         refuse(ValueError(message))
     return folder
+
+
+class TypedLines:
+    """Lines of standard input as they come, without waiting for its end.
+
+    A process in the background of a terminal reads nothing, because that would halt it.
+    """
+
+    def __init__(self) -> None:
+        self._begun = b""
+        try:
+            self._descriptor = -1 if sys.stdin is None else sys.stdin.fileno()
+        except (OSError, ValueError):
+            self._descriptor = -1
+
+    def within(self, seconds: float) -> list[str]:
+        """Those that come within a time, without the blanks around them; empty ones are left out.
+
+        It returns with the first that comes.
+        """
+        is_ours = not os.isatty(self._descriptor) or is_in_foreground(self._descriptor)
+        if self._descriptor < 0 or not is_ours:
+            time.sleep(seconds)
+            return []
+        if not select.select([self._descriptor], [], [], seconds)[0]:
+            return []
+        try:
+            new = os.read(self._descriptor, 4096)
+        except OSError:
+            new = b""
+        if not new:  # it has ended, or the terminal is gone
+            self._descriptor = -1
+        *lines, self._begun = (self._begun + new).split(b"\n")
+        words = (line.decode(errors="replace").strip() for line in lines)
+        return [w for w in words if w]
+
+
+@app.command()
+def emulate(
+    config: Config,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of hidden cables and noise.")] = 1,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            help="A fault of a device, NAME@2s = 2 s after the next cable is gripped, NAME = at "
+            "once; `cell help commission` lists them.  The option may be repeated.",
+        ),
+    ] = None,
+) -> None:
+    """Emulate arm, camera and gripper at the addresses in the settings, until Ctrl-C.
+
+    The settings need a section `emulated`.  `cell run` with the same settings then uses these
+    devices; any other client of their protocols can use them too.  You can type faults while it
+    runs, as with --fault; `repair` ends all of them.  The command also ends if its parent process
+    ends.  Exit codes: 0; 1 if an emulator ended by itself; 2 if the settings or a fault are wrong
+    or the addresses are in use.
+    """
+    from cell.files.input_error import InputError
+    from cell.settings import load_settings
+    from cell.wiring.build import emulating
+    from cell.wiring.faults import DeviceFaults, read_fault
+
+    parent = os.getppid()
+    try:
+        given = [read_fault(f) for f in fault or []]
+    except ValueError as error:
+        refuse(ValueError(f"--fault {error}"))
+    try:
+        settings = load_settings(config)
+        with (
+            interrupted_once(),
+            emulating(settings, config, seed) as cell,
+            contextlib.suppress(KeyboardInterrupt),
+        ):
+            print(cell.whereabouts(), flush=True)
+            faults = DeviceFaults(cell, lambda text: print(text, file=sys.stderr, flush=True))
+            for one in given:
+                faults.give(one)
+            typed = TypedLines()
+            while os.getppid() == parent:
+                if ended := cell.ended():
+                    _report_ended(ended, config)
+                    raise typer.Exit(NOT_ALL_DONE)
+                for line in typed.within(0.2):
+                    _apply(faults, line)
+    except InputError as error:
+        refuse(error)
+
+
+def _apply(faults: DeviceFaults, line: str) -> None:
+    """Do what was typed; what is not understood is said, and changes nothing."""
+    from cell.wiring.faults import REPAIR, read_fault
+
+    try:
+        if line == REPAIR:
+            faults.repair()
+        else:
+            faults.give(read_fault(line))
+    except ValueError as error:
+        print(f"{error}; or {REPAIR}", file=sys.stderr)
+
+
+def _report_ended(ended: Sequence[str], config: Path) -> None:
+    """Name the emulators that have ended, and what to do."""
+    verb = "have" if len(ended) > 1 else "has"
+    print(
+        f"{' and '.join(ended)} {verb} ended; so do the others: start them again with "
+        f"`cell emulate --config {config}`",
+        file=sys.stderr,
+    )

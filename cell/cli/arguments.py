@@ -1,11 +1,14 @@
-"""Arguments of commands: folders of cycles, or recordings, which are unpacked to folders."""
+"""Arguments of commands: folders of cycles, or recordings, which are unpacked; ids of cables."""
 
 from __future__ import annotations
 
+import re
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import MISSING, fields
 from inspect import Parameter, Signature
+from itertools import repeat
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -72,6 +75,10 @@ Runs = Annotated[
     ),
 ]
 
+RunsFolder = Annotated[
+    Path, typer.Argument(help="Folder of the cycles: that of `cell run --runs`.")
+]
+
 
 def maybe_folder_of(ctx: typer.Context, given: Path | None) -> Path | None:
     """As `folder_of`; None stays None."""
@@ -134,3 +141,53 @@ def _of_settings(config: Path | None) -> str | int | None:
 
     said = load_settings(config).workers
     return None if said is None else said.place
+
+
+#: Longest id, as the ledger has room for it.
+LONGEST_ID = 200
+
+
+#: Ids are read from standard input, where a scanner types them.
+SCANNED = "-"
+
+
+def part_ids(said: str | None) -> Iterator[str | None]:
+    """Ids of one cable after another; None = they have none.
+
+    said    an id whose last digits count on, or `SCANNED`; None = no ids
+    raises  ValueError: no id
+    """
+    if said is None:
+        return repeat(None)
+    return _scanned() if said == SCANNED else _counted(checked_id(said))
+
+
+def checked_id(part: str) -> str:
+    """The id, stripped.  Raises ValueError: it is empty, too long or not printable."""
+    part = part.strip()
+    if not part or not part.isprintable() or len(part) > LONGEST_ID:
+        raise ValueError(f"{part!r} is no id; give 1 to {LONGEST_ID} printable characters")
+    return part
+
+
+def _counted(first: str) -> Iterator[str]:
+    found = re.fullmatch(r"(.*?)(\d*)", first)
+    assert found is not None
+    stem, digits = found[1], found[2]
+    yield first
+    if not digits:  # the first is followed by a second of its name
+        stem, digits = f"{first}-", "1"
+    number = int(digits)
+    while True:
+        number += 1
+        yield f"{stem}{number:0{len(digits)}d}"
+
+
+def _scanned() -> Iterator[str]:
+    while line := sys.stdin.readline():
+        try:
+            part = checked_id(line)
+        except ValueError as error:
+            print(f"{error}; scan it again", file=sys.stderr)
+            continue
+        yield part

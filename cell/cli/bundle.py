@@ -122,8 +122,7 @@ def _of_settings(config: Path | None, settings: Settings | None) -> Iterator[Ite
 def _of_cycles(runs: Path, named: list[Path], newest: int, recordings: bool) -> Iterator[Item]:
     from cell.files.input_error import InputError
     from cell.records.bundle import items_of_cycle, items_of_log
-    from cell.records.folder import is_cycle
-    from cell.records.past_cycles import history
+    from cell.records.folder import history, is_cycle
 
     for folder in named:
         if not is_cycle(folder):
@@ -140,8 +139,7 @@ def _of_ledger(runs: Path, settings: Settings | None) -> Iterator[Item]:
     """The newest cycles and the faults as the ledger lists them, and what it was not told yet."""
     from cell.records.bundle import Item
     from cell.records.ledger.entry import LedgerError
-    from cell.records.ledger.export import csv_text
-    from cell.records.ledger.ledger import LedgerQuery
+    from cell.records.ledger.ledger import LedgerQuery, csv_text
     from cell.records.ledger.outbox import outbox_of
 
     url = None if settings is None or settings.ledger is None else settings.ledger.url

@@ -22,6 +22,7 @@ from cell.cli.shared import (
     Config,
     MaybeConfig,
     OfProduct,
+    group,
     interrupted_once,
     refuse,
     refusing,
@@ -33,12 +34,8 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-app = typer.Typer(
-    name="calibrate",
-    help="Calibrate a cell, or a part of it, and state the errors of the result.",
-    invoke_without_command=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
+app = group(
+    "calibrate", help="Calibrate a cell, or a part of it, and state the errors of the result."
 )
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -109,7 +106,7 @@ def everything(
 @app.command()
 @taking(_Part)
 def camera(options: _Part) -> None:
-    """Find the lens from pictures of the board, live or from a folder.
+    """Calibrate the lens from pictures of the board, live or from a folder.
 
     Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
     or the measurements contradict each other.
@@ -120,7 +117,7 @@ def camera(options: _Part) -> None:
 @app.command()
 @taking(_Part)
 def cell(options: _Part) -> None:
-    """Find the map from pixels to the cell's plane, by the plate on the gripper; needs the lens.
+    """Calibrate the map from pixels to the cell's plane with the jaw plate; needs the lens.
 
     Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
     or the measurements contradict each other.
@@ -131,7 +128,7 @@ def cell(options: _Part) -> None:
 @app.command("time")
 @taking(_Part)
 def time_(options: _Part) -> None:
-    """Find the camera's latency and the arm's lag from one motion; needs the cell.
+    """Measure the camera's latency and the arm's lag in one motion; needs `calibrate cell`.
 
     Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
     or the measurements contradict each other.
@@ -142,9 +139,9 @@ def time_(options: _Part) -> None:
 @app.command()
 @taking(_Grip)
 def grip(options: _Grip) -> None:
-    """Find gripping point, clamp angle and free length of a cable in the jaws; needs the cell.
+    """Measure gripping point, clamp angle and free length of a cable; needs `calibrate cell`.
 
-    Each product of the settings has its own.
+    Each product of the settings has its own grip calibration.
 
     Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
     or the measurements contradict each other.

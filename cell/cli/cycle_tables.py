@@ -7,14 +7,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from cell.files.quantity import percent
 from cell.files.table import TableData
-from cell.files.words import counted
-from cell.records.folder import Recorded
+from cell.files.words import counted, percent
+from cell.records.folder import UNFINISHED, PastCycle, Recorded
 from cell.records.ledger.effectiveness import Shift
 from cell.records.ledger.ledger import ListedCycle
-from cell.records.ledger.losses import ShiftLosses, merged, minutes_in
-from cell.records.past_cycles import UNFINISHED, PastCycle
+from cell.records.ledger.losses import ShiftLosses, failure_times, merged, minutes_in
 from cell.records.result import AgreementCheck, Outcome, Result
 from cell.run.computer_check import Condition
 from cell.wiring.replay import Replayed
@@ -264,9 +262,15 @@ def losses_parts(shifts: Sequence[ShiftLosses]) -> list[Part]:
             ]
         )
     heads = ["cause", "minutes", "%", "cycles", "evidence"]
+    failures = [
+        [f.code, str(f.failures), *(f"{minutes_in(mean):.1f}" for mean in (f.mtbf, f.mttr))]
+        for f in failure_times(shifts)
+    ]
+    means = ["code", "failures", "MTBF, min", "MTTR, min"]
     inserted = sum(s.inserted for s in shifts)
     return [
         TableData("lost time", heads, rows, (1, 2, 3)),
+        *([TableData("failures", means, failures, (1, 2, 3))] if failures else []),
         f"{planned_min:.1f} min planned in {counted(len(shifts), 'shift')}: "
         f"{productive_min:.1f} min of inserted cables ({inserted}), "
         f"{planned_min - productive_min:.1f} min lost",

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import folder_of, maybe_folder_of, taking
-from cell.cli.output import Json, JsonCommand, deliver_result
-from cell.cli.printing import show
+from cell.cli.lab import MovedEffect
+from cell.cli.output import Json, JsonCommand, deliver_result, show
 from cell.cli.shared import (
     BAD_INPUT,
     NOT_ALL_DONE,
@@ -76,20 +76,15 @@ class ExportOptions:
             callback=maybe_folder_of,
         ),
     ] = None
-    effect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--with", help="The file.py of an effect in the model, if the file was moved."
-        ),
-    ] = None
+    effect: MovedEffect = None
     samples: Annotated[
         int,
         typer.Option(
             "--samples",
             min=0,
             max=1000,
-            help="So many cables more, drawn from the distribution of the parameters: in the "
-            "description, or each in a file of its own, OUT_001.xml and so on.",
+            help="Number of further cables, sampled from the distribution of the parameters: in "
+            "the description, or each in a file of its own, OUT_001.xml and so on.",
         ),
     ] = 0
     as_json: Json = None
@@ -105,7 +100,8 @@ class ExportOptions:
 @app.command(cls=JsonCommand)
 @taking(ExportOptions)
 def export(options: ExportOptions) -> None:
-    """Write a cable's model for another program, and say how far MuJoCo is from the model.
+    """Write a cable's model for another program, and print how far MuJoCo's tip is from the
+    model's.
 
     Exit codes: 0; 1 if MuJoCo's tip is too far from the model's; 2 if the input is wrong.
     """

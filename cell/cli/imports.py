@@ -39,7 +39,7 @@ class ImportOptions:
         list[Path],
         typer.Argument(
             help="Files of one cable, each a trial: CSV, TSV or text tables, TRC, C3D, MCAP, "
-            ".xlsx, .mat, Parquet, NumPy, HDF5; a video; or the mapping that the command proposed "
+            ".xlsx, .mat, JSON, Parquet, Feather, NumPy, HDF5; a video; or the proposed mapping "
             "(import.yaml)."
         ),
     ]
@@ -103,8 +103,8 @@ def import_(options: ImportOptions) -> None:
 
     A recording of `cell run`, and a video with --config and --hand, become a study at once.
 
-    Exit codes: 0; 1 if the proposal shows something that must be mended; 2 if a file or the mapping
-    is wrong.
+    Exit codes: 0; 1 if something of the proposal must be mended or filled in; 2 if a file or the
+    mapping is wrong.
     """
     if options.files[0].suffix.lower() in (".yaml", ".yml"):
         _write(options)
@@ -124,8 +124,7 @@ def _import_film(options: ImportOptions) -> NoReturn:
         if len(options.files) > 1 or options.config is None or not options.hand:
             raise ValueError(
                 "a video needs --config and --hand: how the camera sees, and where the gripper "
-                "was; "
-                "give one video at a time"
+                "was; give one video at a time"
             )
         check_new_study(out, force=options.force)
         film = options.files[0]
@@ -134,13 +133,7 @@ def _import_film(options: ImportOptions) -> NoReturn:
         out.mkdir(parents=True, exist_ok=True)
         recording = out / f"{film.stem}.mcap"
         check_output(recording, force=options.force)
-        record_film(
-            read,
-            settings,
-            options.config,
-            recording,
-            lambda number, step: progress(step.replace("_", " ")),
-        )
+        record_film(read, settings, options.config, recording, progress.step)
     _import_recordings(options, [recording])
 
 
@@ -181,6 +174,7 @@ def _propose(options: ImportOptions) -> NoReturn:
     from cell.files.page import write_page
     from cell.lab.report.look_page import look_page, preview_of
     from cell.records.recording.form import BEGUN
+    from cell.study.imports.capture import Sure
     from cell.study.imports.mapping import FILE
     from cell.study.imports.mcap_file import metadata_names
     from cell.study.imports.write import mapping_text
@@ -229,7 +223,8 @@ def _propose(options: ImportOptions) -> NoReturn:
     )
     if options.look:
         typer.launch(str(preview))
-    raise typer.Exit(NOT_ALL_DONE if look.wrong else ALL_DONE)
+    wanted = any(f.sure is Sure.WANTED for f in understood.findings)
+    raise typer.Exit(NOT_ALL_DONE if look.wrong or wanted else ALL_DONE)
 
 
 def _folder(options: ImportOptions) -> Path:
@@ -248,24 +243,15 @@ def _folder(options: ImportOptions) -> Path:
 def _understood(
     options: ImportOptions, out: Path, progress: ProgressLine
 ) -> tuple[list[Files], Understanding]:
-    from cell.study.imports.read import read_capture
-    from cell.study.imports.trials import Files, trial_names
-    from cell.study.imports.understand import Stated, understand
+    from cell.study.imports.stated import Stated
+    from cell.study.imports.trial_files import read_trials
+    from cell.study.imports.understand import understand
 
     hands: list[Path | None] = [*(options.hand or []), *[None] * len(options.files)]
-    names = trial_names(options.files)
-    files = []
-    for i, (name, file, hand) in enumerate(zip(names, options.files, hands, strict=False)):
-        progress(f"reading {file.name}", i, len(names))
-        files.append(
-            Files(
-                name,
-                _relative(file, out),
-                read_capture(file),
-                None if hand is None else _relative(hand, out),
-                None if hand is None else read_capture(hand),
-            )
-        )
+    progress("reading the files")
+    files = read_trials(
+        options.files, hands[: len(options.files)], lambda file: _relative(file, out)
+    )
     progress("what the data show")
     stated = Stated(
         out.name,

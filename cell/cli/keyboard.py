@@ -12,6 +12,7 @@ import tty
 from collections.abc import Callable
 from typing import Any
 
+from cell.cli.streams import is_in_foreground
 from cell.run.machine import MachineEvent
 from drivers.threads import GuardedThread, said
 
@@ -49,7 +50,7 @@ class Keyboard:
     def __enter__(self) -> Keyboard:
         try:
             self._descriptor = sys.stdin.fileno()
-            if self._is_ours():
+            if is_in_foreground(self._descriptor):
                 self._former = termios.tcgetattr(self._descriptor)
                 tty.setcbreak(self._descriptor)
                 self._thread.start()
@@ -61,16 +62,9 @@ class Keyboard:
         self._over.set()
         if self._former is not None:
             self._thread.join()
-            if self._is_ours():
+            if is_in_foreground(self._descriptor):
                 termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._former)
             self._former = None
-
-    def _is_ours(self) -> bool:
-        """A process in the background that touches the terminal would be halted."""
-        try:
-            return os.tcgetpgrp(self._descriptor) == os.getpgrp()
-        except OSError:
-            return False
 
     def _listen(self) -> None:
         while not self._over.is_set():
@@ -78,7 +72,7 @@ class Keyboard:
             ready, _, _ = select.select([self._descriptor], [], [], _LOOK_S)
             if not ready:
                 continue
-            if not self._is_ours():
+            if not is_in_foreground(self._descriptor):
                 self._over.wait(_LOOK_S)
                 continue
             try:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import Workers, folder_of, folders_of, taking, workers
-from cell.cli.output import Json, JsonCommand, deliver_result
-from cell.cli.printing import show
+from cell.cli.output import Json, JsonCommand, deliver_result, show
 from cell.cli.shared import (
     NOT_ALL_DONE,
     STDOUT,
@@ -46,6 +45,10 @@ InModel = Annotated[
     typer.Option(
         "--with", help="Part of the model: an effect's name, or a file.py with one of your own."
     ),
+]
+MovedEffect = Annotated[
+    list[str] | None,
+    typer.Option("--with", help="The file.py of an effect in the model, if the file was moved."),
 ]
 Tried = Annotated[
     list[str] | None,
@@ -100,12 +103,7 @@ def compare(
         list[Path],
         typer.Option("--model", help="Model written by `cell fit -o`; repeat the option for more."),
     ],
-    effect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--with", help="The file.py of an effect in the model, if the file was moved."
-        ),
-    ] = None,
+    effect: MovedEffect = None,
     residuals: Annotated[
         Path | None,
         typer.Option(
@@ -155,13 +153,9 @@ def compare(
 
         write_page(comparison_page(comparisons), path)
 
-    def tables(folder: Path) -> None:
-        result.write_residuals(folder)
-
-    files = (report, page), (residuals, tables)
+    files = (report, page), (residuals, result.write_residuals)
     deliver_result(result.to_json(), results or [], result.parts, *files)
-    if interrupted:
-        raise typer.Exit(interrupted.code)
+    interrupted.end_command()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,9 +193,7 @@ class _Diagnose(_CandidateOptions):
     config: LineModel = None
     check: Annotated[
         list[str] | None,
-        typer.Option(
-            "--check", help="A file.py with a question of your own to what the model leaves."
-        ),
+        typer.Option("--check", help="A file.py with a check of your own of the residuals."),
     ] = None
     results: Results = None
     report: ReportFile = None
@@ -223,7 +215,7 @@ class _Diagnose(_CandidateOptions):
 def diagnose(given: _Diagnose) -> None:
     """Find the physical effect that the model lacks, if it lacks one.
 
-    Of several studies, each with a cable of its own, one answer is given, or why there is none.
+    Several studies, each of another cable, get one joint result, or the reason why there is none.
     """
     if len(given.studies) > 1:
         _diagnose_jointly(given)
@@ -245,7 +237,7 @@ def diagnose(given: _Diagnose) -> None:
                     "--workers is of several studies: one is diagnosed on this computer"
                 )
             selection = given.selection(progress)
-            rules = rules_with(given.check or [])
+            rules, work.watcher = rules_with(given.check or []), progress.watch
             fits = set_up(study, selection, given.prior, given.config, progress, tell_notes, work)
             gc.freeze()  # what is loaded stays: not looked through for garbage again and again
             examination = examined(fits, rules)
@@ -260,8 +252,7 @@ def diagnose(given: _Diagnose) -> None:
             lambda: (part for part in result.parts() if part != said),
             (given.report, result.write_report),
         )
-    if interrupted:
-        raise typer.Exit(interrupted.code)
+    interrupted.end_command()
 
 
 def _print_early(line: str) -> None:
@@ -309,7 +300,7 @@ def effects(
 ) -> None:
     """List the effects that a model can have: laws, parameters, units and limits.
 
-    `cell help effects` has each with a picture, with what it is confused, and how it is removed.
+    `cell help effects` shows each with a picture, similar effects and a remedy.
 
     Exit codes: 0; 1 if a file of --candidates is left out; 2 if another file is wrong.
     """
@@ -372,8 +363,7 @@ def discover(
     )
     if as_json != STDOUT:
         show(f"written to {out}", steps_text(todo))
-    if interrupted:
-        raise typer.Exit(interrupted.code)
+    interrupted.end_command()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -448,5 +438,4 @@ def suggest(given: _Suggest) -> None:
             tell_notes(["interrupted: the result is the best of the motions evaluated so far"])
     motion = given.out, result.write
     deliver_result(result.to_json(), [given.as_json], result.parts, motion)
-    if interrupted:
-        raise typer.Exit(interrupted.code)
+    interrupted.end_command()

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.arguments import taking
-from cell.cli.output import Delivery, deliver, print_json
-from cell.cli.printing import show
+from cell.cli.output import Delivery, deliver, print_json, show
 from cell.cli.shared import AsJson, Force, MaybeConfig, group, refusing, user_name
 from cell.cli.streams import emit
 from cell.files.words import counted
@@ -33,7 +32,9 @@ _SHOWN = 20
 
 Since = Annotated[
     str | None,
-    typer.Option(help="Begun at this time or later: 2026-11-01, 2026-11-01T06:00, 12h or 7d ago."),
+    typer.Option(
+        help="Cycles that began at this time or later: 2026-11-01, 2026-11-01T06:00, 12h or 7d ago."
+    ),
 ]
 LedgerPlace = Annotated[
     str | None,
@@ -53,19 +54,21 @@ class HistoryOptions:
     config: MaybeConfig = None
     ledger: LedgerPlace = None
     since: Since = None
-    until: Annotated[str | None, typer.Option(help="Begun before this time.")] = None
+    until: Annotated[str | None, typer.Option(help="Cycles that began before this time.")] = None
     outcome: Annotated[
         list[str] | None,
         typer.Option(
-            help="Ended so: inserted, missed, rejected, failed, … or unfinished.  May be repeated."
+            help="Cycles with this outcome: inserted, missed, rejected, failed, … or unfinished.  "
+            "May be repeated."
         ),
     ] = None
-    line: Annotated[str | None, typer.Option(help="Of this line.")] = None
-    part_id: Annotated[str | None, typer.Option("--part-id", help="Of this part.")] = None
-    product: Annotated[str | None, typer.Option(help="Of this product.")] = None
-    model: Annotated[str | None, typer.Option(help="With the model of this hash.")] = None
+    line: Annotated[str | None, typer.Option(help="Cycles of this line.")] = None
+    part_id: Annotated[str | None, typer.Option("--part-id", help="Cycles of this part.")] = None
+    product: Annotated[str | None, typer.Option(help="Cycles of this product.")] = None
+    model: Annotated[str | None, typer.Option(help="Cycles with the model of this hash.")] = None
     fault: Annotated[
-        str | None, typer.Option(help="Ended by this fault, such as `stop`, `arm` or `arm.limit`.")
+        str | None,
+        typer.Option(help="Cycles that ended by this fault, such as `stop`, `arm` or `arm.limit`."),
     ] = None
     open_faults: Annotated[
         bool, typer.Option("--open", help="Faults that nobody has acknowledged.")
@@ -98,7 +101,7 @@ class HistoryOptions:
     take_in: Annotated[
         list[Path] | None,
         typer.Option(
-            "--import", help="Take in cycles of this folder that are not listed.  May be repeated."
+            "--import", help="Add cycles of this folder that are not listed.  May be repeated."
         ),
     ] = None
 
@@ -122,8 +125,8 @@ class HistoryOptions:
 
     def query(self, now: datetime) -> LedgerQuery:
         """Which cycles are asked for.  Raises ValueError: an option is wrong."""
+        from cell.records.folder import UNFINISHED
         from cell.records.ledger.ledger import LedgerQuery
-        from cell.records.past_cycles import UNFINISHED
 
         since = parse_time(self.since, now, "--since")
         until = parse_time(self.until, now, "--until")
@@ -217,8 +220,7 @@ def _losses(
 ) -> tuple[Any, Sequence[Part]]:
     """Lost time of every shift, as plain data and as a table."""
     from cell.cli.cycle_tables import losses_parts
-    from cell.records.ledger.candidate_forecasts import read_forecasts
-    from cell.records.ledger.losses import shift_losses
+    from cell.records.ledger.losses import read_forecasts, shift_losses
 
     learned = None
     if candidate is not None and settings is not None:
@@ -362,7 +364,7 @@ def _import_cycles(ledger: Ledger, folder: Path, settings: Settings | None) -> s
 
 def _exports(ledger: Ledger, wanted: LedgerQuery, options: HistoryOptions) -> list[Delivery]:
     """Files that are asked for."""
-    from cell.records.ledger.export import need_parquet, write_csv, write_parquet
+    from cell.records.ledger.ledger import need_parquet, write_csv, write_parquet
 
     if options.csv is None and options.parquet is None:
         return []
@@ -395,8 +397,8 @@ def acknowledge(
         typer.Argument(help="Folders of failed cycles; default: the newest failed cycle."),
     ] = None,
     *,
-    by: Annotated[str | None, typer.Option(help="Who; default: who is logged in.")] = None,
-    note: Annotated[str, typer.Option(help="What was found, what was done.")] = "",
+    by: Annotated[str | None, typer.Option(help="Your name; default: the logged-in user.")] = None,
+    note: Annotated[str, typer.Option(help="The cause that was found, and what was done.")] = "",
     everything: Annotated[
         bool, typer.Option("--all", help="All faults that nobody has acknowledged.")
     ] = False,
@@ -406,9 +408,9 @@ def acknowledge(
 ) -> None:
     """Acknowledge that a fault was looked at: who, when, and what was done about it.
 
-    It is kept in the ledger beside the fault, and in the cycle's folder; `cell history --open`
-    lists faults that nobody has acknowledged.  An acknowledgement moves nothing: after a fault the
-    next `cell run` begins anew.
+    The acknowledgement is stored in the ledger with the fault, and in the cycle's folder;
+    `cell history --open` lists faults that nobody has acknowledged.  An acknowledgement moves
+    nothing: after a fault the next `cell run` begins anew.
 
     Exit codes: 0; 2 if there is no such fault, or the ledger cannot be used.
     """

@@ -16,8 +16,7 @@ import typer
 
 from cell.cli.arguments import Workers, folder_in, taking, workers
 from cell.cli.ledger import LedgerPlace, Since, listed_cycles
-from cell.cli.output import Delivery, deliver
-from cell.cli.printing import show
+from cell.cli.output import Delivery, deliver, show
 from cell.cli.shared import (
     ALL_DONE,
     NOT_ALL_DONE,
@@ -33,7 +32,7 @@ from cell.cli.shared import (
 if TYPE_CHECKING:
     from cell.api.line import LearnResult
     from cell.lab.data.work import Progress
-    from cell.lab.line.learn import LearningResult
+    from cell.lab.line.effect_fit import LearningResult
     from cell.settings.model import Settings
 
 app = group()
@@ -103,8 +102,8 @@ def learn(options: LearnOptions) -> None:
     """Find the effect that the line's model lacks, from recorded cycles of many cables.
 
     Effects are shared by all cables; EI(s), N and viscosity are fitted per cable.  Every recorded
-    execution is forecast out of sample, from that cycle's own hold, with the effect as the other
-    cables show it.  Exit codes: 0 if a candidate passed every gate or nothing is missing; 1 if a
+    insertion is forecast from the hold of its own cycle, with the effect that was fitted to the
+    other cables.  Exit codes: 0 if a candidate passed every gate or nothing is missing; 1 if a
     candidate did not pass; 2 if the input is wrong.
     """
     from cell.api.line import judged
@@ -276,7 +275,7 @@ def promote(
     A candidate that was learned with another data sheet, camera, arm, calibration or simulated
     world is refused, unless --from-another-line is given.
 
-    In settings with products it goes into the section of the product that it was learned for.
+    In settings with products, the model is written to the section of its product.
     Comments and order of the settings are kept.  The former settings are saved in a folder beside
     the file.  If the command is killed, the file has either the old settings or the new ones.
     """

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from cell.cli.arguments import Runs
+from cell.cli.arguments import Runs, checked_id
 from cell.cli.output import print_json
 from cell.cli.shared import (
     ALL_DONE,
@@ -20,6 +20,7 @@ from cell.cli.shared import (
     MaybeConfig,
     group,
     refuse,
+    refusing,
     user_name,
 )
 from cell.cli.streams import emit
@@ -43,15 +44,15 @@ def status(
     runs: Runs = Path("runs"),
     as_json: AsJson = False,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Go on, a line for all that happens, until Ctrl-C.")
+        bool, typer.Option("--watch", help="Print a line for each event, until Ctrl-C.")
     ] = False,
 ) -> None:
-    """Say how a running cell does: state, step, cycle, counts, fault with cause and remedy.
+    """Print the status of a running cell: state, step, cycle, counts, fault with cause and remedy.
 
-    With --config, only of the cell of these settings.
+    With --config, only the cell of these settings is asked.
 
-    Exit codes: 0 if it works or can; 1 if it waits for a person, after a fault or a stop; 2 if the
-    settings are wrong, or another cell's; 3 if no cell runs there.
+    Exit codes: 0 if the cell works or is ready; 1 if it waits for a person, after a fault or a
+    stop; 2 if the settings are wrong or those of another cell; 3 if no cell runs there.
     """
     from cell.plant.client import Client
     from cell.plant.messages import Status
@@ -96,23 +97,22 @@ def send(
     *,
     config: MaybeConfig = None,
     runs: Runs = Path("runs"),
-    by: Annotated[str | None, typer.Option(help="Who; default: who is logged in.")] = None,
-    note: Annotated[str, typer.Option(help="What was found, what was done.")] = "",
-    part: Annotated[str | None, typer.Option(help="Of a start: id of the cable.")] = None,
-    product: Annotated[str | None, typer.Option(help="What the next cycles make.")] = None,
+    by: Annotated[str | None, typer.Option(help="Your name; default: the logged-in user.")] = None,
+    note: Annotated[str, typer.Option(help="The cause that was found, and what was done.")] = "",
+    part: Annotated[str | None, typer.Option(help="With start: id of the cable.")] = None,
+    product: Annotated[str | None, typer.Option(help="Product of the next cycles.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Give a command to a running cell, and print its answer.
+    """Send a command to a running cell, and print its answer.
 
-    After a fault or a stop, `clear` (if it is aborted) and `reset` are your word that you have
-    looked at the cause; the ledger keeps it.  `reset` opens the jaws and brings the gripper home.
-    `acknowledge` is your word alone, and nothing moves.  `product` only changes what is made.  With
-    --config, only the cell of these settings is given it.
+    After a fault or a stop, `clear` (in state Aborted) and `reset` confirm that you have looked at
+    the cause; the ledger records this. `reset` opens the jaws and moves the gripper home.
+    `acknowledge` only confirms, and nothing moves. `product` sets the product of the next cycles.
+    With --config, only the cell of these settings gets the command.
 
-    Exit codes: 0 if the cell obeys; 1 if it refuses; 2 if there is no such command, or the settings
-    are wrong, or another cell's; 3 if no cell runs there.
+    Exit codes: 0 if the cell accepts the command; 1 if it refuses; 2 if there is no such command,
+    or the settings are wrong or those of another cell; 3 if no cell runs there.
     """
-    from cell.cli.part_ids import checked
     from cell.plant.client import Client
     from cell.plant.messages import COMMANDS, Request
     from cell.plant.wire import LinkError
@@ -125,7 +125,7 @@ def send(
     if command == "product" and product is None:
         refuse(ValueError("product: --product is missing, what the next cycles make"))
     try:
-        part = None if part is None else checked(part)
+        part = None if part is None else checked_id(part)
     except ValueError as error:
         refuse(ValueError(f"--part {error}"))
     if command == "acknowledge" and product is not None:
@@ -151,38 +151,31 @@ def send(
 def service(
     config: Config,
     out: Runs = Path("runs"),
-    user: Annotated[str | None, typer.Option(help="As whom; default: who is logged in.")] = None,
+    user: Annotated[
+        str | None, typer.Option(help="User of the service; default: the logged-in user.")
+    ] = None,
 ) -> None:
     """Print a unit for systemd, which runs the cell as a service (cell help service).
 
     Exit codes: 0; 2 if the settings are wrong.
     """
-    from cell.files.input_error import InputError
     from cell.plant.systemd import unit_of
     from cell.settings import load_settings
 
-    try:
+    with refusing():
         load_settings(config)
-    except InputError as error:
-        refuse(error)
-    try:
         emit(unit_of(config.resolve(), out.resolve(), Path.cwd(), user or user_name()))
-    except ValueError as error:
-        refuse(error)
 
 
 def _line_of(config: Path | None) -> str | None:
     """Line of the settings that are given."""
     if config is None:
         return None
-    from cell.files.input_error import InputError
     from cell.settings import load_settings
     from cell.settings.provenance import line_name
 
-    try:
+    with refusing():
         return line_name(load_settings(config))
-    except InputError as error:
-        refuse(error)
 
 
 def _check_line(line: str | None, now: Status, runs: Path) -> None:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
+import json
+import math
 import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.status import Status
 
-from cell.computer.watched import PROGRESS_VARIABLE
+from cell.computer.watched import FIT_ERROR, PROGRESS_VARIABLE
 from drivers.threads import GuardedThread, only_logged
+
+if TYPE_CHECKING:
+    from cell.lab.data.work import ModelError
 
 #: Off a terminal a line is printed so often, s: enough to see life, too little to fill a log.
 EVERY_S = 10.0
@@ -24,6 +31,9 @@ SLACK = 0.25
 #: So many pieces tell what one takes: from then on an estimate may grow, too.
 MANY = 20
 LONGER = "longer than thought"
+#: Errors of so many models are drawn as bars.
+MOST_BARS = 24
+_BARS = "▁▂▃▄▅▆▇█"
 #: Steps of a cycle that are shown by other words than their names.
 _STEPS = {"warm_up": "warm up (on a new computer it compiles, once)"}
 
@@ -123,7 +133,8 @@ class ProgressLine:
     """Progress of a long computation, shown: call it as each piece begins; use it as a context.
 
     The time left is that of the part under way, from the pieces it has behind it.  Of few pieces
-    it only falls.
+    it only falls.  Errors of fitted models are drawn behind it as bars, or sent to the page that
+    began the command.
     """
 
     def __init__(
@@ -139,6 +150,15 @@ class ProgressLine:
         self._stage = Stage("at work", 0, 0, self._started_s)
         self._status: Status | None = None
         self._ticker: Ticker | None = None
+        self._errors: list[ModelError] = []
+
+    def watch(self, error: ModelError) -> None:
+        """Take the error of a model that was fitted.  A `Work` calls it."""
+        self._errors.append(error)
+        if self._status is not None:
+            self._status.update(self.line())
+        elif PROGRESS_VARIABLE in os.environ:
+            print(FIT_ERROR + json.dumps(asdict(error)), file=sys.stderr, flush=True)
 
     def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
         """A piece begins: `done` pieces of `total` lie behind; 0 of 0 = they cannot be counted."""
@@ -146,9 +166,15 @@ class ProgressLine:
         if self._status is not None:
             self._status.update(self.line())
 
+    def step(self, number: int, step: str) -> None:
+        """A step of a cycle begins."""
+        self(step.replace("_", " "))
+
     def line(self) -> str:
         """What would be shown now."""
-        return f"{self._command}: {self._stage.line(self._started_s, self._now_s())}"
+        line = f"{self._command}: {self._stage.line(self._started_s, self._now_s())}"
+        drawn = self._console.is_terminal and self._console.encoding.startswith("utf")
+        return f"{line}  {error_sparkline(self._errors)}".rstrip() if drawn else line
 
     @contextmanager
     def paused(self) -> Iterator[None]:
@@ -249,6 +275,16 @@ class RunProgress:
     def hint(self, words: str) -> None:
         """Say which key does what."""
         self._progress.update(self._line, hint=words)
+
+
+def error_sparkline(errors: Sequence[ModelError]) -> str:
+    """Bars of the least error after each model, from the noise to the first error, by logarithm."""
+    if not errors:
+        return ""
+    least = list(itertools.accumulate((e.rms_m for e in errors), min))[-MOST_BARS:]
+    low, high = math.log(min(errors[-1].noise_m, least[-1])), math.log(errors[0].rms_m)
+    shares = [(math.log(m) - low) / max(high - low, 0.1) for m in least]
+    return "".join(_BARS[max(0, min(len(_BARS) - 1, round(s * (len(_BARS) - 1))))] for s in shares)
 
 
 def duration(seconds: float) -> str:

@@ -1,4 +1,6 @@
-"""Commands about recordings: replay, recover; and about their store: upload, fetch."""
+"""Commands about past cycles and their recordings: list, show, report, replay, recover; and about
+the store of recordings: upload, fetch.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +8,26 @@ import sys
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from cell.cli.arguments import taking
-from cell.cli.output import Json, JsonCommand, deliver_result
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, Force, group, refusing, working
+from cell.cli.arguments import Runs, RunsFolder, folder_of, taking
+from cell.cli.output import Json, JsonCommand, deliver, deliver_result, print_json
+from cell.cli.output import show as show_parts
+from cell.cli.shared import (
+    ALL_DONE,
+    NOT_ALL_DONE,
+    AsJson,
+    Config,
+    Force,
+    group,
+    refusing,
+    working,
+)
 from cell.files.rescue import why_not_written
 from cell.files.words import counted
 
@@ -26,6 +39,93 @@ app = group()
 
 #: So many differences are printed; --json has all.
 _MOST_PRINTED = 20
+
+
+@app.command("list")
+def list_cycles(
+    runs: RunsFolder = Path("runs"),
+    as_json: AsJson = False,
+) -> None:
+    """List past cycles, the newest last: outcome, offset, forecast error, pictures.
+
+    Exit codes: 0, or 2 if the folder is wrong.
+    """
+    from cell.cli.cycle_tables import history_table
+    from cell.records.folder import history
+
+    with refusing():
+        past = history(runs)
+    if as_json:
+        print_json([p.to_json() for p in past])
+    elif past:
+        show_parts(history_table(past), f"look at one: cell show {runs}/FOLDER")
+    else:
+        print(f"{runs}: has no cycles; `cell run --runs {runs}` records some")
+
+
+@app.command()
+def show(
+    folder: Annotated[
+        Path | None, typer.Argument(help="A cycle's folder; default: the newest.")
+    ] = None,
+    runs: Runs = Path("runs"),
+    as_json: AsJson = False,
+    pictures: Annotated[
+        bool, typer.Option("--open", help="Open the pictures with the computer's viewer.")
+    ] = False,
+) -> None:
+    """Show a past cycle: how it ended and why, the cable's parameters, times, pictures.
+
+    Exit codes: 0, or 2 if the folder is wrong.
+    """
+    from cell.cli.cycle_tables import record_parts
+    from cell.records.folder import newest, pictures_in, read_record
+
+    with refusing():
+        record = read_record(newest(runs) if folder is None else folder)
+    images = pictures_in(record.folder)
+    if as_json:
+        result = None if record.result is None else record.result.to_json()
+        content = {"folder": str(record.folder), "state": dict(record.state), "result": result}
+        print_json({**content, "pictures": [str(image) for image in images]})
+    else:
+        show_parts(*record_parts(record, images))
+    if pictures:
+        for image in images:
+            typer.launch(str(image))
+
+
+@app.command()
+def report(
+    ctx: typer.Context,
+    folder: Annotated[
+        Path | None,
+        typer.Argument(help="A cycle's folder or its recording; default: the newest."),
+    ] = None,
+    runs: Runs = Path("runs"),
+    out: Annotated[Path, typer.Option("-o", "--out", help="Write the page to this file.")] = Path(
+        "report.html"
+    ),
+    force: Force = False,
+) -> None:
+    """Write one HTML page of one cycle: result, film strip, path of the tip, decision, times.
+
+    The page needs no network.  Exit codes: 0; 2 if the folder is wrong.
+    """
+    from cell.files.page import write_page
+    from cell.records.cycle_page import cycle_page
+    from cell.records.folder import newest, read_record
+    from cell.records.recording import form
+    from cell.records.recording.reading import read_recording
+
+    with refusing(out, force=force), working("report") as progress:
+        given = newest(runs) if folder is None else folder
+        film = given if given.is_file() else given / form.FILE
+        record = read_record(folder_of(ctx, given))
+        progress("drawing")
+        page = cycle_page(record, read_recording(film) if film.exists() else None)
+    deliver(lambda: None, (out, partial(write_page, page)))
+    print(f"written to {out}")
 
 
 @dataclass(frozen=True)
@@ -118,7 +218,7 @@ def replay(options: ReplayOptions) -> None:
             recorded,
             options.config,
             Path(folder) if options.as_cell is None else options.as_cell,
-            lambda number, step: progress(step.replace("_", " ")),
+            progress.step,
         )
 
     def parts() -> Iterator[str | TableData]:
@@ -146,13 +246,7 @@ def _import(options: ReplayOptions) -> NoReturn:
             )
         settings = load_settings(options.config)
         read = read_film(film, options.poses, options.frame_rate_hz, options.first_frame_s)
-        result = record_film(
-            read,
-            settings,
-            options.config,
-            target,
-            lambda number, step: progress(step.replace("_", " ")),
-        )
+        result = record_film(read, settings, options.config, target, progress.step)
     data = {"recording": str(target), "result": result.to_json()}
     next_line = f"{target}: replay it, or give it to the lab, as `cell diagnose {target}`"
     deliver_result(data, [options.as_json], lambda: (*imported_parts(result), next_line))
@@ -173,7 +267,7 @@ def recover(
     ] = None,
     as_json: Json = None,
 ) -> None:
-    """Make readable recordings of torn ones, and say what is missing.
+    """Repair torn recordings, and print what is missing.
 
     A recording is torn when the power was cut, the disk was full or a process was killed.  What
     was written is copied to a new file, which is then read back and verified.  The torn file is
@@ -222,15 +316,13 @@ def _recovered_text(recovered: Recovered) -> str:
 
 @app.command()
 def upload(
-    runs: Annotated[
-        Path, typer.Argument(help="Folder of the cycles: that of `cell run --runs`.")
-    ] = Path("runs"),
+    runs: RunsFolder = Path("runs"),
     *,
     config: Config,
 ) -> None:
     """Bring recordings to the store of the settings (recording.store), verify, remove them here.
 
-    `cell run` does so between two cables; this does what it had no time for.  A recording whose
+    `cell run` uploads between two cables; this command uploads what is left.  A recording whose
     cycle's folder has a file named `keep` stays here too.  Run it while no cable is in the jaws.
 
     Credentials come from the environment: for s3:// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and,
@@ -279,7 +371,7 @@ def fetch(
 ) -> None:
     """Bring the recording of a cycle back from the store, and verify it.
 
-    Exit codes: 0; 1 if the store does not give it; 2 if the cycle's recording is in no store.
+    Exit codes: 0; 1 if the store cannot deliver it; 2 if the cycle's recording is in no store.
     """
     from cell.files.input_error import InputError
     from cell.records.recording import form

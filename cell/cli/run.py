@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.arguments import records_folder, taking
-from cell.cli.part_ids import SCANNED, part_ids
-from cell.cli.printing import show
+from cell.cli.arguments import SCANNED, part_ids, records_folder, taking
+from cell.cli.output import show
 from cell.cli.shared import (
     ALL_DONE,
     BAD_INPUT,
@@ -28,8 +27,7 @@ from cell.cli.shared import (
 from cell.cli.streams import emit
 
 if TYPE_CHECKING:
-    from cell.cli.cell_factory import BuiltCell, Products
-    from cell.cli.plant_end import PlantEnd
+    from cell.cli.cell_factory import BuiltCell, PlantEnd, Products
     from cell.cli.progress import RunProgress
     from cell.records.result import Result
     from cell.run.plans import Plan
@@ -111,15 +109,13 @@ class RunOptions:
     part_id: PartId = None
     product: Annotated[
         str | None,
-        typer.Option(
-            help="What is made, of the settings' `products`; ids of parts may say it, too."
-        ),
+        typer.Option(help="Product, one of the settings' `products`; part ids may name it, too."),
     ] = None
     whole_frames: Annotated[
         bool,
         typer.Option(
             "--whole-frames",
-            help="Record all frames whole, 450 MB a cycle, not only what vision reads of them.",
+            help="Record whole frames, 450 MB a cycle, not only the band that vision reads.",
         ),
     ] = False
     dry_run: DryRun = False
@@ -161,10 +157,9 @@ def run(options: RunOptions) -> None:
     At a terminal, press h to hold: the motion is finished, then the gripper stays still.  Press u
     to continue.  A hold never clears a stop.  Ctrl-C stops the arm and closes the record.
     """
-    from cell.cli.cell_factory import build_cell, products_in
+    from cell.cli.cell_factory import PlantEnd, build_cell, products_in
     from cell.cli.cycle_tables import troubles
     from cell.cli.logs import to_file
-    from cell.cli.plant_end import PlantEnd
     from cell.cli.progress import RunProgress
     from cell.lab.next.motion_file import load_motion
     from cell.run.plans import INSERTING, measuring
@@ -370,11 +365,10 @@ def changes(out: Path, results: Sequence[Result], config: Path, products: Produc
 
 
 def _changes(out: Path, results: Sequence[Result], config: Path, settings: Settings) -> list[str]:
-    from cell.records.changed_model import newest_models, worsenings
     from cell.records.chart import signals
     from cell.records.ledger.entry import LedgerError
     from cell.records.ledger.ledger import Ledger
-    from cell.records.mean_error import mean_error
+    from cell.records.model_errors import mean_error, newest_models, worsenings
     from cell.settings.provenance import line_name
 
     if not results or results[-1].model is None or settings.ledger is None:

@@ -1,7 +1,8 @@
-"""The commands of the pages: serve, serve user add, serve user remove."""
+"""The commands of the pages, and of the users of pages and OPC UA: serve, user."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,20 +10,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.cli.arguments import Runs, taking
-from cell.cli.shared import MaybeConfig, group, needing, refuse
-from cell.cli.users import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
+from cell.cli.shared import MaybeConfig, group, needing, refuse, refusing
 
 if TYPE_CHECKING:
     from cell.web.visit import PagesContext
 
-app = typer.Typer(
-    name="serve",
-    invoke_without_command=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
+app = group("serve")
+users_app = group()
 user = group()
 app.add_typer(user, name="user", help="Users of the pages.")
+
+Name = Annotated[str, typer.Argument(help="Name of the user.")]
+UsersFile = Annotated[Path, typer.Option("--users", help="File of the users.")]
+RoleName = Annotated[str, typer.Option(help="watch, operate or engineer.")]
+#: As `cell.plant.users.FILE`, which is not imported for the help.
+FILE = Path("users.json")
 
 
 @dataclass(frozen=True)
@@ -101,10 +103,7 @@ def _room(config: Path, runs: Path, accounts: object) -> PagesContext:
     from cell.plant.client import Client
     from cell.plant.users import Users
     from cell.settings import load_settings
-    from cell.web.audit import Audit, audit_file
-    from cell.web.camera import Films, LiveCamera
-    from cell.web.guided import Guided
-    from cell.web.sessions import Control, Sessions
+    from cell.web.sessions import Sessions
     from cell.web.visit import PagesContext
     from cell.web.watching import CellWatch
 
@@ -112,18 +111,89 @@ def _room(config: Path, runs: Path, accounts: object) -> PagesContext:
     client = Client(runs, on_lost=lambda: watch.lost(), on_there=lambda: watch.reconnected())
     watch = CellWatch(client, settings, runs)
     sessions = Sessions(accounts.named) if isinstance(accounts, Users) else None
-    audit = Audit(audit_file(runs))
-    seen = (Films(), LiveCamera(runs), Guided())
-    return PagesContext(config, settings, runs, client, watch, Control(), audit, *seen, sessions)
+    return PagesContext(config, settings, runs, client, watch, sessions)
 
 
-@user.command()
-def add(name: Name, *, role: RoleName = "watch", users: UsersFile = FILE) -> None:
+@user.command("add")
+def add_by_serve(name: Name, *, role: RoleName = "watch", users: UsersFile = FILE) -> None:
     """Add a user: the same as `cell user add`."""
     add_user(users, name, role, None)
 
 
-@user.command()
-def remove(name: Name, *, users: UsersFile = FILE) -> None:
+@user.command("remove")
+def remove_by_serve(name: Name, *, users: UsersFile = FILE) -> None:
     """Remove a user: the same as `cell user remove`."""
     remove_user(users, name, None)
+
+
+def typed_password() -> str:
+    """Read a password: asked for twice at a terminal, else the first line of standard input."""
+    if sys.stdin.isatty():
+        return str(typer.prompt("Password", hide_input=True, confirmation_prompt=True))
+    return sys.stdin.readline().rstrip("\r\n")
+
+
+@users_app.command()
+def add(
+    name: Name, *, role: RoleName = "watch", users: UsersFile = FILE, config: MaybeConfig = None
+) -> None:
+    """Add a user of pages and OPC UA, or give one another role and password.
+
+    The password is asked for; without a terminal it is the first line of the standard input.  Only
+    its hash is kept, in a file that only its owner can read.
+    """
+    add_user(users, name, role, opcua_folder(config))
+
+
+@users_app.command()
+def remove(name: Name, *, users: UsersFile = FILE, config: MaybeConfig = None) -> None:
+    """Remove a user, whose sessions at the pages end."""
+    remove_user(users, name, opcua_folder(config))
+
+
+@users_app.command("list")
+def list_(*, users: UsersFile = FILE, config: MaybeConfig = None) -> None:
+    """List all users with their roles."""
+    from cell.plant.users import all_users
+
+    try:
+        for user in all_users(users, opcua_folder(config)).all():
+            print(f"{user.name}: may {user.role.name}")
+    except (OSError, ValueError) as error:
+        refuse(error)
+
+
+def add_user(file: Path, name: str, role: str, folder: Path | None) -> None:
+    """Do `user add`; `folder` is the older users' folder of OPC UA, which is read, too."""
+    from cell.plant.users import Role, all_users
+
+    try:
+        if role not in Role.__members__:
+            raise ValueError(f"--role {role}: no role; give one of {', '.join(Role.__members__)}")
+        with needing("web", "users need", "argon2"):
+            new = all_users(file, folder).add(name, Role[role], typed_password())
+        print(f"{name}: {'added' if new else 'changed'}, may {role}")
+    except (OSError, ValueError) as error:
+        refuse(error)
+
+
+def remove_user(file: Path, name: str, folder: Path | None) -> None:
+    """Do `user remove`."""
+    from cell.plant.users import all_users
+
+    try:
+        all_users(file, folder).remove(name)
+        print(f"{name}: removed")
+    except (OSError, ValueError) as error:
+        refuse(error)
+
+
+def opcua_folder(config: Path | None) -> Path | None:
+    """Folder of the OPC UA server in the settings; None = no settings, or none in them."""
+    from cell.settings import load_settings
+
+    if config is None:
+        return None
+    with refusing():
+        plant = load_settings(config).plant
+    return None if plant is None or plant.opcua is None else plant.opcua.folder

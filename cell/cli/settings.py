@@ -1,8 +1,9 @@
-"""Commands about settings, which move nothing: init, check, doctor, schema."""
+"""Commands that move nothing: init, check, doctor, schema, and the documentation: help."""
 
 from __future__ import annotations
 
 import sys
+import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,14 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cell.cli.arguments import Runs
-from cell.cli.output import print_json
-from cell.cli.printing import show
-from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse, tell_notes
+from cell.cli.output import print_json, show
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse, refusing, tell_notes
 
 if TYPE_CHECKING:
     from cell.settings.starting import CellKind, Question
 
 app = group()
+_INSTALLED = Path("share", "doc", "cable-cell")
+#: Where `make docs-site` and wheels have the manual for browsers.
+_SITE = Path(__file__).resolve().parents[1] / "manual"
+#: Folders of the documentation, in the order in which they are read.
+_PARTS = ("start", "howto", "explain", "reference")
 
 
 @app.command()
@@ -102,21 +107,18 @@ def doctor(
     from dataclasses import asdict
 
     from cell.cli.cycle_tables import conditions_table
-    from cell.files.input_error import InputError
     from cell.records.recording.retention import recording_room
     from cell.run.computer_check import CameraLoad, check_computer, check_room
     from cell.settings import Settings, load_settings
     from cell.settings.starting import answered
     from cell.settings.translate import picture_size, vision_of
 
-    try:
+    with refusing():
         settings = (
             Settings.model_validate(answered("simulated", {}))
             if config is None
             else load_settings(config)
         )
-    except InputError as error:
-        refuse(error)
     size = picture_size(settings)
     load = CameraLoad(*size, settings.camera.frame_rate_hz, vision_of(settings))
     found = check_computer(load, seconds, lambda step: print(f"measuring {step}", file=sys.stderr))
@@ -133,28 +135,35 @@ def doctor(
 
 @app.command()
 def check(config: Config, runs: Runs = Path("runs")) -> None:
-    """Validate settings, and the calibration that is there, without moving anything.
+    """Validate the settings and the stored calibration, without moving anything.
 
     Exit codes: 0 if they are right; 2 if not. Every mistake is reported with line and column.
     """
-    from cell.files.input_error import InputError
     from cell.records.recording.retention import recording_room
     from cell.settings import load_settings
     from cell.settings.calibrated import calibrated, not_yet_calibrated
     from cell.settings.check import freedoms, oddities
     from cell.settings.loading import products_of
+    from cell.settings.starting import unmeasured
     from cell.settings.translate import picture_size
 
-    try:
+    with refusing():
         settings = load_settings(config)
         each = products_of(settings).values() or [settings]
         notes = [note for one in each for note in not_yet_calibrated(one, config)]
-    except InputError as error:
-        refuse(error)
     tell_notes([*oddities(settings), *dict.fromkeys(notes)])
-    map_std_m = (
-        0.0 if notes or settings.calibration is None else calibrated(settings, config).map_std_m
-    )
+    if examples := unmeasured(settings):
+        tell_notes(
+            [
+                f"{config}: as in the example of `cell init --real`, so not yet of your cell: "
+                f"{', '.join(examples)}; measure them (`cell help commission`)"
+            ]
+        )
+    map_std_m: float | None = None
+    if settings.camera.kind == "sim" and settings.calibration is None:
+        map_std_m = 0.0  # its map is exact
+    elif settings.calibration is not None and not notes:
+        map_std_m = calibrated(settings, config).map_std_m
     offsets_m = settings.motion.offsets.values_m
     width_px, height_px = picture_size(settings)
     recorded = settings.recording
@@ -195,3 +204,76 @@ def _prompted(kind: CellKind, question: Question, answers: Mapping[tuple[str, ..
         if wrong is None:
             return answer
         print(f"{wrong}; answer again", file=sys.stderr)
+
+
+@app.command("help")
+def help_(
+    topic: Annotated[
+        str | None, typer.Argument(help="A topic; without one all are listed.", show_default=False)
+    ] = None,
+    browser: Annotated[
+        bool, typer.Option("--browser", help="Open the manual in a browser, at the topic.")
+    ] = False,
+) -> None:
+    """Show what the manual says of a topic, or list the topics.
+
+    Exit codes: 0; 2 if there is no such topic, or no manual for a browser.
+    """
+    from difflib import get_close_matches
+
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    pages = topics()
+    if topic is None and browser:
+        _open(_SITE / "index.html")
+        return
+    if topic is None:
+        width = max(map(len, pages), default=0)
+        for name, path in pages.items():
+            print(f"cell help {name:{width}s}  {_title(path)}")
+        return
+    page = pages.get(topic.lower())
+    if page is None:
+        near = get_close_matches(topic.lower(), pages, 1)
+        meant = f"did you mean {near[0]!r}? " if near else ""
+        refuse(ValueError(f"{topic}: no topic; {meant}`cell help` lists them"))
+    if browser:
+        _open(_SITE / page.relative_to(_folder()).with_suffix(".html"))
+        return
+    text = page.read_text(encoding="utf-8")
+    if not sys.stdout.isatty():
+        print(text)
+        return
+    console = Console()
+    with console.pager(styles=True):
+        console.print(Markdown(text))
+
+
+def _open(page: Path) -> None:
+    """A page of the manual in the user's browser; its address is printed as well."""
+    import webbrowser
+
+    if not page.exists():
+        refuse(ValueError(f"{page}: the manual is not built here; `make docs-site` builds it"))
+    print(page.as_uri())
+    webbrowser.open(page.as_uri())
+
+
+def topics() -> dict[str, Path]:
+    """Pages of the documentation by their names, in the order of reading."""
+    folder = _folder()
+    pages = (page for part in ("", *_PARTS) for page in sorted((folder / part).glob("*.md")))
+    return {page.stem: page for page in pages}
+
+
+def _folder() -> Path:
+    """Where the pages are: in a clone, or where a wheel put them."""
+    clone = Path(__file__).resolve().parents[2] / "docs"
+    return clone if clone.is_dir() else Path(sysconfig.get_path("data")) / _INSTALLED
+
+
+def _title(page: Path) -> str:
+    """The heading of a page."""
+    with page.open(encoding="utf-8") as file:
+        return file.readline().lstrip("# ").strip()

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -34,9 +34,7 @@ MaybeConfig = Annotated[
 ]
 OfProduct = Annotated[
     str | None,
-    typer.Option(
-        "--product", help="Of this product of the settings; default: the usual one, `product: …`."
-    ),
+    typer.Option("--product", help="Product of the settings; default: the entry `product`."),
 ]
 Force = Annotated[
     bool, typer.Option("--force", help="Overwrite files that this program did not write.")
@@ -44,9 +42,20 @@ Force = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 
-def group() -> typer.Typer:
-    """Typer app for the commands of one module, which `cell.cli` takes in at its top level."""
-    return typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
+def group(name: str | None = None, **more: Any) -> typer.Typer:
+    """Typer app for the commands of one module.
+
+    name  of a command that has others below it; None = `cell.cli` takes them in at its top level
+    more  arguments of typer
+    """
+    return typer.Typer(
+        name=name,
+        no_args_is_help=name is None,
+        invoke_without_command=name is not None,
+        pretty_exceptions_enable=False,
+        add_completion=False,
+        **more,
+    )
 
 
 def refuse(error: Exception) -> NoReturn:
@@ -94,6 +103,11 @@ class Interruption:
     def code(self) -> int:
         """Exit code of a command that ends because of it."""
         return 128 + self._number
+
+    def end_command(self) -> None:
+        """End the command if it was received, once its results are printed."""
+        if self:
+            raise typer.Exit(self.code)
 
     def give(self, number: int) -> bool:
         """A signal is there; whether it is the first, of which a person is told."""

@@ -39,6 +39,14 @@ def emit(line: str) -> None:
         raise OutputClosedError(error) from error
 
 
+def is_in_foreground(descriptor: int) -> bool:
+    """Whether a terminal is there and is ours: one in the background that touches it is halted."""
+    try:
+        return os.tcgetpgrp(descriptor) == os.getpgrp()
+    except OSError:
+        return False
+
+
 class _Unheard(io.FileIO):
     """An error stream that may be full or gone: what is said there is lost, not the work."""
 

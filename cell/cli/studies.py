@@ -1,17 +1,18 @@
-"""Commands about studies: study gathers and writes tables, look shows one before any fit."""
+"""Commands about studies: study gathers and writes tables, look shows one, power forecasts."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.arguments import folder_of, folders_of
-from cell.cli.output import Json, JsonCommand, deliver_result
-from cell.cli.printing import show
+from cell.cli.arguments import Workers, folders_of, taking, workers
+from cell.cli.lab import InModel, LineModel, Results, StudyFolder
+from cell.cli.output import Json, JsonCommand, deliver_result, show
 from cell.cli.shared import (
     ALL_DONE,
     NOT_ALL_DONE,
@@ -19,6 +20,7 @@ from cell.cli.shared import (
     Force,
     group,
     refusing,
+    stoppable,
     tell_notes,
     working,
 )
@@ -84,13 +86,7 @@ def study(
 
 @app.command("look", cls=JsonCommand)
 def look_at_study(
-    study: Annotated[
-        Path,
-        typer.Argument(
-            help="A study: a folder with study.yaml, a recorded cycle's folder, or its recording.",
-            callback=folder_of,
-        ),
-    ],
+    study: StudyFolder,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Write the page to this file.")
     ] = None,
@@ -100,7 +96,7 @@ def look_at_study(
     as_json: Json = None,
     force: Force = False,
 ) -> None:
-    """Look at a study before any fit: shapes, tip, gripper, spectrum, and what is odd.
+    """Plot a study before any fit: shapes, tip, gripper, spectrum, and unusual data.
 
     A study that is refused is shown too, with what must be mended.  Exit codes: 0; 1 if something
     must be mended; 2 if there is nothing to be shown.
@@ -161,3 +157,73 @@ def _look(folder: Path) -> StudyOverview:
     return StudyOverview(
         study.name, title, study.trials, facts, {}, wrong, odd, wrenches, independence
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Power:
+    """Options of `cell power`."""
+
+    study: StudyFolder
+    effect: Annotated[
+        list[str],
+        typer.Option(
+            "--try",
+            help="NAME, NAME=SIZE or NAME.PARAMETER=SIZE of an effect of the library or of a "
+            "file.py; SIZE in the parameter's unit.  Without SIZE: the smallest that is detected.  "
+            "Repeat the option for more.",
+        ),
+    ]
+    verify: Annotated[
+        int | None,
+        typer.Option(
+            "--verify",
+            help="Hide the effect in so many copies of the study, diagnose each, and print what "
+            "resulted, next to the forecast.",
+            min=1,
+            max=10_000,
+        ),
+    ] = None
+    motion: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--motion",
+            help="A motion file of `cell suggest`, treated as if it was recorded and held out. "
+            "Repeat the option for more.",
+        ),
+    ] = None
+    known: InModel = None
+    config: LineModel = None
+    results: Results = None
+    force: Force = False
+    workers: Workers = None
+
+
+@app.command(cls=JsonCommand)
+@taking(_Power)
+def power(given: _Power) -> None:
+    """Forecast which effects a diagnosis of this study would find, and from which size on.
+
+    The forecast uses the study's own motions, markers and noise. After a few seconds, it prints
+    the probability, the smallest size that is detected with 95 % probability, and the most similar
+    effect.
+    """
+    from cell.api.lab import planned, set_up
+    from cell.api.results import PowerResult
+    from cell.lab.data.work import DIAGNOSIS, Work
+    from cell.lab.next.asked import select_asked
+    from cell.lab.next.study_power import power_of
+
+    with refusing(*given.results or [], force=given.force), working("power") as progress:
+        asked, selection = select_asked(given.effect, given.known or [])
+        work = Work(DIAGNOSIS)
+        with stoppable(work.stop) as interrupted:
+            fits = set_up(given.study, selection, None, given.config, progress, tell_notes, work)
+            fits = planned(fits, given.motion or [])
+            config = given.config if given.verify else None  # no cluster is asked for nothing
+            with workers(given.workers, config) as executor:
+                found = power_of(
+                    fits, asked, given.verify or 0, progress=progress, executor=executor
+                )
+    result = PowerResult(found)
+    deliver_result(result.to_json(), given.results or [], result.parts)
+    interrupted.end_command()

@@ -37,6 +37,8 @@ _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _FILE_RIGHTS = {1: 0x1FFF, 2: 0x3FFF, 3: 0x7FFF, 4: 0x7FFF}
 _NEWEST_FILE_RIGHTS, _NET_RIGHTS, _SCOPES = 0xFFFF, 0x3, 0x3
 _READ_FILE, _READ_DIR = 1 << 2, 1 << 3
+#: Rights that a file has, not only a folder: to run, write, read, cut and control it.
+_OF_FILE = 0b111 | 1 << 14 | 1 << 15
 #: `open` for reading, with flags that change nothing.
 _READING = os.O_CLOEXEC | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | 0o100000
 #: `fcntl` by which no process gets a signal.
@@ -99,6 +101,25 @@ def confine(readable: Iterable[Path], parent: int) -> None:
     _restrict_calls(libc, machine)
 
 
+def hide(*places: Path) -> None:
+    """Hide places from this process and all that it starts, for good; other processes, too.
+
+    What lies next to them, or to a folder above, stays as it is; nothing new can be made there.
+    raises    UnconfinedError: the kernel offers no Landlock
+    """
+    if sys.platform != "linux":
+        raise UnconfinedError(f"{sys.platform} has no Landlock known here")
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.syscall.restype = ctypes.c_long
+    processes = {*Path("/proc").glob("[0-9]*")} - {Path(f"/proc/{os.getpid()}")}
+    hidden = {place.resolve() for place in (*places, *processes)}
+    above = {parent for place in hidden for parent in place.parents}
+    others = {each.resolve() for parent in above for each in parent.iterdir()} - above
+    others = {each for each in others if hidden.isdisjoint((each, *each.parents))}
+    _prctl(libc, _PR_SET_NO_NEW_PRIVS, 1)
+    _restrict_files(libc, others, _NEWEST_FILE_RIGHTS)
+
+
 def _limit() -> None:
     limits = {
         resource.RLIMIT_AS: MEMORY_BYTES,
@@ -133,8 +154,10 @@ def _prctl(libc: ctypes.CDLL, option: int, value: int) -> None:
         raise UnconfinedError(ctypes.get_errno(), f"prctl {option} is refused by the kernel")
 
 
-def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> None:
-    """Only reading below some folders; no network and no signals, where Landlock knows them."""
+def _restrict_files(
+    libc: ctypes.CDLL, places: Iterable[Path], allowed: int = _READ_FILE | _READ_DIR
+) -> None:
+    """Only what is allowed, below some places; no network and no signals, if Landlock can."""
     version = libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
     if version < 1:
         raise UnconfinedError(ctypes.get_errno(), "the kernel offers no Landlock")
@@ -144,14 +167,15 @@ def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> None:
     rules = libc.syscall(_CREATE_RULESET, ruleset, ctypes.c_size_t(len(ruleset)), 0)
     if rules < 0:
         raise UnconfinedError(ctypes.get_errno(), "Landlock makes no ruleset")
-    for folder in readable:
+    for place in places:
         try:
-            opened = os.open(folder, os.O_PATH | os.O_CLOEXEC)
+            opened = os.open(place, os.O_PATH | os.O_CLOEXEC)
         except OSError:  # what cannot be opened is not read
             continue
-        rule = struct.pack("=Qi", _READ_FILE | _READ_DIR, opened)
+        of_place = rights & allowed & (_NEWEST_FILE_RIGHTS if place.is_dir() else _OF_FILE)
+        rule = struct.pack("=Qi", of_place, opened)
         if libc.syscall(_ADD_RULE, rules, 1, rule, 0) != 0:
-            raise UnconfinedError(ctypes.get_errno(), f"Landlock takes no rule of {folder}")
+            raise UnconfinedError(ctypes.get_errno(), f"Landlock takes no rule of {place}")
         os.close(opened)
     if libc.syscall(_RESTRICT_SELF, rules, 0) != 0:
         raise UnconfinedError(ctypes.get_errno(), "Landlock restricts nothing")

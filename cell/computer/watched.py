@@ -40,6 +40,8 @@ _ONE_S = 0.5
 #: Variable of the environment by which whoever starts a command sets the time between two lines of
 #: progress, s.
 PROGRESS_VARIABLE = "CELL_PROGRESS_EVERY_S"
+#: Begins a line with the error of a fitted model as JSON, for whoever started the command.
+FIT_ERROR = "fit error: "
 #: After these a command may still say what it knows.
 ANSWERED = (signal.SIGINT, signal.SIGTERM)
 #: What the parent hands on to the child.

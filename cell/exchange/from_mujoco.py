@@ -11,8 +11,8 @@ from scipy.optimize import minimize_scalar
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable
 from cell.cable.model import knot_basis
+from cell.exchange.chain import law
 from cell.exchange.read_mjcf import HingeChain, read_chain
-from cell.exchange.springs import law
 from cell.files.input_error import InputError
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise

@@ -421,37 +421,38 @@ class _MjcfReader:
     def _note_unread_elements(self, joints: Sequence[int]) -> None:
         """Notes of what the file has besides EI, N, viscosity and the datasheet."""
         m, last = self.model, int(self.model.jnt_bodyid[joints[-1]])
-        dofs = m.jnt_dofadr[joints]
-        if np.any(m.dof_armature[dofs]):
-            most = float(m.dof_armature[dofs].max())
-            self.notes.append(
-                f"inertia of the joints (armature, up to {most:.3g} kg·m²) is not read"
-            )
-        if np.any(m.jnt_limited[joints]):
-            most = float(np.degrees(np.abs(m.jnt_range[joints]).max()))
-            self.notes.append(f"limits of the joints (range, up to {most:.3g}°) are not read")
-        if m.neq:
-            self.notes.append("constraints of other bodies (equality) are not read")
-        if m.nplugin:
-            self.notes.append("plugins are not read")
-        off = int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        if m.opt.disableflags & off:
-            self.notes.append("option/flag gravity is off: the cable is read with its weight")
+        dofs, gravity = m.jnt_dofadr[joints], self.mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        armature = float(m.dof_armature[dofs].max())
+        range_deg = float(np.degrees(np.abs(m.jnt_range[joints]).max()))
         links = np.isin(m.geom_bodyid, m.jnt_bodyid[joints])
-        if np.any((m.geom_contype != 0) & ~links) and np.any((m.geom_contype != 0) & links):
-            self.notes.append("contact with other bodies is not read")
-        if np.any(m.tendon_damping) or np.any(m.tendon_frictionloss) or np.any(m.tendon_limited):
-            self.notes.append("damping, friction and limits of tendons are not read")
-        if m.body_subtreemass[last] > m.body_mass[last]:
-            self.notes.append("bodies beyond the chain, as a mass at the tip, are not read")
-        if m.opt.density or m.opt.viscosity or np.any(m.opt.wind):
-            self.notes.append("air (option density, viscosity, wind) is not read")
-        if any(m.tendon_num[t] > 1 for t in range(m.ntendon)):
-            self.notes.append("springs between several joints are not read")
-        if np.any(m.dof_frictionloss):
-            self.notes.append("dry friction (frictionloss) is not read")
-        if np.any(m.jnt_springyield) or np.any(m.tendon_springyield):
-            self.notes.append("springs that yield (springyield) are read as elastic")
+        touches = m.geom_contype != 0
+        tendons = (m.tendon_damping, m.tendon_frictionloss, m.tendon_limited)
+        self.notes += [
+            note
+            for there, note in (
+                (np.any(m.dof_armature[dofs]),
+                 f"inertia of the joints (armature, up to {armature:.3g} kg·m²) is not read"),
+                (np.any(m.jnt_limited[joints]),
+                 f"limits of the joints (range, up to {range_deg:.3g}°) are not read"),
+                (m.neq, "constraints of other bodies (equality) are not read"),
+                (m.nplugin, "plugins are not read"),
+                (m.opt.disableflags & int(gravity),
+                 "option/flag gravity is off: the cable is read with its weight"),
+                (np.any(touches & ~links) and np.any(touches & links),
+                 "contact with other bodies is not read"),
+                (any(map(np.any, tendons)),
+                 "damping, friction and limits of tendons are not read"),
+                (m.body_subtreemass[last] > m.body_mass[last],
+                 "bodies beyond the chain, as a mass at the tip, are not read"),
+                (m.opt.density or m.opt.viscosity or np.any(m.opt.wind),
+                 "air (option density, viscosity, wind) is not read"),
+                (np.any(m.tendon_num > 1), "springs between several joints are not read"),
+                (np.any(m.dof_frictionloss), "dry friction (frictionloss) is not read"),
+                (np.any(m.jnt_springyield) or np.any(m.tendon_springyield),
+                 "springs that yield (springyield) are read as elastic"),
+            )
+            if there
+        ]  # fmt: skip
 
     def _refuse(self, joint: int, what: str, remedy: str) -> NoReturn:
         line = self._joint_line(joint)

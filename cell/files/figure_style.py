@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -16,6 +17,8 @@ SEEN, MODEL, ADDED, NOISE, QUIET = "#222222", "#d1495b", "#00798c", "#5c677d", "
 BETWEEN = ("#edae49", "#7768ae", "#8f5d2b", "#3d8b37", "#c06c9b")
 #: With fewer markers, each is a tick of an axis.
 FEW_MARKERS = 5
+#: Points of a line that are drawn: more are not seen.
+MOST_POINTS = 1500
 #: Pixels that a panel, and a name below an axis, need at least to be read.
 PANEL_PX, NAME_PX = 310, 90
 
@@ -69,6 +72,20 @@ def laid_out(figure: go.Figure, height: int) -> go.Figure:
     )
 
 
+def play_button(frame_ms: int, **place: Any) -> dict[str, Any]:
+    """A button that plays the frames of a figure, as an entry of its `updatemenus`."""
+    play = {"mode": "immediate", "transition": {"duration": 0}, "fromcurrent": True}
+    play |= {"frame": {"duration": frame_ms, "redraw": False}}
+    return {
+        "type": "buttons",
+        "showactive": False,
+        "xanchor": "left",
+        "yanchor": "top",
+        "buttons": [{"label": "▶", "method": "animate", "args": [None, play]}],
+        **place,
+    }
+
+
 def in_mm(values_m: FloatArray) -> list[float | None]:
     """Values in millimetres, as a list."""
     return listed(values_m * 1e3, 4)
@@ -77,3 +94,8 @@ def in_mm(values_m: FloatArray) -> list[float | None]:
 def listed(values: FloatArray, digits: int) -> list[float | None]:
     """Plain numbers, rounded; None where there is none."""
     return [round(float(v), digits) if np.isfinite(v) else None for v in values]
+
+
+def thinned(rows: FloatArray) -> FloatArray:
+    """As many of the rows (n, …) of a line as can be seen."""
+    return np.asarray(rows[:: max(1, len(rows) // MOST_POINTS)])

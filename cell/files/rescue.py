@@ -44,7 +44,7 @@ def naming(path: Path) -> Iterator[None]:
         raise type(error)(error.errno, error.strerror, str(path)) from error
 
 
-def write_or_rescue(path: Path, write: Callable[[Path], None]) -> str:
+def write_or_rescue(path: Path, write: Callable[[Path], object]) -> str:
     """Write a file where it should be; else a copy of it to the folder of temporary files.
 
     write    writes it to wherever it is told, whole or not at all

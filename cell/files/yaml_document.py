@@ -7,7 +7,7 @@ import json
 import math
 import re
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
@@ -23,6 +23,8 @@ from cell.files.input_error import InputError, Problem, did_you_mean
 from cell.files.text_file import read_text
 
 Key = tuple[str | int, ...]
+#: Where a complaint belongs, and what it says.
+Complaint = tuple[Key, str]
 Model = TypeVar("Model", bound=BaseModel)
 
 #: Settings and studies have some kilobytes; what is far beyond was not meant for this program.
@@ -74,6 +76,10 @@ class Document:
         while present not in self.places:
             present = present[:-1]
         return Problem(self.path, *self.places[present], dotted(key), message)
+
+    def problems(self, complaints: Iterable[Complaint]) -> list[Problem]:
+        """Several complaints, each at its place."""
+        return [self.problem(key, message) for key, message in complaints]
 
 
 def dotted(key: Key) -> str:

@@ -20,10 +20,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cell.identify.gauss_newton import UNSIMULATED, UnsimulatedError
+from cell.identify.gauss_newton import UnsimulatedError
 from cell.lab.data.check import CheckOutcome, worst_verdict
 from cell.lab.data.results import Limit
-from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import SpentError, WorkStoppedError
 from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.plausibility import is_no_model
@@ -34,7 +33,7 @@ from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import evaluate, explains
 from cell.lab.verdict.conclusion import Examination, conclude, interrupted, unconfirmed
-from cell.lab.verdict.doubts import MEANINGLESS, ended_doubt, no_model_doubt, unsimulated_doubt
+from cell.lab.verdict.doubts import MEANINGLESS, NO_MODEL, UNSIMULATED_SEARCH, ended_doubt
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.knots import with_more_knots
 from cell.lab.verdict.ties import with_ties
@@ -45,7 +44,7 @@ _LOG = logging.getLogger(__name__)
 _SEARCHES = ("search", "repeated search")
 
 
-def diagnose(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
+def diagnose(fits: FitCache) -> Examination:
     """Which effects the model of a prepared study lacks.
 
     Stopped, or where nothing more can be simulated, it returns what is known by then.
@@ -59,28 +58,28 @@ def diagnose(fits: FitCache, rules: Rules = DEFAULT_RULES) -> Examination:
                 "study %s, baseline: %s", fits.prepared.study.name, errors_in_words(fits.base)
             )
             if is_no_model(fits.prepared, fits.base.fit):
-                return unconfirmed(fits, rules, "unexplained", no_model_doubt())
+                return unconfirmed(fits, "unexplained", NO_MODEL)
             with work.stage(stage):
-                search = search_effects(fits, rules)
+                search = search_effects(fits)
             stage = again
             if search.refined is not None:
                 with work.stage(again):
                     fits = FitCache.of(search.refined)
                 continue
             with work.stage("conclude"):
-                judged = _judged(search, rules)
+                judged = _judged(search)
             with work.stage(again):
                 finer = None if judged.is_complete else with_more_knots(fits, first)
             if finer is None:
                 break
             usual, fits = usual or judged, finer
         with work.stage("conclude"):
-            return _concluded(judged if usual is None or judged.explained else usual, rules)
+            return _concluded(judged if usual is None or judged.explained else usual)
     except WorkStoppedError as error:
         work.conclude()
-        return interrupted(fits, rules, error)
+        return interrupted(fits, error)
     except UnsimulatedError:
-        return unconfirmed(fits, rules, "cannot_tell", unsimulated_doubt())
+        return unconfirmed(fits, "cannot_tell", UNSIMULATED_SEARCH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +98,10 @@ class _Judged:
         return self.evidence.is_base and worst_verdict(self.checks, is_base=True) == "complete"
 
 
-def _judged(search: SearchResult, rules: Rules) -> _Judged:
+def _judged(search: SearchResult) -> _Judged:
     """A search with the checks of the model that it accepted."""
     fits, left_out = search.fits, search.fits.work.left_out
-    evidence = Evidence(fits, search.model, rules)
+    evidence = Evidence(fits, search.model)
     explained, before = explains(evidence), len(left_out)
     if explained:
         evidence = with_ties(evidence)
@@ -110,11 +109,11 @@ def _judged(search: SearchResult, rules: Rules) -> _Judged:
     return _Judged(search, evidence, tuple(evaluate(evidence)), explained, all_tried)
 
 
-def _concluded(judged: _Judged, rules: Rules) -> Examination:
+def _concluded(judged: _Judged) -> Examination:
     """The conclusion from a search: effects that explain the study, or what comes nearest."""
     search, evidence, fits = judged.search, judged.evidence, judged.evidence.fits
-    partial = None if judged.explained else explain_partly(fits, rules)
-    path = path_to(fits, evidence.final, rules) if judged.explained else (fits.base,)
+    partial = None if judged.explained else explain_partly(fits)
+    path = path_to(fits, evidence.final) if judged.explained else (fits.base,)
     return conclude(search, evidence, judged.checks, path, partial, all_tried=judged.all_tried)
 
 
@@ -176,8 +175,7 @@ def _limits(examination: Examination) -> tuple[Limit, ...]:
     diagnosis, fits, final = examination.diagnosis, examination.fits, examination.final
     named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
     absent = [e for name, e in fits.library.items() if name not in named | final.names]
-    try:
-        joint = of_all_trials(examination.final_prepared, final.fit)
-    except UNSIMULATED:  # as far as the fitted trials tell
-        joint = AllTrialsFit(examination.final_prepared, final.fit)
+    prepared = examination.final_prepared
+    # where not all can be simulated, as far as the fitted trials tell
+    joint = of_all_trials(prepared, final.fit) or AllTrialsFit(prepared, final.fit)
     return limits(joint, absent, fits.progress)

@@ -30,6 +30,14 @@ class Destination:
         if not (self.x_min_m < self.x_max_m and self.y_min_m < self.y_max_m):
             raise ValueError(f"destination {self}: needs x_min < x_max and y_min < y_max")
 
+    @property
+    def corners_m(self) -> FloatArray:
+        """(4, 2) corners, in order around the rectangle."""
+        low, high = self.y_min_m, self.y_max_m
+        return np.array(
+            [[self.x_min_m, high], [self.x_max_m, high], [self.x_max_m, low], [self.x_min_m, low]]
+        )
+
     def margin_m(self, tip_m: FloatArray) -> FloatArray:
         """Signed margin of tip paths: > 0 passes, < 0 misses by that much.
 

@@ -47,6 +47,11 @@ def height_at_opening_m(destination: Destination, tip_m: FloatArray) -> float:
     return float(y[i] + share * (y[i + 1] - y[i]) - middle_m)
 
 
+def path_at(t_s: FloatArray, path_t_s: FloatArray, path_m: FloatArray) -> FloatArray:
+    """(T, 2) places on a path (P, 2), m, at times (T,); straight between its samples."""
+    return np.column_stack([np.interp(t_s, path_t_s, axis) for axis in path_m.T])
+
+
 def measured_passage(
     destination: Destination,
     t_s: FloatArray,
@@ -66,9 +71,7 @@ def measured_passage(
     t, tip = t_s[seen], tip_m[seen]
     margin_m = float(destination.margin_m(tip))
     miss_m = height_at_opening_m(destination, tip)
-    predicted = np.column_stack(
-        [np.interp(t, predicted_t_s, predicted_tip_m[:, axis]) for axis in (0, 1)]
-    )
+    predicted = path_at(t, predicted_t_s, predicted_tip_m)
     inside = (tip[:, 0] <= destination.x_max_m) & (tip[:, 0] >= destination.x_min_m)
     # A tip that leaps over the destination between two frames is judged by the nearest of them.
     inside[np.argmin(np.abs(tip[:, 0] - destination.x_max_m))] = True

@@ -1,9 +1,14 @@
-"""Keeps the service's adapters running: each is a process, restarted when it ends."""
+"""Keeps the service's adapters running: each is a process, restarted when it ends.
+
+python -m cell.plant.children PARENT WORDS … is `cell WORDS …` as a child of the process PARENT, at
+lower priority; it ends with its parent.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
+import runpy
 import subprocess
 import sys
 import threading
@@ -12,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+from cell.computer.forks import end_with_parent
 from drivers.threads import GuardedThread, said
 
 _LOG = logging.getLogger(__name__)
@@ -25,11 +31,13 @@ WELL_S = 60.0
 TAKE_S = 0.5
 #: So long they may take to end when they are asked to, s.
 END_S = 3.0
+#: Of adapters, against -10 of a cell with real devices; a PLC is still answered in time.
+NICE = 10
 
 
 def command_of(adapter: str, config: Path, runs: Path) -> list[str]:
     """Command line that runs an adapter as a child of this process."""
-    child = [sys.executable, "-m", "cell.plant.child", str(os.getpid())]
+    child = [sys.executable, "-m", "cell.plant.children", str(os.getpid())]
     return [*child, adapter, "--config", str(config), "--runs", str(runs)]
 
 
@@ -144,3 +152,17 @@ class _SupervisedAdapter(GuardedThread):
             _LOG.warning("adapter %s does not end: it is killed", self._adapter)
             self._process.kill()
             self.join(END_S)
+
+
+def main() -> None:
+    """Replace this process by the `cell` command in its arguments."""
+    parent, *words = sys.argv[1:]
+    end_with_parent(int(parent))
+    with suppress(AttributeError, OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, NICE)
+    sys.argv = ["cell", *words]
+    runpy.run_module("cell", run_name="__main__")
+
+
+if __name__ == "__main__":
+    main()

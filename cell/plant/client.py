@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,6 @@ class Client:
     Every question has a connection of its own, so a cell may end and begin between two.
 
     timeout_s  so long an answer is waited for
-    often      the status is asked for many times per second: its connection is kept until `close`
     away       why the cell that is followed is not there; None = it is
     heard_s    when it was last heard of, on the monotonic clock
     on_lost    told, in the thread that follows, when a cell that was followed is there no more, or
@@ -49,20 +48,17 @@ class Client:
         runs: Path,
         *,
         timeout_s: float = 5.0,
-        often: bool = False,
         on_lost: Callable[[], None] = lambda: None,
         on_there: Callable[[], None] = lambda: None,
     ) -> None:
         self.path = socket_of(runs)
         self._runs = runs
         self._timeout_s = timeout_s
-        self._often = often
         self._on_lost = on_lost
         self._on_there = on_there
         self._closed = threading.Event()
         self._lock = threading.Lock()
         self._open: set[socket.socket] = set()
-        self._kept: tuple[ExitStack, _Conversation] | None = None
         self.away: LinkError | None = None
         self.heard_s = 0.0
 
@@ -83,25 +79,8 @@ class Client:
 
     def status(self) -> Status:
         """State of the cell now.  Raises NoCellError; ProtocolError; LinkError."""
-        with self._lock:
-            kept, self._kept = self._kept, None
-        if kept is not None:
-            try:
-                return self._request_status(*kept)
-            except LinkError as error:
-                if isinstance(error.__cause__, TimeoutError):
-                    raise
-        stack = ExitStack()  # the cell has ended since; there may be another
-        return self._request_status(stack, stack.enter_context(self._conversation()))
-
-    def _request_status(self, stack: ExitStack, talk: _Conversation) -> Status:
-        """The status; the conversation is kept if it is wanted again and none is kept."""
-        with stack:
-            status = message_of(Status, talk.ask("status", None, "status"))
-            with self._lock:
-                if self._often and self._kept is None and not self._closed.is_set():
-                    self._kept = stack.pop_all(), talk
-            return status
+        with self._conversation() as talk:
+            return message_of(Status, talk.ask("status", None, "status"))
 
     def send(self, request: Request) -> CommandReply:
         """Ask for something, once.
@@ -157,12 +136,9 @@ class Client:
         """End everything that is under way, from any thread; a client is closed for good."""
         self._closed.set()
         with self._lock:
-            kept, self._kept = self._kept, None
             for connected in self._open:
                 with suppress(OSError):
                     connected.shutdown(socket.SHUT_RDWR)
-        if kept is not None:
-            kept[0].close()
 
     @contextmanager
     def _conversation(self) -> Iterator[_Conversation]:

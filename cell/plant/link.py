@@ -26,9 +26,10 @@ from cell.plant.messages import (
     Notice,
     Request,
     Status,
+    possible_in,
+    status_after,
 )
 from cell.plant.server import CommandServer, Journal
-from cell.plant.status_reducer import possible_in, status_after
 from cell.plant.wire import line_of, socket_of
 from cell.run.commands import INTERRUPTING, too_old
 from cell.run.machine import MachineEvent

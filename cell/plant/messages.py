@@ -1,14 +1,19 @@
-"""Messages between a running cell and other programs: status, notices, requests; as JSON."""
+"""Messages between a running cell and other programs: status, notices, requests; as JSON.
+
+The status after a notice is a pure function, the same in the cell and in its clients.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
-from cell.run.machine import CellState, MachineEvent
+from pydantic import TypeAdapter
+
+from cell.run.machine import TRANSITIONS, CellState, MachineEvent
 
 #: Of the messages; a program that speaks another version is refused.
 PROTOCOL = 2
@@ -161,3 +166,62 @@ class CommandReply:
     state: CellState
     reason: str = ""
     wrong: str = ""
+
+
+_FAULT = TypeAdapter(FaultNotice)
+
+
+def possible_in(
+    state: CellState, obeyed: Collection[MachineEvent] = COMMANDS
+) -> tuple[MachineEvent, ...]:
+    """Commands that a state accepts, in the order of the table of transitions.
+
+    obeyed  those that the cell obeys at all
+    """
+    known = (MachineEvent(event) for source, event, _ in TRANSITIONS if source == state)
+    return tuple(event for event in known if event in obeyed)
+
+
+def status_after(
+    status: Status, notice: Notice, obeyed: Collection[MachineEvent] = COMMANDS
+) -> Status:
+    """Status updated by a notice; the times in each state are not advanced."""
+    status, data = replace(status, sequence=notice.sequence), notice.data
+    match notice.kind:
+        case MessageKind.STATE:
+            state = CellState(data["state"])
+            return replace(
+                status,
+                state=state,
+                since_s=data["since"],
+                step=None,
+                possible=possible_in(state, obeyed),
+            )
+        case MessageKind.STEP:
+            return replace(status, step=data["step"])
+        case MessageKind.CYCLE:
+            part, product = data["part"], data["product"]
+            status = replace(status, cycle=data["cycle"], part=part, product=product)
+            return _of_product(status, data)
+        case MessageKind.RESULT:
+            outcome = data["outcome"]
+            counts = {**status.counts, outcome: status.counts.get(outcome, 0) + 1}
+            return replace(status, counts=counts, last=data)
+        case MessageKind.FAULT:
+            return replace(status, fault=_FAULT.validate_python(data))
+        case MessageKind.ACKNOWLEDGED:
+            return replace(status, fault=None)
+        case MessageKind.PRODUCT:
+            return _of_product(replace(status, product=data["product"]), data)
+        case MessageKind.WAITING:
+            return replace(status, waiting_for=tuple(data["waiting_for"]))
+        case MessageKind.ADAPTER:
+            others = {k: v for k, v in status.adapters.items() if k != data["adapter"]}
+            trouble = {data["adapter"]: data["trouble"]} if data["trouble"] else {}
+            return replace(status, adapters={**others, **trouble})
+
+
+def _of_product(status: Status, data: Mapping[str, Any]) -> Status:
+    """With model and calibration of a product, where a notice says them."""
+    model, calibration = (data.get(k, getattr(status, k)) for k in ("model", "calibration"))
+    return replace(status, model=model, calibration=calibration)

@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from cell.plant.messages import CommandReply, FaultNotice, MessageKind, Request
-from cell.plant.status_reducer import possible_in
+from cell.plant.messages import CommandReply, FaultNotice, MessageKind, Request, possible_in
 from cell.records.result import Result
 from cell.run.commands import INTERRUPTING, PAUSING, RESUMING
 from cell.run.cycle import Cell

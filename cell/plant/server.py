@@ -1,17 +1,15 @@
-"""Unix socket server of a running cell for many programs, in one thread that never blocks."""
+"""Unix socket server of a running cell for many programs, in one thread."""
 
 from __future__ import annotations
 
+import asyncio
 import fcntl
 import logging
 import os
-import selectors
 import socket
-import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +27,7 @@ from drivers.threads import GuardedThread, only_logged
 
 #: Notices that are kept for programs that come back.
 MOST_NOTICES = 10_000
-#: So much is taken from the journal at a time, bytes.
+#: So much is sent from the journal at a time, bytes.
 _CHUNK = 1 << 16
 #: A program that does not read that many bytes of answers is disconnected.
 _MOST_UNREAD = 1 << 20
@@ -61,80 +59,27 @@ class Journal:
         return self._lines[sequence + 1]
 
 
-class CellConnection:
-    """Connection to a program.  No method blocks.
+@dataclass(eq=False)
+class _Program:
+    """A connected program.
 
     greeted  whether it has said which version it speaks
     told     sequence of the newest notice that it got or is about to get; None = it does not follow
+    news     set when there is something to tell it
     """
 
-    def __init__(self, connected: socket.socket) -> None:
-        self.socket = connected
-        self.socket.setblocking(False)
-        self.greeted = False
-        self.told: int | None = None
-        self.waits = False
-        self._sent_s = time.monotonic()
-        self._heard = b""
-        self._unsent = bytearray()
+    writer: asyncio.StreamWriter
+    greeted: bool = False
+    told: int | None = None
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+    following: asyncio.Task[None] | None = None
 
-    def close(self) -> None:
-        """Disconnect."""
-        self.socket.close()
-
-    def read(self) -> list[tuple[str, Any]]:
-        """What it has said by now.
-
-        raises  ConnectionError: it has gone; ValueError: it does not speak this protocol
-        """
-        try:
-            new = self.socket.recv(_CHUNK)
-        except BlockingIOError:
-            return []
-        if not new:
-            raise ConnectionResetError
-        *lines, self._heard = (self._heard + new).split(b"\n")
-        if len(self._heard) > LONGEST_LINE:
-            raise ValueError(f"a line is longer than {LONGEST_LINE} bytes")
-        return [read_line(line) for line in lines]
-
-    def put(self, line: bytes) -> None:
-        """Tell it something.  Raises LaggingError: it does not read."""
-        if len(self._unsent) > _MOST_UNREAD:
-            raise LaggingError
-        self._unsent += line
-
-    def alive_due_s(self) -> float:
-        """When it is to be told that the cell is alive, on the monotonic clock; inf = never."""
-        if self.told is None or self.waits:
-            return float("inf")
-        return self._sent_s + HEARTBEAT_S
-
-    def write(self, journal: Journal) -> None:
-        """Send what it takes now; `waits` = there is more.
-
-        raises  LaggingError: what comes next has left the journal; OSError: it has gone
-        """
-        self.waits = False
-        while True:
-            self._fill(journal)
-            if not self._unsent:
-                return
-            try:
-                sent = self.socket.send(self._unsent)
-            except BlockingIOError:
-                self.waits = True
-                return
-            del self._unsent[:sent]
-            self._sent_s = time.monotonic()
-
-    def _fill(self, journal: Journal) -> None:
-        while self.told is not None and self.told < journal.newest and len(self._unsent) < _CHUNK:
-            try:
-                self._unsent += journal.after(self.told)
-            except KeyError as error:
-                raise LaggingError from error
-            self.told += 1
+    def put(self, kind: str, data: Any) -> None:
+        """Tell it something; one that does not read is disconnected."""
+        if self.writer.transport.get_write_buffer_size() > _MOST_UNREAD:
+            self.writer.transport.abort()
+        else:
+            self.writer.write(line_of(kind, data))
 
 
 _LOG = logging.getLogger(__name__)
@@ -143,8 +88,6 @@ _LOG = logging.getLogger(__name__)
 MOST_CLIENTS = 200
 #: So long the end waits for the thread, s.
 _CLOSE_S = 2.0
-#: After a program that could not be let in the next is so late, s.
-_NO_FILES_S = 0.1
 
 
 class CommandServer:
@@ -168,29 +111,31 @@ class CommandServer:
         ask: Callable[[Request, Callable[[CommandReply], None]], None],
     ) -> None:
         self._path = path
-        self._greeting = line_of("greeting", {"protocol": PROTOCOL, "run": run})
+        self._run = run
         self._journal = journal
         self._status = status
         self._ask = ask
-        self._answers: deque[tuple[CellConnection, CommandReply]] = deque()
-        self._connections: set[CellConnection] = set()
+        self._programs: set[_Program] = set()
         self._opened = ExitStack()
-        self._over = False
+        self._over = asyncio.Event()
 
     def wake(self) -> None:
         """There is something to send; from any thread."""
-        with suppress(OSError):  # it is full: the thread wakes anyway; or closed
-            self._waking.send(b".")
+        self._soon(self._ring)
+
+    def abandon(self) -> None:
+        """Disconnect all programs, and let none in: what they see of the cell would be old."""
+        self._soon(self._over.set)
+
+    def _soon(self, act: Callable[..., None], *given: Any) -> None:
+        """Have the thread do something; from any thread."""
+        with suppress(RuntimeError):  # it has ended
+            self._loop.call_soon_threadsafe(act, *given)
 
     def __enter__(self) -> CommandServer:
         with ExitStack() as stack:
             self._listening = _listening_at(self._path, stack)
-            self._selector = stack.enter_context(selectors.DefaultSelector())
-            self._woken, self._waking = socket.socketpair()
-            for end in (self._woken, self._waking):
-                stack.enter_context(end).setblocking(False)
-            self._selector.register(self._listening, selectors.EVENT_READ)
-            self._selector.register(self._woken, selectors.EVENT_READ)
+            self._loop = asyncio.new_event_loop()
             thread = GuardedThread("link socket", self._serve, only_logged)
             thread.start()
             stack.callback(thread.join, _CLOSE_S)
@@ -201,143 +146,144 @@ class CommandServer:
         self.abandon()
         self._opened.close()
 
-    def abandon(self) -> None:
-        """Disconnect all programs, and let none in: what they see of the cell would be old."""
-        self._over = True
-        self.wake()
+    # --- the thread ---------------------------------------------------------------------------
 
     def _serve(self) -> None:
         try:
-            self._serve_all()
+            self._loop.run_until_complete(self._serve_all())
         finally:
             self._listening.close()
-            for connection in tuple(self._connections):
-                self._drop(connection)
+            self._loop.close()
 
-    def _serve_all(self) -> None:
-        while not self._over:
-            for key, events in self._selector.select(self._until_heartbeat_s()):
-                if key.fileobj is self._listening:
-                    self._accept()
-                elif key.fileobj is self._woken:
-                    self._woken.recv(4096)
-                elif events & selectors.EVENT_READ:
-                    self._receive(key.data)
-            while self._answers:
-                connection, answer = self._answers.popleft()
-                self._put(connection, "answer", asdict(answer))
-            now_s = time.monotonic()
-            for connection in tuple(self._connections):
-                if connection.alive_due_s() <= now_s:
-                    self._put(connection, "alive", None)
-                self._send(connection)
-        for connection in tuple(self._connections):
-            self._send(connection)  # what its program can still read
+    async def _serve_all(self) -> None:
+        server = await asyncio.start_unix_server(
+            self._connected, sock=self._listening, limit=LONGEST_LINE, backlog=MOST_CLIENTS
+        )
+        await self._over.wait()
+        # Nobody is let in any more.  To close the server now would leave open whom it has just let
+        # in: asyncio forgets such a connection without closing it.
+        self._loop.remove_reader(self._listening)
+        for program in tuple(self._programs):
+            with suppress(LaggingError):
+                while self._tell_news(program):  # what it can still read
+                    pass
+            program.writer.transport.abort()
+        while others := asyncio.all_tasks() - {asyncio.current_task()}:  # one may begin another
+            await asyncio.gather(*others, return_exceptions=True)
+        server.close()
 
-    def _until_heartbeat_s(self) -> float | None:
-        """So long it may sleep; None = until something happens."""
-        due_s = min((c.alive_due_s() for c in self._connections), default=float("inf"))
-        return None if due_s == float("inf") else max(0.0, due_s - time.monotonic())
+    def _ring(self) -> None:
+        for program in self._programs:
+            program.news.set()
 
-    def _accept(self) -> None:
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer a program until it has gone."""
+        program = _Program(writer)
+        self._programs.add(program)
         try:
-            connected, _ = self._listening.accept()
-        except BlockingIOError:  # it has gone again
-            return
-        except OSError as error:  # as many files are open as may be
-            _LOG.warning("a program could not connect: %s", error)
-            time.sleep(_NO_FILES_S)
-            return
-        connection = CellConnection(connected)
-        self._connections.add(connection)
-        self._selector.register(connected, selectors.EVENT_READ, connection)
-        if len(self._connections) > MOST_CLIENTS:
-            self._refuse(connection, f"{MOST_CLIENTS} programs are connected already")
-            return
-        connection.put(self._greeting)
-
-    def _receive(self, connection: CellConnection) -> None:
-        try:
-            for kind, data in connection.read():
-                if connection in self._connections:
-                    self._answer(connection, kind, data)
+            if self._over.is_set():
+                raise ConnectionAbortedError
+            if len(self._programs) > MOST_CLIENTS:
+                raise ValueError(f"{MOST_CLIENTS} programs are connected already")
+            program.put("greeting", {"protocol": PROTOCOL, "run": self._run})
+            while (line := await _line_from(reader)).endswith(b"\n"):
+                self._answer(program, *read_line(line))
         except ValueError as error:
-            self._refuse(connection, str(error))
-        except OSError:
-            self._drop(connection)
+            program.put("refused", str(error))
+        except OSError:  # it has gone
+            pass
+        finally:
+            self._programs.discard(program)
+            if program.following is not None:
+                program.following.cancel()
+            writer.transport.abort()  # what it does not read must not keep the connection open
+            with suppress(OSError):
+                await writer.wait_closed()
 
-    def _answer(self, connection: CellConnection, kind: str, data: Any) -> None:
+    def _answer(self, program: _Program, kind: str, data: Any) -> None:
         """Do what a program asks.  Raises ValueError: it is nothing that can be asked."""
-        if not connection.greeted:
+        if not program.greeted:
             if kind != "greeting" or not isinstance(data, dict):
                 raise ValueError("the first message is no greeting")
             if data.get("protocol") != PROTOCOL:
                 spoken = f"this cell speaks protocol {PROTOCOL}, not {data.get('protocol')!r}"
                 raise ValueError(f"{spoken}; update the older of the two programs")
-            connection.greeted = True
+            program.greeted = True
         elif kind == "status":
-            self._put(connection, "status", asdict(self._status()))
+            program.put("status", asdict(self._status()))
         elif kind == "follow":
-            self._follow(connection, data)
+            self._begin_to_follow(program, data)
         elif kind == "request":
             try:
                 request = request_of(data)
             except ValueError as error:
                 refused = CommandReply(False, self._status().state, str(error))
-                self._put(connection, "answer", asdict(refused))
+                program.put("answer", asdict(refused))
             else:
-                self._ask(request, lambda answer: self._answered(connection, answer))
+                self._ask(request, lambda answer: self._soon(program.put, "answer", asdict(answer)))
         else:
             raise ValueError(f"{kind!r} is no message to a cell")
 
-    def _follow(self, connection: CellConnection, data: Any) -> None:
+    def _begin_to_follow(self, program: _Program, data: Any) -> None:
         """Tell it all notices from now on, or from where it was."""
         status = self._status()
         match data:
             case {"run": status.run, "sequence": int(sequence)} if self._journal.has_all_after(
                 sequence
             ):
-                self._put(connection, "alive", None)  # at once: it may have nothing else to say
-                connection.told = sequence
+                program.put("alive", None)  # at once: it may have nothing else to say
+                program.told = sequence
             case _:
-                self._put(connection, "status", asdict(status))
-                connection.told = status.sequence
+                program.put("status", asdict(status))
+                program.told = status.sequence
+        if program.following is None:
+            program.following = asyncio.create_task(self._follow(program))
 
-    def _answered(self, connection: CellConnection, answer: CommandReply) -> None:
-        self._answers.append((connection, answer))
-        self.wake()
-
-    def _put(self, connection: CellConnection, kind: str, data: Any) -> None:
+    async def _follow(self, program: _Program) -> None:
+        """Tell a program of every notice, and that the cell is alive, until it has gone."""
         try:
-            connection.put(line_of(kind, data))
-        except LaggingError:
-            self._drop(connection)
-
-    def _send(self, connection: CellConnection) -> None:
-        try:
-            connection.write(self._journal)
+            while True:
+                program.news.clear()
+                while self._tell_news(program):
+                    await program.writer.drain()
+                try:
+                    async with asyncio.timeout(HEARTBEAT_S):
+                        await program.news.wait()
+                except TimeoutError:
+                    program.put("alive", None)
         except LaggingError:
             _LOG.warning("a program that does not read is disconnected")
-            self._drop(connection)
-        except OSError:
-            self._drop(connection)
-        else:
-            both = selectors.EVENT_READ | selectors.EVENT_WRITE
-            events = both if connection.waits else selectors.EVENT_READ
-            if self._selector.get_key(connection.socket).events != events:
-                self._selector.modify(connection.socket, events, connection)
+        except OSError:  # it has gone
+            pass
+        except Exception:  # rather no cell than one of which nothing is heard
+            _LOG.exception("a program is told nothing more")
+        finally:
+            program.writer.close()
 
-    def _refuse(self, connection: CellConnection, reason: str) -> None:
-        """Disconnect it, and say why."""
-        self._put(connection, "refused", reason)
-        self._send(connection)
-        self._drop(connection)
+    def _tell_news(self, program: _Program) -> bool:
+        """Tell notices that it has not got, a chunk at most; whether there were any.
 
-    def _drop(self, connection: CellConnection) -> None:
-        if connection in self._connections:
-            self._connections.remove(connection)
-            self._selector.unregister(connection.socket)
-            connection.close()
+        raises  LaggingError: what comes next has left the journal
+        """
+        lines: list[bytes] = []
+        size = 0
+        while program.told is not None and program.told < self._journal.newest and size < _CHUNK:
+            try:
+                lines.append(self._journal.after(program.told))
+            except KeyError as error:
+                raise LaggingError from error
+            program.told += 1
+            size += len(lines[-1])
+        program.writer.writelines(lines)
+        return bool(lines)
+
+
+async def _line_from(reader: asyncio.StreamReader) -> bytes:
+    """The next line, or what there is before the end.  Raises ValueError: it is too long."""
+    try:
+        return await reader.readline()
+    except ValueError as error:
+        raise ValueError(f"a line is longer than {LONGEST_LINE} bytes") from error
 
 
 def _listening_at(path: Path, stack: ExitStack) -> socket.socket:

@@ -21,12 +21,12 @@ from typing import Any, TypeVar
 
 from pydantic import TypeAdapter
 
-from cell.plant.messages import COMMANDS, CommandReply, FaultNotice, Notice, Request, Status
+from cell.plant.messages import COMMANDS, CommandReply, Notice, Request, Status
 from cell.run.machine import MachineEvent
 
 Message = TypeVar("Message")
 _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {
-    kind: TypeAdapter(kind) for kind in (Notice, Status, CommandReply, FaultNotice)
+    kind: TypeAdapter(kind) for kind in (Notice, Status, CommandReply)
 }
 
 #: A program that follows hears something at least so often, s.

@@ -76,9 +76,9 @@ def signals(results: Sequence[Result]) -> list[ChartSignal]:
 
 def _of_forecasts(results: Sequence[Result]) -> list[ChartSignal]:
     executed = [
-        (r.folder, (r.measured_miss_m - r.predicted_miss_m), r.predicted_std_m)
+        (r.folder, error_m, r.predicted_std_m)
         for r in results
-        if r.measured_miss_m is not None and r.predicted_miss_m is not None and r.predicted_std_m
+        if (error_m := r.miss_error_m) is not None and r.predicted_std_m
     ]
     errors = np.array([e for _, e, _ in executed])
     change = _change(standard_normal(np.array([e / s for _, e, s in executed]), LEAST_FORECAST))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,14 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.files.figure_style import ADDED, MODEL, QUIET, SEEN, laid_out
 from cell.files.page import PagePicture, Plot, page
-from cell.files.quantity import percent, with_prefix
 from cell.files.table import TableData
-from cell.files.words import counted
+from cell.files.words import counted, percent, with_prefix
 from cell.records.folder import Recorded, pictures_in
 from cell.records.recording import form
-from cell.records.recording.film import drawn
+from cell.records.recording.film import corners_of, drawn
 from cell.records.recording.reading import Recording
 from cell.records.result import Correction, Outcome, Result
 
@@ -53,6 +54,8 @@ _DECISION = (
     ("margin_std_m", "its standard deviation, mm", 1e3, ".2f"),
     ("probability", "passes with, %", 100.0, ".1f"),
 )
+#: A forecast is trusted within so many of its standard deviations.
+LIMIT_STDS = 3.0
 
 
 def cycle_page(record: Recorded, recording: Recording | None) -> str:
@@ -60,9 +63,8 @@ def cycle_page(record: Recorded, recording: Recording | None) -> str:
     result = record.result
     says, good = how_it_ended(record)
     decision = None if recording is None else recording.last(form.DECISION)
-    said = None if recording is None else recording.last(form.SETTINGS)
-    destination = None if said is None else said["settings"]["destination"]
-    tip = _tip_path(record, decision, destination)
+    flight = flight_of(record, recording)
+    tip = _tip_path(flight)
     timed = result is not None and result.seconds
     return page(
         Path(__file__).parent / "templates",
@@ -76,7 +78,7 @@ def cycle_page(record: Recorded, recording: Recording | None) -> str:
         strip=None if recording is None else _strip(recording),
         seen=_seen(record),
         tip=None if tip is None else Plot.of(tip),
-        decision=None if decision is None else _decision(decision),
+        decision=None if decision is None else _decision(decision, result),
         decision_says="" if decision is None else _decided(decision),
         stops=() if result is None else result.stops,
         corrections=None if result is None else _corrections(result.corrections),
@@ -135,7 +137,7 @@ def _mm(length_m: float | None) -> str:
 
 def _strip(recording: Recording) -> list[PagePicture]:
     """Frames evenly over both films, with the cable as it was seen."""
-    count = recording.count(form.IMAGE)
+    count, corners_px = recording.count(form.IMAGE), corners_of(recording.last(form.CYCLE))
     chosen = set(np.linspace(0, count - 1, min(STRIP, count)).round().astype(int).tolist())
     shown = []
     first_s: float | None = None
@@ -143,9 +145,8 @@ def _strip(recording: Recording) -> list[PagePicture]:
         first_s = frame.t_s if first_s is None else first_s
         if number not in chosen:
             continue
-        shown.append(
-            PagePicture.of(drawn(frame.image, points), STRIP_PX, f"{frame.t_s - first_s:.2f} s")
-        )
+        picture = drawn(frame.image, points, corners_px)
+        shown.append(PagePicture.of(picture, STRIP_PX, f"{frame.t_s - first_s:.2f} s"))
     return shown
 
 
@@ -163,27 +164,18 @@ def _seen(record: Recorded) -> list[PagePicture]:
     return [PagePicture.of(image, PICTURE_PX, name) for name, image in read if image is not None]
 
 
-def _tip_path(
-    record: Recorded,
-    decision: Mapping[str, Any] | None,
-    destination: Mapping[str, Sequence[float]] | None,
-) -> go.Figure | None:
+def _tip_path(flight: TipFlight) -> go.Figure | None:
     """The tip of the execution as seen, and as it was forecast, and the destination."""
-    trials = () if record.study is None else record.study.trials
-    executed = [t for t in trials if t.name == "execute"]
-    figure = go.Figure()
-    if decision is not None:
-        _draw(figure, np.array(decision["tip_m"], float), "forecast", MODEL)
-    if record.study is not None and executed:
-        tip = int(np.argmax(record.study.arc_length_m))
-        _draw(figure, executed[0].markers.xy_m[:, tip], "seen", SEEN)
-    if not figure.data:
+    if not len(flight.planned_m) and not len(flight.seen_m):
         return None
-    if destination is not None:
-        (x0, x1), (y0, y1) = ([1e3 * v for v in destination[k]] for k in ("x_m", "y_m"))
-        colour = {"color": ADDED, "width": 2}
-        corners = {"x": [x0, x1, x1, x0, x0], "y": [y0, y0, y1, y1, y0]}
-        figure.add_scatter(**corners, name="destination", mode="lines", line=colour)
+    figure = go.Figure()
+    for name, path_m, colour in (
+        ("forecast", flight.planned_m, MODEL),
+        ("seen", flight.seen_m, SEEN),
+        ("destination", flight.destination_m, ADDED),
+    ):
+        if len(path_m):
+            _draw(figure, path_m, name, colour)
     figure.update_xaxes(title="x, mm")
     figure.update_yaxes(title="y, mm")
     return laid_out(figure, 420)
@@ -191,9 +183,9 @@ def _tip_path(
 
 def _draw(figure: go.Figure, xy_m: NDArray[np.float64], name: str, colour: str) -> None:
     x, y = (np.round(1e3 * xy_m[:, k], 3).tolist() for k in range(2))
-    figure.add_scatter(
-        x=x, y=y, name=name, mode="lines+markers", marker={"size": 3, "color": colour}
-    )
+    mode = "lines" if colour == ADDED else "lines+markers"
+    marker, line = {"size": 3, "color": colour}, {"color": colour}
+    figure.add_scatter(x=x, y=y, name=name, mode=mode, marker=marker, line=line)
 
 
 def _decided(decision: Mapping[str, Any]) -> str:
@@ -202,14 +194,14 @@ def _decided(decision: Mapping[str, Any]) -> str:
     return f"No offset was taken: {decision['reason']}." if none else ""
 
 
-def _decision(decision: Mapping[str, Any]) -> TableData:
-    chosen = decision["offset_m"]
+def _decision(decision: Mapping[str, Any], result: Result | None) -> TableData:
+    chosen = chosen_row(decision, result)
     rows = [
         [
             f"{row[key] * size:{digits}}" if row.get(key) is not None else ""
             for key, _, size, digits in _DECISION
         ]
-        + ["taken" if row["offset_m"] == chosen else ""]
+        + ["taken" if row is chosen else ""]
         for row in decision["table"]
     ]
     heads = [*(head for _, head, _, _ in _DECISION), ""]
@@ -247,3 +239,87 @@ def _times(seconds: Mapping[str, float], state_seconds: Mapping[str, float]) -> 
     figure.update_layout(barmode="stack")
     figure.update_xaxes(title="s")
     return laid_out(figure, 260)
+
+
+@dataclass(frozen=True, eq=False)
+class TipFlight:
+    """The tip of an executed motion; empty arrays = not known.
+
+    seen_m         (n, 2) path from the pictures
+    planned_m      (p, 2) predicted path of the motion as it was chosen
+    destination_m  (5, 2) closed outline
+    t_s            (m,) from the beginning of the motion, of frames in which the tip was seen
+    error_m        (m, 2) seen minus predicted, with corrections in flight, in these frames
+    inside_s       (2,) first and last of these times in the destination
+    limit_m        three standard deviations of the predicted margin; None = not known
+    """
+
+    seen_m: FloatArray
+    planned_m: FloatArray
+    destination_m: FloatArray
+    t_s: FloatArray
+    error_m: FloatArray
+    inside_s: FloatArray
+    limit_m: float | None
+
+
+def flight_of(record: Recorded, recording: Recording | None) -> TipFlight:
+    """What is known of the flight in a cycle."""
+    decision = None if recording is None else recording.last(form.DECISION)
+    settings = None if recording is None else recording.last(form.SETTINGS)
+    passage = None if recording is None else recording.last(form.PASSAGE)
+    study, seen_m = record.study, np.empty((0, 2))
+    for trial in () if study is None else study.trials:
+        if study is not None and trial.name == "execute":
+            path_m = trial.markers.xy_m[:, int(np.argmax(study.arc_length_m))]
+            seen_m = path_m[np.isfinite(path_m).all(axis=1)]
+    outline_m = np.empty((0, 2))
+    if settings is not None:
+        (x0, x1), (y0, y1) = (settings["settings"]["destination"][k] for k in ("x_m", "y_m"))
+        outline_m = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]], float)
+    t_s, tip_m, predicted_m = (
+        np.array((passage or {}).get(key, ()), float) for key in ("t_s", "tip_m", "predicted_m")
+    )
+    tip_m = tip_m.reshape(-1, 2)
+    return TipFlight(
+        seen_m=seen_m,
+        planned_m=np.array((decision or {}).get("tip_m") or (), float).reshape(-1, 2),
+        destination_m=outline_m,
+        t_s=t_s,
+        error_m=tip_m - predicted_m.reshape(-1, 2),
+        inside_s=_times_inside(t_s, tip_m, outline_m),
+        limit_m=_limit_m(chosen_row(decision, record.result)),
+    )
+
+
+def _times_inside(t_s: FloatArray, tip_m: FloatArray, outline_m: FloatArray) -> FloatArray:
+    """First and last time in the destination's range of x; empty = in none."""
+    if not len(tip_m) or not len(outline_m):
+        return np.empty(0)
+    x0, x1 = outline_m[:, 0].min(), outline_m[:, 0].max()
+    times = t_s[(tip_m[:, 0] >= x0) & (tip_m[:, 0] <= x1)]
+    return times[[0, -1]] if len(times) else np.empty(0)
+
+
+def chosen_row(
+    decision: Mapping[str, Any] | None, result: Result | None
+) -> Mapping[str, Any] | None:
+    """Row of a decision's table that was executed; None = none was."""
+    if decision is None or decision["offset_m"] is None:
+        return None
+    chosen = {"offset_m": decision["offset_m"]}
+    for key in ("delay_s", "pace", "further_m"):
+        if result is not None and (value := getattr(result, key)) is not None:
+            chosen[key] = value
+    rows = (r for r in decision["table"] if all(r.get(k, v) == v for k, v in chosen.items()))
+    return next(rows, None)
+
+
+def _limit_m(row: Mapping[str, Any] | None) -> float | None:
+    std_m: float | None = None if row is None else row.get("margin_std_m")
+    return None if std_m is None else LIMIT_STDS * std_m
+
+
+def rounded_mm(values_m: NDArray[np.float64]) -> Any:
+    """Lengths in mm with two digits, as nested lists."""
+    return np.round(1e3 * values_m, 2).tolist()

@@ -8,6 +8,8 @@ runs/<time>-<n>/
   result.json     how it ended
   *.jpg           pictures with what was seen and predicted drawn over them
   reserve         room on the disk for the cycle's end; gone when it is closed
+
+The past cycles in a folder of such folders are summarised by their outcomes and pictures.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.files.atomic import free_bytes, write_atomic
-from cell.files.input_error import InputError
+from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_json_object
 from cell.files.yaml_document import yaml_text
 from cell.records.result import Result
@@ -181,7 +183,7 @@ def acknowledge_record(folder: Path, by: str, note: str) -> None:
         state |= {"cycle": number, "closed": False}
     try:
         try:
-            state = _read_json(path) or state
+            state = read_json_if_there(path) or state
         except InputError:
             path.replace(path.with_name(f"{path.name}.unreadable"))
         state["acknowledged"] = {"by": by, "note": note}
@@ -241,7 +243,7 @@ def read_record(folder: Path) -> Recorded:
 
     raises  InputError: it is not such a folder, or a file in it was changed and is wrong now
     """
-    state = _read_json(folder / "state.json")
+    state = read_json_if_there(folder / "state.json")
     if state is None:
         raise InputError.at(
             folder / "state.json",
@@ -261,13 +263,13 @@ def read_record(folder: Path) -> Recorded:
         step=state.get("step"),
         state=state,
         study=read_study(folder / "study") if (folder / "study" / "study.yaml").exists() else None,
-        model=_read_json(folder / "model.json"),
+        model=read_json_if_there(folder / "model.json"),
         result=_read_result(folder / "result.json"),
     )
 
 
 def _read_result(path: Path) -> Result | None:
-    data = _read_json(path)
+    data = read_json_if_there(path)
     try:
         return None if data is None else Result.from_json(data)
     except (KeyError, TypeError, ValueError) as error:
@@ -275,9 +277,86 @@ def _read_result(path: Path) -> Result | None:
         raise InputError.at(path, message) from error
 
 
-def _read_json(path: Path) -> dict[str, Any] | None:
+def read_json_if_there(path: Path) -> dict[str, Any] | None:
+    """A JSON object; None = no such file.  Raises InputError: it is none, or cannot be read."""
     return read_json_object(path) if path.exists() else None
 
 
 def _json(data: Mapping[str, Any]) -> str:
     return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+#: Said of a cycle that has no outcome.
+UNFINISHED = "running or killed"
+
+
+@dataclass(frozen=True)
+class PastCycle:
+    """A cycle that was.
+
+    started             with a time zone
+    outcome             as in its result; "running or killed" without one; "unreadable"
+    step                in which it ended
+    offset_m, prediction_error_m   None = not known
+    pictures            names of its picture files, sorted
+    """
+
+    folder: Path
+    started: datetime
+    cycle: int
+    outcome: str
+    step: str = ""
+    offset_m: float | None = None
+    prediction_error_m: float | None = None
+    pictures: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return vars(self) | {
+            "folder": str(self.folder),
+            "started": self.started.isoformat(),
+            "pictures": list(self.pictures),
+        }
+
+
+def history(runs: Path) -> tuple[PastCycle, ...]:
+    """All cycles that left a folder in `runs`, the newest last.
+
+    Folders of another kind are left out; a cycle whose files are broken is said to be unreadable.
+    raises  InputError: `runs` is no folder
+    """
+    if not runs.is_dir():
+        message = "is no folder of cycles; give the one that `cell run --runs` wrote to"
+        raise InputError([Problem(runs, 1, None, "", message)])
+    past = [_past(f, number) for f in runs.iterdir() if (number := cycle_of(f)) is not None]
+    return tuple(sorted(past, key=lambda p: (p.started, p.cycle)))
+
+
+def newest(runs: Path) -> Path:
+    """Folder of the newest cycle.  Raises InputError: there is none."""
+    past = history(runs)
+    if not past:
+        raise InputError([Problem(runs, 1, None, "", "holds no cycle; run one with `cell run`")])
+    return past[-1].folder
+
+
+def _past(folder: Path, cycle: int) -> PastCycle:
+    state: Mapping[str, Any] | None = None
+    try:
+        state, result = (
+            read_json_if_there(folder / f"{name}.json") for name in ("state", "result")
+        )
+        assert state is None or state["format"] == FORMAT
+    except (OSError, ValueError, KeyError, AssertionError):
+        return PastCycle(folder, started_of(folder, state), cycle, "unreadable")
+    known = result or {}
+    return PastCycle(
+        folder,
+        started_of(folder, state),
+        cycle,
+        str(known.get("outcome", UNFINISHED)),
+        str((state or {}).get("step", "")),
+        known.get("offset_m"),
+        known.get("prediction_error_m"),
+        tuple(picture.name for picture in pictures_in(folder)),
+    )

@@ -154,6 +154,13 @@ class Result:
     corrections: tuple[Correction, ...] | None = None
     stops: tuple[str, ...] = ()
 
+    @property
+    def miss_error_m(self) -> float | None:
+        """Measured minus predicted height of the tip, m; None = one of them is not known."""
+        if self.measured_miss_m is None or self.predicted_miss_m is None:
+            return None
+        return self.measured_miss_m - self.predicted_miss_m
+
     def to_json(self) -> dict[str, Any]:
         """Plain data for json.dumps; what is not finite becomes None."""
         return {name: plain(value) for name, value in asdict(self).items()}

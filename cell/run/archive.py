@@ -16,6 +16,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.identify.identified import Identified
+from cell.plan.passage import path_at
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry, entry_of_folder, estimates_of
 from cell.records.ledger.outbox import LedgerWriter
 from cell.records.recording import form
@@ -24,7 +25,7 @@ from cell.records.recording.retention import Retention
 from cell.records.recording.unpack import study_to_plain
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Fault, Outcome, Result
-from cell.run.findings import FilmedMotion, Findings
+from cell.run.findings import FilmedMotion, Findings, required
 from cell.run.station import ProductTask, Station, Task
 from cell.study.data import Study
 
@@ -151,7 +152,8 @@ class CycleRecording:
         vision = None if self._recording.whole else VisionSetup(task.view, task.vision)
         to.begin(self._path, recording_metadata(cycle, started), vision)
         about = {"cycle": cycle, "started": started.isoformat(), "folder": str(folder)}
-        to.event(form.CYCLE, {**about, **plan})
+        corners_px = task.view.to_pixels(task.destination.corners_m)
+        to.event(form.CYCLE, {**about, **plan, "destination_px": corners_px.tolist()})
         settings, files = dict(self._recording.settings), dict(self._recording.files)
         to.event(form.SETTINGS, {"settings": settings, "files": files})
 
@@ -171,6 +173,8 @@ class CycleRecording:
             self._event(form.FILMING, {name: getattr(filming, name) for name in names})
         if findings.choice is not None and findings.choice is not before.choice:
             self._event(form.DECISION, decision_of(findings))
+        if findings.passage is not None and findings.passage is not before.passage:
+            self._event(form.PASSAGE, passage_of(findings))
         if findings.identified is not None and findings.identified is not before.identified:
             self._event(form.MODEL, findings.identified.to_dict())
         for filmed, known in ((findings.held, before.held), (findings.executed, before.executed)):
@@ -233,6 +237,21 @@ def decision_of(findings: Findings) -> dict[str, Any]:
         "residual_rms_m": identified.residual_rms_m,
         "frames_used": identified.frames_used,
         "wait_s": findings.wait_s,
+    }
+
+
+def passage_of(findings: Findings) -> dict[str, Any]:
+    """The tip in the frames of the execution that show it, and where it was predicted, m.
+
+    Plain data; times in s from the beginning of the motion.
+    """
+    executed, predicted = required(findings.executed), findings.predicted_choice
+    seen = [s for s in executed.sightings if s.seen]
+    t_s = np.array([s.t_s for s in seen]) - required(findings.candidates).start_s
+    return {
+        "t_s": t_s,
+        "tip_m": np.array([s.nodes_m[0] for s in seen]).reshape(-1, 2),
+        "predicted_m": path_at(t_s, predicted.t_s, predicted.tip_m),
     }
 
 

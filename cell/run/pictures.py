@@ -13,8 +13,7 @@ from cell.cable.dynamics import simulate
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, identify
 from cell.plan.choose import Choice
-from cell.plan.destination import Destination
-from cell.plan.passage import Passage
+from cell.plan.passage import Passage, path_at
 from cell.run.findings import Candidates, FilmedMotion, Findings, RehearsedMotion, required
 from cell.run.station import Station, Task
 from cell.study.data import Trial
@@ -137,10 +136,8 @@ def passage_pictures(
     seen = [s for s in filmed.sightings if s.seen]
     seen_m = np.array([s.nodes_m[0] for s in seen]).reshape(-1, 2)
     t_s = candidates.start_s + choice.t_s
-    predicted_m = np.column_stack(
-        [np.interp([s.t_s for s in seen], t_s, axis) for axis in choice.tip_m.T]
-    )
-    _draw(image, task, _corners_m(destination), DESTINATION, closed=True)
+    predicted_m = path_at(np.array([s.t_s for s in seen]), t_s, choice.tip_m)
+    _draw(image, task, destination.corners_m, DESTINATION, closed=True)
     _draw(image, task, seen_m, SEEN)
     _draw(image, task, choice.tip_m, PREDICTED, dashed=True)
     inside = (seen_m[:, 0] <= destination.x_max_m) & (seen_m[:, 0] >= destination.x_min_m)
@@ -176,7 +173,7 @@ def dry_run_pictures(followed: Sequence[RehearsedMotion], task: Task) -> dict[st
         assert one.film is not None
         for name, frame, at in zip(("begin", "end"), one.film.pictures, (0, -1), strict=True):
             image = np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
-            _draw(image, task, _corners_m(task.destination), DESTINATION, closed=True)
+            _draw(image, task, task.destination.corners_m, DESTINATION, closed=True)
             _draw(
                 image, task, np.column_stack([one.gripper_log.x_m, one.gripper_log.y_m]), PREDICTED
             )
@@ -190,17 +187,6 @@ def dry_run_pictures(followed: Sequence[RehearsedMotion], task: Task) -> dict[st
             )
             images[f"{i}_{one.name}_{name}"] = _finished(image, task, *lines)
     return images
-
-
-def _corners_m(destination: Destination) -> FloatArray:
-    return np.array(
-        [
-            [destination.x_min_m, destination.y_max_m],
-            [destination.x_max_m, destination.y_max_m],
-            [destination.x_max_m, destination.y_min_m],
-            [destination.x_min_m, destination.y_min_m],
-        ]
-    )
 
 
 def _finished(image: Image, task: Task, *lines: tuple[str, Colour]) -> Image:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.special import ndtri
@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from cell.cable.geometry import Cable
 from cell.files.input_error import Problem, did_you_mean
 from cell.files.words import counted
-from cell.files.yaml_document import Document, Key
+from cell.files.yaml_document import Complaint, Document, Key
 from cell.identify.noise import FEWEST_STILL_FRAMES
 from cell.settings.devices import OpenCvCameraSettings, SerialGripperSettings, UrArmSettings
 from cell.settings.model import REPEATABILITY_M, Settings
@@ -33,10 +33,10 @@ def oddities(settings: Settings) -> tuple[str, ...]:
     )
 
 
-def freedoms(settings: Settings, map_std_m: float) -> str:
+def freedoms(settings: Settings, map_std_m: float | None) -> str:
     """Sentence: what may be chosen for a cable, and the narrowest opening that noise allows.
 
-    map_std_m  of the camera's map, over both axes; 0 = not known
+    map_std_m  standard deviation of the camera's map, over both axes; None = it is not measured
     """
     start, hold, offsets = settings.motion.freedom, settings.motion.hold, settings.motion.offsets
     free = start.window_s > 0.0
@@ -47,144 +47,128 @@ def freedoms(settings: Settings, map_std_m: float) -> str:
     held = f"{settings.motion.hold_s:g} s"
     if hold is not None:
         held = f"{hold.least_s:g} … {hold.most_s:g} s, as needed"
-    noise_m = float(np.hypot(REPEATABILITY_M, map_std_m / np.sqrt(2.0)))
+    noise_m = float(np.hypot(REPEATABILITY_M, (map_std_m or 0.0) / np.sqrt(2.0)))
     sure = float(ndtri(0.5 + 0.5 * settings.choice.min_probability))
     half_m = sure * noise_m + (0.0 if free else 0.5 * offsets.step_m)
+    apart = " (the error of the camera's map, known after calibration, adds to this)"
     return (
         f"starts {begins}; holds {held}; feedback {settings.feedback}; serves openings "
-        f"of ±{half_m * 1e3:.2f} mm at best"
+        f"of ±{half_m * 1e3:.2f} mm at best" + (apart if map_std_m is None else "")
     )
 
 
 def contradictions(document: Document, settings: Settings) -> list[Problem]:
     """Problems of entries that contradict each other."""
-    problems = [
-        *_cable(document, settings),
-        *_offsets(document, settings),
-        *_poses_within_limits(document, settings),
-        *_above_kinematic_limits(document, settings),
-        *_devices(document, settings),
-        *film_problems(document, settings),
-        *_emulated(document, settings),
-        *_calibration(document, settings),
-        *_hidden_effects(document, settings),
-        *_model(document, settings),
-        *_retry(document, settings),
-        *plant_problems(document, settings),
-    ]
+    found = [c for check in _CHECKS for c in check(settings)]
     # Where the gripper cannot go, what the tip can reach is an idle question.
-    return problems or [
-        *_destination_in_reach(document, settings),
-        *_in_view(document, settings),
-        *_wide_enough(document, settings),
-    ]
+    found = found or [c for check in _CHECKS_OF_PLACES for c in check(settings)]
+    return document.problems(found)
 
 
-def _cable(document: Document, settings: Settings) -> Iterator[Problem]:
+def _cable(settings: Settings) -> Iterator[Complaint]:
     if message := Cable(**settings.cable.model_dump()).implausible():
-        yield document.problem(("cable", "line_density_kg_per_m"), message)
+        yield ("cable", "line_density_kg_per_m"), message
 
 
-def _offsets(document: Document, settings: Settings) -> Iterator[Problem]:
+def _offsets(settings: Settings) -> Iterator[Complaint]:
     offsets = settings.motion.offsets
     key: Key = ("motion", "offsets")
     if offsets.last_m < offsets.first_m:
         message = f"{offsets.last_m:g} m is less than first_m = {offsets.first_m:g} m"
-        yield document.problem((*key, "last_m"), message)
+        yield (*key, "last_m"), message
         return
     steps = (offsets.last_m - offsets.first_m) / offsets.step_m
     if abs(steps - round(steps)) > 1e-6:
         message = f"{offsets.step_m:g} m does not divide {offsets.first_m:g} … {offsets.last_m:g} m"
-        yield document.problem((*key, "step_m"), message)
+        yield (*key, "step_m"), message
     elif steps >= 1000:
-        yield document.problem((*key, "step_m"), f"makes {round(steps)} offsets, limit 1000")
+        yield (*key, "step_m"), f"makes {round(steps)} offsets, limit 1000"
 
 
-def _poses_within_limits(document: Document, settings: Settings) -> Iterator[Problem]:
+def _poses_within_limits(settings: Settings) -> Iterator[Complaint]:
     """Home, the lowest and the leftmost place of the gripper, each against the cell's limits."""
-    motion, limits, home = settings.motion, settings.limits, settings.motion.home
+    motion, home = settings.motion, settings.motion.home
     lowered_m = home.y_m - motion.lower_m
-    deepest_m = lowered_m - motion.offsets.last_m
     furthest_m = home.x_m - motion.advance_m - motion.freedom.further_m
-    places: list[tuple[Key, str, float, tuple[float, float]]] = [
-        (("motion", "home", "x_m"), "x_m", home.x_m, limits.x_m),
-        (("motion", "home", "y_m"), "y_m", home.y_m, limits.y_m),
-        (("motion", "home", "angle_rad"), "angle_rad", home.angle_rad, limits.angle_rad),
-        (("motion", "aside", "x_m"), "x_m", motion.aside.x_m, limits.x_m),
-        (("motion", "aside", "y_m"), "y_m", motion.aside.y_m, limits.y_m),
-        (("motion", "aside", "angle_rad"), "angle_rad", motion.aside.angle_rad, limits.angle_rad),
-        (("motion", "lower_m"), "y_m", lowered_m, limits.y_m),
-        (("motion", "offsets", "last_m"), "y_m", deepest_m, limits.y_m),
-        (("motion", "advance_m"), "x_m", home.x_m - motion.advance_m, limits.x_m),
-        (("motion", "start", "further_m"), "x_m", furthest_m, limits.x_m),
+    places: list[tuple[Key, str, float]] = [
+        *(
+            ((name, axis), axis, getattr(getattr(motion, name), axis))
+            for name in ("home", "aside")
+            for axis in ("x_m", "y_m", "angle_rad")
+        ),
+        (("lower_m",), "y_m", lowered_m),
+        (("offsets", "last_m"), "y_m", lowered_m - motion.offsets.last_m),
+        (("advance_m",), "x_m", home.x_m - motion.advance_m),
+        (("start", "further_m"), "x_m", furthest_m),
     ]
-    for key, axis, value, (low, high) in places:
+    for key, axis, value in places:
+        low, high = getattr(settings.limits, axis)
         if not low <= value <= high:
             message = (
                 f"takes the gripper to {axis} = {value:g}, outside limits.{axis} = [{low:g}, "
                 f"{high:g}]; move less, start elsewhere or widen the limits"
             )
-            yield document.problem(key, message)
+            yield ("motion", *key), message
 
 
-def _above_kinematic_limits(document: Document, settings: Settings) -> Iterator[Problem]:
+def _above_kinematic_limits(settings: Settings) -> Iterator[Complaint]:
     for stroke in ("lowering", "insertion"):
         for name in ("velocity_m_per_s", "acceleration_m_per_s2", "jerk_m_per_s3"):
             value = getattr(getattr(settings.motion, stroke), name)
             limit = getattr(settings.limits, name)
             if value > limit:
                 message = f"{value:g} is beyond limits.{name} = {limit:g}; lower it"
-                yield document.problem(("motion", stroke, name), message)
+                yield ("motion", stroke, name), message
 
 
-def _retry(document: Document, settings: Settings) -> Iterator[Problem]:
+def _retry(settings: Settings) -> Iterator[Complaint]:
     if settings.retry > 0 and settings.feedback == "off":
         message = (
             f"is {settings.retry}, but only feedback stops a cable in front of the opening; remove "
             "it, or set feedback: on"
         )
-        yield document.problem(("retry",), message)
+        yield ("retry",), message
 
 
-def _devices(document: Document, settings: Settings) -> Iterator[Problem]:
+def _devices(settings: Settings) -> Iterator[Complaint]:
     low, high = settings.gripper.force_limits_n
     if not low <= settings.gripper.force_n <= high:
         message = f"{settings.gripper.force_n:g} N is outside gripper.force_limits_n = "
         message += f"[{low:g}, {high:g}]"
-        yield document.problem(("gripper", "force_n"), message)
+        yield ("gripper", "force_n"), message
     kinds = {name: getattr(settings, name).kind for name in ("arm", "camera", "gripper")}
     real = [name for name, kind in kinds.items() if kind not in ("sim", "files")]
     if "sim" in kinds.values() and real:
         message = "a real device cannot act in the simulated world; "
         message += "make all three `sim`, or none of them"
-        yield document.problem((real[0], "kind"), message)
+        yield (real[0], "kind"), message
     if settings.arm.kind == "ur":
         x = np.array(settings.arm.plane_x_axis)
         y = np.array(settings.arm.plane_y_axis)
         size = float(np.linalg.norm(x) * np.linalg.norm(y))
         if size == 0.0 or abs(float(x @ y)) > 1e-3 * size:
             message = f"{x.tolist()} is not perpendicular to plane_y_axis {y.tolist()}"
-            yield document.problem(("arm", "plane_x_axis"), message)
+            yield ("arm", "plane_x_axis"), message
 
 
-def _calibration(document: Document, settings: Settings) -> Iterator[Problem]:
+def _calibration(settings: Settings) -> Iterator[Complaint]:
     """The map from pixels to the plane is typed or calibrated, not both, not neither."""
     if settings.camera.view is not None and settings.calibration is not None:
         message = "is calibrated (section `calibration`); leave out one of the two"
-        yield document.problem(("camera", "view"), message)
+        yield ("camera", "view"), message
     elif settings.camera.view is None and settings.calibration is None:
         message = "is missing; add the section `calibration: {}` and run `cell calibrate`, or type "
-        yield document.problem(("camera", "view"), message + "it by hand")
+        yield ("camera", "view"), message + "it by hand"
     elif settings.camera.view is None and settings.world.camera is None and _is_unreal(settings):
         message = "where the camera stands is missing: this cell is not real, so say it here"
-        yield document.problem(("world", "camera"), message)
+        yield ("world", "camera"), message
 
 
 def _is_unreal(settings: Settings) -> bool:
     return settings.camera.kind == "sim" or settings.emulated is not None
 
 
-def _emulated(document: Document, settings: Settings) -> Iterator[Problem]:
+def _emulated(settings: Settings) -> Iterator[Complaint]:
     """Whether emulators can be where the devices are, and nothing real is there."""
     if settings.emulated is None:
         return
@@ -196,22 +180,22 @@ def _emulated(document: Document, settings: Settings) -> Iterator[Problem]:
     ):
         if found != kind:
             message = f"{found!r} has no emulator; use {kind!r}, or leave out `emulated`"
-            yield document.problem((section, "kind"), message)
+            yield (section, "kind"), message
     if isinstance(arm, UrArmSettings) and not arm.host.startswith("127."):
         message = f"{arm.host} is no loopback address, there may be a real arm; "
-        yield document.problem(("arm", "host"), message + "use 127.0.0.x, or leave out `emulated`")
+        yield ("arm", "host"), message + "use 127.0.0.x, or leave out `emulated`"
     if isinstance(camera, OpenCvCameraSettings) and STREAM.fullmatch(str(camera.device)) is None:
         message = f"{camera.device!r} is not where an emulator may be; use tcp://127.0.0.x:port"
-        yield document.problem(("camera", "device"), message)
-    if isinstance(gripper, SerialGripperSettings) and "://" in gripper.port:
-        message = f"{gripper.port} is no line that can be made; name a file outside /dev"
-        yield document.problem(("gripper", "port"), message)
-    if isinstance(gripper, SerialGripperSettings) and gripper.port.startswith("/dev/"):
-        message = f"{gripper.port} may be a real line; name one outside /dev, which is made"
-        yield document.problem(("gripper", "port"), message)
+        yield ("camera", "device"), message
+    port = gripper.port if isinstance(gripper, SerialGripperSettings) else ""
+    if "://" in port:
+        yield ("gripper", "port"), f"{port} is no line that can be made; name a file outside /dev"
+    if port.startswith("/dev/"):
+        message = f"{port} may be a real line; name one outside /dev, which is made"
+        yield ("gripper", "port"), message
 
 
-def _hidden_effects(document: Document, settings: Settings) -> Iterator[Problem]:
+def _hidden_effects(settings: Settings) -> Iterator[Complaint]:
     if not settings.world.effects:
         return
     from cell.cable.effects import library, unscreened  # compiled code, which few settings need
@@ -222,25 +206,25 @@ def _hidden_effects(document: Document, settings: Settings) -> Iterator[Problem]
         key: Key = ("world", "effects", name)
         if name not in known:
             message = f"unknown effect{did_you_mean(name, list(known))}"
-            yield document.problem(key, message)
+            yield key, message
             continue
         try:
             known[name].active(**values)
         except ValueError as error:
-            yield document.problem(key, str(error))
+            yield key, str(error)
         if settings.emulated is not None and not shown_live(known[name]):
             message = "cannot be shown live, as an emulated camera must; leave it out"
-            yield document.problem(key, message)
+            yield key, message
 
 
-def _model(document: Document, settings: Settings) -> Iterator[Problem]:
+def _model(settings: Settings) -> Iterator[Complaint]:
     if settings.model.effects or settings.model.prior is not None:
         from cell.settings.check_model import model_problems  # compiled code, as above
 
-        yield from model_problems(document, settings)
+        yield from model_problems(settings)
 
 
-def _destination_in_reach(document: Document, settings: Settings) -> Iterator[Problem]:
+def _destination_in_reach(settings: Settings) -> Iterator[Complaint]:
     """Whether a cable stretched from some place of the gripper's last stroke gets there at all."""
     motion, destination = settings.motion, settings.destination
     length_m = settings.cable.free_length_m
@@ -252,13 +236,13 @@ def _destination_in_reach(document: Document, settings: Settings) -> Iterator[Pr
             f"{end_x_m:g} m and the free length is {length_m:g} m; give one farther right, or "
             "advance farther"
         )
-        yield document.problem(("destination", "x_m"), message)
+        yield ("destination", "x_m"), message
     if entry_m > motion.home.x_m:
         message = (
             f"entry edge {entry_m:g} m lies behind the gripper, which starts at "
             f"{motion.home.x_m:g} m and moves left; move it left"
         )
-        yield document.problem(("destination", "x_m"), message)
+        yield ("destination", "x_m"), message
     highest_m = motion.home.y_m - motion.lower_m - motion.offsets.first_m + length_m
     lowest_m = motion.home.y_m - motion.lower_m - motion.offsets.last_m - length_m
     low, high = destination.y_m
@@ -267,10 +251,10 @@ def _destination_in_reach(document: Document, settings: Settings) -> Iterator[Pr
             f"[{low:g}, {high:g}] is out of reach: with these offsets the tip is between "
             f"{lowest_m:g} and {highest_m:g} m; move it or change motion.offsets"
         )
-        yield document.problem(("destination", "y_m"), message)
+        yield ("destination", "y_m"), message
 
 
-def _in_view(document: Document, settings: Settings) -> Iterator[Problem]:
+def _in_view(settings: Settings) -> Iterator[Complaint]:
     """The camera must see where the tip is to pass, otherwise nothing can be verified."""
     camera = settings.camera
     if camera.view is None:
@@ -289,10 +273,10 @@ def _in_view(document: Document, settings: Settings) -> Iterator[Problem]:
                 f"[{wanted[0]:g}, {wanted[1]:g}] is not all in the picture, which shows "
                 f"{low:.4g} … {high:.4g} m; move it or correct camera.view"
             )
-            yield document.problem(("destination", name), message)
+            yield ("destination", name), message
 
 
-def _wide_enough(document: Document, settings: Settings) -> Iterator[Problem]:
+def _wide_enough(settings: Settings) -> Iterator[Complaint]:
     """The cable must fit into the destination, and the camera must see that it did."""
     view = settings.camera.view
     pixel_m = 0.0 if view is None else view.metres_per_pixel
@@ -306,14 +290,14 @@ def _wide_enough(document: Document, settings: Settings) -> Iterator[Problem]:
                 f"[{low}, {high}] is {high - low:.2g} m wide, less than {what} "
                 f"({least_m:g} m); widen it"
             )
-            yield document.problem(("destination", name), message)
+            yield ("destination", name), message
 
 
 #: Frames of a swing; one is identified from some hundred.
 MAX_FRAMES = 5_000
 
 
-def film_problems(document: Document, settings: Settings) -> Iterator[Problem]:
+def _film(settings: Settings) -> Iterator[Complaint]:
     """What of times and frame rate lets no cable be identified, or too slowly."""
     camera, motion = settings.camera, settings.motion
     rate_hz = camera.frame_rate_hz
@@ -326,7 +310,7 @@ def film_problems(document: Document, settings: Settings) -> Iterator[Problem]:
             f"its noise is known from {FEWEST_STILL_FRAMES} or more, and without them every cable "
             f"is rejected: give {least_s:g} s or more"
         )
-        yield document.problem(("motion", "still_s"), message)
+        yield ("motion", "still_s"), message
     longest_s = motion.longest_hold_s
     frames = (motion.still_s + motion.lower_s + longest_s) * rate_hz
     if frames > MAX_FRAMES:
@@ -335,14 +319,14 @@ def film_problems(document: Document, settings: Settings) -> Iterator[Problem]:
             f"{MAX_FRAMES}; hold for a shorter time or film at a lower rate"
         )
         key: Key = ("hold_s",) if motion.hold is None else ("hold", "most_s")
-        yield document.problem(("motion", *key), message)
+        yield ("motion", *key), message
     exposure_s = getattr(camera, "exposure_s", None) or 0.0
     if exposure_s > 1.0 / rate_hz:
         message = f"{exposure_s:g} s is longer than a frame at {rate_hz:g} Hz"
-        yield document.problem(("camera", "exposure_s"), message)
+        yield ("camera", "exposure_s"), message
 
 
-def plant_problems(document: Document, settings: Settings) -> Iterator[Problem]:
+def _plant(settings: Settings) -> Iterator[Complaint]:
     """Entries of the section `plant` that contradict others."""
     handshake = _handshake(settings)
     if handshake is None or handshake.carrier != "controller" or controller_of(settings):
@@ -351,7 +335,7 @@ def plant_problems(document: Document, settings: Settings) -> Iterator[Problem]:
         f"is missing: arm.kind is {settings.arm.kind!r}, so say which UR controller has the inputs "
         "and outputs"
     )
-    yield document.problem(("plant", "handshake", "host"), message)
+    yield ("plant", "handshake", "host"), message
 
 
 def controller_of(settings: Settings) -> str | None:
@@ -364,3 +348,11 @@ def controller_of(settings: Settings) -> str | None:
 
 def _handshake(settings: Settings) -> Handshake | None:
     return None if settings.plant is None else settings.plant.handshake
+
+
+_Check = Callable[[Settings], Iterator[Complaint]]
+_CHECKS: tuple[_Check, ...] = (
+    _cable, _offsets, _poses_within_limits, _above_kinematic_limits, _devices, _film, _emulated,
+    _calibration, _hidden_effects, _model, _retry, _plant,
+)  # fmt: skip
+_CHECKS_OF_PLACES: tuple[_Check, ...] = (_destination_in_reach, _in_view, _wide_enough)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cell.cable.effects import Effect, EffectError, file_sha256
 from cell.cable.effects.base import after_number
-from cell.files.input_error import Problem, did_you_mean
-from cell.files.yaml_document import Document, Key
+from cell.files.input_error import did_you_mean
+from cell.files.yaml_document import Complaint, Key
 from cell.identify.model_class import effect_from, known_effects
 from cell.settings.model import KnownParameter, ModelEffect, ModelSettings, Settings
 from cell.settings.translate import cable_of, model_class_of
@@ -16,18 +16,18 @@ from cell.settings.translate import cable_of, model_class_of
 _KEY: Key = ("model", "effects")
 
 
-def model_problems(document: Document, settings: Settings) -> Iterator[Problem]:
+def model_problems(settings: Settings) -> Iterator[Complaint]:
     """Every mistake in the section `model`, each at its place."""
     model = settings.model
     known: set[str] = set()
     wrong = False
     for i, entry in enumerate(model.effects):
-        for problem in _effect_problems(document, model, i, entry, known):
-            wrong = True
-            yield problem
+        found = [*_effect_problems(model, i, entry, known)]
+        wrong = wrong or bool(found)
+        yield from found
     if settings.identification.method == "paper" and (model.effects or model.prior):
         message = "'paper' knows neither effects nor priors; use 'map', or leave out `model`"
-        yield document.problem(("identification", "method"), message)
+        yield ("identification", "method"), message
     if wrong:
         return
     held = {
@@ -39,33 +39,32 @@ def model_problems(document: Document, settings: Settings) -> Iterator[Problem]:
     for i, name in enumerate(model.prior.names if model.prior else ()):
         if name in held:
             message = f"{name} is `fixed` above; take it out of the prior, with its row and column"
-            yield document.problem(("model", "prior", "names", i), message)
+            yield ("model", "prior", "names", i), message
             wrong = True
     if not wrong:
         try:
             model_class_of(model).space(cable_of(settings))
         except ValueError as error:
-            yield document.problem(("model", "prior"), str(error))
+            yield ("model", "prior"), str(error)
 
 
 def _effect_problems(
-    document: Document,
     model: ModelSettings,
     i: int,
     entry: ModelEffect,
     known: set[str],
-) -> Iterator[Problem]:
+) -> Iterator[Complaint]:
     """Of one entry; the name of an effect that exists joins `known`."""
     place: Key = (*_KEY, i, "effect")
     try:
         if not entry.effect.endswith(".py") and entry.effect not in known_effects():
             guess = did_you_mean(entry.effect, list(known_effects()))
-            yield document.problem(place, f"{entry.effect!r}: unknown effect{guess}")
+            yield place, f"{entry.effect!r}: unknown effect{guess}"
             return
         effect = effect_from(entry.effect)
         now = file_sha256(Path(entry.effect)) if entry.effect.endswith(".py") else None
     except (EffectError, OSError) as error:
-        yield document.problem(place, str(error))
+        yield place, str(error)
         return
     if entry.sha256 is not None and entry.sha256 != now:
         message = (
@@ -74,32 +73,32 @@ def _effect_problems(
             if now
             else f"{entry.effect} is no file; leave out `sha256`"
         )
-        yield document.problem((*_KEY, i, "sha256"), message)
+        yield (*_KEY, i, "sha256"), message
     if effect.name in known:
-        yield document.problem(place, f"{effect.name} is given twice; remove one")
+        yield place, f"{effect.name} is given twice; remove one"
     known.add(effect.name)
-    yield from _parameter_problems(document, model, (*_KEY, i, "parameters"), entry, effect)
+    yield from _parameter_problems(model, (*_KEY, i, "parameters"), entry, effect)
 
 
 def _parameter_problems(
-    document: Document, model: ModelSettings, place: Key, entry: ModelEffect, effect: type[Effect]
-) -> Iterator[Problem]:
+    model: ModelSettings, place: Key, entry: ModelEffect, effect: type[Effect]
+) -> Iterator[Complaint]:
     parameters = {p.name: p for p in effect.parameters}
     in_prior = set(model.prior.names) if model.prior else set()
     for key, stated in entry.parameters.items():
         name = f"{effect.name}.{key}"
         if key not in parameters:
             guess = did_you_mean(key, list(parameters))
-            yield document.problem((*place, key), f"{effect.name} has no such parameter{guess}")
+            yield (*place, key), f"{effect.name} has no such parameter{guess}"
         elif isinstance(stated, KnownParameter):
             p = parameters[key]
             if not p.low <= stated.fixed <= p.high:
                 message = f"{stated.fixed:g}{after_number(p.unit)}: must be {p.low:g} … {p.high:g}"
-                yield document.problem((*place, key, "fixed"), message)
+                yield (*place, key, "fixed"), message
         elif (stated == "prior") != (name in in_prior):
             message = (
                 f"'prior', but model.prior.names has no {name!r}; name it there, or write 'fitted'"
                 if stated == "prior"
                 else f"'fitted', but model.prior has {name!r}; write 'prior'"
             )
-            yield document.problem((*place, key), message)
+            yield (*place, key), message

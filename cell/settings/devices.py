@@ -1,4 +1,7 @@
-"""What the settings may say of the devices: arm, camera and gripper, simulated or real."""
+"""What the settings may say of arm, camera and gripper, and of the world of a cell without them.
+
+That is simulated or emulated: hidden cables and a hidden camera, emulators.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from cell.settings.section import (
     Host,
     NotNegative,
     Pixels,
+    PositiveRange,
     Section,
     address,
     increasing,
@@ -121,8 +125,8 @@ class UrArmSettings(Section):
         0.0,
         0.0,
     )
-    """Gripping point on the flange: x, y, z in m and rotation vector in rad.  Its x and y axes are
-    the plane's when the clamp is level."""
+    """Gripping point on the flange: x, y, z in m and rotation vector in rad. Its x and y axes are
+    parallel to the plane's when the clamp is level."""
     rate_hz: Annotated[float, Field(ge=50.0, le=500.0)] = 500.0
     """Poses sent and measured per second: 500 for an e-series, 125 for a CB3."""
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.03
@@ -153,7 +157,7 @@ class UrArmSettings(Section):
 
 
 class ViewSettings(Section):
-    """Where the camera's pixels lie in the cell's plane, the camera being square to it."""
+    """Map from pixels to the cell's plane, for a camera at right angles to the plane."""
 
     metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
     """Side of a pixel in the plane."""
@@ -171,7 +175,7 @@ class _Camera(Section):
     frame_rate_hz: Annotated[float, Field(ge=10.0, le=2000.0)] = 200.0
     """Pictures per second."""
     view: ViewSettings | None = None
-    """Typed by hand, for a cell that is not calibrated; null = from the section `calibration`."""
+    """Entered by hand, for a cell that is not calibrated; null = from the section `calibration`."""
 
 
 class SimulatedCamera(_Camera):
@@ -183,7 +187,7 @@ class SimulatedCamera(_Camera):
     lens_blur_px: Annotated[float, Field(ge=0.0, le=100.0)] = 0.6
     """Standard deviation of the blur by the lens."""
     read_noise: NotNegative = 1.0
-    """Standard deviation, grey levels."""
+    """Standard deviation of the read noise, grey levels."""
 
 
 class RealCameraSettings(_Camera):
@@ -277,3 +281,78 @@ class UrcapGripperSettings(GripperSettings):
     """TCP port of the URCap."""
     reply_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.07
     """Longest time of a reply. After a missing one the gripper counts as lost and the arm stops."""
+
+
+class HiddenCamera(Section):
+    """True position and lens of the camera of a simulated or emulated cell."""
+
+    metres_per_pixel: Annotated[float, Field(gt=0.0, le=0.01)]
+    """Side of a pixel in the cell's plane, in the middle of the picture."""
+    origin_column_px: Pixels
+    """Column in which a camera at right angles to the plane would see the plane's origin."""
+    origin_row_px: Pixels
+    """Row in which such a camera would see the plane's origin."""
+    focal_px: Annotated[float, Field(ge=100.0, le=100_000.0)] = 2600.0
+    """Focal length."""
+    tilt_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    """Rotation about the plane's x axis: positive = the camera looks down."""
+    pan_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    """Rotation about the plane's y axis."""
+    roll_rad: Annotated[float, Field(ge=-0.7, le=0.7)] = 0.0
+    """Rotation about the line of sight."""
+    k1: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    """Radial distortion, coefficient of the squared radius; k2, p1 and p2 are also as in OpenCV."""
+    k2: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    """Radial distortion, coefficient of the fourth power of the radius."""
+    p1: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    """Tangential distortion, first coefficient."""
+    p2: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    """Tangential distortion, second coefficient."""
+    stamps_late_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """Simulated camera: error of its timestamps, positive = late."""
+
+
+class WorldSettings(Section):
+    """The simulated cables and devices, with true values that the cell never reads."""
+
+    camera: HiddenCamera | None = None
+    """Null = those of `camera.view`."""
+    arm_lag_s: Annotated[float, Field(ge=0.0, le=0.3)] | None = None
+    """True lag of a simulated arm; null = `arm.lag_s`."""
+
+    rigidity_n_m2: PositiveRange = (1.5e-5, 5e-5)
+    """Range of the flexural rigidity of a simulated cable, drawn uniformly in its logarithm."""
+    rigidity_variation: Annotated[float, Field(ge=0.0, le=0.5)] = 0.15
+    """Relative amplitude of the rigidity's variation along the cable."""
+    exponent: PositiveRange = (0.95, 1.05)
+    """Bending exponent N."""
+    damping_ratio: PositiveRange = (0.02, 0.06)
+    """Damping ratio of the first swing mode; the viscosity follows from it."""
+    effects: dict[str, dict[str, Finite]] = Field(default={})
+    """Effects of the simulated world that the model lacks, with parameters, e.g. `air_drag:
+    {drag_coefficient: 2.0}`."""
+    segments: Annotated[int, Field(ge=60, le=400)] = 80
+    """Segments of the simulated cable; more than the model has."""
+    real_time_factor: Annotated[float, Field(ge=0.1, le=10.0)] | None = None
+    """Speed of the simulation. Null = as fast as the computer can; 1 = real time: only then is the
+    reported wait for the computer that of a real cell."""
+
+
+class Emulated(Section):
+    """Emulators of all three devices, at the addresses that the devices' own sections name.
+
+    They speak the devices' protocols, so that the cell's real drivers work with them; `cell run`
+    starts them unless `cell emulate` did.  The cables are those of `world`.
+    """
+
+    exposure_s: Exposure = 0.0005
+    """Exposure time of the emulated camera."""
+    readout_s: Annotated[float, Field(ge=0.008, le=0.1)] = 0.012
+    """Time from the middle of an exposure to the moment the picture leaves the emulated camera."""
+    polyscope: Annotated[str, Field(pattern=r"^[1-9]\d?(\.\d{1,9}){1,3}$")] = "5.12.2.1101534"
+    """Software version of the emulated controller: major, minor, bugfix, build.  From 10 on it is
+    PolyScope X, which has no dashboard server."""
+    lens_blur_px: Annotated[float, Field(ge=0.0, le=100.0)] = 0.6
+    """Standard deviation of the blur by the lens."""
+    read_noise: NotNegative = 1.0
+    """Standard deviation of the read noise, grey levels."""

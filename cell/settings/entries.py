@@ -180,7 +180,7 @@ def _section_of(node: Schema, value: Any) -> Schema | None:
 def _switch(key: Names, node: Schema, given: bool, value: Any, usual: Any) -> SettingsEntry:
     section = _section_of(node, {}) or {}
     words = (section.get("description", ""), node.get("description", ""))
-    explained = " ".join(_sentence(w) for w in words if w)
+    explained = "\n".join(_sentence(w) for w in words if w)
     used = {} if value is None or value is UNSET else value
     choices = {_USED: used, _NOT_USED: None}
     return SettingsEntry(

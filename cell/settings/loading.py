@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cell.files.input_error import InputError, Problem, did_you_mean
-from cell.files.yaml_document import Document, Key, dotted, read_yaml
+from cell.files.yaml_document import Complaint, Document, Key, dotted, read_yaml
 from cell.settings.check import contradictions
 from cell.settings.model import Settings
 from cell.settings.plugged import validated
@@ -31,7 +31,7 @@ def load_settings(path: Path) -> Settings:
 def settings_of(document: Document) -> Settings:
     """Settings from a parsed file.  Raises InputError as `load_settings`."""
     settings = _with_files(validated(document), document.path)
-    problems = [*contradictions(document, settings), *_of_products(document, settings)]
+    problems = [*contradictions(document, settings), *document.problems(_of_products(settings))]
     if problems:
         raise InputError(problems)
     made = {}
@@ -136,7 +136,7 @@ def _product_document(document: Document, name: str) -> _ProductDocument:
     return _ProductDocument(document.path, data, places, name, own)
 
 
-def _of_products(document: Document, settings: Settings) -> Iterator[Problem]:
+def _of_products(settings: Settings) -> Iterator[Complaint]:
     """What is wrong with products before they are looked at one by one."""
     patterns: dict[str, str] = {}
     for name, product in settings.products.items():
@@ -145,17 +145,17 @@ def _of_products(document: Document, settings: Settings) -> Iterator[Problem]:
             for entry in theirs:
                 if entry in getattr(product, section):
                     message = f"belongs to the cell; write it in the section {section!r} of all"
-                    yield document.problem((*place, section, entry), message)
+                    yield (*place, section, entry), message
         said = product.part_ids
         if said is not None and said in patterns:
             message = f"is that of {patterns[said]} too; no id would say which one is meant"
-            yield document.problem((*place, "part_ids"), message)
+            yield (*place, "part_ids"), message
         if said is not None:
             patterns[said] = name
     if settings.products and settings.product not in (None, *settings.products):
         guess = did_you_mean(settings.product or "", list(settings.products))
         message = f"{settings.product!r} is no product{guess}; name one of `products`"
-        yield document.problem(("product",), message)
+        yield ("product",), message
 
 
 def _with_files(settings: Settings, path: Path) -> Settings:

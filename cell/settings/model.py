@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from cell.settings.devices import (
+    Emulated,
     FilesCameraSettings,
     GenicamCameraSettings,
     OpenCvCameraSettings,
@@ -17,6 +18,7 @@ from cell.settings.devices import (
     SimulatedGripper,
     UrArmSettings,
     UrcapGripperSettings,
+    WorldSettings,
 )
 from cell.settings.plant import Plant
 from cell.settings.product import Products
@@ -36,7 +38,6 @@ from cell.settings.section import (
     Wait,
     increasing,
 )
-from cell.settings.world import Emulated, WorldSettings
 from cell.workers.executor import place
 
 
@@ -68,14 +69,15 @@ class Workers(Section):
 
 
 class CableSettings(Section):
-    """Datasheet of the cable: what all its individuals have in common."""
+    """Data sheet of the cable type: the properties that all cables share."""
 
     free_length_m: Annotated[float, Field(gt=0.0, le=2.0)]
-    """Length from the jaw's edge to the tip."""
+    """Length from the gripping point, at the jaw's edge, to the end of the cable or to its
+    connector."""
     line_density_kg_per_m: Annotated[float, Field(gt=0.0, le=10.0)]
     """Mass per metre."""
     width_m: Annotated[float, Field(gt=0.0, le=0.5)]
-    """Width of the strip, across the picture."""
+    """Width of the strip, along the camera's line of sight."""
     thickness_m: Annotated[float, Field(gt=0.0, le=0.5)]
     """Thickness, as the camera sees it edge-on."""
 
@@ -93,15 +95,15 @@ class HandPose(Section):
     """Pose of the gripping point in the cell's plane."""
 
     x_m: Place = 0.0
-    """To the right of the plane's origin."""
+    """Position to the right of the plane's origin."""
     y_m: Place = 0.0
-    """Above the plane's origin."""
+    """Position above the plane's origin."""
     angle_rad: Angle = 0.0
     """Clamp angle: 0 = level, positive = pointing down."""
 
 
 class Offsets(Section):
-    """Distances down that are simulated, one of which is executed."""
+    """Offsets, distances down, that are simulated; one of them is executed."""
 
     first_m: Length = 0.0
     """Smallest offset."""
@@ -129,17 +131,18 @@ class KinematicLimits(Section):
 
 
 class StartSettings(Section):
-    """How freely an insertion is chosen beside the offsets that are always looked at."""
+    """What may be chosen for an insertion in addition to the offsets, at once and at the usual
+    pace."""
 
     window_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
-    """Latest begin of the insertion. With it any offset between these may be chosen; 0 = at
-    once, with one of them. A useful value is one period of the swing, 0.25. The arm then waits
-    up to 0.3 s longer for the computer."""
+    """Latest start of the insertion. If it is above 0, offsets between the listed ones are
+    allowed, too; 0 = start at once, with a listed offset. A useful value is one period of the
+    swing, 0.25. The arm then waits up to 0.3 s longer for the computer."""
     paces: tuple[Annotated[float, Field(gt=1.0, le=3.0)], ...] = (1.15, 1.3, 1.5, 1.8)
-    """With a window: factors by which the insertion may be slower."""
+    """If `window_s` is above 0: factors by which the insertion may be slower."""
     further_m: Length = 0.0
-    """With a window: how much further left the gripper may go if no offset is sure to pass, for
-    cables that hang too low."""
+    """If `window_s` is above 0: how much further left the gripper may go if no offset surely
+    passes, for cables that hang too low."""
 
 
 #: One period of a cable's swing, s: what `start: auto` allows.
@@ -148,7 +151,8 @@ AUTO_WINDOW_S = 0.25
 
 class Hold(Section):
     """A hold as long as needed: it ends, at one of a few moments, if more frames would change the
-    chosen offset's probability by less than 1 %.  A cable that is to be rejected is held longest.
+    chosen offset's probability by less than 0.01. A cable that would be rejected is held for all of
+    `most_s`.
     """
 
     least_s: Duration = 0.4
@@ -175,26 +179,26 @@ class MotionSettings(Section):
     calm_s: Wait = 0.5
     """Pause after grasping, until the cable is at rest."""
     still_s: Duration = 0.2
-    """Film of the cable at rest, before it is moved: noise and rest shape."""
+    """Duration of filming the cable at rest before the motion, for noise and rest shape."""
     lower_m: Distance = 0.050
     """Downward movement that makes the cable swing."""
     lower_s: Duration = 0.3
-    """Duration of that movement; longer if the limits require it."""
+    """Duration of the downward movement; longer if the limits require it."""
     hold_s: Duration = 1.0
-    """Film of the swing, with the gripper held still."""
+    """Duration of filming the swing, with the gripper held still."""
     hold: Hold | None = None
     """Null = always `hold_s`."""
     decide_s: Wait = 0.2
     """Time between the last frame of the swing and the insertion, for the computer."""
     offsets: Offsets = Offsets()
     start: StartSettings | Literal["auto"] = "auto"
-    """When the execution begins, and how fast it is; `auto` = up to 0.25 s later, with any offset
-    and at any of the usual paces, where no offset passes surely at once; `{}` = at once, with one
-    of the offsets."""
+    """When the insertion begins, and how fast it is. `{}` = at once, with one of the offsets.
+    `auto` = the same if one of them surely passes, else up to 0.25 s later, with any offset, at any
+    of the usual paces."""
     advance_m: Distance = 0.050
     """Movement to the left, into the opening."""
     settle_s: Wait = 0.2
-    """Film after the insertion, with the gripper at rest."""
+    """Duration of filming after the insertion, with the gripper at rest."""
     lowering: KinematicLimits = KinematicLimits(
         velocity_m_per_s=0.5, acceleration_m_per_s2=5.0, jerk_m_per_s3=200.0
     )
@@ -202,7 +206,8 @@ class MotionSettings(Section):
     insertion: KinematicLimits = KinematicLimits(
         velocity_m_per_s=0.2, acceleration_m_per_s2=1.0, jerk_m_per_s3=10.0
     )
-    """Kinematic limits of the insertion; slow, so that neighbouring offsets have similar tips."""
+    """Kinematic limits of the insertion; slow, so that neighbouring offsets bring the tip to
+    similar places."""
 
     @property
     def longest_hold_s(self) -> float:
@@ -240,7 +245,8 @@ class Identification(Section):
     """How this cable's parameters are estimated."""
 
     method: Literal["map", "paper"] = "map"
-    """`map`: all frames together, with covariance.  `paper`: still shape, then swing, iterated."""
+    """`map`: one fit to all frames (maximum a posteriori), with covariance. `paper`: rest shape and
+    swing are fitted in turn."""
 
 
 #: Standard deviation of a tip's height for reasons that are not the cable's, m: arm, draught.
@@ -260,17 +266,18 @@ class KnownParameter(Section):
     fixed: Finite
     """Its value."""
     std: NotNegative = 0.0
-    """Standard deviation of the value; 0 = exact.  Otherwise a cable's frames may correct it, by no
-    more than it is uncertain."""
+    """Standard deviation of the value; 0 = exact. Otherwise a cable's frames may correct the value
+    within this uncertainty."""
 
 
 class ModelEffect(Section):
-    """Physics that the cables have beside the baseline."""
+    """Effect that the cables have in addition to the baseline model."""
 
     effect: Annotated[str, Field(min_length=1)]
     """Name of an effect of the library, or a file.py with one of your own."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
-    """Of the file: a file that was changed is refused.  Null = whatever is in it."""
+    """SHA-256 of the effect's file: a file that was changed is refused. Null = the file is not
+    checked."""
     parameters: dict[
         str,
         Annotated[
@@ -279,7 +286,8 @@ class ModelEffect(Section):
             Discriminator(lambda given: "word" if isinstance(given, str) else "known"),
         ],
     ] = Field(default={})
-    """Each known, with a batch's `prior`, or `fitted` to every cable; not named = fitted."""
+    """Each parameter of the effect: a known value, `prior` = from the batch's prior, `fitted` =
+    fitted to every cable. Not named = fitted."""
 
 
 class BatchPrior(Section):
@@ -303,15 +311,15 @@ class ModelSettings(Section):
     effects: list[ModelEffect] = Field(default=[])
     """Effects in the model of all cables."""
     prior: BatchPrior | None = None
-    """Null = a weak one."""
+    """Null = a weak prior."""
 
 
 class Promotion(Section):
     """What happens to a promoted model that predicts worse than the one before it."""
 
     withdraw: bool = False
-    """Whether a promoted model that fits worse is removed without asking, as by `cell promote
-    --undo`. It is reported in any case."""
+    """Whether a promoted model that predicts worse is removed without asking, as by `cell promote
+    --undo`. A worse model is reported in any case."""
 
 
 def _distinguishable(discs_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -356,7 +364,7 @@ class Vision(Section):
 
 
 class Calibration(Section):
-    """Where `cell calibrate` leaves what it finds, and how good and how old it may be.
+    """Results of `cell calibrate`: their folder, largest allowed errors and ages.
 
     With this section camera map, latency, lag and, for a UR arm, plane and tool come from there,
     and nothing moves unless they are there, fit the devices, and are good and new enough.  So do
@@ -367,17 +375,17 @@ class Calibration(Section):
     folder: Path = Path("calibration")
     """Folder that `cell calibrate` writes."""
     max_age_days: Positive = 90.0
-    """Largest age of camera, cell and grip."""
+    """Largest allowed age of the calibrations of camera, cell and grip."""
     time_max_age_h: Positive = 24.0
-    """Largest age of latency and lag; a camera's timestamps change with every start."""
+    """Largest allowed age of latency and lag; a camera's timestamps change with every start."""
     max_error_m: Annotated[float, Field(gt=0.0, le=0.01)] = 1.5e-4
-    """Largest error of the map from pixels to metres: 95 % bound anywhere in the field."""
+    """Largest allowed error of the map from pixels to metres: 95 % bound anywhere in the field."""
     max_time_error_s: Annotated[float, Field(gt=0.0, le=0.1)] = 1e-3
-    """Largest error of latency and lag, 95 % bound."""
+    """Largest allowed error of latency and lag, 95 % bound."""
     max_grip_error_m: Annotated[float, Field(gt=0.0, le=0.01)] = 3e-4
-    """Largest error of gripping point and free length, 95 % bound."""
+    """Largest allowed error of gripping point and free length, 95 % bound."""
     max_clamp_error_rad: Annotated[float, Field(gt=0.0, le=0.5)] = 0.01
-    """Largest error of the clamp angle, 95 % bound."""
+    """Largest allowed error of the clamp angle, 95 % bound."""
     square_m: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
     """Side of a square of the board, as measured on the printout."""
     columns: Annotated[int, Field(ge=3, le=40)] = 12
@@ -420,12 +428,12 @@ class Settings(Section):
     """Default product; in the record of a cycle, the product of that cycle."""
     choice: ChoiceSettings = ChoiceSettings()
     feedback: Literal["auto", "off", "on"] = "auto"
-    """`on`: insertions are corrected in flight; `auto`: if latency and lag are calibrated to 2
-    ms."""
+    """Correction of insertions in flight: `on`, `off`; `auto` = on if latency and lag are
+    known to 2 ms."""
     retry: Annotated[int, Field(ge=0, le=3)] = 0
     """Further attempts with a cable that the correction stopped in front of the opening."""
     recording: RecordingSettings | None = RecordingSettings()
-    """Null = only tables, JSON and a few pictures are left of a cycle, no frames."""
+    """Null = only tables, JSON and a few pictures are left of a cycle, no film."""
     ledger: LedgerSettings | None = LedgerSettings()
     """Null = cycles are not listed, and nothing is said of what has changed in them."""
     workers: Workers | None = None

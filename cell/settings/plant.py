@@ -12,7 +12,7 @@ from cell.settings.section import Host, Positive, Section, is_loopback
 
 
 class HandshakeSignal(Section):
-    """Place of one bit."""
+    """Address and polarity of one signal."""
 
     number: Annotated[int, Field(ge=0, le=1023)]
     """Address of the coil or discrete input, or number at the controller; from 0."""
@@ -21,22 +21,25 @@ class HandshakeSignal(Section):
 
 
 class InputSignals(Section):
-    """Bits from the PLC.  Null = not wired: always fine, and never asked for."""
+    """Bits from the PLC. Null = not wired: a condition counts as met, a command is never given."""
 
     start: HandshakeSignal | None = HandshakeSignal(number=0)
     """Its rising edge starts a cycle while `ready` is on."""
     part_present: HandshakeSignal | None = HandshakeSignal(number=1)
-    """A cable is at the gripping position; without it no cycle begins."""
+    """A cable is at the gripping position; without this bit no cycle begins."""
     upstream_ready: HandshakeSignal | None = HandshakeSignal(number=2)
-    """The machine before the cell allows it to work; off suspends a cycle."""
+    """The machine before the cell allows the cell to work; while this bit is off, a cycle is
+    suspended."""
     downstream_ready: HandshakeSignal | None = HandshakeSignal(number=3)
-    """The machine after the cell allows it to work; off suspends a cycle."""
+    """The machine after the cell allows the cell to work; while this bit is off, a cycle is
+    suspended."""
     acknowledge: HandshakeSignal | None = HandshakeSignal(number=4)
     """Its rising edge clears Aborted and resets Stopped, after a person has looked."""
     stop: HandshakeSignal | None = HandshakeSignal(number=5)
     """Its rising edge stops the cycle.  It is not safety-rated."""
     product_0: HandshakeSignal | None = None
-    """Lowest bit of the product's number, from 1 in the order of `products`; 0 = not said."""
+    """Lowest bit of the product's number. Products count from 1 in the order of `products`; 0 = no
+    product is named."""
     product_1: HandshakeSignal | None = None
     """Next bit of the product's number."""
     product_2: HandshakeSignal | None = None
@@ -46,18 +49,18 @@ class InputSignals(Section):
 
 
 class OutputSignals(Section):
-    """Bits to the PLC.  Null = not told."""
+    """Bits to the PLC. Null = not wired."""
 
     ready: HandshakeSignal | None = HandshakeSignal(number=0)
-    """A rising edge of `start` is obeyed."""
+    """The cell accepts a rising edge of `start`."""
     busy: HandshakeSignal | None = HandshakeSignal(number=1)
-    """A cycle is under way."""
+    """A cycle is running."""
     done: HandshakeSignal | None = HandshakeSignal(number=2)
-    """The last cycle ended successfully; until `start` changes."""
+    """The last cycle ended successfully; on until `start` changes."""
     rejected: HandshakeSignal | None = HandshakeSignal(number=3)
-    """The last cycle has ended without an insertion; until `start` changes."""
+    """The last cycle ended without an insertion; on until `start` changes."""
     fault: HandshakeSignal | None = HandshakeSignal(number=4)
-    """The cell waits for a person, or is not reached."""
+    """The cell waits for a person, or cannot be reached."""
 
 
 #: Entries that one carrier alone has.
@@ -76,14 +79,14 @@ class Handshake(Section):
     """What carries the bits: a Modbus/TCP server, or digital inputs and outputs of a UR controller:
     0 to 7 standard, 8 to 15 configurable, 16 and 17 at the tool."""
     listen: Host = "127.0.0.1"
-    """Address at which the Modbus server listens; 0.0.0.0 = all of this computer."""
+    """Address at which the Modbus server listens; 0.0.0.0 = all addresses of this computer."""
     port: Annotated[int, Field(ge=1, le=65535)] = 502
     """TCP port.  502 is that of Modbus; below 1024 a program needs CAP_NET_BIND_SERVICE."""
     host: Host | None = None
     """Address of the controller that has the inputs and outputs.  Null = that of the arm."""
     silence_s: Annotated[float, Field(ge=0.1, le=60.0)] = 1.0
-    """Longest time between two writes of the PLC, or reports of the controller. After it the PLC
-    counts as lost and can start nothing."""
+    """Longest allowed time between two writes of the PLC, or two reports of the controller. After
+    it the PLC counts as lost and can start nothing."""
     by: Annotated[str, Field(min_length=1, max_length=100)] = "plc"
     """Name of the PLC in the ledger, for starts and acknowledgements."""
     inputs: InputSignals = InputSignals()
@@ -148,7 +151,7 @@ class MqttTls(Section):
     ca: Path | None = None
     """File of the certificates that are trusted, PEM.  Null = those of the system."""
     certificate: Path | None = None
-    """File of the cell's own certificate, PEM.  Null = the broker asks for none."""
+    """File of the cell's own certificate, PEM.  Null = the broker requires no certificate."""
     key: Path | None = None
     """File of the key of the cell's certificate, PEM.  Null = it is in the certificate's file."""
 
@@ -160,7 +163,8 @@ class MqttTls(Section):
 
 
 class Mqtt(Section):
-    """MQTT broker that `cell mqtt` reports states, results and faults to.  It takes no commands.
+    """MQTT broker to which `cell mqtt` reports states, results and faults. `cell mqtt` takes no
+    commands.
 
     The password is in the environment variable CELL_MQTT_PASSWORD or in a file, never here.
     """
@@ -189,12 +193,13 @@ class Mqtt(Section):
     """For `sparkplug`: group id."""
     primary_host: Level | None = None
     """For `sparkplug`: id of the primary host application; messages wait while it is offline.
-    Null = the broker is enough."""
+    Null = messages are sent whenever the broker is connected."""
     line: Level | None = None
-    """The line in topics, and the edge node's id.  Null = `ledger.line`, or the computer's name."""
+    """Name of the line in topics, and id of the edge node. Null = `ledger.line`, or the computer's
+    name."""
     most_waiting: Annotated[int, Field(ge=1000, le=10_000_000)] = 100_000
-    """Messages kept on disk while the broker is unreachable. Beyond it the oldest are dropped
-    and counted, except results, which are never dropped."""
+    """Number of messages kept on disk while the broker is unreachable. Beyond it the oldest are
+    dropped and counted, except results, which are never dropped."""
     retry_s: Positive = 5.0
     """Longest pause between attempts to connect."""
 
@@ -224,8 +229,8 @@ class OpcUa(Section):
     """
 
     listen: Host = "127.0.0.1"
-    """Address at which it listens; 0.0.0.0 = all of this computer.  At a loopback address clients
-    may also come without encryption and without a name."""
+    """Address at which the server listens; 0.0.0.0 = all addresses of this computer. At a loopback
+    address clients may also connect without encryption and without a name."""
     port: Annotated[int, Field(ge=1, le=65535)] = 4840
     """TCP port; 4840 is that of OPC UA."""
     folder: Path = Path("opcua")

@@ -49,10 +49,10 @@ class Product(Section):
     prior: dict[str, JsonValue] | None = None
     """Prior of its model, unless `model` has one.  Null = none."""
     force_n: Annotated[float, Field(gt=0.0)] | None = None
-    """With which the jaws close on its cable.  Null = `gripper.force_n`."""
+    """Force with which the jaws close on its cable. Null = `gripper.force_n`."""
     part_ids: Annotated[str, AfterValidator(pattern)] | None = None
-    """Regular expression that an id of its parts matches as a whole, such as `A-\\d+`.  Null = its
-    parts are not known by their ids."""
+    """Regular expression that the whole id of one of its parts must match, such as `A-\\d+`.
+    Null = its parts are not known by their ids."""
 
 
 #: Sections in which a product replaces single entries, and what of them belongs to the cell.

@@ -111,5 +111,5 @@ class LedgerSettings(Section):
     shifts: Annotated[tuple[str, ...], AfterValidator(times_of_day)] = ("06:00", "14:00", "22:00")
     """Local times at which shifts begin."""
     ideal_cycle_s: Positive | None = None
-    """Ideal cycle time of one cable, for OEE's performance. Null = that of the fastest tenth of
-    the insertions."""
+    """Ideal cycle time of one cable, for OEE's performance. Null = that of the fastest 10 % of the
+    insertions."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import yaml
 from pydantic import BaseModel, TypeAdapter
@@ -20,96 +20,65 @@ from cell.settings.model import Settings
 
 CellKind = Literal["simulated", "emulated", "real"]
 
-_COMMON: dict[str, Any] = {
-    "cable": {
-        "free_length_m": 0.100,
-        "line_density_kg_per_m": 0.0074,
-        "width_m": 0.016,
-        "thickness_m": 0.0001,
-    },
-    "destination": {"x_m": [-0.135, -0.130], "y_m": [-0.111, -0.101]},
-    "limits": {
-        "x_m": [-0.06, 0.02],
-        "y_m": [-0.10, 0.02],
-        "angle_rad": [-0.1, 0.1],
-        "velocity_m_per_s": 0.6,
-        "acceleration_m_per_s2": 6.0,
-        "jerk_m_per_s3": 250.0,
-    },
-}
-_VIEW = {"metres_per_pixel": 0.0002, "origin_column_px": 1000.0, "origin_row_px": 150.0}
-
+_STARTING = """
+common: &common
+  cable: {free_length_m: 0.100, line_density_kg_per_m: 0.0074, width_m: 0.016, thickness_m: 0.0001}
+  destination: {x_m: [-0.135, -0.130], y_m: [-0.111, -0.101]}
+  limits: &limits
+    x_m: [-0.06, 0.02]
+    y_m: [-0.10, 0.02]
+    angle_rad: [-0.1, 0.1]
+    velocity_m_per_s: 0.6
+    acceleration_m_per_s2: 6.0
+    jerk_m_per_s3: 250.0
+simulated:
+  <<: *common
+  limits: {<<: *limits, angle_rad: [-0.6, 1.1]}  # tilted to measure
+  arm: {kind: sim}
+  camera:
+    kind: sim
+    view: &view {metres_per_pixel: 0.0002, origin_column_px: 1000.0, origin_row_px: 150.0}
+  gripper: {kind: sim, force_n: 20.0}
+  world: {}
+emulated:
+  <<: *common
+  motion: {still_s: 0.4, decide_s: 0.7}  # frames at rest; a computer shared with emulators
+  arm:
+    kind: ur
+    host: 127.0.0.2
+    model: UR5e
+    tcp: [0.0, 0.0, 0.160, 0.0, 2.221441, -2.221441]
+    lag_s: 0.0305
+    plane_origin_m: [-0.490, -0.133, 0.330]
+    plane_x_axis: [0.0, -1.0, 0.0]
+  camera:
+    kind: opencv
+    device: tcp://127.0.0.2:5600
+    width_px: 800
+    height_px: 640
+    frame_rate_hz: 60.0
+    exposure_s: null
+    latency_s: 0.012
+    lost_after_s: 0.3
+    view: {metres_per_pixel: 0.00032, origin_column_px: 625.0, origin_row_px: 93.75}
+  gripper: {kind: serial, port: /tmp/cable-cell-gripper, force_n: 20.0, reply_s: 0.5}
+  world: {segments: 60}
+  emulated: {}
+real:
+  <<: *common
+  arm:
+    kind: ur
+    host: 192.168.3.10
+    model: UR5e
+    tcp: [0.0, 0.0, 0.160, 0.0, 0.0, 0.0]
+    plane_origin_m: [0.450, -0.120, 0.380]
+    plane_x_axis: [0.0, -1.0, 0.0]
+  camera: {kind: genicam, producer: /opt/camera/lib/producer.cti, latency_s: 0.012, view: *view}
+  gripper: {kind: serial, port: /dev/ttyUSB0, force_n: 20.0, force_limits_n: [20.0, 40.0]}
+"""
+#: Settings of each kind of cell, as plain data.
 STARTING: Mapping[CellKind, Mapping[str, Any]] = {
-    "simulated": _COMMON
-    | {
-        "limits": _COMMON["limits"] | {"angle_rad": [-0.6, 1.1]},  # tilted to measure
-        "arm": {"kind": "sim"},
-        "camera": {"kind": "sim", "view": _VIEW},
-        "gripper": {"kind": "sim", "force_n": 20.0},
-        "world": {},
-    },
-    "emulated": _COMMON
-    | {
-        "motion": {
-            "still_s": 0.4,
-            "decide_s": 0.7,
-        },  # frames at rest; a computer shared with emulators
-        "arm": {
-            "kind": "ur",
-            "host": "127.0.0.2",
-            "model": "UR5e",
-            "tcp": [0.0, 0.0, 0.160, 0.0, 2.221441, -2.221441],
-            "lag_s": 0.0305,
-            "plane_origin_m": [-0.490, -0.133, 0.330],
-            "plane_x_axis": [0.0, -1.0, 0.0],
-        },
-        "camera": {
-            "kind": "opencv",
-            "device": "tcp://127.0.0.2:5600",
-            "width_px": 800,
-            "height_px": 640,
-            "frame_rate_hz": 60.0,
-            "exposure_s": None,
-            "latency_s": 0.012,
-            "lost_after_s": 0.3,
-            "view": {
-                "metres_per_pixel": 0.00032,
-                "origin_column_px": 625.0,
-                "origin_row_px": 93.75,
-            },
-        },
-        "gripper": {
-            "kind": "serial",
-            "port": "/tmp/cable-cell-gripper",
-            "force_n": 20.0,
-            "reply_s": 0.5,
-        },
-        "world": {"segments": 60},
-        "emulated": {},
-    },
-    "real": _COMMON
-    | {
-        "arm": {
-            "kind": "ur",
-            "host": "192.168.3.10",
-            "model": "UR5e",
-            "tcp": [0.0, 0.0, 0.160, 0.0, 0.0, 0.0],
-            "plane_origin_m": [0.450, -0.120, 0.380],
-            "plane_x_axis": [0.0, -1.0, 0.0],
-        },
-        "camera": {
-            "kind": "genicam",
-            "producer": "/opt/camera/lib/producer.cti",
-            "latency_s": 0.012,
-            "view": _VIEW,
-        },
-        "gripper": {
-            "kind": "serial",
-            "port": "/dev/ttyUSB0",
-            "force_n": 20.0,
-            "force_limits_n": [20.0, 40.0],
-        },
-    },
+    kind: yaml.safe_load(_STARTING)[kind] for kind in get_args(CellKind)
 }
 
 
@@ -140,6 +109,35 @@ DEVICE_QUESTIONS = (
     Question(("camera", "producer"), "GenTL producer of the camera, a .cti file"),
     Question(("gripper", "port"), "Serial port of the gripper"),
 )
+
+#: What differs between any two real cells, and the example is of another one.
+MEASURED: tuple[Key, ...] = (
+    ("cable", "free_length_m"),
+    ("cable", "line_density_kg_per_m"),
+    ("destination", "x_m"),
+    ("destination", "y_m"),
+    ("arm", "host"),
+    ("arm", "tcp"),
+    ("arm", "plane_origin_m"),
+    ("camera", "view"),
+)
+
+
+def unmeasured(settings: Settings) -> tuple[str, ...]:
+    """Entries of a real cell that have the value of the example of `cell init --real`, dotted."""
+    if settings.arm.kind == "sim" or settings.emulated is not None:
+        return ()
+    example = Settings.model_validate(answered("real", {}))
+    same = (k for k in MEASURED if _entry(settings, k) == _entry(example, k) is not None)
+    return tuple(dotted(key) for key in same)
+
+
+def _entry(settings: Settings, key: Key) -> Any:
+    """Value of an entry; None where this kind of device has no such entry."""
+    value: Any = settings
+    for name in key:
+        value = getattr(value, str(name), None)
+    return value
 
 
 def questions(kind: CellKind) -> tuple[Question, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -166,3 +167,8 @@ class Study:
     def role(self, role: Literal["fit", "validate"]) -> tuple[Trial, ...]:
         """Trials of a role, in order."""
         return tuple(t for t in self.trials if t.role == role)
+
+    def with_places(self, change: Callable[[Trial], FloatArray]) -> Study:
+        """The same with the places (times, markers, 2), m, that are given of each trial."""
+        trials = [replace(t, markers=replace(t.markers, xy_m=change(t))) for t in self.trials]
+        return replace(self, trials=tuple(trials))

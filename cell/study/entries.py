@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cell.cable.geometry import Cable, Connector
 from cell.files.words import counted
-from cell.files.yaml_document import Key
+from cell.files.yaml_document import Complaint, Key
 
 #: Beyond these a number is taken for a mistaken unit.
 MAX_LENGTH_M = 10.0
@@ -43,8 +43,15 @@ class ConnectorEntry(SectionPart):
     inertia_kg_m2: Positive | None = None
 
 
-#: Where in the description a complaint belongs, and what it says.
-Complaint = tuple[Key, str]
+class CableSection(SectionPart):
+    """The cable; null = to be filled in."""
+
+    free_length_m: Positive | None = None
+    line_density_kg_per_m: Positive | None = None
+    width_m: Positive | None = None
+    thickness_m: Positive | None = None
+    diameter_m: Positive | None = None
+    connector: ConnectorEntry | None = None
 
 
 def _trial_name(name: str) -> str:

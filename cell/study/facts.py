@@ -14,6 +14,7 @@ from cell.files.plain import plain
 from cell.files.words import counted
 from cell.study.data import Trial
 from cell.study.rest_shape import ClampedEnd, SwingScale, clamped_end, swing_scale
+from cell.study.root_motion import RootMotion, root_motion
 from cell.study.series import noise_m, span_m
 
 #: A frequency is told of at least so many swings and frames after the gripper has stopped.
@@ -57,6 +58,7 @@ class TrialFacts:
     sensors       by which more is told than by a log and markers: see `sensors_of`
     swings        by what units of time and length are tested; None = no gravity, or no arc length
     clamped_end   by what place and angle of the clamp are tested; None = no marker is near it
+    root_motion   by what units, frames and rates are tested; None = too little moves or is seen
     """
 
     name: str
@@ -79,10 +81,11 @@ class TrialFacts:
     sensors: tuple[str, ...] = ()
     swings: SwingScale | None = None
     clamped_end: ClampedEnd | None = None
+    root_motion: RootMotion | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; the spectrum by its frequencies, None for what is not known."""
-        shown = set(vars(self)) - {"spectrum", "swings", "clamped_end"}
+        shown = set(vars(self)) - {"spectrum", "swings", "clamped_end", "root_motion"}
         data = {k: v for k, v in vars(self).items() if k in shown}
         peaks_hz = () if self.spectrum is None else self.spectrum.peaks_hz
         return {**plain(data), "frequencies_hz": plain(peaks_hz)}
@@ -128,6 +131,7 @@ def trial_facts(
         sensors_of(trial),
         swing_scale(trial, rest, tip, float(arc_length_m[tip]), gravity_m_per_s2),
         clamped_end(trial, rest, arc_length_m),
+        root_motion(trial, arc_length_m, still_noise_m),
     )
 
 

@@ -17,12 +17,19 @@ from cell.files.atomic import write_all
 from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_text
 from cell.files.words import counted
-from cell.files.yaml_document import Document, Key, document_of, read_yaml, validate, yaml_text
+from cell.files.yaml_document import (
+    Complaint,
+    Document,
+    Key,
+    document_of,
+    read_yaml,
+    validate,
+    yaml_text,
+)
 from cell.study.clocks import cut_off, gap
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import (
-    Complaint,
-    ConnectorEntry,
+    CableSection,
     Finite,
     Positive,
     SectionPart,
@@ -64,13 +71,9 @@ def _each(given: object) -> object:
     return [given] if isinstance(given, int | float | str) else given
 
 
-class _Cable(SectionPart):
+class _Cable(CableSection):
     free_length_m: Positive
     line_density_kg_per_m: Positive
-    width_m: Positive | None = None
-    thickness_m: Positive | None = None
-    diameter_m: Positive | None = None
-    connector: ConnectorEntry | None = None
 
 
 class _Markers(SectionPart):
@@ -339,7 +342,7 @@ def _implausible(document: Document, header: _Study, datasheet: Cable | None) ->
         ),
         *_contradictions(header.trials),
     ]
-    return [document.problem(key, message) for key, message in complaints]
+    return document.problems(complaints)
 
 
 def _contradictions(trials: Sequence[_TrialSection]) -> Iterator[Complaint]:

@@ -51,7 +51,7 @@ def too_long(e: TrialEvidence) -> Failure | None:
     "log the whole motion, or cut the trial before it or after it",
 )
 def log_gap(e: TrialEvidence) -> Failure | None:
-    """Is the gripper's log whole while it moves?"""
+    """Is the gripper log complete while the gripper moves?"""
     if e.log_gap is None:
         return None
     row = int(np.searchsorted(e.trial.markers.t_s, e.log_gap.to_s))
@@ -98,7 +98,7 @@ def _of_log(e: TrialEvidence, found: CutOff) -> Failure:
     "remove one from markers",
 )
 def same_marker(e: TrialEvidence) -> Failure | None:
-    """Is every marker another one?"""
+    """Is no marker listed twice?"""
     for first, second, both in identical(e.trial.markers.xy_m):
         names = {"first": e.source.names[first], "second": e.source.names[second]}
         return Failure({**names, "rows": np.count_nonzero(both)}, int(np.argmax(both)))
@@ -133,7 +133,7 @@ def not_on_cable(e: TrialEvidence) -> Failure | None:
     "correct metres_per_unit of hand in the mapping",
 )
 def hand_scale(e: TrialEvidence) -> Failure | None:
-    """Is the gripper in the unit of the markers?"""
+    """Do gripper and markers have the same unit?"""
     nearest = int(np.argmin(e.arc_length_m))
     marker = e.trial.markers.xy_m[:, nearest]
     seen = np.isfinite(marker).all(axis=1)
@@ -159,17 +159,18 @@ def hand_scale(e: TrialEvidence) -> Failure | None:
     "correct the columns or arc_length_m of the two in the mapping",
 )
 def longer_than_cable(e: TrialEvidence) -> Failure | None:
-    """Are two markers as near as the cable between them is long?"""
+    """Are two markers no farther apart than the cable between them is long?"""
     names, worst_share, worst = e.source.names, MOST_SLIPS, None
     for first, second in combinations(range(len(names)), 2):
         apart_m = np.linalg.norm(np.diff(e.trial.markers.xy_m[:, [second, first]], axis=1), axis=2)
         between_m = abs(e.arc_length_m[first] - e.arc_length_m[second])
-        far = np.nan_to_num(apart_m[:, 0]) > between_m + e.slack_m
+        limit_m = e.reach.scale * between_m + e.slack_m
+        far = np.nan_to_num(apart_m[:, 0]) > limit_m
         share = float(far.sum()) / max(int(np.isfinite(apart_m).sum()), 1)
         if share > worst_share:
             row = int(np.argmax(far))
             values = {"apart_m": apart_m[row, 0], "between_m": between_m, "share": share}
-            values |= {"limit_m": between_m + e.slack_m}
+            values |= {"limit_m": limit_m}
             worst_share = share
             worst = Failure({"first": names[first], "second": names[second], **values}, row)
     return worst
@@ -221,7 +222,7 @@ def _out_of_plane_m(e: TrialEvidence) -> FloatArray | None:
     "empty them if the tracker held what it had lost",
 )
 def held_rows(e: TrialEvidence) -> Failure | None:
-    """Does no tracker repeat what it had lost?"""
+    """Does no tracker repeat the last position of a lost marker?"""
     found = repeated_rows(e.trial.markers.xy_m)
     return None if found is None else Failure({"rows": found[1]}, found[0])
 

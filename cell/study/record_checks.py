@@ -7,16 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.files.words import counted
+from cell.files.words import counted, first_of
 from cell.study.check import Failure, failures, noted
 from cell.study.facts import FEWEST_FRAMES, FEWEST_SWINGS, TrialFacts
 
+#: Trials that are named in a sentence.
+NAMED = 3
 #: Of 384 trials of real and simulated cables the slowest swing had 0.44 to 1.67 times the frequency
 #: that the droop tells, and all were faster than a hanging chain.
 OF_DROOP, OF_CHAIN = 2.5, 0.8
 #: Of 331 trials of whatever effects none begins at rest by this share of its length from its
 #: gripping point, has a marker so far from a smooth curve, or leaves by this angle from the stated.
 ROOT_AWAY, OFF_CURVE, ROOT_TURNED_RAD = 0.03, 0.015, np.radians(20.0)
+#: In 363 trials of simulated cables with all effects, the root's motion differs from the gripper's
+#: by less than this share of it, except where camera_scale or camera_roll acts.  The directions in
+#: which a cable leaves the clamp differ by up to 7° between its trials.
+ROOT_MOTION_ERROR, ROOTS_APART_RAD = 0.015, np.radians(10.0)
 #: Frames at rest with which the level of a noise is known to a fifth, at two coordinates.
 REST_FRAMES = 12
 #: Frames of a swing below which its shape is lost between them.
@@ -31,6 +37,10 @@ FREQUENCY = 0.15
 #: Stated noise over that from frame to frame at rest: less cannot be, for that is a part of it;
 #: more may be, as of a camera that filters or a lens that is not straightened, but not by so much.
 STATED_NOISE = (1.0 / 3.0, 20.0)
+#: No cable is inserted by more than half a turn of its gripper.
+MOST_TURN_RAD = np.pi
+#: Trials of which a median tells the usual one.
+MEDIAN_OF = 3
 #: A tip that moves by less than so many times the noise shows nothing.
 SPAN_OF_NOISE = 20.0
 
@@ -96,7 +106,7 @@ def rest_frames(record: TrialRecord) -> Failure | None:
     "see which markers are lost when",
 )
 def lost_values(record: TrialRecord) -> Failure | None:
-    """Are most values seen?"""
+    """Were most marker positions measured?"""
     seen = record.facts.seen
     return Failure({"seen": seen}) if seen < LEAST_SEEN else None
 
@@ -159,6 +169,18 @@ def off_curve(record: TrialRecord) -> Failure | None:
 
 
 @noted(
+    "span of the clamp angle, degrees",
+    f"{np.degrees(MOST_TURN_RAD):.0f}",
+    f"the gripper turns by {{turned_deg:.0f}}°, limit {np.degrees(MOST_TURN_RAD):.0f}°;",
+    "check the unit of its angle, and whether whole turns are missing",
+)
+def turns_far(record: TrialRecord) -> Failure | None:
+    """Does the gripper turn by less than half a turn?"""
+    turned_rad = record.facts.hand_rad
+    return Failure({"turned_deg": np.degrees(turned_rad)}) if turned_rad > MOST_TURN_RAD else None
+
+
+@noted(
     "angle between both at rest, degrees",
     f"{np.degrees(ROOT_TURNED_RAD):.0f}",
     "at rest the cable leaves the clamp {turned_deg:+z.0f}° from its angle, limit "
@@ -166,11 +188,33 @@ def off_curve(record: TrialRecord) -> Failure | None:
     "check angle_rad (positive = pointing down) and the axes",
 )
 def root_turned(record: TrialRecord) -> Failure | None:
-    """Does the cable leave the clamp along its angle?"""
+    """Does the cable leave the clamp at the clamp angle?"""
     end = record.facts.clamped_end
     if end is None or abs(end.turned_rad) <= ROOT_TURNED_RAD:
         return None
     return Failure({"turned_deg": np.degrees(end.turned_rad)})
+
+
+@noted(
+    "largest distance of both, each from its median, over the gripper's motion",
+    f"{ROOT_MOTION_ERROR:g}, and twice the uncertainty of the root",
+    "the motion of the cable's root, extrapolated from its innermost markers, differs from the "
+    "gripper's by up to {apart_mm:.2g} mm, limit {limit_mm:.2g} mm{how};",
+    "check the units, axes and clocks of both files, and whether frames are missing; camera_scale "
+    "and camera_roll show this too",
+)
+def root_motion_error(record: TrialRecord) -> Failure | None:
+    """Does the cable's root move as the gripper does?"""
+    root = record.facts.root_motion
+    if root is None or root.excess <= ROOT_MOTION_ERROR:
+        return None
+    how = ""
+    if abs(root.scale - 1.0) > ROOT_MOTION_ERROR:
+        how = f": it moves {root.scale:.3g} times as far"
+    elif abs(root.turned_rad) > ROOT_MOTION_ERROR:
+        how = f": it moves in a direction {np.degrees(root.turned_rad):+z.1f}° from the gripper's"
+    limit_m = ROOT_MOTION_ERROR * root.way_m + 2.0 * root.uncertainty_m
+    return Failure({"apart_mm": root.apart_m * 1e3, "limit_mm": limit_m * 1e3, "how": how})
 
 
 @noted(
@@ -220,7 +264,7 @@ def slow_swing(record: TrialRecord) -> Failure | None:
     "check the units of time and length, unless it is naturally curved",
 )
 def droop(record: TrialRecord) -> Failure | None:
-    """Is the swing as fast as the droop says?"""
+    """Does the swing frequency agree with the droop at rest?"""
     scale = record.facts.swings
     if scale is None or not record.peaks_hz or slow_swing.failure(record) is not None:
         return None
@@ -238,7 +282,7 @@ def droop(record: TrialRecord) -> Failure | None:
     f"{FRAMES_PER_SWING:.0f} or more are needed",
 )
 def few_per_swing(record: TrialRecord) -> Failure | None:
-    """Are there frames enough in a swing?"""
+    """Are there enough frames per swing?"""
     rate_hz = record.facts.rate_hz
     if not record.peaks_hz or rate_hz >= FRAMES_PER_SWING * record.peaks_hz[0]:
         return None
@@ -305,6 +349,26 @@ def frequencies(record: StudyRecord) -> Failure | None:
     return Failure({"low_hz": low_hz, "low": low, "high_hz": high_hz, "high": high})
 
 
+@noted(
+    "largest difference from the median of the trials, degrees",
+    f"{np.degrees(ROOTS_APART_RAD):.0f}",
+    "at rest the cable leaves the clamp {turned_deg:+z.0f}° from its angle in {name}, and "
+    "{usual_deg:+z.0f}° in the other trials;",
+    "check angle_rad of that trial, or state trials that were gripped anew as another study",
+)
+def roots_apart(record: StudyRecord) -> Failure | None:
+    """Does the cable leave the clamp alike in all trials?"""
+    ends = [(f.clamped_end.turned_rad, f.name) for f in record[0] if f.clamped_end is not None]
+    if len(ends) < MEDIAN_OF:
+        return None
+    usual = float(np.median([turned for turned, _ in ends]))
+    turned, name = max(ends, key=lambda end: abs(end[0] - usual))
+    if abs(turned - usual) <= ROOTS_APART_RAD:
+        return None
+    degrees = {"turned_deg": np.degrees(turned), "usual_deg": np.degrees(usual)}
+    return Failure({**degrees, "name": name})
+
+
 #: Of every trial; all that fail are reported, of trials with the same sentence at once.
 RECORD_NOTES = (
     never_moves,
@@ -314,7 +378,9 @@ RECORD_NOTES = (
     small_motion,
     root_away,
     off_curve,
+    turns_far,
     root_turned,
+    root_motion_error,
     moves_at_end,
     no_swing,
     slow_swing,
@@ -323,7 +389,7 @@ RECORD_NOTES = (
     few_swings,
 )
 #: Of all trials of a study together.
-STUDY_NOTES = (stated_noise, frequencies)
+STUDY_NOTES = (stated_noise, frequencies, roots_apart)
 
 
 def oddities(all_facts: Sequence[TrialFacts], noise_std_m: float | None) -> list[str]:
@@ -338,20 +404,10 @@ def oddities(all_facts: Sequence[TrialFacts], noise_std_m: float | None) -> list
         checks = (never_moves,) if record.shows_nothing else RECORD_NOTES
         for _, sentence in failures(checks, record):
             of_trials.setdefault(sentence, []).append(each.name)
-    notes = [f"{_listed(names)}: {sentence}" for sentence, names in of_trials.items()]
+    notes = [f"{first_of(names, NAMED)}: {sentence}" for sentence, names in of_trials.items()]
     return [*notes, *(s for _, s in failures(STUDY_NOTES, (all_facts, noise_std_m)))]
 
 
 def stated_oddly(all_facts: Sequence[TrialFacts], noise_std_m: float | None) -> str | None:
     """Warning that the stated noise differs much from the noise at rest; None if it does not."""
     return next((s for _, s in failures([stated_noise], (all_facts, noise_std_m))), None)
-
-
-#: Trials that are named in a sentence.
-NAMED = 3
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Names of trials, not all of many."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more

@@ -107,18 +107,18 @@ class Frozen:
 
 
 def frozen(
-    xy_m: FloatArray, hand_m: FloatArray, markers: NDArray[np.intp], least_m: float
+    xy_m: FloatArray, hands_m: FloatArray, markers: NDArray[np.intp], least_m: float
 ) -> Frozen | None:
     """A marker that stays exactly in place while the cable moves; None if there is none.
 
     Rounded values of a marker that changes direction may stay, too; then they go on by one step.
 
     xy_m     (T, markers, 2), nan = not seen
-    hand_m   (T, 2)
+    hands_m  (delays, T, 2) gripper, if the pictures are late by each of these: the cable moves
+             later than a log without delay says
     markers  numbers of those that are tested
     least_m  by which the gripper or another marker moves meanwhile
     """
-    points_m = np.concatenate([xy_m, hand_m[:, None]], axis=1)
     for marker in markers:
         own_m = xy_m[:, marker]
         seen = np.flatnonzero(np.isfinite(own_m).all(axis=1))
@@ -128,8 +128,9 @@ def frozen(
             if b - a + 2 < FROZEN_ROWS:
                 continue
             first, last = int(seen[a]), int(seen[b + 1])
-            rows = points_m[first : last + 1]
-            moved_m = float(max(np.nan_to_num(span_m(p, 0.05)) for p in rows.swapaxes(0, 1)))
+            rows = slice(first, last + 1)
+            others_m = [np.nan_to_num(span_m(p, 0.05)) for p in xy_m[rows].swapaxes(0, 1)]
+            moved_m = float(max(*others_m, min(span_m(p[rows], 0.05) for p in hands_m)))
             steps_m = [rounding_step_m(v) for v in own_m.T]
             several_m = STEPS * min((s for s in steps_m if s), default=0.0)
             jumps = _jump_m(own_m, first, last) > several_m

@@ -1,8 +1,8 @@
 """Checks whether a trial is of the cable described: coordinate frame, reach, clock, units.
 
 A model can be fitted to mirrored or reversed markers too, with intervals and all.  A check that is
-`refused` fails by what no cable does: the study is not read.  One that is `noted` fails by what
-only a rare cable does: the reader decides.
+`refused` fails by what no cable does, and no effect of the library shows: the study is not read.
+One that is `noted` fails by what only a rare cable or a rare effect does: the reader decides.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from cell.study.clocks import (
     offset,
 )
 from cell.study.data import Source, Trial
+from cell.study.reach import LARGEST_OFFSET, Reach
 from cell.study.rest_shape import WEAK_M_PER_S2
 from cell.study.series import interpolated, span_m
 from cell.study.tracks import FROZEN_ROWS, NEARER, exchanges, frozen
@@ -50,9 +51,6 @@ GRAVITY_M_PER_S2 = 9.81
 #: A cable that hangs swings about like a rod of its length, in 5.1 √(L/g), or as a bead at the end
 #: of a thread in 6.3 √(L/g); bending makes it faster.
 SLOWEST = 2.0 * np.pi
-#: A marker cannot be farther from the gripper than the cable is long; half as far again leaves
-#: room for noise, a slipping grip and a clock that is off, and none for millimetres.
-FARTHEST = 1.5
 #: A gripper that moves so many times as far as its markers is given in another unit.
 OTHER_UNIT = 30.0
 #: A lost marker is in the outer part of the cable, and the gripper or another one moves by this
@@ -118,11 +116,14 @@ class TrialEvidence:
         return offset(self.trial, self.cable, self.weight)
 
     @cached_property
+    def reach(self) -> Reach:
+        """Distances of the markers from the gripping point, and the largest possible."""
+        return Reach(self.trial, self.arc_length_m, self.cable.length_m)
+
+    @cached_property
     def is_far(self) -> NDArray[np.bool_]:
         """(T, markers) farther from the gripper than any of this cable can be."""
-        # A coordinate that was not seen adds nothing: what is left is the least that it can be.
-        away_m = np.nan_to_num(self.from_grip_m)
-        return np.hypot(away_m[..., 0], away_m[..., 1]) > FARTHEST * self.cable.length_m
+        return self.reach.distance_m > self.reach.limit_m
 
     @cached_property
     def log_gap(self) -> Gap | None:
@@ -197,7 +198,7 @@ def _cable_ahead_and_far(e: TrialEvidence) -> Failure | None:
 
 def _cable_ahead_and_too_far(e: TrialEvidence) -> Failure | None:
     """The same of one that is farther from the gripper than its length."""
-    return None if _farther_than_arc(e) is None else cable_ahead.failure(e)
+    return None if _beyond(e, e.reach.limits_m) is None else cable_ahead.failure(e)
 
 
 def _of_clocks(e: TrialEvidence, apart: Offset) -> Failure:
@@ -208,9 +209,8 @@ def _of_clocks(e: TrialEvidence, apart: Offset) -> Failure:
 
 @refused(
     "largest distance of a marker from the gripping point, free lengths",
-    f"{FARTHEST:g}",
-    f"{{x_m:g}} lies more than {{limit_m:g}} m ({FARTHEST:g} free lengths) from the gripping "
-    "point;",
+    f"{LARGEST_OFFSET:g} beyond the scale between markers, at most that of an effect",
+    "{x_m:g} lies more than {limit_m:.4g} m ({limit:.3g} free lengths) from the gripping point;",
     "give metres, in the frame of grip.csv",
 )
 def out_of_reach(e: TrialEvidence) -> Failure | None:
@@ -219,7 +219,9 @@ def out_of_reach(e: TrialEvidence) -> Failure | None:
         return None
     row = int(np.argmax(e.is_far.any(axis=1)))
     marker = int(min(np.flatnonzero(e.is_far[row]), key=lambda m: int(e.source.numbers[m])))
-    values = {"x_m": e.trial.markers.xy_m[row, marker, 0], "limit_m": FARTHEST * e.cable.length_m}
+    limit_m = e.reach.limit_m
+    values = {"x_m": e.trial.markers.xy_m[row, marker, 0], "limit_m": limit_m}
+    values["limit"] = limit_m / e.cable.length_m
     return Failure(values, row, e.source.column(marker, 0))
 
 
@@ -230,7 +232,7 @@ def out_of_reach(e: TrialEvidence) -> Failure | None:
     "exchange the columns of the two in the rows from here to line {last}",
 )
 def exchanged(e: TrialEvidence) -> Failure | None:
-    """Does every marker go on where it was?"""
+    """Does every marker stay in its own columns?"""
     found = exchanges(e.trial.markers.xy_m)
     if not found:
         return None
@@ -300,7 +302,7 @@ def frozen_marker(e: TrialEvidence) -> Failure | None:
     """Does no marker stay exactly in place while the cable moves?"""
     markers, length_m = e.trial.markers, e.cable.length_m
     outer = np.flatnonzero(e.arc_length_m >= OUTER_SHARE * length_m)
-    found = frozen(markers.xy_m, e.hand_m, outer, MOVES_SHARE * length_m)
+    found = frozen(markers.xy_m, e.reach.delayed_m, outer, MOVES_SHARE * length_m)
     if found is None:
         return None
     x_m, y_m = markers.xy_m[found.first, found.marker]
@@ -309,68 +311,77 @@ def frozen_marker(e: TrialEvidence) -> Failure | None:
     return Failure(values, found.first)
 
 
-_BEYOND_ARC = "distance of a marker from the gripper beyond its arc length, free lengths"
-_IS_BEYOND_ARC = (
-    "the marker at arc length {arc_m:g} m is {away_m:.3g} m from the gripping point, farther than "
-    "any cable lets it;"
-)
+_BEYOND_ARC = "median distance of a marker from the gripper beyond its arc length, free lengths"
+_AWAY = "the marker at arc length {arc_m:g} m is {away_m:.3g} m from the gripping point, "
 
 
 @refused(
     _BEYOND_ARC,
-    f"{SLACK:g}, but not if counted from the other end",
-    _IS_BEYOND_ARC,
+    f"{SLACK:g} beyond the scale between markers, but not if counted from the other end",
+    f"{_AWAY}farther than any cable lets it;",
     "the markers fit when counted from the other end: turn markers.arc_length_m round",
 )
 def reversed_arcs(e: TrialEvidence) -> Failure | None:
     """Are arc lengths counted from the gripping point?"""
-    if (farther := _farther_than_arc(e)) is None:
+    distance_m, scale = e.reach.usual_m, e.reach.scale
+    seen = np.isfinite(distance_m)
+    distance_m, arcs = distance_m[seen], e.arc_length_m[seen]
+    # What only an effect shows farther is still farther the farther along the cable it is.
+    if len(arcs) < 2 or distance_m[np.argmax(arcs)] >= distance_m[np.argmin(arcs)]:
         return None
-    failure, distance_m, arcs = farther
-    turned = np.all(distance_m <= e.cable.length_m - arcs + e.slack_m) and len(arcs) > 1
-    return failure if turned else None
+    # A scale moves the clamp, too, about a centre half a free length away.
+    clamp_m = e.slack_m + 0.5 * (scale - 1.0) * e.cable.length_m
+    listed_m = np.sort(arcs)[::-1][np.argsort(np.argsort(arcs))]
+    turned = any(
+        np.all(distance_m <= scale * turned_m + clamp_m)
+        for turned_m in (e.cable.length_m - arcs, listed_m)
+    )
+    return _beyond(e, scale * e.arc_length_m + e.slack_m) if turned else None
 
 
 @refused(
     _BEYOND_ARC,
-    f"{SLACK:g}",
-    _IS_BEYOND_ARC,
+    f"{LARGEST_OFFSET:g} beyond the scale between markers, at most that of an effect",
+    f"{_AWAY}farther than any cable lets it, even if the camera's scale or angle is off;",
     "check arc_length_m, the metres of both files, and that both have the same frame",
 )
 def too_far(e: TrialEvidence) -> Failure | None:
+    """Is no marker farther from the gripper than its arc length and an effect let it?"""
+    return _beyond(e, e.reach.limits_m)
+
+
+@noted(
+    _BEYOND_ARC,
+    f"{SLACK:g}",
+    f"{_AWAY}farther than any cable lets it; camera_scale, camera_roll or grip_slip may show it "
+    "so, as may a free length that is too short;",
+    "check arc_length_m, free_length_m, the metres of both files, and that both have the same "
+    "frame",
+)
+def beyond_arc(e: TrialEvidence) -> Failure | None:
     """Is no marker farther from the gripper than its arc length?"""
-    farther = _farther_than_arc(e)
-    return None if farther is None else farther[0]
+    return _beyond(e, e.arc_length_m + e.slack_m)
 
 
-def _farther_than_arc(e: TrialEvidence) -> tuple[Failure, FloatArray, FloatArray] | None:
-    """That marker, and distances and arc lengths (markers,) of all that are seen."""
-    seen = np.isfinite(e.trial.markers.xy_m).all(axis=2).any(axis=0)
-    if not seen.any():
+def _beyond(e: TrialEvidence, limits_m: FloatArray) -> Failure | None:
+    """The marker that is farthest beyond its limit (markers,), if one is."""
+    found = e.reach.beyond(limits_m)
+    if found is None:
         return None
-    arcs, each_m = e.arc_length_m[seen], np.linalg.norm(e.from_grip_m[:, seen], axis=2)
-    distance_m = np.nanmedian(each_m, axis=0)
-    excess_m = distance_m - arcs
-    worst = int(np.nanargmax(excess_m))
-    if excess_m[worst] <= e.slack_m:
-        return None
-    far = each_m[:, worst] > arcs[worst] + e.slack_m
-    # From the first row on that half of the rows after it agree with: noise may be far once.
-    among_rest = np.cumsum(far[::-1])[::-1] / np.cumsum(np.isfinite(each_m[::-1, worst]))[::-1]
-    row = int(np.argmax(far & (among_rest > 0.5)))
-    values = {"arc_m": arcs[worst], "away_m": distance_m[worst]}
-    return Failure(values, row), distance_m, arcs
+    marker, row = found
+    away_m = np.nanmedian(np.linalg.norm(e.from_grip_m[:, marker], axis=1))
+    return Failure({"arc_m": e.arc_length_m[marker], "away_m": away_m}, row)
 
 
 @refused(
     "place of a resting marker behind the clamp, free lengths",
-    f"{SLACK:g}",
+    f"{SLACK:g}, if the outermost marker is farther behind it than the innermost",
     "at rest the marker at arc length {arc_m:g} m is {beyond_m:.3g} m {side} of the gripping "
     "point; with angle_rad = {angle_rad:g} the cable leaves it to the other side:",
     "change the sign of x_m in both files, or give the clamp angle as π − angle",
 )
 def wrong_side(e: TrialEvidence) -> Failure | None:
-    """Does the cable leave the clamp to the side of its angle?"""
+    """Does the cable leave the clamp on the side that the clamp angle states?"""
     angle_rad = e.trial.grip.angle_rad[0]
     cosine = float(np.cos(angle_rad))
     at_rest = e.from_grip_m[e.at_rest]
@@ -381,7 +392,10 @@ def wrong_side(e: TrialEvidence) -> Failure | None:
     arcs, beyond_m = e.arc_length_m[seen], np.nanmedian(at_rest[:, seen, 0], axis=0)
     beyond_m = beyond_m * np.sign(cosine)
     worst = int(np.argmax(beyond_m))
-    if beyond_m[worst] <= e.slack_m:
+    # An offset of the picture moves all markers; of a cable on the right side the tip is still the
+    # farthest on that side.
+    goes = len(arcs) == 1 or beyond_m[np.argmax(arcs)] > beyond_m[np.argmin(arcs)]
+    if beyond_m[worst] <= e.slack_m or not goes:
         return None
     side = "right" if cosine > 0.0 else "left"
     values = {"arc_m": arcs[worst], "beyond_m": beyond_m[worst], "side": side}
@@ -396,7 +410,7 @@ def wrong_side(e: TrialEvidence) -> Failure | None:
     "give t_s in seconds, with several frames per swing",
 )
 def frame_rate(e: TrialEvidence) -> Failure | None:
-    """Are there frames enough to see the slowest swing?"""
+    """Are there enough frames to show the slowest swing?"""
     seen = np.isfinite(e.trial.markers.xy_m).all(axis=2).any()
     if e.weight < WEAK_M_PER_S2 or not seen:
         return None
@@ -463,7 +477,7 @@ TRIAL_REFUSALS = (
     wrong_side,
     frame_rate,
 )
-TRIAL_NOTES = (rises, cable_ahead, moves_first)
+TRIAL_NOTES = (beyond_arc, rises, cable_ahead, moves_first)
 
 
 def trial_problems(

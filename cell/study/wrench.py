@@ -185,7 +185,7 @@ def _points_back(force: ForceFactor, limit: float) -> Failure | None:
     "give the force that gripper and clamp exert on the cable, which at rest points up",
 )
 def force_reversed(force: ForceFactor) -> Failure | None:
-    """Does the force point as that which moves the cable?"""
+    """Does the measured force have the direction of the force that moves the cable?"""
     return _points_back(force, 0.0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -12,14 +13,25 @@ import numpy as np
 
 from cell.files.input_error import InputError
 from cell.files.table import TableData
-from cell.records.cycle_page import cycle_page, how_it_ended, numbers_table, parameters_table
-from cell.records.folder import Recorded, cycle_of, pictures_in, read_record, started_of
+from cell.records.cycle_page import (
+    TipFlight,
+    chosen_row,
+    cycle_page,
+    flight_of,
+    how_it_ended,
+    numbers_table,
+    parameters_table,
+    rounded_mm,
+)
+from cell.records.folder import cycle_of, pictures_in, read_record, started_of
 from cell.records.recording import form
 from cell.records.recording.film import why_no_film
-from cell.records.recording.reading import read_recording
+from cell.records.recording.reading import Recording, read_recording
+from cell.records.result import Correction
+from cell.web.theme import AMBER, BLUE, GREEN
 
 #: Lines of the tip's path, those on top last.
-_COLOURS = {"seen": "#0b7fab", "predicted": "#d97706", "destination": "#b3261e"}
+_COLOURS = {"predicted": "#d97706", "seen": "#0b7fab", "destination": "#b3261e"}
 
 
 @dataclass(frozen=True)
@@ -27,9 +39,11 @@ class CycleView:
     """A cycle at a glance; texts are English.
 
     spent     states and steps: name → seconds, in their order
-    tip       lines of the tip's path: name → (n, 2) mm
+    flight    the tip as it was executed
+    decision  table of the offsets that were simulated, and the row that was executed
+    corrections  in flight
     no_film   why there is no film, "" = there is one
-    gaps      frames that are missing in it
+    gaps      number of frames that are missing in it, by cause
     pictures  names of files
     """
 
@@ -41,7 +55,9 @@ class CycleView:
     numbers: TableData | None
     parameters: TableData | None
     spent: Mapping[str, Mapping[str, float]]
-    tip: Mapping[str, list[list[float]]]
+    flight: TipFlight
+    decision: tuple[Sequence[Mapping[str, Any]], Mapping[str, Any] | None]
+    corrections: tuple[Correction, ...]
     no_film: str
     gaps: tuple[str, ...]
     pictures: tuple[str, ...]
@@ -53,18 +69,18 @@ def cycle_view(folder: Path) -> CycleView:
     result = record.result
     says, good = how_it_ended(record)
     no_film = why_no_film(folder)
-    decision: Mapping[str, Any] | None = None
-    destination: Mapping[str, Sequence[float]] | None = None
+    recording: Recording | None = None
     gaps: tuple[str, ...] = ()
     if not no_film:
         try:
             recording = read_recording(folder / form.FILE)
-            decision = recording.last(form.DECISION)
-            said = recording.last(form.SETTINGS)
-            destination = None if said is None else said["settings"]["destination"]
-            gaps = tuple(f"{g['frames']}: {g['cause']}" for g in recording.json(form.GAP))
+            missing: Counter[str] = Counter()
+            for gap in recording.json(form.GAP):
+                missing[gap["cause"]] += gap["frames"]
+            gaps = tuple(f"{frames}: {cause}" for cause, frames in missing.items())
         except InputError as error:
-            no_film = str(error)
+            recording, no_film = None, str(error)
+    decision = None if recording is None else recording.last(form.DECISION)
     return CycleView(
         cycle=record.cycle,
         started=None if cycle_of(folder) is None else started_of(folder, record.state),
@@ -74,42 +90,118 @@ def cycle_view(folder: Path) -> CycleView:
         numbers=None if result is None else numbers_table(result),
         parameters=None if record.model is None else parameters_table(record.model),
         spent={} if result is None else {"state": result.state_seconds, "step": result.seconds},
-        tip=_tip(record, decision, destination),
+        flight=flight_of(record, recording),
+        decision=((decision or {}).get("table", ()), chosen_row(decision, result)),
+        corrections=(result.corrections if result else None) or (),
         no_film=no_film,
         gaps=gaps,
         pictures=tuple(p.name for p in pictures_in(folder)),
     )
 
 
-def _tip(
-    record: Recorded,
-    decision: Mapping[str, Any] | None,
-    destination: Mapping[str, Sequence[float]] | None,
-) -> dict[str, list[list[float]]]:
-    lines, study = {}, record.study
-    if decision is not None and decision.get("tip_m"):
-        lines["predicted"] = _mm(decision["tip_m"])
-    for trial in () if study is None else study.trials:
-        if study is not None and trial.name == "execute":
-            tip = int(np.argmax(study.arc_length_m))
-            lines["seen"] = _mm(trial.markers.xy_m[:, tip])
-    if destination is not None and lines:
-        (x0, x1), (y0, y1) = destination["x_m"], destination["y_m"]
-        lines["destination"] = _mm([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
-    return lines
-
-
-def _mm(xy_m: Any) -> list[list[float]]:
-    points = np.array(xy_m, float).reshape(-1, 2) * 1e3
-    kept: list[list[float]] = np.round(points[np.isfinite(points).all(axis=1)], 2).tolist()
-    return kept
-
-
-def tip_chart(tip: Mapping[str, list[list[float]]], names: Mapping[str, str]) -> dict[str, Any]:
-    """The tip's path as an ECharts option.
+def tip_chart(flight: TipFlight, names: Mapping[str, str]) -> dict[str, Any]:
+    """The tip's path as an ECharts option; empty = nothing is known of it.
 
     names  of the lines, in the legend
     """
+    paths = {
+        "seen": flight.seen_m,
+        "predicted": flight.planned_m,
+        "destination": flight.destination_m,
+    }
+    if not len(flight.seen_m) and not len(flight.planned_m):
+        return {}
+    series = [
+        {
+            **_line(names[key], rounded_mm(paths[key]), _COLOURS[key]),
+            "symbolSize": 4 if key == "seen" else 0,
+            "lineStyle": {"type": "dashed" if key == "predicted" else "solid", "width": 2},
+        }
+        for key in _COLOURS
+        if len(paths[key])
+    ]
+    return _chart("x, mm", "y, mm", series)
+
+
+def error_chart(
+    flight: TipFlight, corrections: Sequence[Correction], names: Mapping[str, str]
+) -> dict[str, Any]:
+    """Seen minus predicted tip over time as an ECharts option, with the limits of the forecast.
+
+    The time in the destination is shaded; a line marks each correction.  Empty = not known.
+
+    names  of `above`, `right`, `limit`, `time`, `error`, `inside` and `correction`
+    """
+    if not len(flight.t_s):
+        return {}
+    t_s, error_mm = np.round(flight.t_s, 3).tolist(), rounded_mm(flight.error_m)
+    above = _line(names["above"], _pairs(t_s, [e[1] for e in error_mm]), _COLOURS["seen"])
+    above["symbolSize"] = 0
+    marks = [{"xAxis": round(c.from_s, 3), "name": names["correction"]} for c in corrections]
+    above["markLine"] = {
+        "symbol": "none", "data": marks, "lineStyle": {"color": AMBER},
+        "label": {"formatter": "{b}", "position": "insideEndTop"},
+    }  # fmt: skip
+    if len(flight.inside_s):
+        from_s, to_s = np.round(flight.inside_s, 3).tolist()
+        area = [{"xAxis": from_s, "name": names["inside"]}, {"xAxis": to_s}]
+        above["markArea"] = {"data": [area], "itemStyle": {"color": "#8a94a333"}}
+        above["markArea"]["label"] = {"position": "insideBottom"}
+    right = _line(names["right"], _pairs(t_s, [e[0] for e in error_mm]), "#6b7684")
+    series = [above, {**right, "symbolSize": 0, "lineStyle": {"width": 1}}]
+    if flight.limit_m is not None:
+        limit_mm, ends = round(1e3 * flight.limit_m, 3), [t_s[0], t_s[-1]]
+        for name, y in ((names["limit"], limit_mm), (names["limit"] + " ", -limit_mm)):
+            line = _line(name, _pairs(ends, [y, y]), "#8a94a3")
+            series.append({**line, "symbol": "none", "lineStyle": {"type": "dashed"}})
+    option = _chart(names["time"], names["error"], series)
+    option["legend"]["data"] = [names["above"], names["right"], names["limit"]]
+    return option
+
+
+def decision_chart(
+    table: Sequence[Mapping[str, Any]], chosen: Mapping[str, Any] | None, names: Mapping[str, str]
+) -> dict[str, Any]:
+    """Probability of passing and margin of every offset, as an ECharts option; empty = no table.
+
+    chosen  row that was executed; None = none was
+    names   of `offset`, `probability`, `margin` and `chosen`
+    """
+    rows = sorted(table, key=lambda row: float(row["offset_m"]))
+    if not rows:
+        return {}
+
+    def points(key: str, scale: float, of: Sequence[Mapping[str, Any]]) -> list[list[float]]:
+        known = [row for row in of if row.get(key) is not None]
+        return [[round(1e3 * r["offset_m"], 2), round(scale * r[key], 3)] for r in known]
+
+    usual = [r for r in rows if not r.get("delay_s") and not r.get("further_m")]
+    usual = [r for r in usual if r.get("pace", 1.0) == 1.0] or rows
+    probability = _line(names["probability"], points("probability", 100.0, usual), BLUE)
+    margin = _line(names["margin"], points("margin_m", 1e3, usual), "#6b7684")
+    taken = points("probability", 100.0, [] if chosen is None else [chosen])
+    series = [
+        {**probability, "symbolSize": 6},
+        {**margin, "yAxisIndex": 1, "lineStyle": {"type": "dashed", "width": 1}},
+        {**_line(names["chosen"], taken, GREEN), "type": "scatter", "symbolSize": 16},
+    ]
+    option = _chart(names["offset"], names["probability"], series)
+    left = {**option["yAxis"], "min": 0, "max": 100, "scale": False}
+    right = {**option["yAxis"], "name": names["margin"], "splitLine": {"show": False}}
+    return {**option, "yAxis": [left, right], "grid": {**option["grid"], "right": 60}}
+
+
+def _pairs(x: Sequence[float], y: Sequence[float]) -> list[list[float]]:
+    return [list(pair) for pair in zip(x, y, strict=True)]
+
+
+def _line(name: str, data: list[list[float]], colour: str) -> dict[str, Any]:
+    look = {"type": "line", "symbolSize": 4, "itemStyle": {"color": colour}}
+    return {**look, "name": name, "data": data}
+
+
+def _chart(x: str, y: str, series: list[dict[str, Any]]) -> dict[str, Any]:
+    """An ECharts option of lines over a number; `x` and `y` name the axes."""
     axis = {
         "type": "value",
         "scale": True,
@@ -122,20 +214,9 @@ def tip_chart(tip: Mapping[str, list[list[float]]], names: Mapping[str, str]) ->
         "grid": {"left": 60, "right": 15, "top": 40, "bottom": 45},
         "legend": {"top": 0},
         "tooltip": {},
-        "xAxis": {**axis, "name": "x, mm"},
-        "yAxis": {**axis, "name": "y, mm", "nameGap": 42},
-        "series": [
-            {
-                "name": names[key],
-                "type": "line",
-                "data": line,
-                "symbolSize": 0 if key == "destination" else 4,
-                "itemStyle": {"color": _COLOURS[key]},
-                "lineStyle": {"type": "dashed" if key == "predicted" else "solid"},
-            }
-            for key in _COLOURS
-            if (line := tip.get(key))
-        ],
+        "xAxis": {**axis, "name": x},
+        "yAxis": {**axis, "name": y, "nameGap": 42},
+        "series": series,
     }
 
 

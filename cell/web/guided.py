@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -136,21 +136,23 @@ class Guided:
                     now = replace(now, done=int(message["done"]), total=int(message["total"]))
                 self.state = now
         hear.join()
-        with suppress(OSError), process:  # closes its pipes
-            pass
-        code = process.wait()
-        with self._lock:
-            last = (*self.state.output, *self._errors)[-_LINES:]
-            self.state = replace(self.state, ask="", question_number=0, output=last, code=code)
+        self._ended(process, self._errors)
 
     def _unread(self, process: subprocess.Popen[str], error: BaseException) -> None:
         """Nobody reads what it says: it ends, and stops the arm."""
         process.terminate()
-        with suppress(OSError), process:  # closes its pipes, and waits for its end
+        self._ended(process, [said(error)], code=-1)
+
+    def _ended(
+        self, process: subprocess.Popen[str], told: Iterable[str], code: int | None = None
+    ) -> None:
+        """Wait for its end; `code` in place of its own, if given."""
+        with suppress(OSError), process:  # closes its pipes, and waits
             pass
+        code = process.wait() if code is None else code
         with self._lock:
-            last = (*self.state.output, said(error))[-_LINES:]
-            self.state = replace(self.state, ask="", question_number=0, output=last, code=-1)
+            last = (*self.state.output, *told)[-_LINES:]
+            self.state = replace(self.state, ask="", question_number=0, output=last, code=code)
 
     def _unheard(self, process: subprocess.Popen[str], error: BaseException) -> None:
         self._errors.append(said(error))

@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
-from cell.web.theme import N_
+from cell.web.theme import N_, asset
 from cell.web.wording import Translate
 
 #: A picture is shown as unknown, and nothing can be pressed, if it is older, s.
@@ -23,76 +23,6 @@ LOST_S = 1.5
 _EVERY_S, _AGAIN_S = 0.3, 1.0
 #: So many numbers are known; a page asks not more often than `_EVERY_S`.
 _KNOWN = 100
-
-_SCRIPT = """
-<script>
-(() => {
-  const words = WORDS, key = 'cell-given';
-  const now = () => performance.now();
-  let asked = -1e9, answered = true, seen = 0, beat = 0, count = 0, lost = false;
-  document.body.classList.add('unheard');  // what is pressed before the server listens is lost
-  let given = [], gone = JSON.parse(sessionStorage.getItem(key) || '[]');
-  const keep = () => sessionStorage.setItem(key, JSON.stringify([...gone, ...given]));
-  const clock = (t) => new Date(t).toLocaleTimeString(document.documentElement.lang,
-                                                      {hourCycle: 'h23'});
-  const text = (id, said) => {
-    const place = document.getElementById(id);
-    if (place && place.textContent !== said) place.textContent = said;
-  };
-  const show = () => {
-    const old = now() - seen > LOST;
-    if (old !== lost && old) {
-      text('no-connection-since', `${words.since} ${clock(Date.now() - (now() - seen))}`);
-    }
-    lost = old;
-    document.body.classList.toggle('no-connection', lost);
-    for (const button of document.querySelectorAll('main button, .q-dialog button')) {
-      if (lost && !button.disabled) {
-        button.disabled = true;
-        button.dataset.lost = '1';
-      } else if (!lost && button.dataset.lost) {
-        button.disabled = button.classList.contains('disabled');
-        delete button.dataset.lost;
-      }
-    }
-    const open = [...gone, ...given.filter((g) => now() - g.since > LOST)];
-    text('no-answer', open.map((g) => `${g.what}, ${clock(g.at)}: ${words.lost}`).join(' '));
-    document.body.classList.toggle('no-answer', open.length > 0);
-  };
-  const look = () => {
-    if (window.socket?.connected && window.did_handshake && (answered || now() - asked > AGAIN)) {
-      asked = now();
-      answered = false;
-      emitEvent('heartbeat', asked);
-    }
-    show();
-  };
-  window.cell = {
-    heard(question, number) {
-      answered ||= question === asked;
-      if (question > seen) [seen, beat] = [question, number];
-      document.body.classList.remove('unheard');
-      show();
-    },
-    give(emit, what) {
-      if (lost || !beat) return;
-      gone = [];
-      given.push({what, number: ++count, at: Date.now(), since: now()});
-      keep();
-      emit(beat, count);
-    },
-    done(number) {
-      given = given.filter((g) => g.number !== number);
-      keep();
-      show();
-    },
-  };
-  setInterval(look, EVERY);
-  document.addEventListener('visibilitychange', look);
-  document.addEventListener('DOMContentLoaded', show);
-})();
-</script>
-"""
 
 
 class Heartbeats:
@@ -122,10 +52,10 @@ def begin(heartbeats: Heartbeats, t: Translate) -> None:
             N_("no answer. If it comes late it is refused. Look at the cell, then give it again.")
         ),
     }
-    script = _SCRIPT.replace("WORDS", json.dumps(words))
-    for name, seconds in (("LOST", LOST_S), ("EVERY", _EVERY_S), ("AGAIN", _AGAIN_S)):
-        script = script.replace(name, f"{1e3 * seconds:g}")
-    ui.add_body_html(script)
+    times = {"LOST": LOST_S, "EVERY": _EVERY_S, "AGAIN": _AGAIN_S}
+    values = {name: f"{1e3 * seconds:g}" for name, seconds in times.items()}
+    script = asset("heartbeat.js", WORDS=json.dumps(words), **values)
+    ui.add_body_html(f"<script>{script}</script>")
     plate = ui.element("div").classes("no-connection-plate no-data")
     with plate.props("role=alert data-test=unknown"):
         ui.label(t(N_("No connection"))).classes("state-plate")

@@ -6,6 +6,7 @@ its progress is what they print on their error stream, its results are the files
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -16,15 +17,15 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
-from cell.computer.watched import PROGRESS_VARIABLE
+from cell.computer.watched import FIT_ERROR, PROGRESS_VARIABLE
 from cell.files.atomic import write_atomic
 from drivers.threads import GuardedThread, said
 
@@ -91,6 +92,7 @@ class Job:
     share     of the part under way; None = cannot be counted
     output    newest lines of the error stream, progress left out
     printed   newest lines of the standard output
+    errors    of the models that the command has fitted: `effects`, `rms_m`, `noise_m`
     ended_s   Unix time; None = has not
     """
 
@@ -103,6 +105,7 @@ class Job:
     share: float | None = None
     output: tuple[str, ...] = ()
     printed: tuple[str, ...] = ()
+    errors: tuple[Mapping[str, Any], ...] = ()
     ended_s: float | None = None
 
 
@@ -307,7 +310,8 @@ class Jobs:
                 job = self._jobs[number]
                 if job.state is JobState.CANCELLING:
                     break
-                self._put(replace(job, step=step, progress="", share=None, printed=()))
+                begun = replace(job, step=step, progress="", share=None, printed=(), errors=())
+                self._put(begun)
             code = self._command(number, words)
             if code not in task.good:
                 break
@@ -344,9 +348,12 @@ class Jobs:
             printing.start()
             begins = f"{words[0]}: "
             for line in _lines(process.stderr):
-                self._add_output(
-                    number, line.removeprefix(begins), progress=line.startswith(begins)
-                )
+                if line.startswith(FIT_ERROR):
+                    self._add_error(number, line.removeprefix(FIT_ERROR))
+                else:
+                    self._add_output(
+                        number, line.removeprefix(begins), progress=line.startswith(begins)
+                    )
             printing.join()
         code = process.wait()
         with self._changed:
@@ -363,6 +370,11 @@ class Jobs:
             counted = _COUNTED.search(line)
             share = None if counted is None else int(counted[1]) / max(1, int(counted[2]))
             self._put(replace(job, progress=line, share=share))
+
+    def _add_error(self, number: int, text: str) -> None:
+        with self._changed:
+            job = self._jobs[number]
+            self._put(replace(job, errors=(*job.errors, json.loads(text))[-MOST_LINES:]))
 
     def _read_printed(self, number: int, stream: IO[str]) -> None:
         printed: deque[str] = deque(_lines(stream), MOST_LINES)

@@ -142,7 +142,10 @@ def named_files(mapping: object) -> list[str]:
     """Files that a mapping names, whatever else is wrong with it."""
     trials = mapping.get("trials") if isinstance(mapping, dict) else None
     entries = [t for t in trials if isinstance(t, dict)] if isinstance(trials, list) else []
-    return [str(t[key]) for t in entries for key in ("file", "hand_file") if t.get(key)]
+    others = [name for t in entries for name in t.get("beside") or ()]
+    return [str(t[k]) for t in entries for k in ("file", "hand_file") if t.get(k)] + [
+        str(name) for name in others
+    ]
 
 
 def _law(printed: str, name: str) -> str:

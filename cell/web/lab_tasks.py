@@ -14,6 +14,14 @@ from cell.web.workspace import Workspace
 MAPPING, STUDY, PREVIEW = "import.yaml", "study.yaml", "preview.html"
 #: Name of the model without further effects.
 BASELINE = "baseline"
+#: Tables of a simulated cable with an effect that the model lacks, and what its data sheet says.
+EXAMPLE = Path(__file__).parents[1] / "examples" / "cable_a"
+_EXAMPLE_SHEET = {
+    "--free-length": 0.1,
+    "--line-density": 0.0074,
+    "--width": 0.016,
+    "--thickness": 0.0001,
+}
 #: Pages that commands write for a study, by the name under which they are served.
 PAGES = ("look.html", "compare.html", "own.html", "diagnosis.html")
 _SHOWN = frozenset({0, 1})
@@ -58,6 +66,15 @@ class LabTasks:
         return JobTask(
             N_("Gather"), name, (words, self.show_study(Subject(name, out)).commands[0]), _SHOWN
         )
+
+    def make_example(self, name: str) -> JobTask:
+        """Make the study of the example's tables."""
+        out = self.workspace.studies / name
+        sheet = (w for option, value in _EXAMPLE_SHEET.items() for w in (option, f"{value:g}"))
+        tables = map(str, sorted(EXAMPLE.glob("*.csv")))
+        words = ("import", *tables, "-o", str(out), *sheet, "--force")
+        made = self.write_study(Subject(name, out))
+        return JobTask(N_("Example"), name, (words, *made.commands), _SHOWN, made.log)
 
     def propose(
         self,
@@ -154,6 +171,11 @@ class LabTasks:
     def undo(self) -> tuple[str, ...]:
         """Words of the command that takes the last promotion back."""
         return ("promote", "--undo", *self._line(True))
+
+    def replay(self, subject: Subject) -> JobTask:
+        """Compute a recorded cycle again, and compare every number; 1 = something differs."""
+        log = self.workspace.results(subject.name) / "replay.txt"
+        return JobTask(N_("Replay"), subject.name, (("replay", str(subject.folder)),), _SHOWN, log)
 
     def measure(self, subject: Subject, runs: Path) -> JobTask:
         """Measure a cable with the motion suggested; the gripper moves."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.files.input_error import InputError
-from cell.files.quantity import with_prefix
+from cell.files.words import with_prefix
 from cell.files.yaml_document import read_yaml
 from cell.web.theme import N_
 from cell.web.wording import Translate
@@ -127,6 +128,42 @@ def error_bars(steps: Sequence[tuple[str, Data]], noise_m: float | None, t: Tran
         },
         "yAxis": {**_AXIS, "type": "log", "min": low, "startValue": low},
         "series": series,
+    }
+
+
+def falling_errors(errors: Sequence[Data], t: Translate) -> Option:
+    """Errors of models in the order in which they were fitted, and the least so far, mm."""
+    names = [" + ".join(e["effects"]) or t("Baseline") for e in errors]
+    errors_mm = [1e3 * float(e["rms_m"]) for e in errors]
+    shown = [
+        {"name": name, "value": [n, round(e, 4)]}
+        for n, (name, e) in enumerate(zip(names, errors_mm, strict=True))
+    ]
+    least = [[n, round(mm, 4)] for n, mm in enumerate(itertools.accumulate(errors_mm, min))]
+    steps = {**_line(t("Least so far"), least, _FITTED), "step": "end"}
+    noise_mm = round(1e3 * float(errors[-1]["noise_m"]), 4)
+    label = {"formatter": f"{t('Noise')} {noise_mm}", "position": "insideEndTop"}
+    look = {"lineStyle": {"color": "#c2410c", "type": "dashed"}, "label": label}
+    steps["markLine"] = {"silent": True, "symbol": "none", "data": [{"yAxis": noise_mm, **look}]}
+    low, high = min(*errors_mm, noise_mm), max(errors_mm)
+    scale: Option = {"type": "value", "min": round(0.8 * low, 4), "max": round(1.2 * high, 4)}
+    if high > 10.0 * low:
+        scale = {"type": "log", "min": 10 ** _floor_log(0.7 * low)}
+    return {
+        **_frame(t("Error, mm rms per coordinate")),
+        "xAxis": {"type": "value", "show": False, "min": 0, "max": max(10, len(errors))},
+        "yAxis": {**_AXIS, **scale},
+        "series": [
+            {
+                "type": "scatter",
+                "name": t("Each model"),
+                "symbolSize": 7,
+                "data": shown,
+                "itemStyle": {"color": _HELD_OUT},
+                "label": {"show": True, "position": "top", "formatter": "{b}", "fontSize": 10},
+            },
+            steps,
+        ],
     }
 
 

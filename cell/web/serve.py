@@ -38,7 +38,7 @@ from cell.web.guard import COOKIE, LOGIN, METRICS, SANDBOX, Guard, TimedHttp
 from cell.web.metrics import CellMetrics
 from cell.web.pages import calibration, history, lab, live, settings
 from cell.web.pages.cycle import build as build_cycle
-from cell.web.theme import CSS, MANUAL, N_, UNSAVED, manual_page
+from cell.web.theme import MANUAL, N_, UNSAVED, asset, manual_page
 from cell.web.visit import PagesContext, Visit
 from cell.web.wording import languages, preferred, translation
 from cell.web.workspace import MOST_FILES, UploadError, UploadResult, is_name
@@ -169,7 +169,7 @@ def _language(request: Request) -> str:
 def _framed(visit: Visit, request: Request) -> None:
     """Head line with the menu, language, theme and logout."""
     t = visit.t
-    ui.add_css(CSS)
+    ui.add_css(asset("theme.css"))
     ui.dark_mode(_THEMES.get(request.cookies.get("theme", "")))
     ui.add_head_html(f"<script>document.documentElement.lang = {visit.language!r}</script>")
     with ui.header().classes("items-center gap-1 px-2 py-1 bg-slate-800 flex-wrap"):

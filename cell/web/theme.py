@@ -49,51 +49,13 @@ UNKNOWN = StateStyle(N_("No connection"), NO_DATA)
 #: Where `make docs-site` and wheels have the manual.
 MANUAL = Path(__file__).parents[1] / "manual"
 
-CSS = """
-.q-btn { text-transform: none; }
-.big-button { min-height: 4.5rem; min-width: 7rem; font-size: 1.35rem; font-weight: 600; }
-.q-btn.disabled, .q-btn:disabled { filter: grayscale(1); opacity: 0.45 !important; }
-.body--dark .q-btn:disabled { filter: grayscale(1) brightness(0.55); }
-.normal { background: #e4e7eb; color: #1d232b; }
-.body--dark .normal { background: #2b323b; color: #eef1f5; }
-.waits { background: #f5b301; color: #000000; }
-.alarm { background: #b3261e; color: #ffffff; }
-.no-data { background: #4a5563; color: #ffffff; }
-.no-connection-plate { display: none; width: calc(100% - 1rem); max-width: 79rem; margin: 0 auto;
-  padding: 1rem; border-radius: 4px; position: sticky; top: 3.5rem; z-index: 20; }
-.no-answer-said { display: none; }
-body.no-connection .no-connection-plate, body.no-answer .no-answer-said { display: block; }
-body.no-connection .live-state { display: none; }
-body.unheard main button { pointer-events: none; opacity: 0.45; }
-.state-plate { font-size: clamp(2.5rem, 4.5vw, 4.5rem); font-weight: 700; line-height: 1.2; }
-.unseen { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
-.body--light { --q-primary: #0b57a4 !important; }
-.body--dark { --q-primary: #8ab8f0 !important; }
-.nicegui-link { color: var(--q-primary); }
-header .nicegui-link { color: #ffffff; }
-.quiet { color: #4a5563; }
-.body--dark .quiet { color: #b4bcc8; }
-.wrong { color: #b3261e; white-space: pre-line; }
-.body--dark .wrong { color: #ff9b94; }
-.trend text { fill: #4a5563; }
-.body--dark .trend text { fill: #b4bcc8; }
-.plain-table { border-collapse: collapse; width: 100%; }
-.plain-table th, .plain-table td { padding: 0.15rem 0.5rem; border-bottom: 1px solid #8a94a355; }
-.plain-table th { text-align: left; font-weight: 600; }
-.plain-table .text-right { text-align: right; }
-.loss-bar { height: 1rem; background: #6b7684; }
-.film-slider { min-height: 2.5rem; }
-.guide:not(:empty) { border-left: 0.5rem solid #f5b301; padding-left: 0.75rem; }
-.sticky-card { position: sticky; top: 3.5rem; z-index: 10; }
-@media (max-width: 640px) { .sticky-card, .no-connection-plate { top: 6.5rem; } }
-.entry { border-top: 1px solid #8a94a355; padding-top: 0.5rem; }
-.diff { font-family: monospace; white-space: pre; border: 1px solid #8a94a3; padding: 0.5rem; }
-.diff .added { background: #146c2e22; color: #0f5323; }
-.diff .removed { background: #b3261e22; color: #8c1d18; }
-.body--dark .diff .added { background: #146c2e66; color: #d5f5dd; }
-.body--dark .diff .removed { background: #b3261e66; color: #ffdad6; }
-.q-btn:focus-visible, a:focus-visible { outline: 3px solid #f5b301; outline-offset: 2px; }
-"""
+
+def asset(name: str, **values: str) -> str:
+    """A script or style sheet of the pages, with values in place of names in it."""
+    text = (Path(__file__).parent / "assets" / name).read_text(encoding="utf-8")
+    for key, value in values.items():
+        text = text.replace(key, value)
+    return text
 
 
 def manual_page(page: str) -> str:
@@ -134,15 +96,32 @@ def columns(*named: tuple[str, str]) -> list[dict[str, Any]]:
     return [{"name": k, "label": title, "field": k, "align": "left"} for k, title in named]
 
 
+#: JavaScript: the number x with the decimal sign of the page's language.
+_IN_LANGUAGE = "x.toLocaleString(document.documentElement.lang, {maximumSignificantDigits: 6})"
+
+
 def chart(option: dict[str, Any], height: str = "h-64") -> ui.echart:
     """A chart whose words have the colour of the theme, which letters on a canvas would not."""
-    return ui.echart(option, renderer="svg").classes(f"trend w-full {height}")
+    return ui.echart(localised(option), renderer="svg").classes(f"trend w-full {height}")
 
 
 def show_option(place: ui.echart, option: dict[str, Any]) -> None:
     """Show something else in a chart."""
     place.options.clear()
-    place.options.update(option)
+    place.options.update(localised(option))
+
+
+def localised(option: dict[str, Any]) -> dict[str, Any]:
+    """An ECharts option whose numbers the browser writes as the page's language does."""
+    axes = [option.get(name, {}) for name in ("xAxis", "yAxis")]
+    for axis in (each for a in axes for each in (a if isinstance(a, list) else [a])):
+        label = axis.get("axisLabel", {})
+        if axis.get("type") == "value":
+            unit = label.get("formatter", "").removeprefix("{value}")
+            axis["axisLabel"] = {**label, ":formatter": f"(x) => {_IN_LANGUAGE} + {unit!r}"}
+    if "tooltip" in option:
+        option["tooltip"][":valueFormatter"] = f"(x) => typeof x === 'number' ? {_IN_LANGUAGE} : x"
+    return option
 
 
 def notify_refusal(refused: str | None, t: Translate) -> None:
@@ -172,6 +151,14 @@ async def confirmed(question: str, answer: str, t: Translate, test: str) -> bool
     return sure
 
 
+def table_head(heads: Sequence[str], numbers: Collection[int]) -> None:
+    """Headings of a table; `numbers`: columns that stand to the right."""
+    with ui.element("thead"), ui.element("tr"):
+        for number, head in enumerate(heads):
+            with ui.element("th").classes("text-right" if number in numbers else ""):
+                ui.label(head)
+
+
 def table(
     title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], numbers: Collection[int]
 ) -> None:
@@ -182,10 +169,7 @@ def table(
     with ui.card().classes("w-full overflow-x-auto"):
         heading(title)
         with ui.element("table").classes("plain-table"):
-            with ui.element("thead"), ui.element("tr"):
-                for number, head in enumerate(heads):
-                    with ui.element("th").classes("text-right" if number in numbers else ""):
-                        ui.label(head)
+            table_head(heads, numbers)
             with ui.element("tbody"):
                 for row in rows:
                     with ui.element("tr"):

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cell.files.quantity import percent
-from cell.plant.messages import FaultNotice
+from cell.files.words import percent
+from cell.plant.messages import FaultNotice, Status
+from cell.records.folder import UNFINISHED
 from cell.records.ledger.ledger import ListedCycle
-from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
-from cell.run.machine import MachineEvent
+from cell.run.machine import CellState, MachineEvent
 from cell.settings.model import Settings
 from cell.web.theme import (
     ALARM,
@@ -29,6 +29,23 @@ from cell.web.theme import (
 )
 from cell.web.watching import CABLES, WatchedState
 from cell.web.wording import Translate
+
+#: Titles of the pictures of a cycle, by their files' names.
+PICTURES = {
+    "execute_passage": N_("Insertion: path of the tip, measured and predicted"),
+    "identify_still": N_("Identification: at rest before the motion"),
+    "identify_swing": N_("Identification: tip at its lowest"),
+    "identify_held": N_("Identification: end of the hold"),
+    "measure_still": N_("Measurement: at rest before the motion"),
+    "measure_swing": N_("Measurement: tip at its lowest"),
+    "measure_held": N_("Measurement: end of the hold"),
+}
+
+_S = CellState
+#: States in which no cycle is under way.
+_WITHOUT_CYCLE = frozenset(
+    {_S.IDLE, _S.COMPLETE, _S.RESETTING, _S.STOPPED, _S.ABORTED, _S.CLEARING}
+)
 
 #: Words of the steps of a cycle.
 STEPS = {
@@ -87,6 +104,10 @@ OUTCOME_MARKS: Mapping[str, tuple[str, str]] = {
 ADAPTERS = {"opcua": "OPC UA", "mqtt": "MQTT", "handshake": N_("Handshake with the PLC")}
 
 
+#: Of a cell that was not seen yet, or is away.
+_NO_STATUS = Status("", 0, CellState.IDLE, 0.0)
+
+
 @dataclass(frozen=True)
 class LiveView:
     """The live page at one moment; texts that are words of the source are still to be translated.
@@ -129,35 +150,31 @@ def live_view(seen: WatchedState, now_s: float) -> LiveView:
 
     now_s  Unix time
     """
-    status, there = seen.status, seen.connected
-    step = (status.step if status else None) or ""
-    figures = seen.figures
+    known = seen.status or _NO_STATUS
+    now = known if seen.connected else _NO_STATUS
+    figures, step = seen.figures, now.step or ""
     newest = figures.newest if figures else ()
-    last = (status.last if status else None) or (newest[-1].to_json() if newest else {})
-    step_s = max(0.0, now_s - seen.step_since_s) if seen.step_since_s and there else None
+    last = known.last or (newest[-1].to_json() if newest else {})
+    step_s = max(0.0, now_s - seen.step_since_s) if seen.step_since_s and seen.connected else None
     usual_s = (last.get("seconds") or {}).get(step) or 0.0
-    look = LOOKS[status.state] if status and there else AWAY
-    if seen.unknown_s is not None:
-        look = UNKNOWN
+    look = AWAY if now is _NO_STATUS else LOOKS[now.state]
+    counts = figures.counts if figures else known.counts
     return LiveView(
-        style=look,
-        step=step_word(step) if there else "",
+        style=look if seen.unknown_s is None else UNKNOWN,
+        step=step_word(step),
         step_s=step_s,
         step_share=min(1.0, step_s / usual_s) if step_s and usual_s else 0.0,
-        cycle=status.cycle if status else 0,
-        part=(status.part if status else None) or "",
-        product=(status.product if status else None) or "",
-        waiting=tuple(w for w in status.waiting_for if w != "start") if status and there else (),
-        buttons=frozenset(status.possible) if status and there else frozenset(),
-        fault=status.fault if status else None,
-        adapters=status.adapters if status and there else {},
+        cycle=known.cycle,
+        part=known.part or "",
+        product=known.product or "",
+        waiting=tuple(w for w in now.waiting_for if w != "start"),
+        buttons=frozenset(now.possible),
+        fault=known.fault,
+        adapters=now.adapters,
         outcome=str(last.get("outcome", "")),
         reason=str(last.get("reason") or ""),
         result=result_figures(last),
-        counts=ordered_counts(
-            figures.counts if figures else status.counts if status else {},
-            has_cycle=bool(step) and there,
-        ),
+        counts=ordered_counts(counts, has_cycle=now.state not in _WITHOUT_CYCLE),
         shift=shift_texts(seen),
         note=seen.note,
         folder=Path(str(last.get("folder", ""))).name,

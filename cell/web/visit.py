@@ -17,7 +17,7 @@ from cell.plant.wire import LinkError
 from cell.run.commands import too_old
 from cell.run.machine import MachineEvent
 from cell.settings.model import Settings
-from cell.web.audit import Audit
+from cell.web.audit import Audit, audit_file
 from cell.web.camera import Films, LiveCamera
 from cell.web.guided import Guided
 from cell.web.heartbeat import Heartbeats
@@ -34,12 +34,11 @@ _ALWAYS = frozenset({MachineEvent.STOP})
 _LONGEST_PART = 200
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class PagesContext:
     """What all pages share.
 
     sessions  None = loopback without accounts
-    taking    held while something that moves the arm is begun
     """
 
     config: Path
@@ -47,13 +46,12 @@ class PagesContext:
     runs: Path
     client: Client
     watch: CellWatch
-    control: Control
-    audit: Audit
-    films: Films
-    camera: LiveCamera
-    guided: Guided
     sessions: Sessions | None
-    taking: threading.Lock = field(default_factory=threading.Lock)
+
+    def __post_init__(self) -> None:
+        self.control, self.audit = Control(), Audit(audit_file(self.runs))
+        self.films, self.camera, self.guided = Films(), LiveCamera(self.runs), Guided()
+        self._taking = threading.Lock()  # held while something that moves the arm is begun
 
     @cached_property
     def lab(self) -> Lab:
@@ -62,7 +60,7 @@ class PagesContext:
 
     def with_devices(self, begin: Callable[[], str]) -> str:
         """Begin what moves the arm, unless something else has the devices; why not, or ""."""
-        with self.taking:
+        with self._taking:
             if self.watch.state.may_run:
                 return "a cell runs and has the devices: end it first"
             if self.guided.state.runs:

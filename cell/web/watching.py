@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cell.plant.client import Client
-from cell.plant.messages import MessageKind, Notice, Status
-from cell.plant.status_reducer import status_after
+from cell.plant.messages import MessageKind, Notice, Status, status_after
 from cell.plant.wire import NoCellError, ProtocolError
 from cell.records.ledger.actions import take_over
 from cell.records.ledger.effectiveness import Shift, shift_start, shifts

@@ -19,8 +19,10 @@ from pathlib import Path, PurePosixPath
 from tempfile import mkdtemp
 from typing import IO
 
+from cell.study.imports.read import KINDS
+
 #: Endings of files that are taken; `cell import` and studies read these.
-SUFFIXES = frozenset({".yaml", ".yml", ".csv", ".tsv", ".txt", ".trc", ".c3d", ".mcap"})
+SUFFIXES = frozenset({".yaml", ".yml", *KINDS})
 #: Of one upload, unpacked: bytes, files, folders within folders.
 MOST_UNPACKED, MOST_FILES, MOST_DEPTH = 256 << 20, 1200, 4
 #: Of the whole folder, bytes; what is older is removed, s.

@@ -158,10 +158,11 @@ def replay(
     raises  InputError: settings are wrong, or the recording is damaged or lacks what is needed
     """
     recording.check()
-    about = recording.last(form.CYCLE)
-    plan = None if about is None else _plan(recording, about)
-    if about is None or plan is None:
-        what = "of nothing" if about is None else f"of a cycle to have a cable {about['aim']}"
+    about = recording.last(form.CYCLE) or {}
+    aim = about.get("aim")
+    plan = None if aim is None else _plan(recording, about)
+    if plan is None:
+        what = "of nothing" if aim is None else f"of a cycle to have a cable {aim}"
         message = f"is {what}; only insertions and films of your own can be replayed"
         raise InputError.at(recording.path, message)
     with TemporaryDirectory() as folder:

@@ -17,9 +17,9 @@ from cell.cable.solver import Solver
 from cell.settings import Settings
 from cell.settings import devices as given
 from cell.settings.calibrated import Calibrated, typed
+from cell.settings.devices import Emulated
 from cell.settings.model import JawPlate
 from cell.settings.translate import cable_of, pose_of
-from cell.settings.world import Emulated
 from drivers.files import FilesCamera
 from drivers.interfaces import Trajectory
 from drivers.sim.arm import ArmTwinOptions, SimArm

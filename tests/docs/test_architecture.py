@@ -1,9 +1,10 @@
-"""The walks of the page on architecture: every stop is there, and no room is entered twice."""
+"""The page on architecture: its layers, and its walks, whose stops are there."""
 
 from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from itertools import groupby
 from pathlib import Path
 
@@ -54,3 +55,12 @@ def test_a_room_that_was_left_is_not_entered_again(walk: str) -> None:
     rooms = [str(Path(file).parent) for file, _ in walks()[walk]]
     entered = [room for room, _ in groupby(r for r in rooms if r not in ("cell", "cell/run"))]
     assert len(entered) == len(set(entered)), entered
+
+
+def test_the_drawing_has_the_layers_that_imports_obey() -> None:
+    page = (ROOT / "docs" / "explain" / "architecture.md").read_text(encoding="utf-8")
+    drawing = page.partition("\n## Layers")[2].partition("\n    (below all")[0]
+    drawn = re.findall(r"^    ([\w, ]+)$", drawing, re.MULTILINE)
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    (rooms,) = (c for c in contracts["contracts"] if c.get("containers") == ["cell"])
+    assert drawn == [layer.replace(" | ", ", ") for layer in rooms["layers"][1:]]

@@ -176,7 +176,7 @@ def follow(page: Path, folder: Path, before: tuple[Path, str] | None = None) -> 
 
     before  what the page's first command has left and printed, where another page began with it
     """
-    for name in ("config", "docs", "tools"):
+    for name in ("cell", "config", "docs", "tools"):
         (folder / name).symlink_to(ROOT / name)
     (folder / ".venv").mkdir()
     (folder / ".venv" / "bin").symlink_to(Path(sys.executable).parent)

@@ -27,7 +27,9 @@ MOTIONS = {
     "on a stroke to the left": "left",
     "on a stroke to the left alone": "left",
 }
-_PARAMETER = re.compile(r"^- `([^`]+)`, ([^,]+), \[([^],]+), ([^],]+)\]: .+[.]$", re.MULTILINE)
+_PARAMETER = re.compile(
+    r"^- `([^`]+)`: (?:\$[^$]+\$ )?from (\S+) to ([^\s,]+)(?: ([^\s,]+))?, .+[.]$", re.MULTILINE
+)
 _CONFUSED = re.compile(r"`(\w+)`\s\((\d\.\d\d)(?:; (below )?(\d\.\d+) ([^)]+))?\)")
 
 
@@ -57,12 +59,12 @@ def named(name):
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=list(EFFECTS))
 def test_parameters_units_and_limits_are_those_of_the_code(effect):
     told = [
-        (name, unit, float(low), float(high))
-        for names, unit, low, high in _PARAMETER.findall(ENTRIES[effect.name])
+        (name, unit or "1", float(low), float(high))
+        for names, low, high, unit in _PARAMETER.findall(ENTRIES[effect.name])
         for name in named(names)
     ]
     assert told == [(p.name, p.unit, p.low, p.high) for p in effect.parameters]
-    given = re.findall(r"^- `(\w+)`[^\n]+, given", ENTRIES[effect.name], re.MULTILINE)
+    given = re.findall(r"^- `(\w+)`[^\n]+, not fitted", ENTRIES[effect.name], re.MULTILINE)
     assert given == [p.name for p in effect.parameters if not p.fitted]
 
 

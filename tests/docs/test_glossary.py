@@ -7,7 +7,7 @@ import re
 from tests.docs.test_tables import DOCS
 
 TERMS = re.findall(
-    r"^## (.+)\n\n(.+)$", (DOCS / "reference" / "glossary.md").read_text("utf-8"), re.MULTILINE
+    r"^- \*\*(.+)\*\*: (.+)$", (DOCS / "reference" / "glossary.md").read_text("utf-8"), re.MULTILINE
 )
 
 

@@ -4,18 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cell.cable.effects import Effect, library, load_effect
-from cell.cli import app
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.results import Diagnosis
+from cell.cable.effects import load_effect
 from cell.lab.diagnosis import diagnose
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.study.data import Study
 from cell.study.folder import read_study
+from tests.cell.lab.conftest import fits_of
+from tests.command import run_cell
 
-DATA = Path(__file__).parents[2] / "docs/start/data"
+DATA = Path(__file__).parents[2] / "cell/examples"
 SHEET = "--free-length 0.1 --line-density 0.0074 --width 0.016 --thickness 0.0001"
 RIVALS = ("draught", "natural_curvature", "tip_mass")
 
@@ -35,33 +32,26 @@ def test_the_program_makes_a_table_again() -> None:
 
 
 @pytest.fixture(scope="module")
-def second(tmp_path_factory: pytest.TempPathFactory) -> PreparedStudy:
+def second(tmp_path_factory: pytest.TempPathFactory) -> Study:
     study = tmp_path_factory.mktemp("own") / "b"
     tables = [str(DATA / "cable_b" / f"{m}.csv") for m in ("down", "left")]
     arguments = ["import", *tables, "-o", str(study), *SHEET.split()]
-    assert CliRunner().invoke(app, arguments).exit_code == 0
+    run_cell(*arguments)
     mapping = study / "import.yaml"
     mapping.write_text(mapping.read_text().replace("constant_rad: 0.0097", "constant_rad: 0.0"))
-    assert CliRunner().invoke(app, ["import", str(mapping)]).exit_code == 0
-    return PreparedStudy.of(read_study(study))
+    run_cell("import", mapping)
+    return read_study(study)
 
 
-def diagnosed(prepared: PreparedStudy, tried: dict[str, type[Effect]]) -> Diagnosis:
-    space = ParameterSpace.of(prepared.study.cable)
-    return diagnose(FitCache.of(SearchSetup(prepared, space, tried))).diagnosis
+def test_the_second_cable_is_not_explained_by_the_library(second: Study) -> None:
+    assert diagnose(fits_of(second, RIVALS)).diagnosis.verdict == "unexplained"
 
 
-def test_the_second_cable_is_not_explained_by_the_library(second: PreparedStudy) -> None:
-    assert diagnosed(second, {n: library()[n] for n in RIVALS}).verdict == "unexplained"
-
-
-def test_the_law_on_the_page_explains_the_second_cable(
-    second: PreparedStudy, tmp_path: Path
-) -> None:
-    page = (DATA.parent / "own_measurements.md").read_text(encoding="utf-8")
+def test_the_law_on_the_page_explains_the_second_cable(second: Study, tmp_path: Path) -> None:
+    page = (DATA.parents[1] / "docs/start/own_measurements.md").read_text(encoding="utf-8")
     file = tmp_path / "magnet.py"
     file.write_text(page.partition("```python\n")[2].partition("```")[0])
-    found = diagnosed(second, {"magnet": load_effect(str(file)), "tip_mass": library()["tip_mass"]})
+    found = diagnose(fits_of(second, (load_effect(str(file)), "tip_mass"))).diagnosis
     assert found.verdict == "missing"
     (magnet,) = found.missing
     assert magnet.effect == "magnet"

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,101 +150,66 @@ def test_only_pictures_exposed_after_the_start_are_recorded(make) -> None:
     assert bench.camera.read().t_s == pytest.approx(now_s + 0.004)
 
 
-def test_a_gap_in_the_stamps_is_named(make) -> None:
-    bench = make(latency_s=0.010)
-    bench.connect()
-    bench.camera.start(10)
-    begin_s = first_s(bench)
-    for k in (0, 1, 4):
-        bench.put(begin_s + k * PERIOD_S)
-    assert [bench.camera.read().index for _ in range(2)] == [0, 1]
-    with pytest.raises(CameraError, match="2 pictures missing before picture 3 of 10"):
-        bench.camera.read()
-    assert bench.camera.read() is None
+BLACK, SAME = np.zeros((8, 6), dtype=np.uint8), np.arange(48, dtype=np.uint8).reshape(8, 6)
+#: Options, pictures at their periods after the start, how many of them are right, and what is said.
+FAULTS: dict[str, tuple[dict[str, Any], list[dict[str, Any]], int | None, str]] = {
+    "a gap": ({}, [{"at": k} for k in (0, 1, 4)], 2, "2 pictures missing before picture 3 of 30"),
+    "none at first": ({}, [{"at": 3}], 0, r"pictures? missing before the first"),
+    "a gap in its own count, without stamps": (
+        {},
+        [{"at": k, "number": n, "stamped": False} for k, n in enumerate((20, 21, 23))],
+        2,
+        "goes from 21 to 23",
+    ),
+    "frozen, which blank ones are not": (
+        {},
+        [{"at": k, "image": m} for k, m in enumerate((BLACK, BLACK, SAME, SAME.copy()))],
+        3,
+        r"picture 4 of 30 repeats .* frozen",
+    ),
+    "nobody reads": (
+        {"buffer_frames": 4},
+        [{"at": k} for k in range(6)],
+        4,
+        "overflow: 4 pictures wait to be read at picture 5",
+    ),
+    "slow": (
+        {"rate_tolerance": 0.05},
+        [{"at": 1.2 * k} for k in range(12)],
+        None,
+        r"slow: 166\.7 Hz measured, 200\.0 Hz expected",
+    ),
+    "piled up on their way": (
+        {"late_s": 0.05},
+        [{"at": 0}, {"at": 1, "delay_s": 0.070}],
+        1,
+        r"picture 2 of 30 came 0\.060 s late, allowed 0\.050",
+    ),
+    "another size": (
+        {},
+        [{"at": 0}, {"at": 1, "image": BLACK[:4, :4]}],
+        1,
+        "4 × 4 pixels, the one before 6 × 8",
+    ),
+}
 
 
-def test_a_missing_first_picture_is_named(make) -> None:
-    bench = make(latency_s=0.010)
-    bench.connect()
-    bench.camera.start(3)
-    bench.put(first_s(bench) + 3 * PERIOD_S)
-    with pytest.raises(CameraError, match=r"pictures? missing before the first"):
-        bench.camera.read()
-
-
-def test_the_cameras_own_count_finds_a_gap_without_stamps(make) -> None:
-    bench = make()
-    bench.connect(numbered=True, stamped=False)
-    bench.camera.start(10)
-    begin_s = first_s(bench)
-    for k, number in enumerate((20, 21, 23)):
-        bench.put(begin_s + k * PERIOD_S, number=number, stamped=False)
-    bench.camera.read()
-    bench.camera.read()
-    with pytest.raises(CameraError, match="goes from 21 to 23"):
-        bench.camera.read()
-
-
-def test_repeated_pictures_are_a_frozen_camera_blank_ones_are_not(make) -> None:
-    bench = make(latency_s=0.010)
-    bench.connect()
-    bench.camera.start(10)
-    begin_s = first_s(bench)
-    black = np.zeros((8, 6), dtype=np.uint8)
-    same = np.arange(48, dtype=np.uint8).reshape(8, 6)
-    for k, image in enumerate((black, black, same, same.copy())):
-        bench.put(begin_s + k * PERIOD_S, image=image)
-    for _ in range(3):
-        bench.camera.read()
-    with pytest.raises(CameraError, match=r"picture 4 of 10 repeats .* frozen"):
-        bench.camera.read()
-
-
-def test_pictures_that_nobody_reads_are_a_named_overflow(make) -> None:
-    bench = make(latency_s=0.010, buffer_frames=4)
-    bench.connect()
-    bench.camera.start(10)
-    begin_s = first_s(bench)
-    for k in range(6):
-        bench.put(begin_s + k * PERIOD_S)
-    assert [bench.camera.read().index for _ in range(4)] == [0, 1, 2, 3]
-    with pytest.raises(CameraError, match="overflow: 4 pictures wait to be read at picture 5"):
-        bench.camera.read()
-
-
-def test_a_camera_that_slows_down_is_noticed(make) -> None:
-    bench = make(latency_s=0.010, rate_tolerance=0.05)
-    bench.connect()
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_with_a_recording_is_named(make, fault) -> None:
+    options, pictures, right, said = FAULTS[fault]
+    counted, recorded = "number" in pictures[0], []
+    bench = make(**({} if counted else {"latency_s": 0.010}), **options)
+    bench.connect(numbered=counted, stamped=not counted)
     bench.camera.start(30)
     begin_s = first_s(bench)
-    for k in range(12):
-        bench.put(begin_s + k * PERIOD_S * 1.2)
-    with pytest.raises(CameraError, match=r"slow: 166\.7 Hz measured, 200\.0 Hz expected"):
-        list(iter(bench.camera.read, None))
-
-
-def test_pictures_that_pile_up_on_their_way_are_late(make) -> None:
-    bench = make(latency_s=0.010, late_s=0.05)
-    bench.connect()
-    bench.camera.start(5)
-    begin_s = first_s(bench)
-    bench.put(begin_s)
-    bench.put(begin_s + PERIOD_S, delay_s=0.070)
-    bench.camera.read()
-    with pytest.raises(CameraError, match=r"picture 2 of 5 came 0\.060 s late, allowed 0\.050"):
-        bench.camera.read()
-
-
-def test_another_size_of_picture_is_an_error(make) -> None:
-    bench = make(latency_s=0.010)
-    bench.connect()
-    bench.camera.start(5)
-    begin_s = first_s(bench)
-    bench.put(begin_s)
-    bench.put(begin_s + PERIOD_S, image=np.zeros((4, 4), dtype=np.uint8))
-    bench.camera.read()
-    with pytest.raises(CameraError, match="4 × 4 pixels, the one before 6 × 8"):
-        bench.camera.read()
+    for picture in pictures:
+        how = {name: value for name, value in picture.items() if name != "at"}
+        bench.put(begin_s + picture["at"] * PERIOD_S, **how)
+    with pytest.raises(CameraError, match=said):
+        for frame in iter(bench.camera.read, None):
+            recorded.append(frame.index)
+    assert right is None or recorded == list(range(right))
+    assert bench.camera.read() is None
 
 
 def test_a_check_sees_what_the_reader_has_not_come_to_yet(make) -> None:

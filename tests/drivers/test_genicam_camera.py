@@ -266,12 +266,6 @@ def test_one_of_several_is_found_by_its_serial_number(plugged) -> None:
     assert "start" in second.calls and "start" not in first.calls
 
 
-def test_without_the_extra_it_says_what_to_install(monkeypatch, tmp_path) -> None:
-    monkeypatch.setitem(sys.modules, "harvesters.core", None)
-    with pytest.raises(ConnectError, match=r"pip install -e .*\[genicam\]"):
-        GenicamCamera(GenicamOptions(tmp_path / "maker.cti"), CLOCK).connect()
-
-
 def test_without_the_producer_it_says_which_file(plugged, tmp_path) -> None:
     camera = plugged(FakeCamera())
     (tmp_path / "maker.cti").unlink()

@@ -48,13 +48,11 @@ def set_moving(arm: UrArm, line, duration_s: float = 1.5) -> None:
 
 def lost(arm: UrArm) -> DeviceLostError:
     deadline = time.monotonic() + 2.0
-    while time.monotonic() < deadline:
-        try:
+    with pytest.raises(DeviceLostError) as error:
+        while time.monotonic() < deadline:
             arm.state()
-        except DeviceLostError as error:
-            return error
-        time.sleep(0.001)
-    raise AssertionError("nobody noticed")
+            time.sleep(0.001)
+    return error.value
 
 
 def signalled(arm: UrArm, given: signal.Signals) -> float:
@@ -108,7 +106,8 @@ def test_garbage_never_leaves_the_arm_moving(arm, ur_emulator, line) -> None:
     assert ur_emulator.request("state")["last_moved_s"] - garbage_s < 0.3
 
 
-def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, tmp_path) -> None:
+def begun(ur_options, tmp_path, then: str) -> subprocess.Popen[str]:
+    """Another process that connects the arm, does this, and lives."""
     program = tmp_path / "cell.py"
     program.write_text(
         "import pickle, sys, time\n"
@@ -116,19 +115,25 @@ def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, t
         "from drivers.interfaces import Trajectory\n"
         "from drivers.ur import UrArm\n"
         "arm = UrArm(pickle.loads(bytes.fromhex(sys.argv[1])))\n"
-        "arm.connect()\n"
-        "pose = arm.state().pose\n"
-        "t = np.linspace(0.0, 5.0, 50)\n"
-        "arm.follow(Trajectory(t, pose.x_m + 0 * t, pose.y_m - 0.02 * t, 0 * t))\n"
-        "time.sleep(60)\n"
+        f"arm.connect()\n{then}time.sleep(60)\n"
     )
-    cell = subprocess.Popen([sys.executable, str(program), pickle.dumps(ur_options).hex()])
+    command = [sys.executable, str(program), pickle.dumps(ur_options).hex()]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+
+def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, tmp_path) -> None:
+    cell = begun(
+        ur_options,
+        tmp_path,
+        "pose, t = arm.state().pose, np.linspace(0.0, 5.0, 50)\n"
+        "arm.follow(Trajectory(t, pose.x_m + 0 * t, pose.y_m - 0.02 * t, 0 * t))\n",
+    )
     try:
         wait_until(lambda: abs(ur_emulator.request("state")["speed"][2]) > 0.015, 15.0)
     finally:
         killed_s = time.monotonic()
         cell.kill()
-        cell.wait(30)
+        cell.communicate(timeout=30)
     time.sleep(0.5)
     state = ur_emulator.request("state")
     assert state["last_moved_s"] - killed_s < 0.2
@@ -139,21 +144,7 @@ def test_the_death_of_the_cell_leaves_the_arm_stopped(ur_options, ur_emulator, t
 def test_the_child_outlives_neither_cell_nor_controller(
     ur_options, ur_emulator, tmp_path, also
 ) -> None:
-    program = tmp_path / "cell.py"
-    program.write_text(
-        "import pickle, sys, time\n"
-        "from drivers.ur import UrArm\n"
-        "arm = UrArm(pickle.loads(bytes.fromhex(sys.argv[1])))\n"
-        "arm.connect()\n"
-        "print(arm._child.process.pid, flush=True)\n"
-        "time.sleep(60)\n"
-    )
-    cell = subprocess.Popen(
-        [sys.executable, str(program), pickle.dumps(ur_options).hex()],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    with cell:
+    with begun(ur_options, tmp_path, "print(arm._child.process.pid, flush=True)\n") as cell:
         child = int(cell.stdout.readline())
         cell.kill()
     ur_emulator.request(also, **({"seconds": 8.0} if also == "freeze" else {}))
@@ -370,20 +361,25 @@ def test_a_wrong_model_is_noticed(ur_options) -> None:
 
 @pytest.fixture
 def newer(ur_options, ur_emulator):
-    """The arm with a controller whose software is another one, as a function of the version."""
+    """Connects the arm to a controller whose software is another one."""
+    arms: list[UrArm] = []
 
-    def make(version: str, allow_version: tuple[int, int] | None = None) -> UrArm:
+    def connect(version: str, allow_version: tuple[int, int] | None = None) -> UrArm:
         ur_emulator.request("version", version=version)
-        return UrArm(replace(ur_options, allow_version=allow_version))
+        arms.append(UrArm(replace(ur_options, allow_version=allow_version)))
+        arms[-1].connect()
+        return arms[-1]
 
-    yield make
+    yield connect
+    for arm in arms:
+        arm.close()
     ur_emulator.request("version", version="5.12.2.1101534")
 
 
 def test_a_controller_of_another_version_is_refused(newer, ur_emulator) -> None:
     named = r"PolyScope 5.22, unknown: .*issue 334.*; install PolyScope 5.6 to 5.21; or take"
     with pytest.raises(ConnectError, match=named):
-        newer("5.22.0.1").connect()
+        newer("5.22.0.1")
     assert ur_emulator.request("state")["runtime"] == "STOPPED"
 
 
@@ -393,40 +389,32 @@ def test_an_allowed_version_moves_stops_and_starts_again(
 ) -> None:
     """With the dashboard of PolyScope 5 and without one, as PolyScope X is."""
     arm = newer(version, allowed)
-    arm.connect()
-    try:
-        asked = ur_emulator.request("state")["dashboard_lines"]
-        arm.follow(line(dy_m=-0.01, start=arm.state().pose))
-        wait_until(lambda: not arm.state().moving)
-        ur_emulator.request("protective_stop")
-        wait_until(lambda: arm.state().mode is ArmMode.PROTECTIVE_STOP)
-        with pytest.raises(StoppedError, match="find the cause, unlock at the pendant"):
-            arm.reset()
-        ur_emulator.request("clear")
-        wait_until(lambda: arm.state().mode is ArmMode.STOPPED)
+    asked = ur_emulator.request("state")["dashboard_lines"]
+    arm.follow(line(dy_m=-0.01, start=arm.state().pose))
+    wait_until(lambda: not arm.state().moving)
+    ur_emulator.request("protective_stop")
+    wait_until(lambda: arm.state().mode is ArmMode.PROTECTIVE_STOP)
+    with pytest.raises(StoppedError, match="find the cause, unlock at the pendant"):
         arm.reset()
-        arm.follow(line(dy_m=0.01, start=arm.state().pose))
-        wait_until(lambda: not arm.state().moving)
-        told = ur_emulator.request("state")["dashboard_lines"] - asked
-        assert (told > 0) is version.startswith("5.")
-    finally:
-        arm.close()
+    ur_emulator.request("clear")
+    wait_until(lambda: arm.state().mode is ArmMode.STOPPED)
+    arm.reset()
+    arm.follow(line(dy_m=0.01, start=arm.state().pose))
+    wait_until(lambda: not arm.state().moving)
+    told = ur_emulator.request("state")["dashboard_lines"] - asked
+    assert (told > 0) is version.startswith("5.")
 
 
 def test_what_polyscope_x_does_not_tell_is_said_to_a_person(newer, ur_emulator) -> None:
     arm = newer("10.12.0.1", (10, 12))
-    arm.connect()
-    try:
-        ur_emulator.request("end_program")
-        ur_emulator.request("local", on=True)
-        wait_until(lambda: arm.state().mode is ArmMode.STOPPED)  # whether it is local, nobody tells
-        with pytest.raises(StoppedError, match="program does not start; PolyScope X does not tell"):
-            arm.reset()
-        ur_emulator.request("local", on=False)
+    ur_emulator.request("end_program")
+    ur_emulator.request("local", on=True)
+    wait_until(lambda: arm.state().mode is ArmMode.STOPPED)  # whether it is local, nobody tells
+    with pytest.raises(StoppedError, match="program does not start; PolyScope X does not tell"):
         arm.reset()
-        assert arm.state().mode is ArmMode.READY
-    finally:
-        arm.close()
+    ur_emulator.request("local", on=False)
+    arm.reset()
+    assert arm.state().mode is ArmMode.READY
 
 
 def test_a_stopped_controller_is_not_connected_to(ur_options, ur_emulator) -> None:

@@ -12,6 +12,7 @@ from drivers.interfaces import ConnectError
 from drivers.rtde_client import RtdeClient
 from drivers.ur import UrArm, UrOptions
 from drivers.ur_claim import COMMANDS, ClaimedError, claim
+from tests.waiting import wait_until
 
 
 def claimed(host: str) -> ClaimedError:
@@ -22,14 +23,15 @@ def claimed(host: str) -> ClaimedError:
 
 def eventually_free(host: str) -> None:
     """A controller notices in its next cycles that a connection has ended."""
-    until_s = time.monotonic() + 5.0
-    while True:
+
+    def is_free() -> bool:
         try:
             claim(host, 1, [COMMANDS]).close()
-            return
         except ClaimedError:
-            assert time.monotonic() < until_s
-            time.sleep(0.02)
+            return False
+        return True
+
+    wait_until(is_free, 5.0)
 
 
 def begun(emulator: EmulatedController) -> list[float]:

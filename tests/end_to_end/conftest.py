@@ -78,6 +78,12 @@ def run(*words: object, typed: str | None = None) -> subprocess.CompletedProcess
     return subprocess.CompletedProcess(given, done.exit_code, done.stdout, done.stderr)
 
 
+def said(*words: object) -> tuple[int, str, str]:
+    """Exit code, output and errors of a command, as by `run`."""
+    done = run(*words)
+    return done.returncode, done.stdout, done.stderr
+
+
 @pytest.fixture(scope="session")
 def forking() -> Iterator[Forking]:
     """Commands in processes of their own that need not import all modules again."""

@@ -29,11 +29,10 @@ MODULES = (
         "cell.wiring.build",
         "cell.cli",
         "cell.cli.cell_factory",
-        "cell.cli.plant_end",
         "cell.lab.next",
     ),
     *("cell.plant.children", "cell.plant.server", "cell.plant.service", "cell.plant.systemd"),
-    *("cell.records.changed_model", "cell.records.ledger.migrations.upgrade"),
+    "cell.records.model_errors",
     *("cell.run.computer_check", "cell.cli.keyboard", "cell.cli.cycle_tables"),
 )
 #: So long a process may take until it has begun, or until it is gone after a kill, s.

@@ -14,19 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from cell.plant.client import Client
-from cell.plant.messages import FaultNotice, Status
-from cell.plant.status_reducer import possible_in
+from cell.plant.messages import FaultNotice, Status, possible_in
 from cell.plant.users import Users
 from cell.records.ledger.effectiveness import Shift
 from cell.records.ledger.ledger import ListedCycle
 from cell.records.result import Outcome
 from cell.run.machine import CellState
 from cell.settings import load_settings
-from cell.web.audit import Audit, audit_file
-from cell.web.camera import Films, LiveCamera, LivePicture
-from cell.web.guided import Guided
+from cell.web.camera import LiveCamera, LivePicture
 from cell.web.serve import serve
-from cell.web.sessions import Control
 from cell.web.visit import PagesContext
 from cell.web.watching import ShiftFigures, WatchedState
 
@@ -130,8 +126,9 @@ def main(runs: Path, port: int) -> None:
     picture = runs / "live.jpg"
     if picture.exists():
         camera.newest = LivePicture(1, NOW.timestamp(), picture.read_bytes())
-    parts = (Client(runs), watch, Control(), Audit(audit_file(runs)), Films(), camera, Guided())
-    room = PagesContext(CONFIG, load_settings(CONFIG), runs, *parts, None)  # type: ignore[arg-type]
+    parts = (Client(runs), watch, None)
+    room = PagesContext(CONFIG, load_settings(CONFIG), runs, *parts)  # type: ignore[arg-type]
+    room.camera = camera
 
     def choose() -> None:
         for line in sys.stdin:

@@ -11,12 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from cell.cli import app
 from cell.records.folder import read_record
 from cell.settings import Settings
 
+from .conftest import said
 from .forked import Forked, Forking
 
 FIELDS = {
@@ -31,16 +30,11 @@ FIELDS = {
 }
 
 
-def cell(*arguments: object) -> tuple[int, str, str]:
-    done = CliRunner().invoke(app, [str(a) for a in arguments])
-    return done.exit_code, done.stdout, done.stderr
-
-
 @pytest.fixture(scope="module")
 def inserted(quick_config: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder and standard output of a run of one cable with --json."""
     runs = tmp_path_factory.mktemp("runs")
-    code, out, err = cell("run", "--config", quick_config, "--json", "--runs", runs)
+    code, out, err = said("run", "--config", quick_config, "--json", "--runs", runs)
     assert (code, err) == (0, "")
     return runs, out
 
@@ -56,7 +50,7 @@ def test_json_is_one_object_per_cycle_and_nothing_else(inserted: tuple[Path, str
 
 def test_identification_is_repeated_from_the_folder_alone(inserted: tuple[Path, str]) -> None:
     (folder,) = inserted[0].iterdir()
-    code, out, _ = cell("identify", folder, "--json")
+    code, out, _ = said("identify", folder, "--json")
     assert code == 0
     model, recorded = json.loads(out), read_record(folder).model
     assert recorded is not None
@@ -65,12 +59,12 @@ def test_identification_is_repeated_from_the_folder_alone(inserted: tuple[Path, 
         # It begins without what was computed early, and ends within the fit's own tolerance.
         interval = before["high"] - before["low"]
         assert abs(again["value"] - before["value"]) <= 0.05 * interval
-    code, out, _ = cell("identify", folder / "study")
+    code, out, _ = said("identify", folder / "study")
     assert code == 0 and "viscosity" in out and "mm rms" in out
 
 
 def test_a_table_is_printed_for_people(quick_config: Path, tmp_path: Path) -> None:
-    code, out, _ = cell("run", "-c", quick_config, "--runs", tmp_path / "runs")
+    code, out, _ = said("run", "-c", quick_config, "--runs", tmp_path / "runs")
     assert code == 0
     for words in ("offset", "predicted", "measured", "margin", "hold and capture", "robot waited"):
         assert words in out
@@ -82,7 +76,7 @@ def test_bad_settings_end_with_2_and_nothing_is_written(quick_config: Path, tmp_
     text = quick_config.read_text(encoding="utf-8")
     bad.write_text(text.replace("force_n: 20.0", "force: 20.0"), encoding="utf-8")
     for command in (("run", "--runs", tmp_path / "runs"), ("check",)):
-        code, out, err = cell(command[0], "--config", bad, *command[1:])
+        code, out, err = said(command[0], "--config", bad, *command[1:])
         assert (code, out) == (2, "")
         assert f"{bad}:47:3: gripper.force: unknown key; did you mean 'force_n'?" in err
     assert not (tmp_path / "runs").exists()
@@ -90,12 +84,12 @@ def test_bad_settings_end_with_2_and_nothing_is_written(quick_config: Path, tmp_
 
 def test_hardware_that_is_not_there_fails_by_name_and_ends_with_1(tmp_path: Path) -> None:
     line3 = Path(__file__).parents[2] / "config" / "line3.yaml"
-    code, out, err = cell("check", "--config", line3)
+    code, out, err = said("check", "--config", line3)
     assert code == 0 and "arm ur" in out
     absent = tmp_path / "line3.yaml"
     text = line3.read_text(encoding="utf-8").replace("/dev/ttyUSB0", str(tmp_path / "no_port"))
     absent.write_text(text, encoding="utf-8")
-    code, out, err = cell("run", "--config", absent, "--json", "--runs", tmp_path / "runs")
+    code, out, err = said("run", "--config", absent, "--json", "--runs", tmp_path / "runs")
     assert code == 1
     result = json.loads(out)
     assert (result["outcome"], result["fault"]["step"]) == ("failed", "connect")
@@ -107,7 +101,7 @@ def test_a_rejected_cable_ends_with_1_and_its_reason(quick_config: Path, tmp_pat
     high = tmp_path / "high.yaml"
     text = quick_config.read_text(encoding="utf-8")
     high.write_text(text.replace("[-0.111, -0.101]", "[-0.065, -0.055]"), encoding="utf-8")
-    code, out, err = cell("run", "-c", high, "--json", "--runs", tmp_path / "runs")
+    code, out, err = said("run", "-c", high, "--json", "--runs", tmp_path / "runs")
     assert code == 1
     assert json.loads(out)["outcome"] == "rejected"
     assert "cable 1 rejected: no offset passes" in err
@@ -117,24 +111,24 @@ def test_a_record_that_cannot_be_written_is_said_before_anything_moves(
     quick_config: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "runs").write_text("a file where a folder should be")
-    code, out, err = cell("run", "-c", quick_config, "--json", "--runs", tmp_path / "runs")
+    code, out, err = said("run", "-c", quick_config, "--json", "--runs", tmp_path / "runs")
     assert (code, out) == (2, "")
     assert "isafile;giveafolder" in "".join(err.replace("│", "").split())  # wrapped anywhere
 
 
 def test_identify_says_what_is_wrong_with_a_folder(tmp_path: Path) -> None:
-    code, out, err = cell("identify", tmp_path)
+    code, out, err = said("identify", tmp_path)
     assert (code, out) == (2, "")
     assert "study.yaml:1:1: cannot be read" in err
 
 
 def test_the_schema_is_printed_as_json() -> None:
-    code, out, _ = cell("schema")
+    code, out, _ = said("schema")
     assert code == 0 and json.loads(out) == Settings.model_json_schema()
 
 
 def test_help_names_the_exit_codes_and_is_quick() -> None:
-    code, out, _ = cell("run", "--help")
+    code, out, _ = said("run", "--help")
     assert code == 0
     assert "Exit codes: 0 if all cables were inserted" in out
     heavy = "import sys; import cell.cli; print(sorted({'numba','cv2','scipy'} & set(sys.modules)))"

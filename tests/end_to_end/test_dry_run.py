@@ -11,9 +11,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cell.cli import app
 from cell.lab.next.motion_file import load_motion
 from cell.records.folder import read_record
 from cell.records.result import Outcome, Result
@@ -28,17 +26,14 @@ from drivers.servo import SETTLING_LAGS
 from drivers.sim.arm import ArmFaults, ArmTwinOptions, SimArm
 from drivers.sim.camera import CameraFaults
 
+from .conftest import said
+
 Live = Callable[..., SimpleNamespace]
 
 
 def check(result: Result, what: str) -> float:
     (found,) = (c.found for c in result.checks if c.what == what)
     return found
-
-
-def run(*arguments: object) -> tuple[int, str, str]:
-    done = CliRunner().invoke(app, [str(a) for a in arguments])
-    return done.exit_code, done.stdout, done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +215,7 @@ def test_a_measuring_motion_is_rehearsed(live: Live, quick: Settings, tmp_path: 
 
 
 def test_the_command_prints_a_table_and_ends_with_0(quick_config: Path, tmp_path: Path) -> None:
-    code, out, err = run(
+    code, out, err = said(
         "run", "-c", quick_config, "--dry-run", "--speed", 0.5, "--runs", tmp_path / "runs"
     )
     assert (code, err) == (0, "")
@@ -235,7 +230,7 @@ def test_json_and_a_cell_that_is_unfit(quick_config: Path, tmp_path: Path) -> No
     wrong.write_text(
         text.replace("lag_s: 0.03", "lag_s: 0.03\n  noise_m: 0.00015"), encoding="utf-8"
     )
-    code, out, err = run("run", "-c", wrong, "--dry-run", "--json", "--runs", tmp_path / "runs")
+    code, out, err = said("run", "-c", wrong, "--dry-run", "--json", "--runs", tmp_path / "runs")
     assert code == 1
     result = json.loads(out)
     assert (result["outcome"], result["speed"]) == ("unfit", 1.0)
@@ -245,7 +240,7 @@ def test_json_and_a_cell_that_is_unfit(quick_config: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("speed", ["0.1", "0.99"])
 def test_a_cable_is_never_moved_slowly(quick_config: Path, tmp_path: Path, speed: str) -> None:
-    code, out, err = run("run", "-c", quick_config, "--speed", speed, "--runs", tmp_path / "runs")
+    code, out, err = said("run", "-c", quick_config, "--speed", speed, "--runs", tmp_path / "runs")
     assert (code, out) == (2, "")
     assert f"--speed {speed}: only with --dry-run" in err
     assert not (tmp_path / "runs").exists()
@@ -253,5 +248,5 @@ def test_a_cable_is_never_moved_slowly(quick_config: Path, tmp_path: Path, speed
 
 @pytest.mark.parametrize("speed", ["0", "1.5", "-1"])
 def test_a_speed_that_is_none_is_refused(quick_config: Path, tmp_path: Path, speed: str) -> None:
-    code, _, err = run("run", "-c", quick_config, "--dry-run", f"--speed={speed}")
+    code, _, err = said("run", "-c", quick_config, "--dry-run", f"--speed={speed}")
     assert code == 2 and "speed" in err

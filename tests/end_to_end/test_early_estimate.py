@@ -14,9 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cell.cli import app
 from cell.identify import fit
 from cell.identify.identified import Identified
 from cell.identify.individual import CableRejectedError, Reason
@@ -28,6 +26,7 @@ from cell.run import early_estimate, steps, waiting
 from cell.run.findings import Filming
 from cell.settings import Settings
 from cell.settings.model import Hold, StartSettings
+from tests.command import run_cell
 
 Live = Callable[..., SimpleNamespace]
 
@@ -140,8 +139,7 @@ def test_the_record_tells_the_same_cable(live: Live) -> None:
     it = live(seed=6)
     result = it.cell.run_cycle(1)
     then = recorded(result)
-    done = CliRunner().invoke(app, ["identify", result.folder, "--json"])
-    assert done.exit_code == 0, done.stderr
+    done = run_cell("identify", result.folder, "--json")
     again = Identified.from_dict(json.loads(done.stdout))
     std = np.sqrt(np.diag(again.covariance))
     assert np.abs((then.mean - again.mean) / std).max() < 1.0

@@ -15,11 +15,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from cell.cable.effects import library
 from cell.cable.solver import DivergedError
-from cell.cli import app
 from cell.lab.data.cycles import read_cycles
 from cell.lab.line.learn import learn
 from cell.plan.choose import Forecast
@@ -31,7 +29,7 @@ from cell.settings.model import ModelSettings
 from cell.settings.translate import cable_of, identification_of
 from drivers.sim.camera import CameraFaults
 
-from .conftest import WINDY
+from .conftest import WINDY, changed, said
 
 Live = Callable[..., SimpleNamespace]
 
@@ -50,16 +48,10 @@ class Run:
 @pytest.fixture(scope="module")
 def windy(quick_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("windy")
-    text = quick_config.read_text(encoding="utf-8")
-    for old, new in WINDY:
-        assert old in text
-        text = text.replace(old, new)
-    config = folder / "windy.yaml"
-    config.write_text(text, encoding="utf-8")
-    command = ["run", "-c", config, "--cycles", 3, "--json", "--runs", folder / "runs"]
-    done = CliRunner().invoke(app, [str(c) for c in command])
-    results = [json.loads(line) for line in done.stdout.splitlines()]
-    return Run(config, folder / "runs", done.exit_code, results, done.stderr)
+    config = changed(quick_config, folder / "windy.yaml", WINDY)
+    code, out, err = said("run", "-c", config, "--cycles", 3, "--json", "--runs", folder / "runs")
+    results = [json.loads(line) for line in out.splitlines()]
+    return Run(config, folder / "runs", code, results, err)
 
 
 def test_after_a_missed_and_a_rejected_cable_the_next_one_is_taken(windy: Run) -> None:

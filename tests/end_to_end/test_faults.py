@@ -61,21 +61,21 @@ def lose_the_arm(it: SimpleNamespace) -> None:
     it.twins.arm.faults = ArmFaults(lost_at_s=it.twins.world.clock.now_s())
 
 
-@pytest.mark.parametrize("step", INSERTING.names)
-def test_a_stop_in_any_step_ends_stopped(live: Live, step: str) -> None:
-    it = live({step: stop_from_another_thread})
-    result = it.cell.run_cycle(1)
-    check_stopped(it, result, step)
-    assert result.fault is not None and result.fault.cause == "guard opened"
-    assert it.cell.machine.state is CellState.STOPPED
+SOME = ("reset", "lower", "hold_and_capture", "execute", "go_home")
 
 
-@pytest.mark.parametrize("step", ["reset", "lower", "hold_and_capture", "execute", "go_home"])
-def test_an_interruption_ends_stopped(live: Live, step: str) -> None:
-    it = live({step: interrupt})
+@pytest.mark.parametrize(
+    ("step", "act", "cause"),
+    [(step, stop_from_another_thread, "guard opened") for step in INSERTING.names]
+    + [(step, interrupt, "interrupted by a person") for step in SOME],
+)
+def test_a_stop_in_any_step_and_an_interruption_end_stopped(
+    live: Live, step: str, act: Callable[[SimpleNamespace], None], cause: str
+) -> None:
+    it = live({step: act})
     result = it.cell.run_cycle(1)
     check_stopped(it, result, step)
-    assert result.fault is not None and result.fault.cause == "interrupted by a person"
+    assert result.fault is not None and result.fault.cause == cause
     assert it.cell.machine.state is CellState.STOPPED
 
 

@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cell.cli import app
 from cell.plan import correction
 from cell.plan.correction import Tail
 from cell.records.folder import read_record
@@ -25,6 +23,8 @@ from cell.settings import Settings, load_settings
 from cell.wiring.build import build_cell
 from drivers.interfaces import Trajectory, revised_too_late
 from drivers.sim.arm import SimArm
+
+from .conftest import run
 
 Live = Callable[..., SimpleNamespace]
 Hopeless = Callable[[int], None]
@@ -193,23 +193,27 @@ def test_what_nothing_brings_through_stops_in_front_of_the_opening(
     assert it.cell.run_cycle(2).outcome is Outcome.INSERTED
 
 
+def recorded(tmp_path: Path, recorded_config: Path, entries: str) -> dict[str, Any]:
+    """Result of a recorded cycle with these settings in addition."""
+    config = tmp_path / "seeing.yaml"
+    config.write_text(f"{recorded_config.read_text('utf-8')}\n{entries}", encoding="utf-8")
+    done = run("run", "--config", config, "--json", "--runs", tmp_path / "runs")
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
 def test_a_corrected_insertion_is_recorded_and_replayed(
     tmp_path: Path, recorded_config: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = tmp_path / "seeing.yaml"
-    text = recorded_config.read_text(encoding="utf-8")
-    config.write_text(text + "\nfeedback: on\n", encoding="utf-8")
-    asked = ["run", "--config", str(config), "--cycles", "1", "--runs", str(tmp_path / "runs")]
     monkeypatch.setattr(correction, "best_tail", one_change(0.002))
-    done = CliRunner().invoke(app, [*asked, "--json"])
-    result = json.loads(done.stdout.splitlines()[0])
-    assert len(result["corrections"]) == 1, done.output
+    result = recorded(tmp_path, recorded_config, "feedback: on\n")
+    assert len(result["corrections"]) == 1
     monkeypatch.setattr(correction, "best_tail", one_change(0.002))
-    again = CliRunner().invoke(app, ["replay", result["folder"], "--json"])
+    again = run("replay", result["folder"], "--json")
     assert json.loads(again.stdout)["identical"], again.stdout
     page = tmp_path / "page.html"
-    told = CliRunner().invoke(app, ["report", result["folder"], "-o", str(page)])
-    assert told.exit_code == 0, told.output
+    told = run("report", result["folder"], "-o", page)
+    assert told.returncode == 0, told.stderr
     assert "Corrections in flight" in page.read_text(encoding="utf-8")
 
 
@@ -269,16 +273,11 @@ def test_a_stop_on_the_way_back_ends_the_cycle(
 def test_a_second_try_is_recorded_and_replayed(
     tmp_path: Path, recorded_config: Path, hopeless: Hopeless
 ) -> None:
-    config = tmp_path / "seeing.yaml"
-    text = recorded_config.read_text(encoding="utf-8")
-    config.write_text(text + "\nfeedback: on\nretry: 1\n", encoding="utf-8")
-    asked = ["run", "--config", str(config), "--cycles", "1", "--runs", str(tmp_path / "runs")]
     hopeless(1)
-    done = CliRunner().invoke(app, [*asked, "--json"])
-    result = json.loads(done.stdout.splitlines()[0])
-    assert result["outcome"] == "inserted" and len(result["stops"]) == 1, done.output
+    result = recorded(tmp_path, recorded_config, "feedback: on\nretry: 1\n")
+    assert result["outcome"] == "inserted" and len(result["stops"]) == 1
     hopeless(1)
-    again = CliRunner().invoke(app, ["replay", result["folder"], "--json"])
+    again = run("replay", result["folder"], "--json")
     replayed = json.loads(again.stdout)
     assert replayed["identical"] and replayed["result"]["stops"] == result["stops"], again.stdout
 

@@ -8,15 +8,14 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
 import pytest
-from typer.testing import CliRunner
 
-from cell.cli import app
+from tests.command import run_cell
+from tests.waiting import wait_until
 
 from .conftest import run, unrecorded
 
@@ -46,10 +45,7 @@ class Emulators:
         keyboard.flush()
 
     def says(self, text: str) -> None:
-        until_s = time.monotonic() + 10.0
-        while text not in self._said.read_text(encoding="utf-8"):
-            assert time.monotonic() < until_s, self._said.read_text(encoding="utf-8")
-            time.sleep(0.02)
+        wait_until(lambda: text in self._said.read_text("utf-8"), 10.0, self._said.read_text)
 
     def run(self, runs: Path) -> dict[str, Any]:
         done = run("run", "-c", self.config, "--json", "--runs", runs)
@@ -122,6 +118,5 @@ def test_a_dead_arm_is_noticed_while_nobody_uses_it(emulators: Callable[..., Emu
 def test_a_fault_that_is_none_is_refused_before_anything_starts(
     light_config: Path, fault: str, message: str
 ) -> None:
-    done = CliRunner().invoke(app, ["emulate", "-c", str(light_config), "--fault", fault])
-    assert done.exit_code == 2
+    done = run_cell("emulate", "-c", light_config, "--fault", fault, code=2)
     assert done.stderr.startswith(f"--fault '{fault}': ") and message in done.stderr

@@ -21,9 +21,9 @@ import pytest
 from cell.plant.client import Client
 from cell.plant.messages import CommandReply, Request
 from cell.run.machine import CellState, MachineEvent
-from tests.waiting import free_port, wait_until
+from tests.waiting import free_port, listens, wait_until
 
-from .test_web import CONFIG, LivePage, answers, browser  # noqa: F401
+from .test_web import CONFIG, LivePage, browser  # noqa: F401
 
 pytestmark = pytest.mark.real_time
 
@@ -106,7 +106,7 @@ def cell(runs: Path) -> Iterator[Process]:
 def served(runs: Path) -> Iterator[tuple[Process, int]]:
     port = free_port()
     process = Process("-m", "cell", "serve", "-c", CONFIG, "--runs", runs, "--port", port)
-    wait_until(lambda: answers(port))
+    wait_until(lambda: listens(port))
     yield process, port
     process.end()
 
@@ -165,9 +165,13 @@ def test_a_halted_server_is_seen_and_a_start_that_it_gets_late_is_refused(
     wait_until(lambda: "no answer. If it comes late it is refused" in screen.seen()["lost"])
     assert screen.seen()["lost"].startswith("Start, ")
     server.go_on()
-    wait_until(lambda: "start was given" in screen.text_at("body"))  # for some seconds
     wait_until(lambda: screen.seen()["state"] == "Idle")
+    try:
+        wait_until(lambda: "start was given" in screen.text_at("body"), 10.0)  # for some seconds
+    except AssertionError:  # on a busy computer its connection may be lost, and the start with it
+        assert screen.seen()["lost"].startswith("Start, "), "what is lost is said until the next"
     assert asks.status().state is CellState.IDLE
+    assert asks.status().cycle == 0, "the arm has not moved"
     screen.command("start", "Execute")
     server.end()
     seen = screen.is_unknown_within(OLDEST_S + DRAWN_S)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import time
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,15 +11,16 @@ import pyarrow.parquet
 import pytest
 
 import cell
+from cell.records.folder import UNFINISHED
 from cell.records.ledger.entry import LedgerEntry, LedgerError
 from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.ledger.outbox import outbox_of
-from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Fault, Outcome, Result
 from cell.run.commands import InterruptedByCommandError
 from cell.run.machine import MachineEvent
 from cell.settings import Settings
 from cell.wiring.build import build_cell
+from tests.waiting import wait_until
 
 from .conftest import run
 from .forked import Forking
@@ -133,10 +133,7 @@ def test_a_killed_run_is_never_listed_as_finished(
     runs = tmp_path / "runs"
     process = forking.start("run", "--config", paced, "--cycles", 5, "--runs", runs)
     try:
-        end_s = time.monotonic() + 60.0
-        while not any(runs.glob("*/state.json")) or not is_begun(runs):
-            assert time.monotonic() < end_s
-            time.sleep(0.05)
+        wait_until(lambda: any(runs.glob("*/state.json")) and is_begun(runs), 60.0)
     finally:
         process.kill()
         process.wait(30)

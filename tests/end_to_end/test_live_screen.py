@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from cell.web.wording import translation
-from tests.waiting import free_port, wait_until
+from tests.waiting import free_port, listens, wait_until
 
 from .live_states import NOW, states
-from .test_web import LivePage, answers, browser, faults_of  # noqa: F401
+from .test_web import LivePage, browser, faults_of  # noqa: F401
 
 SIZES = {"wide": (1920, 1080), "laptop": (1440, 900), "small": (1024, 768), "phone": (390, 844)}
 #: Whether the page is larger than the screen, and elements that are larger than their place.
@@ -47,7 +47,7 @@ def choose(tmp_path: Path) -> Iterator[tuple[int, Callable[[str], None]]]:
     port = free_port()
     command = [sys.executable, "-m", "tests.end_to_end.live_states", str(runs), str(port)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
-    wait_until(lambda: answers(port))
+    wait_until(lambda: listens(port))
 
     def say(name: str) -> None:
         assert process.stdin is not None

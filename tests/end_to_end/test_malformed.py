@@ -20,12 +20,8 @@ from types import FrameType
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cell.cable.dynamics import simulate
-from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
-from cell.cli import app
 from cell.files.yaml_document import yaml_text
 from cell.identify.individual import identify
 from cell.lab.data import named_effects
@@ -34,8 +30,12 @@ from cell.lab.next.terms import admissible
 from cell.settings import load_settings
 from cell.settings.promotion import line_identity
 from cell.settings.translate import model_hash
-from cell.study.data import Markers, Study, Trial
+from cell.study.data import Study, Trial
 from cell.study.folder import write_study
+from tests.command import run_cell
+from tools.worlds.made_studies import CABLE, filmed, moved
+
+from .conftest import run
 
 CASES = int(os.environ.get("MALFORMED_CASES", "60"))
 #: Computing after which a command counts as hung, s.
@@ -162,15 +162,12 @@ def good(tmp_path_factory: pytest.TempPathFactory, quick_config: Path) -> Path:
     """A folder with a good file of every kind."""
     folder = tmp_path_factory.mktemp("good")
     t = np.arange(0.0, 0.8, 0.01)
-    x = np.clip((t - 0.2) / 0.2, 0.0, 1.0)
-    grip = Motion(t, 0 * t, -0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0 * t)
-    cable, arcs = Cable(0.1, 0.0074, 0.016, 1e-4), np.linspace(0.1, 0.0, 3)
-    model = CableModel.uniform(cable, 3e-5, viscosity_n_m2_s=1e-7)
-    xy_m = simulate(model, grip, t, arcs)[0]
-    xy_m = xy_m + np.random.default_rng(1).normal(0.0, 1e-4, xy_m.shape)
-    trial = Trial("a", "fit", "equilibrium", grip, Markers(t, xy_m))
-    write_study(Study("s", cable, arcs, (trial,)), folder / "study")
-    identified = identify(trial, arcs, cable)
+    grip, arcs = moved(t, (0.0, -0.05), 0.2), np.linspace(0.1, 0.0, 3)
+    model = CableModel.uniform(CABLE, 3e-5, viscosity_n_m2_s=1e-7)
+    seen = filmed(np.random.default_rng(1), model, grip, t, arcs)
+    trial = Trial("a", "fit", "equilibrium", grip, seen)
+    write_study(Study("s", CABLE, arcs, (trial,)), folder / "study")
+    identified = identify(trial, arcs, CABLE)
     (folder / "model.json").write_text(json.dumps(identified.to_dict(), indent=1))
     shutil.copy(CONFIG, folder / "settings.yaml")
     (folder / "motion.yaml").write_text(MOTION)
@@ -190,8 +187,7 @@ def good(tmp_path_factory: pytest.TempPathFactory, quick_config: Path) -> Path:
     text = CONFIG.read_text()
     (folder / "calibrated.yaml").write_text(text + "\ncalibration: {}\n")
     runs = folder / "runs"
-    ran = CliRunner().invoke(app, ["run", "-c", str(quick_config), "--runs", str(runs)])
-    assert ran.exit_code == 0, ran.output
+    run_cell("run", "-c", quick_config, "--runs", runs)
     (cycle,) = runs.iterdir()
     shutil.copytree(cycle, folder / "cycle", ignore=shutil.ignore_patterns("*.jpg"))
     shutil.rmtree(runs)
@@ -280,10 +276,8 @@ def _contents(folder: Path) -> dict[str, str]:
 def _outcome(command: str, folder: Path) -> tuple[int, str]:
     """Exit code and error output of a command."""
     words, _ = COMMANDS[command]
-    done = CliRunner().invoke(app, [w.format(folder) for w in words.split()])
-    if done.exception is not None and not isinstance(done.exception, SystemExit):
-        raise done.exception
-    return done.exit_code, done.stderr
+    done = run(*(w.format(folder) for w in words.split()))
+    return done.returncode, done.stderr
 
 
 def _check(command: str, folder: Path) -> None:

@@ -9,10 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from cell.cable.dynamics import simulate
-from cell.cli import app
 from cell.lab.next.motion_file import load_motion
 from cell.plan.measuring import Measuring
 from cell.records.folder import read_record
@@ -22,6 +20,8 @@ from cell.run.plans import measuring
 from cell.settings import Settings, load_settings
 from cell.study.folder import read_study
 from cell.wiring.twins import hidden_cable
+
+from .conftest import said
 
 Live = Callable[..., SimpleNamespace]
 
@@ -57,11 +57,6 @@ def motion_file(tmp_path: Path) -> Path:
 @pytest.fixture
 def tilted(motion_file: Path, quick: Settings) -> Measuring:
     return load_motion(motion_file, quick)
-
-
-def run(*arguments: object) -> tuple[int, str, str]:
-    done = CliRunner().invoke(app, [str(a) for a in arguments])
-    return done.exit_code, done.stdout, done.stderr
 
 
 def test_the_motion_is_filmed_and_the_cable_is_let_go_at_home(
@@ -140,11 +135,11 @@ def test_a_cycle_and_a_measuring_cycle_of_a_cable_become_one_study(
 ) -> None:
     runs, folders = tmp_path / "runs", []
     for extra in ((), ("--motion", motion_file)):
-        code, out, err = run("run", "-c", quick_config, "--json", "--runs", runs, *extra)
+        code, out, err = said("run", "-c", quick_config, "--json", "--runs", runs, *extra)
         assert (code, err) == (0, "")
         folders.append(json.loads(out)["folder"])
     assert json.loads(out)["outcome"] == "measured"
-    code, out, err = run("study", *folders, "-o", tmp_path / "gathered")
+    code, out, err = said("study", *folders, "-o", tmp_path / "gathered")
     assert (code, err) == (0, "")
     study = read_study(tmp_path / "gathered")
     assert [t.name.partition("_")[2] for t in study.trials] == ["identify", "execute", "tilted"]
@@ -156,7 +151,7 @@ def test_a_motion_beyond_the_limits_ends_with_2_and_nothing_moves(
 ) -> None:
     motion_file.write_text(TILTED.replace("y_m: -0.05", "y_m: -0.25"), encoding="utf-8")
     runs = tmp_path / "runs"
-    code, out, err = run("run", "-c", quick_config, "--motion", motion_file, "--runs", runs)
+    code, out, err = said("run", "-c", quick_config, "--motion", motion_file, "--runs", runs)
     assert (code, out) == (2, "")
     assert f"{motion_file}:6:18: moves[0].y_m: takes the gripper to y_m = -0.25" in err
     assert not runs.exists()
@@ -172,9 +167,9 @@ def test_an_effect_hidden_in_the_world_is_found_through_the_pictures(
     )
     runs, study, out = (tmp_path / name for name in ("runs", "study", "diagnosis.json"))
     for extra in ((), ("--motion", motion_file)):
-        assert run("run", "-c", hidden, "--runs", runs, *extra)[0] == 0
-    assert run("study", *sorted(runs.iterdir()), "-o", study)[0] == 0
-    assert run("diagnose", study, "--json", out)[0] == 0
+        assert said("run", "-c", hidden, "--runs", runs, *extra)[0] == 0
+    assert said("study", *sorted(runs.iterdir()), "-o", study)[0] == 0
+    assert said("diagnose", study, "--json", out)[0] == 0
     diagnosis = json.loads(out.read_text(encoding="utf-8"))
     assert diagnosis["verdict"] == "missing"
     assert diagnosis["missing"][0]["effect"] == "air_drag"

@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import simulate
-from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
-from cell.study.data import Markers, Study, Trial
+from cell.study.data import Study, Trial
 from cell.study.folder import write_study
+from tools.worlds.made_studies import CABLE, filmed, moved
 
 from .forked import Forking
 
@@ -52,15 +51,11 @@ ENDS = "takes more than 1 s, as a loop without end does: mend that"
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("studies") / "small"
     t = np.arange(0.0, 0.9, 0.02)
-    x = np.clip((t - 0.2) / 0.2, 0.0, 1.0)
-    grip = Motion(t, 0 * t, -0.05 * x**3 * (10 - 15 * x + 6 * x**2), 0 * t)
-    cable, arcs = Cable(0.1, 0.0074, 0.016, 1e-4), np.linspace(0.1, 0.0, 3)
-    xy_m = simulate(CableModel(cable, np.array([3e-5]), viscosity_n_m2_s=1e-7), grip, t, arcs)[0]
-    xy_m = xy_m + np.random.default_rng(1).normal(0.0, 1e-4, xy_m.shape)
-    write_study(
-        Study("s", cable, arcs, (Trial("a", "fit", "equilibrium", grip, Markers(t, xy_m)),)),
-        folder,
-    )
+    grip, arcs = moved(t, (0.0, -0.05), 0.2), np.linspace(0.1, 0.0, 3)
+    model = CableModel.uniform(CABLE, 3e-5, viscosity_n_m2_s=1e-7)
+    seen = filmed(np.random.default_rng(1), model, grip, t, arcs)
+    trial = Trial("a", "fit", "equilibrium", grip, seen)
+    write_study(Study("s", CABLE, arcs, (trial,)), folder)
     return folder
 
 

@@ -13,10 +13,9 @@ import pytest
 import yaml
 
 from cell.cli.cell_factory import build_cell, products_in
-from cell.plant.messages import CommandReply, MessageKind, Notice, Request, Status
+from cell.plant.messages import CommandReply, MessageKind, Notice, Request, Status, status_after
 from cell.plant.reporter import Reporter
 from cell.plant.service import Service
-from cell.plant.status_reducer import status_after
 from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.result import Outcome, Result
 from cell.run.machine import CellState, MachineEvent

@@ -7,13 +7,17 @@ import logging
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from cell.cli.cycle_tables import replayed_parts
-from cell.cli.printing import show
+from cell.cli.output import show
 from cell.files.input_error import InputError
+from cell.records.cycle_page import flight_of
+from cell.records.folder import read_record
 from cell.records.recording import form
+from cell.records.recording.film import read_film
 from cell.records.recording.reading import read_recording
 from cell.records.recording.recover import recover_in_place
 from cell.records.result import Outcome
@@ -77,6 +81,14 @@ def test_everything_is_in_it(recorded):
     assert recording.last(form.RESULT) == result
     assert recording.last(form.MODEL) == model
     assert recording.last(form.DECISION)["offset_m"] == result["offset_m"]
+    flight = flight_of(read_record(recorded), recording)
+    inside = (flight.t_s >= flight.inside_s[0]) & (flight.t_s <= flight.inside_s[1])
+    largest_m = np.linalg.norm(flight.error_m[inside], axis=1).max()
+    assert largest_m == pytest.approx(result["prediction_error_m"], rel=1e-12)
+    corners_px = read_film(recorded / form.FILE).destination_px
+    scale = recording.last(form.SETTINGS)["settings"]["camera"]["view"]["metres_per_pixel"]
+    size_m = np.ptp(flight.destination_m, axis=0)
+    assert np.ptp(corners_px, axis=0) == pytest.approx(size_m / scale)
     assert recording.count(form.IMAGE) == recording.count(form.SEEN) > 100
     steps = [s["step"] for s in recording.json(form.STATE) if s["step"]]
     assert steps == list(result["seconds"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,7 +15,7 @@ import pytest
 from cell.plant.client import Client
 from cell.plant.messages import Request, Status
 from cell.run.machine import CellState, MachineEvent
-from tests.waiting import free_port, wait_until
+from tests.waiting import free_port, listens, wait_until
 
 from .conftest import run
 from .forked import Forked
@@ -44,11 +43,6 @@ def children(process: int) -> list[int]:
     threads = Path(f"/proc/{process}/task").glob("*/children")
     pids = [int(pid) for file in threads for pid in file.read_text().split()]
     return [p for p in pids if b"cell.plant.child" in Path(f"/proc/{p}/cmdline").read_bytes()]
-
-
-def listens(port: int) -> bool:
-    with socket.socket() as tried:
-        return tried.connect_ex(("127.0.0.1", port)) == 0
 
 
 def waits_for_a_person(client: Client) -> Status:

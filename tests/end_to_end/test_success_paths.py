@@ -9,7 +9,6 @@ from __future__ import annotations
 import ast
 import shlex
 import signal
-import socket
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,9 +19,7 @@ import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from cell.cable.dynamics import simulate
 from cell.cable.effects import library
-from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.cli import app
@@ -33,10 +30,11 @@ from cell.records.ledger.actions import take_over
 from cell.settings import load_settings
 from cell.settings.promotion import line_identity
 from cell.settings.translate import model_hash
-from cell.study.data import Markers, Study, Trial
+from cell.study.data import Study, Trial
 from cell.study.folder import write_study
 from cell.web.audit import Audit, audit_file
-from tests.waiting import free_port
+from tests.waiting import free_port, listens
+from tools.worlds.made_studies import CABLE, filmed, moved
 
 from .conftest import run
 from .forked import Forking
@@ -176,7 +174,7 @@ def test_every_command_has_a_row() -> None:
 
 # --- rows that are run here ----------------------------------------------------------------------
 
-CABLE, ARCS = Cable(0.1, 0.0074, 0.016, 1e-4), np.linspace(0.1, 0.0, 3)
+ARCS = np.linspace(0.1, 0.0, 3)
 NOISE_M = 1e-4
 #: What a server does not reach after so long it never does, s.
 LONGEST_S = 180.0
@@ -189,13 +187,10 @@ def study() -> Study:
     drag = library()["air_drag"].active(drag_coefficient=4.0)
     model = CableModel.uniform(CABLE, 3e-5, viscosity_n_m2_s=1e-7, effects=(drag,))
     rng, t_s = np.random.default_rng(1), np.arange(0.0, 0.9, 0.01)
-    share = np.clip((t_s - 0.2) / 0.2, 0.0, 1.0)
-    done = share**3 * (10 - 15 * share + 6 * share**2)
     trials = []
     for name, way_m in (("down", (0.0, -0.05)), ("aslant", (-0.04, -0.03)), ("deep", (0.0, -0.07))):
-        grip = Motion(t_s, way_m[0] * done, way_m[1] * done, 0.0 * t_s)
-        xy_m = simulate(model, grip, t_s, ARCS, solver=COARSE)[0]
-        seen = Markers(t_s, xy_m + rng.normal(0.0, NOISE_M, xy_m.shape))
+        grip = moved(t_s, way_m, 0.2)
+        seen = filmed(rng, model, grip, t_s, ARCS, noise_m=NOISE_M, solver=COARSE)
         role = "validate" if name == "deep" else "fit"
         trials.append(Trial(name, role, "equilibrium", grip, seen))
     return Study("made", CABLE, ARCS, tuple(trials), noise_std_m=NOISE_M)
@@ -270,11 +265,6 @@ def test_a_command_does_what_it_is_for(
     assert not row.writes or (out / row.writes).exists(), sorted(out.iterdir())
 
 
-def answers(port: int) -> bool:
-    with socket.socket() as tried:
-        return tried.connect_ex(("127.0.0.1", port)) == 0
-
-
 @pytest.mark.parametrize("command", [n for n, row in TABLE.items() if isinstance(row, Served)])
 def test_a_command_serves_until_it_is_ended(
     command: str, forking: Forking, recorded_config: Path, tmp_path: Path
@@ -286,7 +276,7 @@ def test_a_command_serves_until_it_is_ended(
     process = forking.start(command, *shlex.split(words))
     try:
         until_s = time.monotonic() + LONGEST_S
-        while not answers(port):
+        while not listens(port):
             assert process.poll() is None and time.monotonic() < until_s
             time.sleep(0.05)
         process.send_signal(signal.SIGTERM)

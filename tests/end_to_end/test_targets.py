@@ -76,6 +76,10 @@ TABLE: dict[str, Small | ByTest | OfCI] = {
     "studies": ByTest("tools/studies/test_diagnosis_study.py::"
                       "test_a_study_is_made_diagnosed_and_counted_by_the_command"),
     "checks": Small("ARGS='{out}/c.csv --breadth complete=1 --workers 1'", "all checks", "c.csv"),
+    "benchmark-effects": ByTest("tools/studies/test_benchmark_effects.py::"
+                                "test_the_same_seed_gives_the_same_table"),
+    "benchmark-rods": ByTest("tools/bench/test_benchmark_rods.py::"
+                             "test_two_runs_choose_the_same_settings"),
     "discover": ByTest("tools/studies/test_discover_study.py::"
                        "test_the_target_asks_for_the_ten_laws_unless_some_are_named"),
     "fault-trials": ByTest("end_to_end/test_fault_trials.py::"

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from pickle import PicklingError
@@ -61,7 +61,7 @@ from tests.cell.plant.opcua.conftest import settings_with
 from tests.cell.plant.test_link import BEGUN, obeys
 from tests.cell.plant.test_service import service_of
 from tests.cell.web.test_jobs import newest, started, task
-from tests.waiting import free_port
+from tests.waiting import free_port, wait_until
 
 ROOT = Path(__file__).parents[2]
 _ROW = re.compile(r"\| `([\w/]+\.py)` \| ([^|]+) \| [^|]+ \|")
@@ -89,13 +89,6 @@ def dies(thread: GuardedThread) -> None:
     thread.run()
 
 
-def until(reached: Callable[[], object]) -> None:
-    end_s = time.monotonic() + 30.0
-    while not reached():
-        assert time.monotonic() < end_s
-        time.sleep(0.005)
-
-
 # --- the table ------------------------------------------------------------------------------------
 
 
@@ -117,143 +110,70 @@ def begun_in_the_program() -> Iterator[tuple[str, str]]:
                     yield module, called
 
 
-#: What begins in which module, by the test of what follows when it dies.
-TESTED = {
-    "test_a_watch_that_dies_stops_the_arm": [
-        "GuardedThread cell/run/watch.py",
-    ],
-    "test_a_camera_whose_thread_dies_is_lost": [
-        "GuardedThread drivers/capture.py",
-    ],
-    "test_an_arm_of_which_nobody_knows_who_has_control_is_lost": [
-        "GuardedThread drivers/ur_dashboard.py",
-    ],
-    "test_inputs_of_an_arm_that_are_heard_no_more_are_lost": [
-        "GuardedThread drivers/ur_io.py",
-    ],
-    "test_a_service_without_signs_of_life_ends": [
-        "GuardedThread cell/plant/service.py",
-    ],
-    "test_a_link_that_dies_is_a_cell_that_is_away": [
-        "GuardedThread cell/plant/link.py",
-        "GuardedThread cell/plant/link.py",
-        "GuardedThread cell/plant/server.py",
-    ],
-    "test_an_adapter_that_is_kept_no_more_is_told": [
-        "GuardedThread cell/plant/children.py",
-    ],
-    "test_an_mqtt_adapter_that_takes_nothing_ends": [
-        "GuardedThread cell/plant/mqtt/adapter.py",
-    ],
-    "test_an_adapter_that_is_killed_goes_on_where_it_was": [
-        "create_task cell/plant/mqtt/adapter.py",
-        "to_thread cell/plant/mqtt/adapter.py",
-    ],
-    "test_an_opcua_server_that_shows_nothing_new_ends": [
-        "GuardedThread cell/plant/opcua/server.py",
-        "create_task cell/plant/opcua/server.py",
-        "to_thread cell/plant/opcua/server.py",
-        "to_thread cell/plant/opcua/commands.py",
-    ],
-    "test_a_call_that_waited_at_a_halted_server_is_refused": [
-        "create_task cell/plant/opcua/commands.py",
-    ],
-    "test_a_modbus_server_that_dies_is_a_plc_that_is_away": [
-        "GuardedThread cell/plant/handshake/modbus.py",
-    ],
-    "test_a_thread_on_which_nothing_depends_is_logged": [
-        "GuardedThread cell/plant/handshake/adapter.py",
-        "GuardedThread cell/cli/progress.py",
-        "GuardedThread cell/wiring/emulated.py",
-    ],
-    "test_poses_that_are_missing_are_noted": [
-        "GuardedThread cell/records/recording/recorder.py",
-    ],
-    "test_a_recording_that_cannot_be_ended_is_reported_as_torn": [
-        "GuardedThread cell/records/recording/process.py",
-    ],
-    "test_a_file_that_cannot_be_synced_is_told_next": [
-        "GuardedThread cell/records/recording/writer.py",
-    ],
-    "test_recordings_that_are_uploaded_no_more_are_noted": [
-        "GuardedThread cell/records/recording/uploads.py",
-    ],
-    "test_a_ledger_that_is_written_no_more_is_noted": [
-        "GuardedThread cell/records/ledger/outbox.py",
-    ],
-    "test_keys_that_are_read_no_more_are_said": [
-        "GuardedThread cell/cli/keyboard.py",
-    ],
-    "test_a_page_whose_cell_is_followed_no_more_says_so": [
-        "GuardedThread cell/web/watching.py",
-        "GuardedThread cell/web/watching.py",
-    ],
-    "test_a_picture_that_is_read_no_more_is_shown_no_more": [
-        "GuardedThread cell/web/camera.py",
-    ],
-    "test_jobs_whose_thread_dies_have_failed": [
-        "GuardedThread cell/web/jobs.py",
-    ],
-    "test_a_job_whose_output_is_read_no_more_ends": [
-        "GuardedThread cell/web/jobs.py",
-    ],
-    "test_what_does_not_listen_is_ended_by_a_second_cancel": [
-        "Timer cell/web/jobs.py",
-    ],
-    "test_a_calibration_that_is_followed_no_more_ends": [
-        "GuardedThread cell/web/guided.py",
-        "GuardedThread cell/web/guided.py",
-    ],
-    "test_a_calibration_that_is_to_end_ends": [
-        "GuardedThread cell/web/guided.py",
-    ],
-    "test_a_computations_exception_is_raised_where_taken": [
-        "ThreadPoolExecutor cell/run/cycle.py",
-        "ThreadPoolExecutor cell/run/filming.py",
-        "ThreadPoolExecutor cell/cable/swing.py",
-        "Thread cell/computer/forks.py",
-    ],
-    "test_a_killed_process_is_told_and_replaced": [
-        "ProcessPoolExecutor cell/computer/second_process.py",
-    ],
-    "test_it_does_not_outlive_the_first_process": [
-        "Thread cell/computer/second_process.py",
-    ],
-    "test_the_child_does_not_outlive_its_parent": [
-        "Thread cell/computer/watched.py",
-    ],
-    "test_a_copy_with_a_job_does_not_outlive_its_parent": [
-        "Thread cell/computer/forks.py",
-    ],
-    "test_an_error_is_that_of_this_process": [
-        "Thread cell/computer/forks.py",
-    ],
-    "test_real_time_that_cannot_be_asked_for_is_none": [
-        "Thread cell/computer/abilities.py",
-    ],
-    "test_every_fault_can_be_caused_and_stands_in_the_docs": [
-        "Timer cell/wiring/faults.py",
-    ],
-    "test_a_process_that_is_of_no_use_without_its_thread_ends": [
-        "GuardedThread drivers/emulators/camera.py",
-        "GuardedThread drivers/emulators/camera_poses.py",
-        "GuardedThread drivers/emulators/gripper.py",
-    ],
-    "test_the_end_of_the_stream_is_told_to_the_next_too": [
-        "GuardedThread drivers/emulators/camera.py",
-    ],
-    "test_a_lost_gripper_stops_the_arm": [
-        "GuardedThread drivers/emulators/robotiq.py",
-        "GuardedThread drivers/emulators/urcap.py",
-    ],
-}
+#: Module, what begins there, and the test of what follows when it dies.
+TESTED = """
+cell/run/watch.py GuardedThread a_watch_that_dies_stops_the_arm
+drivers/capture.py GuardedThread a_camera_whose_thread_dies_is_lost
+drivers/ur_dashboard.py GuardedThread an_arm_of_which_nobody_knows_who_has_control_is_lost
+drivers/ur_io.py GuardedThread inputs_of_an_arm_that_are_heard_no_more_are_lost
+cell/plant/service.py GuardedThread a_service_without_signs_of_life_ends
+cell/plant/link.py GuardedThread a_link_that_dies_is_a_cell_that_is_away
+cell/plant/link.py GuardedThread a_link_that_dies_is_a_cell_that_is_away
+cell/plant/server.py GuardedThread a_link_that_dies_is_a_cell_that_is_away
+cell/plant/server.py create_task a_program_that_is_told_nothing_more_sees_the_cell_as_away
+cell/plant/children.py GuardedThread an_adapter_that_is_kept_no_more_is_told
+cell/plant/mqtt/adapter.py GuardedThread an_mqtt_adapter_that_takes_nothing_ends
+cell/plant/mqtt/adapter.py create_task an_adapter_that_is_killed_goes_on_where_it_was
+cell/plant/mqtt/adapter.py to_thread an_adapter_that_is_killed_goes_on_where_it_was
+cell/plant/opcua/server.py GuardedThread an_opcua_server_that_shows_nothing_new_ends
+cell/plant/opcua/server.py create_task an_opcua_server_that_shows_nothing_new_ends
+cell/plant/opcua/server.py to_thread an_opcua_server_that_shows_nothing_new_ends
+cell/plant/opcua/commands.py to_thread an_opcua_server_that_shows_nothing_new_ends
+cell/plant/opcua/commands.py create_task a_call_that_waited_at_a_halted_server_is_refused
+cell/plant/handshake/modbus.py GuardedThread a_modbus_server_that_dies_is_a_plc_that_is_away
+cell/plant/handshake/adapter.py GuardedThread a_thread_on_which_nothing_depends_is_logged
+cell/cli/progress.py GuardedThread a_thread_on_which_nothing_depends_is_logged
+cell/wiring/emulated.py GuardedThread a_thread_on_which_nothing_depends_is_logged
+cell/records/recording/recorder.py GuardedThread poses_that_are_missing_are_noted
+cell/records/recording/process.py GuardedThread a_recording_that_cannot_be_ended_is_reported_as_torn
+cell/records/recording/writer.py GuardedThread a_file_that_cannot_be_synced_is_told_next
+cell/records/recording/uploads.py GuardedThread recordings_that_are_uploaded_no_more_are_noted
+cell/records/ledger/outbox.py GuardedThread a_ledger_that_is_written_no_more_is_noted
+cell/cli/keyboard.py GuardedThread keys_that_are_read_no_more_are_said
+cell/web/watching.py GuardedThread a_page_whose_cell_is_followed_no_more_says_so
+cell/web/watching.py GuardedThread a_page_whose_cell_is_followed_no_more_says_so
+cell/web/camera.py GuardedThread a_picture_that_is_read_no_more_is_shown_no_more
+cell/web/jobs.py GuardedThread jobs_whose_thread_dies_have_failed
+cell/web/jobs.py GuardedThread a_job_whose_output_is_read_no_more_ends
+cell/web/jobs.py Timer what_does_not_listen_is_ended_by_a_second_cancel
+cell/web/guided.py GuardedThread a_calibration_that_is_followed_no_more_ends
+cell/web/guided.py GuardedThread a_calibration_that_is_followed_no_more_ends
+cell/web/guided.py GuardedThread a_calibration_that_is_to_end_ends
+cell/run/cycle.py ThreadPoolExecutor a_computations_exception_is_raised_where_taken
+cell/run/filming.py ThreadPoolExecutor a_computations_exception_is_raised_where_taken
+cell/cable/swing.py ThreadPoolExecutor a_computations_exception_is_raised_where_taken
+cell/computer/forks.py Thread a_computations_exception_is_raised_where_taken
+cell/computer/second_process.py ProcessPoolExecutor a_killed_process_is_told_and_replaced
+cell/computer/second_process.py Thread it_does_not_outlive_the_first_process
+cell/computer/watched.py Thread the_child_does_not_outlive_its_parent
+cell/computer/forks.py Thread a_copy_with_a_job_does_not_outlive_its_parent
+cell/computer/forks.py Thread an_error_is_that_of_this_process
+cell/computer/abilities.py Thread real_time_that_cannot_be_asked_for_is_none
+cell/wiring/faults.py Timer every_fault_can_be_caused_and_stands_in_the_docs
+drivers/emulators/camera.py GuardedThread a_process_that_is_of_no_use_without_its_thread_ends
+drivers/emulators/camera_poses.py GuardedThread a_process_that_is_of_no_use_without_its_thread_ends
+drivers/emulators/gripper.py GuardedThread a_process_that_is_of_no_use_without_its_thread_ends
+drivers/emulators/camera.py GuardedThread the_end_of_the_stream_is_told_to_the_next_too
+drivers/emulators/robotiq.py GuardedThread a_lost_gripper_stops_the_arm
+drivers/emulators/urcap.py GuardedThread a_lost_gripper_stops_the_arm
+"""
 
 
 def test_every_thread_and_task_has_its_test() -> None:
-    tested = [tuple(begun.split()) for all_begun in TESTED.values() for begun in all_begun]
-    assert Counter(tested) == Counter((kind, module) for module, kind in begun_in_the_program())
+    tested = [line.split() for line in TESTED.strip().splitlines()]
+    assert Counter((module, kind) for module, kind, _ in tested) == Counter(begun_in_the_program())
     tests = "\n".join(f.read_text(encoding="utf-8") for f in ROOT.glob("tests/**/test_*.py"))
-    assert [name for name in TESTED if f"def {name}(" not in tests] == []
+    assert [name for *_, name in tested if f"def test_{name}(" not in tests] == []
 
 
 def test_every_thread_and_task_is_in_the_table_of_the_docs() -> None:
@@ -290,7 +210,8 @@ def test_real_time_that_cannot_be_asked_for_is_none(monkeypatch: pytest.MonkeyPa
 
 def test_a_process_that_is_of_no_use_without_its_thread_ends() -> None:
     program = (
-        "import time; from drivers.threads import GuardedThread, end_process\n"
+        "import logging, time; from drivers.threads import GuardedThread, end_process\n"
+        "logging.getLogger('drivers').addHandler(logging.NullHandler())\n"  # as a command's
         "GuardedThread('door', lambda: 1 / 0, end_process).start(); time.sleep(60)"
     )
     ended = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True)
@@ -395,7 +316,7 @@ def test_a_link_that_dies_is_a_cell_that_is_away(
                 return True
             return False
 
-        until(away)
+        wait_until(away)
 
 
 def test_a_service_without_signs_of_life_ends(
@@ -424,7 +345,7 @@ def test_an_mqtt_adapter_that_takes_nothing_ends(tmp_path: Path) -> None:
     told: list[bool] = []
     taker = OutboxFeeder(tmp_path, SimpleNamespace(newest=boom), lambda: told.append(True))  # type: ignore[arg-type]
     with taker:
-        until(lambda: told)
+        wait_until(lambda: told)
     assert str(taker.error) == "ValueError: boom"
 
 
@@ -451,7 +372,7 @@ def test_a_page_whose_cell_is_followed_no_more_says_so(tmp_path: Path) -> None:
     watch = CellWatch(client, None, tmp_path)  # type: ignore[arg-type]
     watch._seen = WatchedState(connected=True, figures=SimpleNamespace())  # type: ignore[arg-type]
     with watch:
-        until(lambda: not watch.state.connected and watch.state.figures is None)
+        wait_until(lambda: not watch.state.connected and watch.state.figures is None)
     assert watch.state.note == "ValueError: boom"
 
 
@@ -459,14 +380,14 @@ def test_a_picture_that_is_read_no_more_is_shown_no_more(tmp_path: Path) -> None
     camera = LiveCamera(tmp_path, iter([0.0]).__next__)  # the second look at the clock raises
     camera.newest = SimpleNamespace()  # type: ignore[assignment]
     camera.ask()
-    until(lambda: camera.newest is None)
+    wait_until(lambda: camera.newest is None)
     assert not camera._reading
 
 
 def test_jobs_whose_thread_dies_have_failed() -> None:
     with Jobs(boom) as jobs:
         assert jobs.submit(task("pass"), "Ada") == ""
-        until(lambda: newest(jobs).state is JobState.FAILED)
+        wait_until(lambda: newest(jobs).state is JobState.FAILED)
         assert newest(jobs).output == ("ValueError: boom",)
 
 
@@ -480,7 +401,7 @@ def test_a_job_whose_output_is_read_no_more_ends(monkeypatch: pytest.MonkeyPatch
 
     with Jobs(start) as jobs:
         assert jobs.submit(task("import time; time.sleep(60)"), "Ada") == ""
-        until(lambda: newest(jobs).state is JobState.FAILED)
+        wait_until(lambda: newest(jobs).state is JobState.FAILED)
     [process] = processes
     assert process.stdout is not None and process.stdout.closed
 
@@ -492,7 +413,7 @@ def test_a_calibration_that_is_followed_no_more_ends(
     monkeypatch.setattr(Guided, what, boom)
     guided = Guided()
     assert guided.start("calibrate", [sys.executable, "-c", "import time; time.sleep(60)"]) == ""
-    until(lambda: not guided.state.runs)
+    wait_until(lambda: not guided.state.runs)
     assert "ValueError: boom" in guided.state.output and guided.state.code != 0
 
 
@@ -501,6 +422,6 @@ def test_a_calibration_that_is_to_end_ends(monkeypatch: pytest.MonkeyPatch) -> N
     guided = Guided()
     stubborn = "import signal, time; signal.signal(15, signal.SIG_IGN); print(); time.sleep(60)"
     guided.start("calibrate", [sys.executable, "-u", "-c", stubborn])
-    until(lambda: guided.state.output or guided._process)
+    wait_until(lambda: guided.state.output or guided._process)
     assert guided.cancel() == ""
-    until(lambda: not guided.state.runs)
+    wait_until(lambda: not guided.state.runs)

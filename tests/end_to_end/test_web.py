@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -25,23 +23,13 @@ from cell.records.recording import form
 from cell.records.recording.writer import RecordingWriter
 from cell.records.result import Outcome, Result
 from cell.web.audit import audit_file
-from tests.waiting import free_port, wait_until
+from tests.waiting import free_port, listens, wait_until
+from tools.plant.browser import Browser
 
 from .conftest import _QUICK, _SMALL, CONFIG, WINDY, changed, unrecorded
 
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-FLAGS = (
-    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-    *("--accept-lang=en", "--window-size=1440,900"),
-)
 #: Shown as text wherever it appears; run nowhere.
 PART = "<img src=x onerror=document.title='run'>"
-
-
-def answers(port: int) -> bool:
-    with socket.socket() as tried:
-        return tried.connect_ex(("127.0.0.1", port)) == 0
 
 
 class Started:
@@ -77,20 +65,12 @@ def config(tmp_path: Path) -> Path:
 @pytest.fixture
 def browser(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
     """Chromium; with the parameter `logged` it keeps a log of what it asks the network for."""
-    if CHROMIUM is None or DRIVER is None:
-        pytest.skip("needs chromium and chromedriver: apt-get install chromium chromium-driver")
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path / 'browser'}"):
-        options.add_argument(flag)
-    if getattr(request, "param", "") == "logged":
-        options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
-    yield driver
-    driver.quit()
+    try:
+        browser = Browser(tmp_path / "browser", logged=getattr(request, "param", "") == "logged")
+    except RuntimeError as error:
+        pytest.skip(str(error))
+    with browser:
+        yield browser.driver
 
 
 #: Is an element where it was two pictures ago, and nothing that holds it animated?
@@ -147,6 +127,19 @@ class LivePage:
 
         wait_until(done, why=lambda: f"{what}: {self.text('state')}, not {state}")
 
+    def start(self, cell: Client) -> None:
+        """Start one cycle.  It may have ended before a slow browser shows that it runs."""
+        before = cell.status().cycle
+
+        def done() -> bool:
+            self._attempt("start", lambda element: element.click(), still=True)
+            end_s = time.monotonic() + 10.0
+            while cell.status().cycle == before and time.monotonic() < end_s:
+                time.sleep(0.05)
+            return cell.status().cycle != before
+
+        wait_until(done, why=lambda: f"start: {self.text('state')}")
+
     def type(self, what: str, text: str) -> None:
         self._do(what, lambda element: element.send_keys(text))
 
@@ -171,7 +164,10 @@ class LivePage:
         wait_until(lambda: self._attempt(what, act, still), why=lambda: f"{what} cannot be used")
 
     def _attempt(self, what: str, act: Callable[[Any], None], still: bool) -> bool:
-        from selenium.common.exceptions import WebDriverException
+        from selenium.common.exceptions import (
+            ElementClickInterceptedException,
+            WebDriverException,
+        )
 
         try:
             element = self._browser.find_element("css selector", f"[data-test='{what}']")
@@ -180,7 +176,10 @@ class LivePage:
             if still and not self._browser.execute_async_script(_STANDS_STILL, element):
                 return False
             act(element)
-        except WebDriverException:  # made anew at this moment, or covered
+        except ElementClickInterceptedException:  # below the bar with the links
+            self._browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+            return False
+        except WebDriverException:  # made anew at this moment
             return False
         return True
 
@@ -195,7 +194,7 @@ def live(browser: Any, started: Started, config: Path, runs: Path) -> tuple[Live
     port = free_port()
     started("run", "-c", config, "--cycles", "forever", "--runs", runs)
     started("serve", "-c", config, "--runs", runs, "--port", port)
-    wait_until(lambda: answers(port))
+    wait_until(lambda: listens(port))
     browser.get(f"http://127.0.0.1:{port}/")
     page = LivePage(browser)
     page.reaches("Idle")
@@ -212,7 +211,7 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
     page, cell, port = live(browser, started, config, runs)
     for number in (1, 2, 3):
         page.type("part", f"{PART}{number}")
-        page.command("start", "Execute")
+        page.start(cell)
         wait_until(lambda number=number: cell.status().counts.get("inserted") == number)
         page.reaches("Idle")
     assert f"Part {PART}3" in page.text("cycle")
@@ -255,7 +254,7 @@ def test_a_missed_cable_is_told_and_the_next_one_is_inserted(
     page, cell, port = live(browser, started, windy, tmp_path / "runs")
     why = {"rejected": "probability", "missed": "the tip missed", "inserted": ""}
     for outcome in why:
-        page.command("start", "Execute")
+        page.start(cell)
         wait_until(
             lambda outcome=outcome: page.text("outcome") == outcome,
             why=lambda: f"{page.text('state')}: {page.text('outcome')} {page.text('why')}",
@@ -287,7 +286,16 @@ def film(tmp_path: Path) -> Path:
     writer = RecordingWriter(made.folder / form.FILE, begun)
     for index in range(3):
         writer.frame(index, 1.0 + index, 48, 64, bytes(48 * 64))
-    writer.event(form.DECISION, 2.0, {"tip_m": [[0.0, 0.0], [-0.01, 0.005]]})
+    corners = [[10, 10], [20, 10], [20, 30], [10, 30]]
+    writer.event(form.CYCLE, 1.0, {"cycle": 3, "destination_px": corners})
+    destination = {"x_m": [-0.02, -0.01], "y_m": [0.0, 0.01]}
+    writer.event(form.SETTINGS, 1.0, {"settings": {"destination": destination}})
+    table = [{"offset_m": o, "probability": p, "margin_m": 0.0} for o, p in ((0, 0.1), (0.01, 1))]
+    tip_m = [[0.0, 0.0], [-0.015, 0.005]]
+    decision = {"offset_m": 0.01, "table": table, "tip_m": tip_m}
+    writer.event(form.DECISION, 2.0, decision)
+    passage = {"t_s": [0.1, 0.2], "tip_m": tip_m, "predicted_m": tip_m}
+    writer.event(form.PASSAGE, 3.0, passage)
     writer.close({})
     return made.folder
 
@@ -329,7 +337,7 @@ def test_settings_are_written_a_film_is_seen_and_a_camera_calibrated(
     port, page = free_port(), LivePage(browser)
     at = f"http://127.0.0.1:{port}"
     started("serve", "-c", uncalibrated, "--runs", tmp_path / "runs", "--port", port)
-    wait_until(lambda: answers(port))
+    wait_until(lambda: listens(port))
 
     browser.get(f"{at}/calibration")
     page.click_until("start-camera", "guided", "calibrate camera")
@@ -357,6 +365,12 @@ def test_settings_are_written_a_film_is_seen_and_a_camera_calibrated(
     shown = "const i = document.getElementById('film-frame'); return i.naturalWidth"
     wait_until(lambda: browser.execute_script(shown) == 64)
     serious += faults_of(browser)
+    headings = {e.text for e in browser.find_elements("css selector", "[role=heading]")}
+    assert headings >= {"Path of the tip", "Error of the forecast", "Decision"}
+    page.click("replay")
+    wait_until(
+        lambda: f"{film / form.FILE}" in page.text("replayed")
+    )  # which lacks a cycle's poses
     page.click("keep")
     wait_until(lambda: page.text("kept") == "The film is kept for good.")
     assert (film / "keep").exists()
@@ -381,7 +395,7 @@ def test_what_is_typed_is_kept_from_a_click_and_buttons_say_what_they_need(
     port, page = free_port(), LivePage(browser)
     at = f"http://127.0.0.1:{port}"
     started("serve", "-c", uncalibrated, "--runs", tmp_path / "runs", "--port", port)
-    wait_until(lambda: answers(port))
+    wait_until(lambda: listens(port))
     asks = """
         const leave = new Event('beforeunload', {cancelable: true});
         window.dispatchEvent(leave);
@@ -415,7 +429,7 @@ def test_with_users_nothing_is_shown_before_the_login(
     started(
         "serve", "-c", config, "--runs", runs, "--port", port, "--users", tmp_path / "users.json"
     )
-    wait_until(lambda: answers(port))
+    wait_until(lambda: listens(port))
 
     def ask(method: str, path: str, form: dict[str, str] | None = None, **headers: str) -> Any:
         connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)

@@ -10,26 +10,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cell.cable.dynamics import simulate_each
 from cell.cable.effects import library
-from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.geometry import node_arc_lengths
 from cell.cable.model import CableModel
-from cell.cli import app
+from cell.cable.solver import Solver
 from cell.files.yaml_document import yaml_text
 from cell.settings import load_settings
 from cell.settings.promotion import line_identity
 from cell.settings.translate import model_hash
-from cell.study.data import Markers, Study, Trial
+from cell.study.data import Study, Trial
 from cell.study.folder import write_study
 from cell.web.audit import audit_file
 from cell.web.workspace import Workspace
-from tests.waiting import free_port, wait_until
+from tests.command import run_cell
+from tests.waiting import free_port, listens, wait_until
+from tools.worlds.made_studies import CABLE, filmed, moved
 
 from . import test_web
 from .conftest import CONFIG, WINDY, changed
-from .test_web import Started, answers
+from .test_web import Started
 
 browser = test_web.browser
 started = test_web.started
@@ -57,28 +57,14 @@ class Carried(Effect):
 
 def hidden_mass() -> Study:
     """Two strokes of a cable that carries more air than its model knows, with noise."""
-    cable, rng = Cable(0.1, 0.0074, 0.016, 0.0001), np.random.default_rng(0)
+    rng, arcs, trials = np.random.default_rng(0), node_arc_lengths(0.1), []
     effect = library()["added_mass"].active(kg_per_m=_HIDDEN)
-    model = CableModel(cable, np.full(4, 2.3e-5), 1.05, 1e-7, effects=(effect,))
-    arcs, motions, times_s = node_arc_lengths(0.1), list[Motion](), list[np.ndarray]()
-    strokes = (("down", 0.0, -0.05), ("left", -0.05, 0.0))
-    for _, x_m, y_m in strokes:
-        t_s = np.arange(0.0, 0.75, 0.002)
-        u = np.clip((t_s - 0.2) / 0.25, 0.0, 1.0)
-        s = u**3 * (10 - 15 * u + 6 * u**2)
-        motions.append(Motion(t_s, x_m * s, y_m * s, np.zeros_like(t_s)))
-        times_s.append(np.arange(0.002, t_s[-1], 0.01))
-    seen = simulate_each(model, motions, times_s, arcs)
-    trials = [
-        Trial(
-            *(name, role, "equilibrium", motion),
-            Markers(t_s, clean + rng.normal(scale=1e-4, size=clean.shape)),
-        )
-        for (name, *_), role, motion, t_s, clean in zip(
-            strokes, ("fit", "validate"), motions, times_s, seen, strict=True
-        )
-    ]
-    return Study("hidden", cable, arcs, tuple(trials))
+    model = CableModel(CABLE, np.full(4, 2.3e-5), 1.05, 1e-7, effects=(effect,))
+    for name, role, way_m in (("down", "fit", (0.0, -0.05)), ("left", "validate", (-0.05, 0.0))):
+        hand = moved(np.arange(0.0, 0.75, 0.002), way_m, 0.25)
+        seen = filmed(rng, model, hand, np.arange(0.002, hand.t_s[-1], 0.01), arcs, solver=Solver())
+        trials.append(Trial(name, role, "equilibrium", hand, seen))
+    return Study("hidden", CABLE, arcs, tuple(trials))
 
 
 def write_candidate(path: Path, config: Path, *, passed: bool) -> None:
@@ -187,7 +173,7 @@ def usual_priority(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def opened(browser: Any, started: Started, config: Path, runs: Path) -> LabPage:
     port = free_port()
     started("serve", "-c", config, "--runs", runs, "--port", port)
-    wait_until(lambda: answers(port))
+    wait_until(lambda: listens(port))
     browser.get(f"http://127.0.0.1:{port}/lab")
     return LabPage(browser)
 
@@ -197,6 +183,9 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
 ) -> None:
     page = opened(browser, started, config, tmp_path / "runs")
     lab = Workspace.of_runs(tmp_path / "runs")
+    page.click("way-example")
+    page.ended("Example · example")
+    page.shows("look-said", "Nothing is odd")
     write_study(hidden_mass(), tmp_path / "hidden")
     page.upload(Path(shutil.make_archive(str(tmp_path / "hidden"), "zip", tmp_path / "hidden")))
     page.ended("Look · hidden")
@@ -204,12 +193,13 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     page.click("tab-diagnose")
     page.click("diagnose")
     page.ended("Diagnose · hidden")
+    page.shows("fit-errors", "Least so far")
     page.shows("verdict", "Missing")
     page.shows("parameters", "added_mass: kg_per_m 1.")
     diagnosis = json.loads((lab.results("hidden") / "diagnosis.json").read_text())
     found = diagnosis["missing"][0]["parameters"]["kg_per_m"]["value"]
     assert found == pytest.approx(_HIDDEN, rel=0.05)
-    page.shows("checks", "Do the held-out trials see each effect found?")
+    page.shows("checks", "Do the held-out trials show each named effect?")
     page.shows("checks", "error / noise ≤ 1.1")
 
     page.click("tab-own")
@@ -262,7 +252,7 @@ def test_what_recorded_cycles_lack_is_learned_promoted_and_undone(
 ) -> None:
     config, runs = changed(quick_config, tmp_path / "windy.yaml", WINDY), tmp_path / "runs"
     words = ["run", "-c", str(config), "--cycles", "3", "--runs", str(runs)]
-    assert CliRunner().invoke(app, words).exit_code == 1  # two of them are not inserted
+    run_cell(*words, code=1)
     page = opened(browser, started, config, runs)
     lab = Workspace.of_runs(runs)
 

@@ -1,8 +1,7 @@
 """Speed of the cable engine, as ratios against a peer in the same run, and the cell's wait for it.
 
-The peer is MuJoCo's own batch runner, `mujoco.rollout`, with as many threads as cores.  It gets
-the engine's own mesh, the best known to us: thin rods hinged between the nodes, the clamp's
-hinges corrected; its integrator and step are searched for the fastest within the same error.
+The peer is MuJoCo's own batch runner, `mujoco.rollout`, with as many threads as cores; settings of
+both are searched as in `benchmark_rods`.
 """
 
 from __future__ import annotations
@@ -10,6 +9,8 @@ from __future__ import annotations
 import argparse
 import time
 import traceback
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from cell.cable.dynamics import simulate
 from cell.cable.effects import air as air_family
 from cell.cable.effects import library, load_effect
 from cell.cable.model import CableModel
-from cell.cable.solver import Solver, generalised_alpha, threads
+from cell.cable.solver import generalised_alpha, threads
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, sample_times
 from cell.identify.parameters import ParameterSpace, Prior, difference_points
@@ -31,54 +32,49 @@ from tools.bench.bench_task import (
     MODEL,
     MOTIONS,
     TIMES,
+    RodTask,
     best_of,
-    tip_error,
+    rod_tasks,
 )
+from tools.bench.benchmark_rods import RodReference, RodRow, reference, searched
+from tools.bench.rod_entrants import EngineEntrant, RodEntrant, RodSetting
 
-
-def our_solver(exact: np.ndarray, segments: int | None) -> tuple[Solver, float]:
-    """Fastest solver settings of this engine within the allowed error."""
-    meshes = (segments,) if segments else (8, 10, 12, 14, 16, 20)
-    found = []
-    for n in meshes:
-        for step in (5e-3, 4e-3, 3e-3, 2.5e-3, 2e-3, 1.5e-3, 1e-3):
-            solver = Solver(n, step)
-            tips = simulate(MODEL, MOTIONS, TIMES, ARC[:1], solver=solver)[:, :, 0]
-            error = tip_error(tips, exact)
-            if error <= ALLOWED_M:
-                found.append((n / step, solver, error))
-                break
-    _, solver, error = min(found, key=lambda f: f[0])
-    return solver, error
+#: Work of a search, s: to 50 µm of the first task it is enough.
+SEARCH_S = 30.0
 
 
 def against_mujoco() -> None:
-    from tools.bench.bench_mujoco import fastest_peer  # needs mujoco
+    from tools.bench.bench_mujoco import MujocoEntrant  # needs mujoco
 
-    exact = simulate(MODEL, MOTIONS, TIMES, ARC[:1], solver=Solver(160, 1e-4))[:, :, 0]
+    task = next(iter(rod_tasks().values()))
+    exact = cache(lambda: reference(task, None))
     print(f"\n21 offsets, {DURATION_S:g} s each, {threads()} threads, both within 50 µm rms")
-    for segments, meshes in ((None, (8, 10, 12)), (40, (40,))):
+    for segments in (None, 40):
         print(f"\n {'any mesh' if segments is None else f'{segments} segments'}")
-        peer, peer_error, _ = fastest_peer(exact, meshes)
-        solver, error = our_solver(exact, segments)
-        run, pool = peer.runner()
-
-        def ours(solver: Solver = solver) -> object:
-            return simulate(MODEL, MOTIONS, TIMES, ARC, solver=solver)
-
-        mine, theirs = best_of(ours, run, rounds=5)
-        cpu_s = best_of(ours, run, rounds=5, clock=time.process_time)
-        pool.close()  # type: ignore[attr-defined]
-        print(
-            f"  MuJoCo  {peer.segments:3d} segments, {peer.integrator}, {peer.step_s * 1e3:g} ms: "
-            f"{peer_error * 1e6:5.1f} µm, {theirs * 1e3:8.2f} ms\n"
-            f"  engine  {solver.segments:3d} segments, {solver.step_s * 1e3:g} ms: "
-            f"{error * 1e6:5.1f} µm, {mine * 1e3:8.2f} ms"
-        )
+        runs = []
+        for entrant in (EngineEntrant(), MujocoEntrant()):
+            row, setting = first_within(task, entrant, exact, segments)
+            runs.append(entrant.runner(task, setting))
+            print(f"  {entrant.name:8} {row.text}: {row.rms_um:.1f} µm")
+        mine, theirs = best_of(*runs, rounds=5)
+        cpu_s = best_of(*runs, rounds=5, clock=time.process_time)
         name = f"MuJoCo / engine, {segments or 'any'} segments"
         report(name, theirs / mine, ">=", 20.0)
         # what other programs hardly change: on a busy computer the ratio above is chance
         report(f"{name}, CPU time of all threads", cpu_s[1] / cpu_s[0], ">=", 40.0)
+
+
+def first_within(
+    task: RodTask, entrant: RodEntrant, exact: Callable[[], RodReference], segments: int | None
+) -> tuple[RodRow, RodSetting]:
+    """The cheapest setting, of a mesh or any, within the allowed error.
+
+    raises  RuntimeError: there is none
+    """
+    for row, setting in searched(task, entrant, exact, SEARCH_S, {}, segments):
+        if row.rms_um <= 1e6 * ALLOWED_M:
+            return row, setting
+    raise RuntimeError(f"{entrant.name} reached the error allowed with none of the settings tried")
 
 
 # --- the engine against itself ------------------------------------------------------------------

@@ -34,8 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.cli.cell_factory import BuiltCell, Products
-from cell.cli.plant_end import PlantEnd
+from cell.cli.cell_factory import BuiltCell, PlantEnd, Products
 from cell.computer.abilities import StallProbe
 from cell.plant.client import Client
 from cell.records.result import Result

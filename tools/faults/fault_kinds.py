@@ -68,10 +68,6 @@ class FaultTrial:
         self.given_s, self.reaction_s, self.wrong, self.noticed = None, None, [], ""
         self.moved_on_s, self.attempts = 0.0, self.attempts + 1
 
-    def kept(self) -> dict[str, Any]:
-        names = ("noticed", "reaction_s", "moved_on_s", "attempts", "wrong")
-        return {name: getattr(self, name) for name in names}
-
 
 def _camera(**faults: Any) -> Act:
     return lambda victim: setattr(victim.emulated.camera, "faults", StreamFaults(**faults))

@@ -14,7 +14,6 @@ clients, MQTT with a broker, and the handshake follow the cell meanwhile.
 from __future__ import annotations
 
 import argparse
-import json
 import random
 import signal
 import sys
@@ -27,8 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.cli.cell_factory import BuiltCell, Products
-from cell.cli.plant_end import PlantEnd
+from cell.cli.cell_factory import BuiltCell, PlantEnd, Products
 from cell.plan import correction
 from cell.plan.correction import Tail
 from cell.plan.response import Deviation, Response
@@ -271,7 +269,6 @@ def main() -> int:
     )
     parser.add_argument("--attempts", type=int, default=1, help="of a trial that fails")
     parser.add_argument("--bar-ms", type=float, default=1e3 * BAR_S, help="p99 from fault to stop")
-    parser.add_argument("--keep", type=Path, help="file of results; what passed is not repeated")
     parser.add_argument("--revising", action="store_true", help="while paths are changed in flight")
     parser.add_argument("--plant", action="store_true", help="with all adapters beside the cell")
     parser.add_argument("-o", "--output", type=Path, help=f"e.g. {TABLE.relative_to(ROOT)}")
@@ -280,14 +277,9 @@ def main() -> int:
     only = arguments.only or [""]
     chosen = [t for t in all_trials() if any(word in t.name for word in only)]
     kills: list[KilledProcess] = []
-    if arguments.keep is not None and arguments.keep.exists():
-        known = json.loads(arguments.keep.read_text(encoding="utf-8"))
-        for trial in chosen:
-            vars(trial).update(known.get(trial.name, {}))
     if arguments.revising:
         chosen = [t for t in chosen if t.step == "execute"]
         correction.best_tail = small_change  # type: ignore[assignment]
-    left = [t for t in chosen if t.attempts == 0 or t.wrong]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config = short_cycles(
@@ -303,17 +295,14 @@ def main() -> int:
                 around.enter_context(Plant(folder / "plant", config, folder / "runs", clients=5))
                 link.enter_context(bench.plant.reachable())
             bench.cycle()
-            for number, trial in enumerate(left, 1):
+            for number, trial in enumerate(chosen, 1):
                 run_trial(bench, trial)
                 while trial.wrong and trial.attempts < arguments.attempts:
                     print(f"         again: {'; '.join(trial.wrong)}", flush=True)
                     run_trial(bench, trial)
-                if arguments.keep is not None:
-                    done = {t.name: t.kept() for t in chosen if t.attempts}
-                    arguments.keep.write_text(json.dumps(done), encoding="utf-8")
                 stop = "" if trial.reaction_s is None else f"{1e3 * trial.reaction_s:5.0f} ms"
                 said = "passed" if not trial.wrong else "; ".join(trial.wrong)
-                print(f"{number:3d}/{len(left)} {trial.name:48s} {stop:9s} {said}", flush=True)
+                print(f"{number:3d}/{len(chosen)} {trial.name:48s} {stop:9s} {said}", flush=True)
             link.close()
             bench.cell.close()
             if arguments.revising:
@@ -323,13 +312,12 @@ def main() -> int:
                 victim = ("cell", "child", "both")[number % 3]
                 kills.append(kill_somebody(emulated, config, folder / "runs", victim, rng))
                 print(kills[-1], flush=True)
-    made = [t for t in chosen if t.attempts]
-    lines = table(made, kills, arguments.bar_ms)
-    print("\n".join([*summary(made, kills), "", markdown(lines), "", *failures(made)]))
+    lines = table(chosen, kills, arguments.bar_ms)
+    print("\n".join([*summary(chosen, kills), "", markdown(lines), "", *failures(chosen)]))
     if arguments.output is not None:
         words = ["python", "-m", "tools.faults.fault_trials", *sys.argv[1:]]
         arguments.output.write_text(csv_text(lines, " ".join(words)), encoding="utf-8")
-    slow = stop_percentiles_ms(made, 99.0)[0] > arguments.bar_ms
+    slow = stop_percentiles_ms(chosen, 99.0)[0] > arguments.bar_ms
     moved = any(k.moved_on_s > STILL_S for k in kills)
     return int(any(t.wrong for t in chosen) or slow or moved)
 

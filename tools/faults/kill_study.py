@@ -29,8 +29,8 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
+from cell.records.folder import UNFINISHED
 from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
-from cell.records.past_cycles import UNFINISHED
 from cell.records.recording import form
 from cell.records.recording.reading import Recording, read_recording
 from cell.records.recording.recover import being_written, recover_in_place, torn_recordings

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from cell.cable.effects import library, unscreened
 from cell.cable.geometry import Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from tools.figures.effect_pictures import PLAIN, SIZES, model
+from tools.worlds.made_studies import moved
 
 FloatArray = NDArray[np.float64]
 
@@ -36,26 +38,19 @@ NOTHING_M, LEAST = 5e-9, 0.3
 def motions() -> dict[str, list[Motion]]:
     """Motions by name; the pairs `down and …` are fitted jointly."""
     t_s = np.arange(0.0, TIMES_S[-1] + 0.02, 0.002)
-    none = 0.0 * t_s
-
-    def way(begin_s: float, lasts_s: float) -> FloatArray:
-        u = np.clip((t_s - begin_s) / lasts_s, 0.0, 1.0)
-        return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
-
-    def moved(x: FloatArray, y: FloatArray, angle: FloatArray) -> Motion:
-        return Motion(t_s, x, y, angle)
-
-    down = moved(none, -0.05 * way(0.1, 0.3), none)
+    begin_s = 0.1
+    down, rest = moved(t_s, (0.0, -0.05), 0.3, begin_s), moved(t_s, (0.0, 0.0), 0.3)
+    up_m = moved(t_s, (0.0, 0.03), 0.2, 0.8).y_m
     others = {
-        "left": moved(-0.06 * way(0.1, 0.28), none, none),
-        "tilted": moved(none, -0.05 * way(0.1, 0.3), none - 0.9),
-        "turn": moved(none, none, 0.4 * way(0.1, 0.3)),
-        "fast": moved(none, -0.03 * way(0.1, 0.12), none),
-        "down_up": moved(none, -0.05 * way(0.1, 0.3) + 0.03 * way(0.8, 0.2), none),
+        "left": moved(t_s, (-0.06, 0.0), 0.28, begin_s),
+        "tilted": moved(t_s, (0.0, -0.05), 0.3, begin_s, angle_rad=-0.9),
+        "turn": replace(rest, angle_rad=moved(t_s, (0.4, 0.0), 0.3, begin_s).x_m),
+        "fast": moved(t_s, (0.0, -0.03), 0.12, begin_s),
+        "down_up": replace(down, y_m=down.y_m + up_m),
     }
     pairs = {f"down and {name}": [down, other] for name, other in others.items()}
     alone = {name: [other] for name, other in others.items()}
-    return {"rest": [moved(none, none, none)], "down": [down]} | alone | pairs
+    return {"rest": [rest], "down": [down]} | alone | pairs
 
 
 def signatures(seen: list[Motion]) -> dict[str, FloatArray]:

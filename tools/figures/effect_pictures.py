@@ -27,7 +27,7 @@ from cell.cable.effects.base import after_number
 from cell.cable.geometry import Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.files.figure_style import ADDED, BETWEEN, MODEL
-from tools.worlds.made_studies import CABLE
+from tools.worlds.made_studies import CABLE, moved
 
 FloatArray = NDArray[np.float64]
 NODES_M = node_arc_lengths(CABLE.free_length_m, 21)[::-1]
@@ -63,9 +63,7 @@ class Signature:
 
 def motion() -> Motion:
     """The gripper goes down, along the path of least jerk, and waits."""
-    t_s = np.arange(0.0, TIMES_S[-1] + 0.01, 0.002)
-    u = np.clip((t_s - BEGINS_S) / LASTS_S, 0.0, 1.0)
-    return Motion(t_s, 0 * t_s, -WAY_M * u**3 * (10 - 15 * u + 6 * u**2), 0 * t_s)
+    return moved(np.arange(0.0, TIMES_S[-1] + 0.01, 0.002), (0.0, -WAY_M), LASTS_S, BEGINS_S)
 
 
 def model(q: FloatArray, effects: tuple[ActiveEffect, ...] = ()) -> CableModel:

@@ -34,6 +34,7 @@ STYLE = {
 #: A number in a tag, not in a text: two of its decimals are kept.
 DECIMALS = re.compile(r"(?<=\d\.\d\d)\d+(?=[^<>]*>)")
 MARKS = ("median", "largest")
+MARKERS = "osD^vP*Xh"
 Rows = list[dict[str, str]]
 Marks = tuple[str, str]
 
@@ -171,12 +172,62 @@ def correction() -> Figure:
     return figure
 
 
+def benchmark_effects() -> Figure:
+    """Right against wrong claims of each entrant, as the threshold of abstaining rises."""
+    rows = [r for r in read("benchmark_effects") if r["hidden"] == "all"]
+    figure = Figure((7.2, 4.6), layout="constrained")
+    axes, names = figure.subplots(), list(dict.fromkeys(r["condition"] for r in rows))
+    for i, name in enumerate(names):
+        of = [r for r in rows if r["condition"] == name]
+        wrong, right = (100 * numbers(of, c) / numbers(of, "n") for c in ("wrong", "right"))
+        style = {"color": COLOURS[i % len(COLOURS)], "ls": ("-", "--", ":")[i // len(COLOURS)]}
+        usual = [r["threshold"] for r in of].index("0.5")
+        label = f"{name}, n = {of[0]['n']}"
+        axes.plot(wrong, right, lw=1.2, marker=MARKERS[i], markevery=[usual], label=label, **style)
+        for x, y, count in ((wrong, right, "right"), (wrong, right, "wrong")):
+            low, high = (100 * numbers(of, f"{count}_{end}")[usual] for end in ("low", "high"))
+            line = (axes.vlines, x) if count == "right" else (axes.hlines, y)
+            line[0](line[1][usual], low, high, color=style["color"], lw=0.5, alpha=0.5)
+    axes.set(xlim=(-2, 102), ylim=(-2, 102), xlabel="wrong claims, %", ylabel="right claims, %")
+    figure.legend(loc="outside right upper")
+    return figure
+
+
+def rods() -> Figure:
+    """Error of the tip against CPU time by task, of settings twice as good as the one before."""
+    rows = [r for r in read("rods") if r["reference_um"] != "nan"]
+    tasks, names = (list(dict.fromkeys(r[c] for r in rows)) for c in ("task", "entrant"))
+    figure = Figure((7.2, 4.8), layout="constrained")
+    grid = figure.subplots(2, -(-len(tasks) // 2), sharex=True, sharey=True)
+    for axes, task in zip(grid.flat, tasks, strict=False):
+        for name, colour, marker in zip(names, COLOURS, MARKERS, strict=False):
+            of = list[dict[str, str]]()
+            for row in (r for r in rows if (r["task"], r["entrant"]) == (task, name)):
+                if not of or float(row["rms_um"]) < 0.5 * float(of[-1]["rms_um"]):
+                    of.append(row)
+            cost, error = numbers(of, "cpu_ms"), numbers(of, "rms_um")
+            axes.loglog(cost, error, marker=marker, ms=3, lw=1, color=colour, label=name)
+        axes.set_title(task, fontsize=9)
+        axes.set_ylim(0.5, 3e3)
+        axes.minorticks_off()
+        axes.grid(visible=False)
+        axes.label_outer(remove_inner_ticks=True)
+        for limit in (50, 10):
+            axes.axhline(limit, color=GREY, ls=":", lw=0.8)
+    figure.supxlabel("CPU time per simulated second of one cable, ms", fontsize=9)
+    figure.supylabel("rms error of the tip, µm", fontsize=9)
+    legend(figure, grid.flat[0])
+    return figure
+
+
 PLOTS: dict[str, Callable[[], Figure]] = {
     "intervals": intervals,
     "insertion": lambda: several("insertion", "choice", "opening", "inserted", "cables inserted"),
     "correction": correction,
     "lab": lab,
     "lab_breadth": lambda: several("lab_breadth", "hidden", "condition", "right", "right verdicts"),
+    "benchmark_effects": benchmark_effects,
+    "rods": rods,
     "learning": lambda: pairs("learning", "before_mm", "after_mm",
                               ("before learning", "after"), "largest error, mm"),
     "export": lambda: pairs("export", "stroke_mm", "most_mm",

@@ -71,16 +71,16 @@ class Plant:
                 self.start(name)
             for name in self._names:
                 self.wait_for(name)
-            if self._clients:
-                at = [str(self.ports["opcua"]), "--clients", str(self._clients)]
-                clients = Program([sys.executable, "-m", "tools.plant.opcua_clients", *at])
-                self.running["clients"] = clients
-                clients.until("subscribed")
-            if self._viewers:
-                at = [str(self.ports["serve"]), "--viewers", str(self._viewers)]
-                viewers = Program([sys.executable, "-m", "tools.plant.viewer", *at])
-                self.running["viewers"] = viewers
-                viewers.until("they look")
+            for name, count, module, adapter, begun in (
+                ("clients", self._clients, "opcua_clients", "opcua", "subscribed"),
+                ("viewers", self._viewers, "viewer", "serve", "they look"),
+            ):
+                if count:
+                    at = [str(self.ports[adapter]), f"--{name}", str(count)]
+                    self.running[name] = Program(
+                        [sys.executable, "-m", f"tools.plant.{module}", *at]
+                    )
+                    self.running[name].until(begun)
             self._opened = stack.pop_all()
         return self
 

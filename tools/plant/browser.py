@@ -53,9 +53,12 @@ class Pages:
 
 
 class Browser:
-    """Headless Chromium within a `with`.  Raises RuntimeError: it is not installed."""
+    """Headless Chromium within a `with`.  Raises RuntimeError: it is not installed.
 
-    def __init__(self, folder: Path) -> None:
+    logged  it keeps a log of what it asks the network for
+    """
+
+    def __init__(self, folder: Path, *, logged: bool = False) -> None:
         chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
         if chromium is None or driver is None:
             raise RuntimeError("chromium and chromedriver: apt-get install chromium-driver")
@@ -66,6 +69,8 @@ class Browser:
         options.binary_location = chromium
         for flag in (*_FLAGS, f"--user-data-dir={folder}"):
             options.add_argument(flag)
+        if logged:
+            options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
         options.page_load_strategy = "eager"
         self._service = Service(driver)
         self.driver: Any = webdriver.Chrome(options=options, service=self._service)

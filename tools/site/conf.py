@@ -17,6 +17,8 @@ html_copy_source = False
 html_show_copyright = False
 html_show_sphinx = False
 pygments_style = "friendly"
+# Quotation marks and ellipses only: a dash in place of `--` makes options that no shell takes.
+smartquotes_action = "qe"
 # Blocks of shells and of what they print are of no language that a lexer knows.
 highlight_language = "text"
 # GitHub's anchors are used in all links; a page that is on no list is reached by search.

@@ -78,6 +78,7 @@ def _command(name: str, command: Any) -> Iterator[str]:
                 f" Default: `{default}`."
                 if isinstance(default, (str, int, float, Path))
                 and not isinstance(default, bool)
+                and str(default)
                 and option.show_default is True
                 else ""
             )
@@ -181,7 +182,8 @@ def _table(table: Sequence[Check[Any]], rules: object) -> list[str]:
     for c in table:
         code = _OLD_CODES.get(c.name)
         old = f" In files of earlier versions: `{code}`." if code else ""
-        lines.append(f"- `{c.name}`: {c.failed} Judged by {c.reason}.{old}")
+        place = f'<span id="{c.name}"></span>'
+        lines.append(f"- {place}`{c.name}`: {c.failed} Judged by {c.reason}.{old}")
     return lines
 
 

@@ -17,8 +17,8 @@ class StudyAnswer:
     noise_ratio     estimated over true noise; error_ratio: baseline's larger error over true noise
     knots           of EI(s)
     values          of the named effects' parameters
-    statistics      of every check, and `strategies`: the effects that the search and plain
-                    strategies name (`check_ablation.py`); only with --checks
+    statistics      of every check, and `accepted`: the effects that the search ended at
+                    (`check_ablation.py`); only with --checks
     cpu_s           of the diagnosis with its report's comparison, forks included
     """
 
@@ -41,7 +41,7 @@ class StudyAnswer:
     values: str = "{}"
     knots: str = ""
     statistics: str = "{}"
-    strategies: str = "{}"
+    accepted: str = ""
 
     @property
     def seen(self) -> bool:

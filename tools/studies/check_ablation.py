@@ -2,8 +2,6 @@
 
 Of each study all checks are computed for the model that the search ended at, whatever failed
 before.  So the verdict without a check, or with another limit, follows from the kept statistics.
-Next to the lab stand plain strategies that a user might try instead: the smallest BIC of the models
-fitted, the smallest held-out error, and the largest score of an effect alone (Holm, 1 %).
 """
 
 from __future__ import annotations
@@ -17,16 +15,11 @@ from scipy import stats
 
 from cell.lab.data.check import COMPARE, CheckOutcome, worst_verdict
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.fit.fitting import fit_trials
-from cell.lab.fit.score_test import holm
-from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.ties import with_ties
 from tools.studies.answers import StudyAnswer
-
-PLAIN = ("bic", "heldout", "score")
 
 
 def check_values(examination: Examination) -> dict[str, float]:
@@ -36,31 +29,14 @@ def check_values(examination: Examination) -> dict[str, float]:
     return {name: float(r.value) for name, r in readings.items() if r is not None}
 
 
-def named_by(examination: Examination) -> dict[str, str]:
-    """Effects, joined by "+" and ties by "|", that the search and each plain strategy name."""
-    evidence, fits = _evidence(examination), examination.fits
-    base, known = fits.base, fits.known()
-    values = fits.prepared.count(fit_trials(fits.prepared))
-
-    def bic(model: FittedModel) -> float:
-        return model.fit.objective + len(model.fit.q) * float(np.log(values))
-
-    def error(model: FittedModel) -> float:
-        return model.heldout.rms_m if model.heldout else model.fit.rms_m
-
-    def added(model: FittedModel) -> str:
-        return "+".join(sorted(model.names - base.names))
-
-    screened = fits.screened(base)
-    significant = screened and holm([s.score.p_value for s in screened])[0]
-    best = screened[0].effect.name if screened and significant < DEFAULT_RULES.significance else ""
-    ended = "+".join("|".join((e.name, *evidence.tied.get(e.name, ()))) for e in evidence.added)
-    plain = (added(min(known, key=bic)), added(min(known, key=error)), best)
-    return {"search": ended, **dict(zip(PLAIN, plain, strict=True))}
+def accepted_by(examination: Examination) -> str:
+    """Effects that the search ended at, joined by "+" and ties by "|"."""
+    evidence = _evidence(examination)
+    return "+".join("|".join((e.name, *evidence.tied.get(e.name, ()))) for e in evidence.added)
 
 
 def _evidence(examination: Examination) -> Evidence:
-    return with_ties(Evidence(examination.fits, examination.accepted, DEFAULT_RULES))
+    return with_ties(Evidence(examination.fits, examination.accepted))
 
 
 def verdict_of(
@@ -77,7 +53,7 @@ def verdict_of(
         limit = (limits or {}).get(check.name, getattr(DEFAULT_RULES, check.limit))
         passed = None if np.isnan(value) else bool(COMPARE[check.passes](value, limit))
         outcomes.append(CheckOutcome(check, None, passed))
-    return worst_verdict(outcomes, is_base=not json.loads(row.strategies)["search"])
+    return worst_verdict(outcomes, is_base=not row.accepted)
 
 
 def answer(row: StudyAnswer, verdict: str, named: str) -> str:
@@ -90,7 +66,7 @@ def answer(row: StudyAnswer, verdict: str, named: str) -> str:
 
 
 def table(rows: Sequence[StudyAnswer], limits: Mapping[str, float]) -> Iterator[str]:
-    """Lines in Markdown: answers by kind with every check, without each, and of plain strategies.
+    """Lines in Markdown: answers by kind with every check, and without each.
 
     limits  other limits of checks, by name; a line each
     """
@@ -102,14 +78,7 @@ def table(rows: Sequence[StudyAnswer], limits: Mapping[str, float]) -> Iterator[
     ) -> str:
         if row.verdict == "refused":
             return "no answer"
-        named = json.loads(row.strategies)["search"]
-        return answer(row, verdict_of(row, without, other), named)
-
-    def by_plain(row: StudyAnswer, strategy: str) -> str:
-        if row.verdict == "refused":
-            return "no answer"
-        named = json.loads(row.strategies)[strategy]
-        return answer(row, "missing" if named else "complete", named)
+        return answer(row, verdict_of(row, without, other), row.accepted)
 
     def line(name: str, answer_to: Callable[[StudyAnswer], str]) -> str:
         each = {k: [answer_to(r) for r in counted if r.kind == k] for k in kinds}
@@ -128,5 +97,3 @@ def table(rows: Sequence[StudyAnswer], limits: Mapping[str, float]) -> Iterator[
         yield line(check.name, lambda r, name=check.name: with_checks(r, name))
     for name, limit in limits.items():
         yield line(f"{name} {limit:g}", lambda r, o={name: limit}: with_checks(r, other=o))
-    for strategy in PLAIN:
-        yield line(f"plain: {strategy}", lambda r, s=strategy: by_plain(r, s))

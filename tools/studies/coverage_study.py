@@ -159,22 +159,10 @@ def report(outcomes: list[CableCoverage]) -> Table:
     table = Table(title=f"95 % intervals of `map`, {len(outcomes)} cables")
     for column in ("", "covered", "of 100 %, 95 % sure", "rms error", "worst error"):
         table.add_column(column, justify="right")
-    rigidity = np.concatenate([o.rigidity_error for o in outcomes])
-    covered = float(np.mean(np.concatenate([o.rigidity_covered for o in outcomes])))
-    rows = [
-        ("EI(s) where it bends", covered, rigidity),
-        (
-            "N",
-            np.mean([o.exponent_covered for o in outcomes]),
-            np.array([o.exponent_error for o in outcomes]),
-        ),
-        (
-            "viscosity",
-            np.mean([o.viscosity_covered for o in outcomes]),
-            np.array([o.viscosity_error for o in outcomes]),
-        ),
-    ]
-    for name, share, errors in rows:
+    titles = {"rigidity": "EI(s) where it bends", "exponent": "N", "viscosity": "viscosity"}
+    for of, name in titles.items():
+        errors = np.hstack([getattr(o, f"{of}_error") for o in outcomes])
+        share = float(np.mean(np.hstack([getattr(o, f"{of}_covered") for o in outcomes])))
         sure = binomtest(round(share * len(outcomes)), len(outcomes)).proportion_ci()
         table.add_row(
             name,

@@ -100,7 +100,7 @@ def _diagnosed(case: Case, there: MadeStudy, checks: bool) -> StudyAnswer:
     return replace(
         row,
         statistics=json.dumps(check_ablation.check_values(examination)),
-        strategies=json.dumps(check_ablation.named_by(examination)),
+        accepted=check_ablation.accepted_by(examination),
     )
 
 

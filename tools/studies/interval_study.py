@@ -1,14 +1,12 @@
 """How often the 95 % intervals of `cell fit` hold the truth where the model lacks an effect.
 
     python -m tools.studies.interval_study [--studies 40] [--first 0] [--size 0.5] [--unknown]
-                                           [--all-trials] [--rig KIND]
+                                           [--all-trials]
 
 Each study has two effects: one is in the model, the other, `--size` times as strong as is typical
 (0 = there is none), is left out.  `--unknown` takes that out of the library too, and with it what
 no motion tells from it.  EI(s) is asked for at the model's knots.  `--all-trials`: the intervals
-of effects as in a diagnosis, from all trials, instead of those of `cell fit`.  `--rig`: the same of
-rigs of one kind (`tools/worlds/rig_kinds.py`) with one effect 0.7 to 2 times as strong as is
-typical, which is in the model, so that nothing is left out.
+of effects as in a diagnosis, from all trials, instead of those of `cell fit`.
 """
 
 from __future__ import annotations
@@ -16,8 +14,6 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.stats import binomtest
@@ -27,15 +23,11 @@ from cell.cable.effects import ActiveEffect, Effect, library
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
 from cell.lab.data.named_effects import EffectSelection
-from cell.lab.data.opened_study import open_study
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.estimate import estimate
-from cell.study.folder import write_study
 from tools.worlds.known_truth import ONE_CLASS
 from tools.worlds.made_studies import CABLE, hidden, make_study, random_model
-from tools.worlds.rig_kinds import KINDS
-from tools.worlds.rigs import rig_study
 
 #: Parameters of effects that are no amplitudes count apart.
 GROUPS = ("EI", "exponent", "viscosity", "amplitude", "shape")
@@ -61,17 +53,6 @@ def drawn(seed: int, size: float, unknown: bool) -> tuple[str, FitCache, CableMo
     offered: dict[str, type[Effect]] = {n: e for n, e in known.items() if n not in out}
     fits = fit_cache_of(study, EffectSelection((present,), offered))
     return " without ".join(a.effect.name for a in there), fits, truth
-
-
-def drawn_rig(seed: int, kind: str) -> tuple[str, FitCache, CableModel]:
-    """Random rig's study of one effect: its name, its fits with it in the model, the truth."""
-    known, rig = library(), KINDS[kind](seed)
-    effect = known[sorted(known)[seed % len(known)]]
-    active = hidden(effect, float(np.random.default_rng([seed, 9]).uniform(0.7, 2.0)), rig.cable)
-    with TemporaryDirectory() as folder:
-        write_study(rig_study(rig, active), Path(folder))
-        fits = fit_cache_of(open_study(Path(folder)), EffectSelection((effect,), {}))
-    return effect.name, fits, CableModel.uniform(rig.cable, 1.0, effects=(active,))
 
 
 def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
@@ -108,16 +89,12 @@ def main() -> None:
     parser.add_argument("--size", type=float, default=0.5)
     parser.add_argument("--unknown", action="store_true")
     parser.add_argument("--all-trials", action="store_true")
-    parser.add_argument("--rig", choices=tuple(KINDS))
     options = parser.parse_args()
     good: Counter[str] = Counter()
     count: Counter[str] = Counter()
     for seed in range(options.first, options.first + options.studies):
-        if options.rig:
-            words, fits, truth = drawn_rig(seed, options.rig)
-        else:
-            words, fits, truth = drawn(seed, options.size, options.unknown)
-        if options.all_trials or options.rig:
+        words, fits, truth = drawn(seed, options.size, options.unknown)
+        if options.all_trials:
             asked = held_by_all(fits, truth)
         else:
             model, *_ = fit_study(fits)

@@ -30,7 +30,8 @@ import yaml
 from cell.cable.effects import ActiveEffect, library
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.line.candidate import best_judged, section
-from cell.lab.line.learn import LearningResult, learn
+from cell.lab.line.effect_fit import LearningResult
+from cell.lab.line.learn import learn
 from cell.lab.next.discover import laws_in
 from cell.lab.next.suggest import (
     MOST_ASKED,

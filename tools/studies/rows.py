@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator
+import os
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import Field, asdict, fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -39,6 +41,18 @@ def added_rows(file: Path, kind: type[RowT], rows: Iterable[RowT]) -> Iterator[R
             writer.writerow(asdict(row))  # type: ignore[call-overload]
             out.flush()
             yield row
+
+
+def write_measured(file: Path, rows: Sequence[dict[str, object]], command: str) -> None:
+    """Write a file of measured results: rows with their origin, as in docs/measured."""
+    origin = {
+        "measured_on": time.strftime("%Y-%m-%d"), "machine": f"{os.cpu_count()} cores",
+        "load": f"{os.getloadavg()[2]:.0f}", "command": command,
+    }  # fmt: skip
+    with file.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.DictWriter(out, [*rows[0], *origin], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({**row, **origin} for row in rows)
 
 
 def _fields(kind: Any) -> tuple[Field[Any], ...]:

@@ -20,13 +20,13 @@ from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.study.data import Markers, Study, Trial
-from tools.worlds.made_studies import STROKES, coloured, hidden, like, stroke
+from tools.worlds.made_studies import STROKES, Stroke, coloured, hidden, like, stroke
 
 #: Meshes of the world; the error falls with the square of both segments and step.
 COARSE, FINE = Solver(96, 4e-4), Solver(192, 2e-4)
 MORE_STROKES = (
-    ("slow_down", "fit", 0.2, (0.0, -0.06), 0.45),
-    ("left_up", "validate", -0.3, (-0.04, 0.03), 0.3),
+    Stroke("slow_down", "fit", 0.2, (0.0, -0.06), 0.45),
+    Stroke("left_up", "validate", -0.3, (-0.04, 0.03), 0.3),
 )
 #: In the order in which a study takes them: fitted and held out in turn.
 ORDER = (0, 3, 1, 4, 2, 5, 6, 7)

@@ -28,15 +28,15 @@ from tools.worlds.known_truth import (
     that_shows,
     without_noise,
 )
-from tools.worlds.made_studies import Step, hidden, make_study
+from tools.worlds.made_studies import CABLE, Step, hidden, make_study
 from tools.worlds.outside_laws import LAWS
 from tools.worlds.rig_kinds import KINDS as RIG_KINDS
 from tools.worlds.rigs import Rig, rig_study
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 MADE = ("complete", "step", "one", "unknown", "pair", "mixed", "prior")
-BREADTH = ("complete", "one", "outside")
-MUJOCO = ("complete", "step", "mass")
+BREADTH = ("complete", "one", "outside", "pair", "law")
+MUJOCO = ("complete", "step", "mass", "one", "law")
 #: A mass that is hidden in a chain of MuJoCo's: share of the cable's mass, and of its length.
 POINT_MASS = (0.02, 0.6)
 RIGS = ("all", "complete", *RIG_KINDS)
@@ -87,13 +87,10 @@ def made(case: Case) -> Iterator[MadeStudy]:
     if case.source in ("practice", "real"):
         yield _given(case)
         return
-    make = {"made": _usual, "breadth": _broad, "rigs": _of_rig}.get(case.source)
+    makers = {"made": _usual, "breadth": _broad, "rigs": _of_rig, "mujoco": _by_mujoco}
     with TemporaryDirectory() as root:
         folder = Path(root) / "study"
-        if make is None:
-            yield _by_mujoco(case, folder)
-            return
-        study, found = make(case, folder)
+        study, found = makers[case.source](case, folder)
         write_study(study, folder)
         yield found
 
@@ -136,25 +133,29 @@ def _usual(case: Case, folder: Path) -> tuple[Study, MadeStudy]:
     return study, MadeStudy(folder, selection, names[:count], names[count:], power)
 
 
-def _by_mujoco(case: Case, folder: Path) -> MadeStudy:
-    """A study by MuJoCo, with a step of EI, a mass between clamp and tip, or neither."""
+def _by_mujoco(case: Case, folder: Path) -> tuple[Study, MadeStudy]:
+    """A study by MuJoCo: a step of EI, an effect or a magnet, or nothing beyond the model."""
     from tools.worlds import mujoco_studies as mujoco  # needs mujoco
 
-    seed, names = int(case.number), ()
-    step, hidden = (1.0, 0.5), mujoco.Hidden()
+    seed = int(case.number)
+    step, (names, hidden) = (1.0, 0.5), ((), mujoco.Hidden())
     if case.kind == "step":
         step = astuple(Step.drawn(seed))
     elif case.kind == "mass":
         share, place = POINT_MASS
-        kilograms = share * mujoco.DENSITY_KG_PER_M * mujoco.LENGTH_M
+        kilograms = share * CABLE.line_density_kg_per_m * CABLE.free_length_m
         hidden, names = mujoco.Hidden(point_mass=(kilograms, place)), ("point_mass",)
-    cable = mujoco.specimen(seed, hidden, step)
+    elif case.kind in ("one", "law"):
+        names, hidden = mujoco.drawn(case.seed, seed, case.kind == "law")
+    cable = mujoco.specimen(1000 * case.seed + seed, hidden, step)
     # twice the tables' step: it moves the markers by less than a thousandth of the noise
     # twice the links where a mass is hidden: with fewer, the chain itself moves the mass's place
-    links = mujoco.LINKS * (2 if case.kind == "mass" else 1)
-    mujoco.write_study(folder, cable, seed=seed, step_s=2.0 * mujoco.STEP_S, links=links)
+    links = mujoco.LINKS * (2 if "point_mass" in names else 1)
+    study = mujoco.study_of(
+        cable, seed=1000 * case.seed + seed, step_s=2.0 * mujoco.STEP_S, links=links
+    )
     conditions = dict(zip(("factor", "place"), step, strict=True))
-    return MadeStudy(folder, EffectSelection((), library()), names, conditions=conditions)
+    return study, MadeStudy(folder, EffectSelection((), library()), names, conditions=conditions)
 
 
 def drawn(
@@ -179,18 +180,15 @@ def _broad(case: Case, folder: Path) -> tuple[Study, MadeStudy]:
     conditions = hypercube(case.count, 100 * case.seed + place)[int(case.number)]
     conditions = replace(conditions, **case.changed)
     world, noise_m = World.of(conditions, case.seed), true_noise_m(conditions)
-    names: tuple[str, ...] = ()
-    offered, power = dict(known), 1.0
-    if case.kind == "complete":
-        clean = world.clean()
-    else:
-        effect, offered = hidden_effect(case.kind, conditions.number, known)
-        names = (effect.name,)
-        _, clean, _ = world.showing(effect)
-        power = _breadth_power(world, clean, case.seed, len(known))
+    effects, offered = hidden_effects(case.kind, conditions.number, known, case.seed)
+    shown = [world.showing(e) for e in effects]
+    clean = shown[0][1] if len(shown) == 1 else world.clean([active for active, *_ in shown])
+    lacking = [[o for o in effects if o is not e] for e in effects]
+    powers = [_breadth_power(world, clean, case.seed, len(known), rest) for rest in lacking]
     told = {k: v for k, v in asdict(conditions).items() if k != "number"}
-    study = world.study(clean, case.seed)
+    study, names = world.study(clean, case.seed), tuple(e.name for e in effects)
     selection = EffectSelection((), offered)
+    power = min(powers, default=1.0)
     return study, MadeStudy(folder, selection, names, (), power, noise_m, None, told)
 
 
@@ -199,27 +197,42 @@ def true_noise_m(conditions: Conditions) -> float:
     return conditions.noise_m * float(np.sqrt(1.0 + conditions.pixel**2 / 12.0))
 
 
-def hidden_effect(
-    kind: str, number: int, known: Mapping[str, type[Effect]]
-) -> tuple[type[Effect], dict[str, type[Effect]]]:
-    """The effect hidden in a breadth study, and the effects that the lab may use."""
-    names = sorted(known)
+def hidden_effects(
+    kind: str, number: int, known: Mapping[str, type[Effect]], seed: int
+) -> tuple[list[type[Effect]], dict[str, type[Effect]]]:
+    """The effects hidden in a breadth study, and the effects that the lab may use."""
+    names, laws = sorted(known), sorted(LAWS)
+    if kind == "complete":
+        return [], dict(known)
     if kind == "one":
-        return known[names[number % len(names)]], dict(known)
+        return [known[names[number % len(names)]]], dict(known)
+    if kind == "pair":
+        first = names[number % len(names)]
+        others = [n for n in names if n not in class_of([first])]
+        second = np.random.default_rng([seed, number, 4]).choice(others)
+        return [known[first], known[second]], dict(known)
+    if kind == "law":
+        return [LAWS[laws[number % len(laws)]]], dict(known)
     if number % 2:
-        laws = sorted(LAWS)
-        return LAWS[laws[number // 2 % len(laws)]], dict(known)
+        return [LAWS[laws[number // 2 % len(laws)]]], dict(known)
     effect = known[names[number // 2 % len(names)]]
-    return effect, {n: e for n, e in known.items() if n not in class_of([effect.name])}
+    return [effect], {n: e for n, e in known.items() if n not in class_of([effect.name])}
 
 
-def _breadth_power(world: World, clean: Sequence[np.ndarray], seed: int, tests: int) -> float:
+def _breadth_power(
+    world: World,
+    clean: Sequence[np.ndarray],
+    seed: int,
+    tests: int,
+    there: Sequence[type[Effect]],
+) -> float:
+    """Power of a test that knows the truth, with these effects in its model."""
     conditions = world.conditions
     study = all_fitted(world.study(clean, seed, quiet=True))
     rounding = conditions.pixel**2 / 12.0
     noise = Noise(true_noise_m(conditions), conditions.colour, white=rounding / (1.0 + rounding))
-    quiet = without_noise(study, noise)
-    return power_of(evidence(quiet, ParameterSpace.of(study.cable)), quiet, tests)
+    quiet, space = without_noise(study, noise), ParameterSpace.of(study.cable, effects=there)
+    return power_of(evidence(quiet, space), quiet, tests)
 
 
 def _of_rig(case: Case, folder: Path) -> tuple[Study, MadeStudy]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from cell.cable.effects import ActiveEffect, Effect
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
+from cell.plan.measuring import quintic
 from cell.study.data import Markers, Study, Trial
 
 CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
@@ -38,14 +40,32 @@ LIKE = {
 }
 WORLD = Solver(segments=60, step_s=5e-4)
 FRAME_S = 0.005
-#: name, role, clamp angle, way (x, y), seconds
+#: Rest before a stroke, and after it, s.
+STILL_S, HOLD_S = 0.2, 0.9
+
+
+class Stroke(NamedTuple):
+    """Motion from rest by `way_m` in `seconds` at a constant clamp angle, then held."""
+
+    name: str
+    role: Literal["fit", "validate"]
+    angle_rad: float
+    way_m: tuple[float, float]
+    seconds: float
+
+    def place_m(self, t_s: np.ndarray) -> np.ndarray:
+        """(times, 2) from its start, m; it begins after `STILL_S`."""
+        done = quintic(np.clip((t_s - STILL_S) / self.seconds, 0.0, 1.0))
+        return np.asarray(done[:, None] * np.array(self.way_m))
+
+
 STROKES = (
-    ("identify", "fit", 0.0, (0.0, -0.05), 0.30),
-    ("probe_up", "fit", -0.9, (0.0, -0.05), 0.30),
-    ("probe_left", "fit", 0.0, (-0.06, 0.0), 0.28),
-    ("deep", "validate", 0.0, (0.0, -0.08), 0.35),
-    ("aslant", "validate", 0.3, (-0.05, -0.03), 0.30),
-    ("raised", "validate", -0.5, (-0.05, 0.0), 0.25),
+    Stroke("identify", "fit", 0.0, (0.0, -0.05), 0.30),
+    Stroke("probe_up", "fit", -0.9, (0.0, -0.05), 0.30),
+    Stroke("probe_left", "fit", 0.0, (-0.06, 0.0), 0.28),
+    Stroke("deep", "validate", 0.0, (0.0, -0.08), 0.35),
+    Stroke("aslant", "validate", 0.3, (-0.05, -0.03), 0.30),
+    Stroke("raised", "validate", -0.5, (-0.05, 0.0), 0.25),
 )
 
 #: Knots of a cable whose EI has a step, and the width of the step over the free length.
@@ -102,10 +122,8 @@ def make_study(
     for name, role, angle, way, seconds in STROKES:
         hand = stroke(angle, way, seconds)
         t_s = np.arange(rng.uniform(0.0, FRAME_S), hand.t_s[-1], FRAME_S)
-        clean = simulate(model, hand, t_s, arcs, solver=WORLD)[0]
-        seen = clean + noise * coloured(rng, clean.shape, rho)
-        trials.append(Trial(name, "fit" if role == "fit" else "validate", "equilibrium",
-                            logged(rng, hand, 1e-5), Markers(t_s, seen)))  # fmt: skip
+        seen = filmed(rng, model, hand, t_s, arcs, noise_m=noise, colour=rho)
+        trials.append(Trial(name, role, "equilibrium", logged(rng, hand, 1e-5), seen))
     return Study(f"made_{seed}", CABLE, arcs, tuple(trials))
 
 
@@ -126,14 +144,43 @@ def stroke(
     angle_rad: float,
     way_m: tuple[float, float],
     seconds: float,
-    still_s: float = 0.2,
-    after_s: float = 0.9,
+    still_s: float = STILL_S,
+    after_s: float = HOLD_S,
 ) -> Motion:
     """Smooth motion of the gripper; begins after `still_s`, and is recorded for `after_s` more."""
-    t = np.arange(0.0, still_s + 0.02 + seconds + after_s, 0.002)
-    u = np.clip((t - still_s) / seconds, 0.0, 1.0)
-    done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-    return Motion(t, way_m[0] * done, way_m[1] * done, np.full_like(t, angle_rad))
+    t_s = np.arange(0.0, still_s + 0.02 + seconds + after_s, 0.002)
+    return moved(t_s, way_m, seconds, still_s, angle_rad)
+
+
+def moved(
+    t_s: np.ndarray,
+    way_m: tuple[float, float],
+    seconds: float,
+    begin_s: float = STILL_S,
+    angle_rad: float = 0.0,
+) -> Motion:
+    """Smooth motion of the gripper, from rest at `begin_s`, at the times of its log."""
+    done = quintic(np.clip((t_s - begin_s) / seconds, 0.0, 1.0))
+    return Motion(t_s, way_m[0] * done, way_m[1] * done, np.full_like(t_s, angle_rad))
+
+
+def filmed(
+    rng: np.random.Generator,
+    model: CableModel,
+    hand: Motion,
+    t_s: np.ndarray,
+    arc_length_m: np.ndarray,
+    *,
+    noise_m: float = 1e-4,
+    colour: float = 0.0,
+    **options: Any,
+) -> Markers:
+    """Markers of a cable as a camera sees them: AR(1) noise of `noise_m`, m.
+
+    options  of `simulate`; the mesh is that of `WORLD`, if they name no solver
+    """
+    clean = simulate(model, hand, t_s, arc_length_m, **{"solver": WORLD, **options})[0]
+    return Markers(t_s, clean + noise_m * coloured(rng, clean.shape, colour))
 
 
 def logged(rng: np.random.Generator, hand: Motion, noise_m: float) -> Motion:

@@ -6,46 +6,35 @@ acceleration enters as gravity, which is exact as long as it does not turn.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
-import yaml
 from scipy.interpolate import CubicSpline
 
-LENGTH_M, DENSITY_KG_PER_M, WIDTH_M, THICKNESS_M = 0.1, 0.0074, 0.016, 0.0001
-GRAVITY_M_PER_S2 = 9.81
+from cell.cable.geometry import GRAVITY_M_PER_S2, Motion, node_arc_lengths
+from cell.study.data import Markers, Study, Trial
+from tools.worlds.made_studies import (
+    CABLE,
+    FRAME_S,
+    HOLD_S,
+    STILL_S,
+    STROKES,
+    Stroke,
+    coloured,
+)
+
+LENGTH_M = CABLE.free_length_m
 LINKS = 50
 #: MuJoCo integrates to first order: two steps, extrapolated.
 STEP_S = 2e-4
-STILL_S, HOLD_S, GRIP_S, FRAME_S = 0.2, 0.9, 0.002, 0.005
+GRIP_S = 0.002
 #: Times at which the chain is kept, between which it is interpolated.
 KEPT_S = 0.002
-MARKERS = 11
+NODES_M = node_arc_lengths(LENGTH_M)
 #: The magnet's pull is finite at its pole.
 MAGNET_RADIUS_M = 0.01
-
-
-@dataclass(frozen=True)
-class Stroke:
-    """Motion from rest by `way_m` in `seconds` at a constant clamp angle, then held."""
-
-    name: str
-    role: str
-    angle_rad: float
-    way_m: tuple[float, float]
-    seconds: float
-
-
-STROKES = (
-    Stroke("identify", "fit", 0.0, (0.0, -0.05), 0.30),
-    Stroke("probe_up", "fit", -0.9, (0.0, -0.05), 0.30),
-    Stroke("probe_left", "fit", 0.0, (-0.06, 0.0), 0.28),
-    Stroke("deep", "validate", 0.0, (0.0, -0.08), 0.35),
-    Stroke("aslant", "validate", 0.3, (-0.05, -0.03), 0.30),
-    Stroke("raised", "validate", -0.5, (-0.05, 0.0), 0.25),
-)
 
 
 @dataclass(frozen=True)
@@ -92,20 +81,20 @@ class Chain:
     def __init__(self, specimen: Specimen, angle_rad: float, step_s: float, links: int) -> None:
         hidden = specimen.hidden
         self.hidden, self.step_s = hidden, step_s
-        self.length_m, self.angle_rad = LENGTH_M, angle_rad
-        link = self.length_m / links
+        self.angle_rad = angle_rad
+        link = LENGTH_M / links
         self.soft = hidden.grip_compliance > 0.0
         # A stub of half a link is clamped; joints are half-way between the nodes, as the last
         # half link.  A soft grip lets the stub turn.
         self.size_m = np.array([link / 2] * self.soft + [link] * (links - 1) + [link / 2])
         self.joint_m = np.array([0.0] * self.soft + [(i + 0.5) * link for i in range(links)])
-        stiffness = specimen.rigidity(self.joint_m / self.length_m) / link
+        stiffness = specimen.rigidity(self.joint_m / LENGTH_M) / link
         damping = np.full(len(stiffness), specimen.viscosity_n_m2_s / link)
         if self.soft:
             stiffness[0] = 1.0 / hidden.grip_compliance
             damping[0] = 0.01 * stiffness[0]
         self.link_m, self.stiffness = link, stiffness
-        self.mass_kg = DENSITY_KG_PER_M * self.size_m
+        self.mass_kg = CABLE.line_density_kg_per_m * self.size_m
         self.model = mujoco.MjModel.from_xml_string(self._xml(damping))
         self.data = mujoco.MjData(self.model)
         self.friction = np.zeros(len(stiffness))
@@ -114,16 +103,16 @@ class Chain:
         hidden, opened = self.hidden, ""
         places = np.concatenate([[self.joint_m[0]], np.diff(self.joint_m)])
         mass, share = hidden.point_mass
-        body = int(np.searchsorted(self.joint_m, share * self.length_m)) - 1
+        body = int(np.searchsorted(self.joint_m, share * LENGTH_M)) - 1
         for i, (place, size) in enumerate(zip(places, self.size_m, strict=True)):
             opened += (
                 f'<body pos="{-place} 0 0"><joint type="hinge" axis="0 -1 0" '
                 f'stiffness="{self.stiffness[i]}" damping="{damping[i]}"/>'
-                f'<geom type="box" size="{size / 2} {WIDTH_M / 2} {THICKNESS_M / 2}" '
+                f'<geom type="box" size="{size / 2} {CABLE.width_m / 2} {CABLE.thickness_m / 2}" '
                 f'pos="{-size / 2} 0 0" mass="{self.mass_kg[i]}"/>'
             )
             if mass and i == body:
-                along = self.joint_m[i] - share * self.length_m
+                along = self.joint_m[i] - share * LENGTH_M
                 opened += f'<geom type="sphere" size="1e-4" pos="{along} 0 0" mass="{mass}"/>'
         if hidden.tip_mass:
             end = -self.size_m[-1]
@@ -142,7 +131,8 @@ class Chain:
 
     def accelerate(self, acceleration: np.ndarray) -> None:
         """Gravity as felt in the gripper's frame."""
-        self.model.opt.gravity[:] = (-acceleration[0], 0.0, -GRAVITY_M_PER_S2 - acceleration[1])
+        x, y = np.subtract(GRAVITY_M_PER_S2, acceleration)
+        self.model.opt.gravity[:] = (x, 0.0, y)
 
     def apply(self, hand_place: np.ndarray) -> None:
         """Forces of which MuJoCo has none of its own: hysteresis in bending, the magnet."""
@@ -194,15 +184,16 @@ class Chain:
         self.hidden = full
         data.qpos[:], data.qvel[:] = q, 0.0
 
-    def swing(self, hand: Hand, end_s: float) -> tuple[np.ndarray, np.ndarray]:
+    def swing(self, stroke: Stroke, end_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Times and joint angles (times, joints) from rest until `end_s`."""
         self.settle()
         every = round(KEPT_S / self.step_s)
         steps = every * round(end_s / KEPT_S)
         edges = self.step_s * np.arange(steps + 1)
-        place = hand.place(edges)
+        place = stroke.place_m(edges)
+        velocity = (stroke.place_m(edges + 1e-5) - stroke.place_m(edges - 1e-5)) / 2e-5
         # mean acceleration over each step, so that the gripper ends where it should
-        acceleration = np.diff(hand.velocity(edges), axis=0) / self.step_s
+        acceleration = np.diff(velocity, axis=0) / self.step_s
         kept = [self.data.qpos.copy()]
         for k in range(steps):
             self.accelerate(acceleration[k])
@@ -218,91 +209,51 @@ class Chain:
         turn = tangent[:, 0] if self.soft else np.full(len(angles), self.angle_rad)
         inner = tangent[:, int(self.soft) :]
         centre = self.joint_m[int(self.soft) :] + 0.5 * self.size_m[int(self.soft) :]
-        knots = np.concatenate([[0.0], centre, [self.length_m]])
+        knots = np.concatenate([[0.0], centre, [LENGTH_M]])
         values = np.concatenate([turn[:, None], inner, inner[:, -1:]], axis=1)
-        fine = np.linspace(0.0, self.length_m, 20 * (MARKERS - 1) + 1)
+        fine = np.linspace(0.0, LENGTH_M, 201)
         angle = CubicSpline(knots, values, axis=1)(fine)
         along = -np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         path = CubicSpline(fine, along, axis=1).antiderivative()
-        return np.asarray(path(share * self.length_m))
-
-
-@dataclass(frozen=True)
-class Hand:
-    """Motion of the gripper: one stroke."""
-
-    stroke: Stroke
-
-    def place(self, t_s: np.ndarray) -> np.ndarray:
-        """(times, 2) from its start, m."""
-        u = np.clip((t_s - STILL_S) / self.stroke.seconds, 0.0, 1.0)
-        done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-        return np.asarray(done[:, None] * np.array(self.stroke.way_m))
-
-    def velocity(self, t_s: np.ndarray) -> np.ndarray:
-        """(times, 2), m/s."""
-        return (self.place(t_s + 1e-5) - self.place(t_s - 1e-5)) / 2e-5
+        return np.asarray(path(share * LENGTH_M))
 
 
 def seen(
     specimen: Specimen, stroke: Stroke, t_s: np.ndarray, links: int = LINKS, step_s: float = STEP_S
 ) -> np.ndarray:
     """(times, markers, 2) markers as a perfect camera sees them, m."""
-    hand, end_s = Hand(stroke), float(t_s[-1]) + 0.03
+    end_s = float(t_s[-1]) + 0.03
     chains = [Chain(specimen, stroke.angle_rad, step, links) for step in (step_s, step_s / 2)]
-    (times, coarse), (_, fine) = (c.swing(hand, end_s) for c in chains)
-    share = np.linspace(1.0, 0.0, MARKERS)
-    points = chains[0].points(2.0 * fine - coarse, share) + hand.place(times)[:, None]
+    (times, coarse), (_, fine) = (c.swing(stroke, end_s) for c in chains)
+    points = chains[0].points(2.0 * fine - coarse, NODES_M / LENGTH_M)
+    points = points + stroke.place_m(times)[:, None]
     return np.asarray(CubicSpline(times, points, axis=0)(t_s))
 
 
-def write_study(
-    folder: Path,
+def study_of(
     specimen: Specimen,
     *,
     seed: int,
     noise_m: float = 1e-4,
     colour: float = 0.3,
-    strokes: tuple[Stroke, ...] = STROKES,
+    strokes: Sequence[Stroke] = STROKES,
     step_s: float = STEP_S,
     links: int = LINKS,
-) -> None:
-    """A study of a specimen, filmed with coloured noise, as plain text files."""
+) -> Study:
+    """The study of a specimen, filmed with coloured noise; its gripper's log has none."""
     rng = np.random.default_rng(seed)
+    trials = []
     for stroke in strokes:
         end_s = STILL_S + stroke.seconds + HOLD_S
         t_s = np.arange(rng.uniform(0.0, FRAME_S), end_s, FRAME_S)
         points = seen(specimen, stroke, t_s, links, step_s)
-        noise = rng.normal(size=points.shape)
-        for k in range(1, len(noise)):
-            noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * noise[k]
-        logged = np.arange(0.0, end_s, GRIP_S)
-        place = Hand(stroke).place(logged)
-        grip = np.column_stack([logged, place, np.full(len(logged), stroke.angle_rad)])
-        (folder / stroke.name).mkdir(parents=True, exist_ok=True)
-        marks = ",".join(f"x{i}_m,y{i}_m" for i in range(MARKERS))
-        rows = np.column_stack([t_s, (points + noise_m * noise).reshape(len(t_s), -1)])
-        for name, head, values in (
-            ("grip.csv", "t_s,x_m,y_m,angle_rad", grip),
-            ("markers.csv", f"t_s,{marks}", rows),
-        ):
-            lines = [head, *(",".join(f"{v:.9g}" for v in row) for row in values)]
-            (folder / stroke.name / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    header = {
-        "format": "cable-study/1",
-        "name": folder.name,
-        "cable": {
-            "free_length_m": LENGTH_M,
-            "line_density_kg_per_m": DENSITY_KG_PER_M,
-            "width_m": WIDTH_M,
-            "thickness_m": THICKNESS_M,
-        },
-        "gravity_m_per_s2": [0.0, -GRAVITY_M_PER_S2],
-        "markers": {"arc_length_m": [round(float(s), 9) for s in
-                                     np.linspace(LENGTH_M, 0.0, MARKERS)]},
-        "trials": [{"name": s.name, "role": s.role, "start": "equilibrium"} for s in strokes],
-    }  # fmt: skip
-    (folder / "study.yaml").write_text(yaml.safe_dump(header, sort_keys=False), encoding="utf-8")
+        points = points + noise_m * coloured(rng, points.shape, colour)
+        logged_s = np.arange(0.0, end_s, GRIP_S)
+        angle = np.full(len(logged_s), stroke.angle_rad)
+        x_m, y_m = stroke.place_m(logged_s).T.copy()
+        hand = Motion(logged_s, x_m, y_m, angle)
+        trials.append(Trial(stroke.name, stroke.role, "equilibrium", hand, Markers(t_s, points)))
+    return Study(f"mujoco_{seed}", CABLE, NODES_M, tuple(trials))
 
 
 def specimen(seed: int, hidden: Hidden, step: tuple[float, float] = (1.0, 0.5)) -> Specimen:
@@ -316,3 +267,18 @@ def specimen(seed: int, hidden: Hidden, step: tuple[float, float] = (1.0, 0.5)) 
         step=step,
         hidden=hidden,
     )
+
+
+def drawn(seed: int, number: int, outside: bool) -> tuple[tuple[str, ...], Hidden]:
+    """What a study's cable hides: a magnet, or an effect by its number, 1 to 3 times typical."""
+    size = float(np.random.default_rng([seed, number, 5]).uniform(1.0, 3.0))
+    if outside:
+        return ("magnet",), Hidden(magnet=(2e-5 * size, -0.1, -0.15))
+    kinds = {
+        "tip_mass": Hidden(tip_mass=2.5e-5 * size),
+        "point_mass": Hidden(point_mass=(2.5e-5 * size, 0.6)),
+        "grip_compliance": Hidden(grip_compliance=100.0 * size),
+        "bending_hysteresis": Hidden(bending_hysteresis=(4e-6 * size, 1.2)),
+    }
+    name = sorted(kinds)[number % len(kinds)]
+    return (name,), kinds[name]

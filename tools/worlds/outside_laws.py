@@ -9,187 +9,129 @@ LATER were invented after all terms.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3, STRIP_DRAG
 from cell.cable.effects.base import Effect, Parameter
 
-
-def _amplitude(name: str, unit: str, typical: float) -> tuple[Parameter, ...]:
-    return (Parameter(name, unit, -1e3 * typical, 1e3 * typical, 0.0, (typical,)),)
+LAWS: dict[str, type[Effect]] = {}
 
 
-class Magnet(Effect):
-    name = "magnet"
-    parameters = _amplitude("pull", "N/m", 4e-3)
+def law(parameter: str, unit: str, typical: float) -> Callable[[Callable], type[Effect]]:
+    """Make an effect of its hook: `force`, or `moment`, which is given the memory as well."""
 
-    @staticmethod
-    def force(cable, at, p):
-        dx, dy = -0.15 - at.x, -0.02 - at.y
-        square = dx * dx + dy * dy + 1e-4
-        pull = p.pull * 0.0025 / (square * math.sqrt(square))
-        return pull * dx, pull * dy
+    def made(hook: Callable) -> type[Effect]:
+        name, kind = hook.__name__, "moment" if hook.__code__.co_argcount == 4 else "force"
+        amplitude = Parameter(parameter, unit, -1e3 * typical, 1e3 * typical, 0.0, (typical,))
+        of = {"name": name, "parameters": (amplitude,), kind: staticmethod(hook)}
+        LAWS[name] = type(name, (Effect,), {**of, "__module__": __name__})
+        return LAWS[name]
 
-
-class CubicDrag(Effect):
-    name = "cubic_drag"
-    parameters = _amplitude("drag", "N·s³/m⁴", 0.06)
-
-    @staticmethod
-    def force(cable, at, p):
-        across = at.vy * at.tx - at.vx * at.ty
-        return p.drag * across**3 * at.ty, -p.drag * across**3 * at.tx
+    return made
 
 
-class DragAlong(Effect):
-    name = "drag_along_the_cable"
-    parameters = _amplitude("drag", "N·s/m²", 0.02)
-
-    @staticmethod
-    def force(cable, at, p):
-        along = at.vx * at.tx + at.vy * at.ty
-        return -p.drag * along * at.tx, -p.drag * along * at.ty
+@law("pull", "N/m", 4e-3)
+def magnet(cable, at, p):
+    dx, dy = -0.15 - at.x, -0.02 - at.y
+    square = dx * dx + dy * dy + 1e-4
+    pull = p.pull * 0.0025 / (square * math.sqrt(square))
+    return pull * dx, pull * dy
 
 
-class CubicBending(Effect):
-    name = "stiffening"
-    parameters = _amplitude("cubic", "m²", 2e-4)
-
-    @staticmethod
-    def moment(cable, at, m, p):
-        return p.cubic * at.rigidity * at.curvature**3
+@law("drag", "N·s³/m⁴", 0.06)
+def cubic_drag(cable, at, p):
+    across = at.vy * at.tx - at.vx * at.ty
+    return p.drag * across**3 * at.ty, -p.drag * across**3 * at.tx
 
 
-class QuadraticViscosity(Effect):
-    name = "thick_viscosity"
-    parameters = _amplitude("viscosity", "N·m³·s²", 1e-9)
-
-    @staticmethod
-    def moment(cable, at, m, p):
-        return p.viscosity * abs(at.rate) * at.rate
+@law("drag", "N·s/m²", 0.02)
+def drag_along_the_cable(cable, at, p):
+    along = at.vx * at.tx + at.vy * at.ty
+    return -p.drag * along * at.tx, -p.drag * along * at.ty
 
 
-class Tether(Effect):
+@law("cubic", "m²", 2e-4)
+def stiffening(cable, at, m, p):
+    return p.cubic * at.rigidity * at.curvature**3
+
+
+@law("viscosity", "N·m³·s²", 1e-9)
+def thick_viscosity(cable, at, m, p):
+    return p.viscosity * abs(at.rate) * at.rate
+
+
+@law("stiffness", "N/m²", 0.1)
+def tether(cable, at, p):
     """Springs that pull mostly the last third of the cable to a fixed point."""
-
-    name = "tether"
-    parameters = _amplitude("stiffness", "N/m²", 0.1)
-
-    @staticmethod
-    def force(cable, at, p):
-        s = at.arc_length / cable.free_length_m
-        weight = p.stiffness * s**6
-        return weight * (-0.08 - at.x), weight * (-0.15 - at.y)
+    s = at.arc_length / cable.free_length_m
+    weight = p.stiffness * s**6
+    return weight * (-0.08 - at.x), weight * (-0.15 - at.y)
 
 
-class Lift(Effect):
+@law("lift", "N·s²/m³", 0.02)
+def lift(cable, at, p):
     """Lift force: across the velocity of a piece of cable, by the square of its speed."""
-
-    name = "lift"
-    parameters = _amplitude("lift", "N·s²/m³", 0.02)
-
-    @staticmethod
-    def force(cable, at, p):
-        speed = math.sqrt(at.vx * at.vx + at.vy * at.vy)
-        return -p.lift * speed * at.vy, p.lift * speed * at.vx
+    speed = math.sqrt(at.vx * at.vx + at.vy * at.vy)
+    return -p.lift * speed * at.vy, p.lift * speed * at.vx
 
 
-class WindWithHeight(Effect):
+@law("drag", "N·s²/m³", 0.015)
+def wind_with_height(cable, at, p):
     """Drag in horizontal wind that is proportional to the depth."""
-
-    name = "wind_with_height"
-    parameters = _amplitude("drag", "N·s²/m³", 0.015)
-
-    @staticmethod
-    def force(cable, at, p):
-        vx, vy = at.vx - 4.0 * at.y, at.vy
-        across = vy * at.tx - vx * at.ty
-        size = p.drag * abs(across) * across
-        return size * at.ty, -size * at.tx
+    vx, vy = at.vx - 4.0 * at.y, at.vy
+    across = vy * at.tx - vx * at.ty
+    size = p.drag * abs(across) * across
+    return size * at.ty, -size * at.tx
 
 
-class Shaking(Effect):
+@law("force", "N/m", 3e-3)
+def shaking(cable, at, p):
     """Force of a table that shakes at 5 Hz together with the camera."""
-
-    name = "shaking"
-    parameters = _amplitude("force", "N/m", 3e-3)
-
-    @staticmethod
-    def force(cable, at, p):
-        return p.force * math.sin(2.0 * math.pi * 5.0 * at.time), 0.0
+    return p.force * math.sin(2.0 * math.pi * 5.0 * at.time), 0.0
 
 
-class SpeedyStiffness(Effect):
+@law("moment", "N·m⁴·s³", 1e-11)
+def sudden_stiffness(cable, at, m, p):
     """Moment against bending, proportional to the third power of its rate."""
-
-    name = "sudden_stiffness"
-    parameters = _amplitude("moment", "N·m⁴·s³", 1e-11)
-
-    @staticmethod
-    def moment(cable, at, m, p):
-        return p.moment * at.rate**3
+    return p.moment * at.rate**3
 
 
-class DragBetween(Effect):
+@law("drag", "N·s^1.5/m^2.5", 0.015)
+def drag_between(cable, at, p):
     """Drag across the cable with exponent 1.5, between viscous and turbulent."""
-
-    name = "drag_between"
-    parameters = _amplitude("drag", "N·s^1.5/m^2.5", 0.015)
-
-    @staticmethod
-    def force(cable, at, p):
-        across = at.vy * at.tx - at.vx * at.ty
-        size = p.drag * math.sqrt(abs(across)) * across
-        return size * at.ty, -size * at.tx
+    across = at.vy * at.tx - at.vx * at.ty
+    size = p.drag * math.sqrt(abs(across)) * across
+    return size * at.ty, -size * at.tx
 
 
-class SpinningLift(Effect):
+@law("lift", "N·s²/m²", 7e-4)
+def spinning_lift(cable, at, p):
     """Magnus force: across the velocity of a piece of cable that turns, as of a ball with spin."""
-
-    name = "spinning_lift"
-    parameters = _amplitude("lift", "N·s²/m²", 7e-4)
-
-    @staticmethod
-    def force(cable, at, p):
-        return -p.lift * at.spin * at.vy, p.lift * at.spin * at.vx
+    return -p.lift * at.spin * at.vy, p.lift * at.spin * at.vx
 
 
-class IncidenceLift(Effect):
+@law("lift", "N·s²/m³", 0.02)
+def incidence_lift(cable, at, p):
     """Lift of a plate at a small angle of incidence."""
-
-    name = "incidence_lift"
-    parameters = _amplitude("lift", "N·s²/m³", 0.02)
-
-    @staticmethod
-    def force(cable, at, p):
-        along, across = at.vx * at.tx + at.vy * at.ty, at.vy * at.tx - at.vx * at.ty
-        size = p.lift * along * across
-        return -size * at.ty, size * at.tx
+    along, across = at.vx * at.tx + at.vy * at.ty, at.vy * at.tx - at.vx * at.ty
+    size = p.lift * along * across
+    return -size * at.ty, size * at.tx
 
 
-class Jet(Effect):
+@law("drag", "N·s²/m³", 0.015)
+def jet(cable, at, p):
     """Drag in horizontal wind that is proportional to the square of the depth."""
-
-    name = "jet"
-    parameters = _amplitude("drag", "N·s²/m³", 0.015)
-
-    @staticmethod
-    def force(cable, at, p):
-        vx, vy = at.vx + 50.0 * at.y * at.y, at.vy
-        across = vy * at.tx - vx * at.ty
-        size = p.drag * abs(across) * across
-        return size * at.ty, -size * at.tx
+    vx, vy = at.vx + 50.0 * at.y * at.y, at.vy
+    across = vy * at.tx - vx * at.ty
+    size = p.drag * abs(across) * across
+    return size * at.ty, -size * at.tx
 
 
-class TwoSlopes(Effect):
+@law("share", "1", 0.15)
+def two_slopes(cable, at, m, p):
     """Bending stiffer by a share beyond a threshold of curvature."""
-
-    name = "two_slopes"
-    parameters = _amplitude("share", "1", 0.15)
-
-    @staticmethod
-    def moment(cable, at, m, p):
-        beyond = max(abs(at.curvature) - 6.0, 0.0)
-        return p.share * at.rigidity * math.copysign(beyond, at.curvature)
+    beyond = max(abs(at.curvature) - 6.0, 0.0)
+    return p.share * at.rigidity * math.copysign(beyond, at.curvature)
 
 
 class Puff(Effect):
@@ -214,12 +156,3 @@ class Puff(Effect):
 
 
 LATER = ("drag_between", "spinning_lift", "incidence_lift", "jet", "two_slopes")
-
-LAWS: dict[str, type[Effect]] = {
-    law.name: law
-    for law in (
-        Magnet, CubicDrag, DragAlong, CubicBending, QuadraticViscosity,
-        Tether, Lift, WindWithHeight, Shaking, SpeedyStiffness,
-        DragBetween, SpinningLift, IncidenceLift, Jet, TwoSlopes,
-    )
-}  # fmt: skip

@@ -211,7 +211,7 @@ def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> 
             hand = hand if rig.sensed else _logged(errors, rig, hand)
         if rig.seen is not None:
             seen[..., 1 - rig.seen] = np.nan
-        trials.append(Trial(name, "fit" if role == "fit" else "validate", start, hand,
+        trials.append(Trial(name, role, start, hand,
                             Markers(t_s, seen), still_s if start == "held" else None,
                              drift, wrench))  # fmt: skip
     stated = quiet or {"shapes", "one coordinate"} & set(rig.features)

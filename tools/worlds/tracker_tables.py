@@ -1,6 +1,6 @@
-"""The tables of docs/start/data: two simulated cables as a motion-capture program exports them.
+"""The tables of cell/examples: two simulated cables as a motion-capture program exports them.
 
-    python -m tools.worlds.tracker_tables docs/start/data
+    python -m tools.worlds.tracker_tables cell/examples
 
 MuJoCo computes the swings, so the tables contain none of the project's own physics.
 """
@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tools.worlds.mujoco_studies import STROKES, Hand, Hidden, Specimen, Stroke, seen
+from tools.worlds.made_studies import STROKES, Stroke
+from tools.worlds.mujoco_studies import Hidden, Specimen, seen
 
 RATE_HZ, LASTS_S = 100.0, 1.4
 #: Standard deviations of a marker and of the gripper, which the robot's log gives.
@@ -32,7 +33,7 @@ CABLES = {
 def table(cable: Specimen, stroke: Stroke, rng: np.random.Generator) -> str:
     """Rows of time, gripper and markers in mm, separated by semicolons, with decimal commas."""
     t_s = np.arange(round(LASTS_S * RATE_HZ)) / RATE_HZ
-    gripper = Hand(stroke).place(t_s)
+    gripper = stroke.place_m(t_s)
     gripper += rng.normal(0.0, GRIPPER_NOISE_M, gripper.shape)
     markers = seen(cable, stroke, t_s)[:, list(SHOWN.values())]
     markers += rng.normal(0.0, MARKER_NOISE_M, markers.shape)

@@ -51,10 +51,6 @@ class Reading:
     found: str = ""
 
 
-def _none(evidence: Any, reading: Reading) -> tuple[Doubt, ...]:
-    return ()
-
-
 @dataclass(frozen=True)
 class Check(Generic[EvidenceT]):
     """A check of a model: a test statistic, its limit, and the verdict if it fails.
@@ -68,7 +64,7 @@ class Check(Generic[EvidenceT]):
                is refused for the line
     failed     sentence that says so
     reason     how it is judged, and why so: a test by its name, or what was measured
-    warn       warnings with the numbers of the study
+    warn       warnings with the numbers of the study; or text with one for each `{effect}`
     """
 
     name: str
@@ -80,7 +76,7 @@ class Check(Generic[EvidenceT]):
     failing: Literal["unexplained", "cannot_tell", "refused"]
     failed: str
     reason: str
-    warn: Callable[[EvidenceT, Reading], tuple[Doubt, ...]] = _none
+    warn: Callable[[EvidenceT, Reading], tuple[Doubt, ...]] | str = ""
 
     def evaluate(self, evidence: EvidenceT) -> CheckOutcome[EvidenceT]:
         """Of a model."""
@@ -100,9 +96,12 @@ class CheckOutcome(Generic[EvidenceT]):
 
     def warnings(self, evidence: EvidenceT) -> tuple[Doubt, ...]:
         """With the numbers of the study, if it failed."""
-        if self.passed is not False or self.reading is None:
+        warn = self.check.warn
+        if self.passed is not False or self.reading is None or not warn:
             return ()
-        return self.check.warn(evidence, self.reading)
+        if isinstance(warn, str):
+            return tuple(Doubt(self.name, warn.format(effect=e)) for e in self.reading.effects)
+        return warn(evidence, self.reading)
 
     @property
     def name(self) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 
 from cell.cable.geometry import Cable
 from cell.files.input_error import InputError, Problem
-from cell.lab.data.prepared import all_fitted
 from cell.records.folder import is_cycle, read_record
 from cell.records.result import Outcome
 from cell.study.data import Study, Trial
@@ -41,11 +40,6 @@ class RecordedCycle:
     executed: Trial | None
     outcome: Outcome | None
     product: str | None = None
-
-    @property
-    def whole(self) -> Study:
-        """The study with every trial to be fitted to."""
-        return all_fitted(self.study)
 
 
 def read_cycles(
@@ -90,14 +84,14 @@ def measured(runs: Sequence[Path]) -> tuple[list[Path], list[str]]:
 
     raises  InputError: none is left
     """
-    empty = [run for run in runs if is_cycle(run) and not _has_study(run)]
+    empty = [
+        run
+        for run in runs
+        if is_cycle(run) and not any((at / "study.yaml").exists() for at in (run, run / "study"))
+    ]
     if runs and len(empty) == len(runs):
         raise InputError([Problem(Path(runs[0]), 1, None, "", NONE_MEASURED)])
     return [run for run in runs if run not in empty], [f"{run}: {UNMEASURED}" for run in empty]
-
-
-def _has_study(run: Path) -> bool:
-    return any((folder / "study.yaml").exists() for folder in (run, run / "study"))
 
 
 def _folders(runs: Sequence[Path]) -> Iterator[Path]:

@@ -245,20 +245,18 @@ def with_gauges(
 
 def scaled(study: Study, gauges: Gauges, factors: FloatArray) -> Study:
     """The study with its wrench points multiplied by factors (AS_POINTS, 2)."""
-    return replace(study, trials=tuple(_scaled(t, gauges, factors) for t in study.trials))
+
+    def places(trial: Trial) -> FloatArray:
+        xy_m = trial.markers.xy_m.copy()
+        xy_m[:, gauges.markers :] *= factors if gauges.are_in(trial) else 1.0
+        return xy_m
+
+    return study.with_places(places)
 
 
 def without_gauges(study: Study, gauges: Gauges) -> Study:
     """The study with its wrenches separate from the markers again, as the sensor's rows."""
     return replace(study, trials=tuple(_parted(t, gauges) for t in study.trials))
-
-
-def _scaled(trial: Trial, gauges: Gauges, factors: FloatArray) -> Trial:
-    if not gauges.are_in(trial):
-        return trial
-    xy_m = trial.markers.xy_m.copy()
-    xy_m[:, gauges.markers :] *= factors
-    return replace(trial, markers=replace(trial.markers, xy_m=xy_m))
 
 
 def _parted(trial: Trial, gauges: Gauges) -> Trial:

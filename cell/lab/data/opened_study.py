@@ -10,13 +10,14 @@ import numpy as np
 
 from cell.cable.geometry import STILL, Motion, moves_from_s
 from cell.files.input_error import InputError, Problem
+from cell.files.words import first_of
 from cell.identify.noise import still_frames
 from cell.lab.data.noise_likelihood import DRIFT_DEGREE, RestFrames, resolution_m
 from cell.lab.data.noise_model import still_blocks
 from cell.lab.data.unknown_start import MODES
 from cell.study.clocks import first_motion, with_pull
 from cell.study.data import Study, Trial
-from cell.study.facts import facts_of, trial_facts
+from cell.study.facts import TrialFacts, trial_facts
 from cell.study.folder import read_study, study_folder
 from cell.study.independence import without_copies
 from cell.study.left_out import without_outliers, without_wrench_outliers
@@ -130,11 +131,17 @@ def open_study(folder: Path) -> Study:
     """
     given, folder = folder, study_folder(folder)
     study = replace(read_study(folder), filmed=folder != given)
-    problems = [
-        Problem(folder / t.name / "markers.csv", len(t.markers.t_s) + 1, None, "t_s", message)
-        for t in study.trials
-        if (message := _stands(t) or _too_short(study, t))
-    ]
+    facts, problems = list[TrialFacts](), list[Problem]()
+    for trial in study.trials:
+        message = _stands(trial)
+        if message is None:
+            facts.append(trial_facts(trial, study.arc_length_m, study.gravity_m_per_s2))
+            message = _too_short(study, trial, facts[-1])
+        if message is not None:
+            last = len(trial.markers.t_s) + 1
+            problems.append(
+                Problem(folder / trial.name / "markers.csv", last, None, "t_s", message)
+            )
     try:
         study = with_pull(study)
     except ValueError as error:
@@ -146,7 +153,6 @@ def open_study(folder: Path) -> Study:
     if problems:
         raise InputError(problems)
     told = [note for t in study.trials for note in _left_out(folder / t.name / "grip.csv", t.grip)]
-    facts = facts_of(study.trials, study.arc_length_m, study.gravity_m_per_s2)
     stated = None if study.filmed else stated_oddly(facts, study.noise_std_m)
     told += [] if stated is None else [f"{folder / 'study.yaml'}: {stated}"]
     study = without_wrench_outliers(replace(study, notes=(*study.notes, *told)), folder)
@@ -159,15 +165,14 @@ def _left_out(log: Path, grip: Motion) -> list[str]:
     splines = dict(zip(("x_m", "y_m", "angle_rad"), grip.splines, strict=True))
     for column, spline in splines.items():
         apart = {i: float(getattr(grip, column)[i] - spline.value[i]) for i in spline.wrong}
-        largest = sorted(apart, key=lambda i: -abs(apart[i]))[:TOLD]
-        if not largest:
+        if not apart:
             continue
         unit = "mrad" if column == "angle_rad" else "mm"
+        largest = sorted(apart, key=lambda i: -abs(apart[i]))
         shown = [f"line {i + 2} by {apart[i] * 1e3:+.2g} {unit}" for i in largest]
-        more = f" and {len(apart) - TOLD} more" if len(apart) > TOLD else ""
         notes.append(
-            f"{log}: {column} jumps for a sample or two, which no gripper does: {', '.join(shown)}"
-            f"{more}; left out"
+            f"{log}: {column} jumps for a sample or two, which no gripper does: "
+            f"{first_of(shown, TOLD)}; left out"
         )
     return notes
 
@@ -184,8 +189,8 @@ def _stands(trial: Trial) -> str | None:
     )
 
 
-def _too_short(study: Study, trial: Trial) -> str | None:
-    if (spectrum := trial_facts(trial, study.arc_length_m).spectrum) and spectrum.peaks_hz:
+def _too_short(study: Study, trial: Trial, facts: TrialFacts) -> str | None:
+    if facts.spectrum is not None and facts.spectrum.peaks_hz:
         return None  # a swing is seen: nobody has to suppose how long one takes
     t_s = trial.markers.t_s
     still = still_frames(t_s, trial.grip, trial.rests_until_s)

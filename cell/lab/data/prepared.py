@@ -37,22 +37,20 @@ def placed(study: Study) -> Study:
     There every point's place is known without a model.  The mean offset of a marker in the still
     frames is how it was put on; it is subtracted from all frames of the trial.
     """
-    return replace(study, trials=tuple(_placed(t, study.arc_length_m) for t in study.trials))
+    return study.with_places(lambda trial: _placed_m(trial, study.arc_length_m))
 
 
-def _placed(trial: Trial, arc_length_m: FloatArray) -> Trial:
-    t_s, grip = trial.markers.t_s, trial.grip
+def _placed_m(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
+    t_s, xy_m, grip = trial.markers.t_s, trial.markers.xy_m, trial.grip
     still = still_frames(t_s, grip, trial.release_s)
     if trial.start != "straight" or still.stop == 0:
-        return trial
-    x, y, angle = (np.interp(t_s[still], grip.t_s, v) for v in (grip.x_m, grip.y_m, grip.angle_rad))
+        return xy_m
+    angle = np.interp(t_s[still], grip.t_s, grip.angle_rad)
     along = np.stack([-np.cos(angle), -np.sin(angle)], axis=-1)
-    straight = np.stack([x, y], axis=-1)[:, None] + arc_length_m[:, None] * along[:, None]
-    deviation_m = trial.markers.xy_m[still] - straight
+    straight = trial.gripper_m(t_s[still])[:, None] + arc_length_m[:, None] * along[:, None]
+    deviation_m = xy_m[still] - straight
     seen = np.isfinite(deviation_m).any(axis=0)
-    offset = np.where(seen, np.nanmean(np.where(seen, deviation_m, 0.0), axis=0), 0.0)
-    at_place = replace(trial.markers, xy_m=trial.markers.xy_m - offset)
-    return replace(trial, markers=at_place)
+    return xy_m - np.where(seen, np.nanmean(np.where(seen, deviation_m, 0.0), axis=0), 0.0)
 
 
 def arcs_are_uncertain(study: Study) -> bool:
@@ -342,14 +340,7 @@ def once_per_study(
 
 def as_measured(prepared: PreparedStudy) -> Study:
     """The study as it was measured: corrections of its markers are undone."""
-    taken = {*prepared.mesh_m, *prepared.rounding_m}
-    trials = [
-        replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m + prepared.taken_out_m(t)))
-        if t.name in taken
-        else t
-        for t in prepared.study.trials
-    ]
-    study = replace(prepared.study, trials=tuple(trials))
+    study = prepared.study.with_places(lambda t: t.markers.xy_m + prepared.taken_out_m(t))
     return replace(prepared, study=study).unjoined
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from cell.files.atomic import write_atomic
 from cell.files.plain import plain
 from cell.identify.parameters import Prior
+from cell.lab.data.work import ModelError
 from cell.study.independence import Independence
 
 Verdict = Literal["complete", "missing", "unexplained", "cannot_tell"]
@@ -196,6 +197,7 @@ class RankedEffect:
 class Diagnosis:
     """The missing effect, or that none is missing, none known fits, or these motions cannot tell.
 
+    Its fields are in the order in which files have them.
     noise_is_stated  by the study; else it was measured at rest
     left      what the model with everything in `missing`, or else in `partial`, leaves; the latter
               fitted to all trials
@@ -206,23 +208,25 @@ class Diagnosis:
     checks    asked of the model, in order; the verdict is the worst of those that failed
     independence  the independent recordings and motions of the study
     knots     of EI(s) in the models; more than usual where the study shows that EI changes fast
+    fit_errors  of all models that were fitted, by number of effects, the largest error first
     """
 
     noise_m: float
+    noise_is_stated: bool = field(default=False, kw_only=True)
     baseline: Errors
     verdict: Verdict
     missing: tuple[MissingEffect, ...] = ()
-    ranking: tuple[RankedEffect, ...] = field(default=())
+    ranking: tuple[RankedEffect, ...] = ()
     left: RemainingError | None = None
     partial: tuple[MissingEffect, ...] = ()
     nearest: tuple[Nearest, ...] = ()
-    warnings: tuple[Doubt, ...] = ()
-    limits: tuple[Limit, ...] = ()
-    agreement: tuple[Agreement, ...] = ()
-    noise_is_stated: bool = False
     checks: tuple[CheckResult, ...] = ()
     independence: Independence = field(default_factory=Independence)
     knots: int = Prior().knots
+    fit_errors: tuple[ModelError, ...] = ()
+    warnings: tuple[Doubt, ...] = ()
+    limits: tuple[Limit, ...] = ()
+    agreement: tuple[Agreement, ...] = ()
 
     @property
     def codes(self) -> frozenset[str]:
@@ -235,33 +239,13 @@ class Diagnosis:
         return self.verdict == "cannot_tell" and bool(self.codes & {"interrupted", "cut_short"})
 
 
-#: Entries of a diagnosis, in the order in which files have them.
-_ENTRIES = (
-    "noise_m",
-    "noise_is_stated",
-    "baseline",
-    "verdict",
-    "missing",
-    "ranking",
-    "left",
-    "partial",
-    "nearest",
-    "checks",
-    "independence",
-    "knots",
-    "warnings",
-    "limits",
-    "agreement",
-)
-
-
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The diagnosis as plain data in the form cable-diagnosis/1; nan becomes null."""
     content = plain(asdict(diagnosis))
     for name in ("missing", "partial", "nearest"):
         content[name] = [_flat(found) for found in content[name]]
     content["independence"] = diagnosis.independence.to_json()
-    return {"format": FORMAT} | {name: content[name] for name in _ENTRIES}
+    return {"format": FORMAT, **content}
 
 
 def _flat(found: dict[str, Any]) -> dict[str, Any]:

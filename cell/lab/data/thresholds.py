@@ -85,10 +85,5 @@ class Rules:
     max_refits: int = 6
     own: tuple[OwnCheck, ...] = ()
 
-    @property
-    def most_partial(self) -> int:
-        """Number of effects of a partial explanation."""
-        return self.most_named - 1
-
 
 DEFAULT_RULES = Rules()

@@ -28,6 +28,22 @@ def no_progress(text: str, done: int = 0, total: int = 0) -> None:
     """A `Progress` that shows nothing."""
 
 
+@dataclass(frozen=True)
+class ModelError:
+    """Error of a model that was fitted: rms over the fit trials, per coordinate, and the noise, m.
+
+    effects  in the model, sorted; () = the baseline
+    """
+
+    effects: tuple[str, ...]
+    rms_m: float
+    noise_m: float
+
+
+def _unwatched(_: ModelError) -> None:
+    """A watcher of fits that looks at none."""
+
+
 #: Within 4 µm (rms over the markers of a swing) of a converged cable.
 SOLVER = Solver(segments=32, step_s=1e-3)
 
@@ -104,6 +120,7 @@ class Work:
     known     what is known before there is a result, for whoever stops it then
     left_out  what was not computed because the budget was spent
     concluding  it was stopped or spent: only results are still put together
+    watcher   receives the error of each model as it is fitted; any thread may call it
     """
 
     budget: Budget = UNLIMITED
@@ -117,10 +134,12 @@ class Work:
     _limit: Budget | None = None
     _last: Budget | None = None
     concluding: bool = False
+    watcher: Callable[[ModelError], None] = _unwatched
+    _fitted: dict[tuple[str, ...], ModelError] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What another process goes on with: its clock of CPU time is another."""
-        return {**vars(self), "_forks_cpu_s": self.cpu_s}
+        """What another process goes on with: its clock of CPU time is another, nobody watches."""
+        return {**vars(self), "_forks_cpu_s": self.cpu_s, "watcher": _unwatched}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -158,6 +177,18 @@ class Work:
         if what not in self.left_out:
             self.left_out.append(what)
 
+    def note_fit(self, names: Iterable[str], rms_m: float, noise_m: float) -> None:
+        """Note the error of a fitted model with effects of these names, in m, and the noise."""
+        error = ModelError(tuple(sorted(names)), rms_m, noise_m)
+        self._fitted[error.effects] = error
+        self.watcher(error)
+
+    @property
+    def fit_errors(self) -> tuple[ModelError, ...]:
+        """Errors of all models fitted so far, by number of effects, the largest error first."""
+        found = self._fitted.values()
+        return tuple(sorted(found, key=lambda e: (len(e.effects), -e.rms_m, e.effects)))
+
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """One of `STAGES`."""
@@ -180,11 +211,6 @@ class Work:
             vars(self).update(before)
             self.stopped = stopped
             self.simulated_s += did.simulated_s
-
-    def add_forks(self, simulated_s: float, cpu_s: float) -> None:
-        """Count what forks have done."""
-        self.simulated_s += simulated_s
-        self._forks_cpu_s += cpu_s
 
     def renew(self) -> None:
         """Begin a budget: another computation with the same study."""
@@ -227,14 +253,6 @@ FEWEST_PARTS, PARTS_OF_ONE = 4, 1.5
 
 
 @dataclass(frozen=True)
-class _Job(Generic[Given]):
-    """What is given, and the work that it may take."""
-
-    given: Given
-    share: Budget
-
-
-@dataclass(frozen=True)
 class _Done(Generic[Returned]):
     """A result, none if its share of the work was spent before; work; process that did it."""
 
@@ -273,20 +291,20 @@ class SideBySide:
         before_s, parts = work.simulated_s, max(FEWEST_PARTS, len(jobs))
         share = work.limit.minus(work.done).share(PARTS_OF_ONE / parts)
 
-        def result_of(job: _Job[Given], found: _Done[Returned]) -> Returned:
-            return unfinished(job.given) if found.spent else found.result  # type: ignore[return-value]
+        def result_of(job: Given, found: _Done[Returned]) -> Returned:
+            return unfinished(job) if found.spent else found.result  # type: ignore[return-value]
 
-        asked = [_Job(job, share) for job in jobs]
         found = self._copies.map(
             self._counted[function],
-            asked,
-            lambda job, result: done(job.given, result_of(job, result)),
+            [(job, share) for job in jobs],
+            lambda asked, result: done(asked[0], result_of(asked[0], result)),
             work.check,
         )
         work.simulated_s = before_s
         for one in found:
-            work.add_forks(one.work.simulated_s, 0.0 if one.process == here else one.work.cpu_s)
-        return [result_of(job, one) for job, one in zip(asked, found, strict=True)]
+            work.simulated_s += one.work.simulated_s
+            work._forks_cpu_s += 0.0 if one.process == here else one.work.cpu_s
+        return [result_of(job, one) for job, one in zip(jobs, found, strict=True)]
 
 
 @contextmanager
@@ -309,15 +327,16 @@ def side_by_side(
 
 def _counted(
     function: Callable[[Given], Returned], work: Work
-) -> Callable[[_Job[Given]], _Done[Returned]]:
+) -> Callable[[tuple[Given, Budget]], _Done[Returned]]:
     """The function's result with the work that it has taken."""
 
-    def counted(job: _Job[Given]) -> _Done[Returned]:
+    def counted(job: tuple[Given, Budget]) -> _Done[Returned]:
+        given, share = job
         before_s, began_s = work.simulated_s, computing_s()
         result, spent = None, False
-        with work.part(job.share):
+        with work.part(share):
             try:
-                result = function(job.given)
+                result = function(given)
             except SpentError:
                 spent = True
         took = Budget(work.simulated_s - before_s, computing_s() - began_s)

@@ -3,52 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import numpy as np
-
-from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
-from cell.identify.gauss_newton import Options
+from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.lab.data.prepared import PreparedStudy, once_per_study, pooled
 from cell.lab.fit.fitting import Fit, fit_model, fit_trials
-from cell.lab.fit.sensitivity import Sensitivity, prior_root, sensitivities
+from cell.lab.fit.projection import Projection, jacobian_with_prior, residual_with_prior
+from cell.lab.fit.sensitivity import Sensitivity, sensitivities
 from cell.lab.fit.systematic_error import SystematicError, systematic_error
 
 #: What a pass gains below that share, of a model that errs, is far below what it could be wrong by.
 CONVERGED = Options(tolerance=0.03, max_iterations=40, least_gain=1e-3, updates=3)
-
-
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """The linearised fit: residual and derivatives in the free coordinates, the prior's rows last.
-
-    basis, triangle  QR of the latter
-    left             (rows,) of the residual, less the mesh's error, that nothing fitted explains
-    """
-
-    basis: FloatArray
-    triangle: FloatArray
-    left: FloatArray
-
-    @staticmethod
-    def of(fit: Fit, systematic_error: SystematicError) -> Linear:
-        """Of a fit at its minimum."""
-        solution, root = fit.solution, prior_root(fit)
-        slopes = np.vstack([solution.jacobian, root])[:, solution.free]
-        away = np.concatenate([fit.q - fit.space.mean, solution.q[len(fit.q) :]])
-        residual = np.concatenate([solution.residual + systematic_error.mesh, root @ away])
-        basis, triangle = np.linalg.qr(slopes)
-        return Linear(basis, triangle, residual - basis @ (basis.T @ residual))
-
-    def seen(self, rows: FloatArray) -> FloatArray:
-        """(n, rows) without what the fitted coordinates imitate."""
-        return np.asarray(rows - (rows @ self.basis) @ self.basis.T)
-
-    def moved(self, rows: FloatArray) -> FloatArray:
-        """(free coordinates, n) how far they move by changes (n, rows) of the residual."""
-        return np.asarray(np.linalg.solve(self.triangle, self.basis.T @ rows.T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +33,10 @@ class AllTrialsFit:
         return systematic_error(self.prepared, self.fit, fit_trials(self.prepared))
 
     @cached_property
-    def linear(self) -> Linear:
-        """What is left of the study near the fit."""
-        return Linear.of(self.fit, self.systematic_error)
+    def linear(self) -> Projection:
+        """Of the residual, less the mesh's error, by the free coordinates."""
+        residual = residual_with_prior(self.fit, self.systematic_error.mesh)
+        return Projection.of(residual, jacobian_with_prior(self.fit)[:, self.fit.solution.free])
 
     def sensitivities(self, effects: Iterable[type[Effect]]) -> list[Sensitivity]:
         """What the amplitudes of effects do to the trials, in the order of the effects."""
@@ -79,12 +48,10 @@ class AllTrialsFit:
 
 
 @once_per_study
-def of_all_trials(prepared: PreparedStudy, fit: Fit) -> AllTrialsFit:
-    """The model of a fit, fitted to every trial of its study.
-
-    raises  UnsimulatedError: a trial cannot be simulated
-    """
-    together = pooled(prepared)
-    return AllTrialsFit(
-        together, fit_model(together, fit.space, fit.q, fit.initial_states, options=CONVERGED)
-    )
+def of_all_trials(prepared: PreparedStudy, fit: Fit) -> AllTrialsFit | None:
+    """The model of a fit, fitted to every trial of its study; None if one cannot be simulated."""
+    together, states = pooled(prepared), fit.initial_states
+    with suppress(*UNSIMULATED):
+        joint = fit_model(together, fit.space, fit.q, states, options=CONVERGED)
+        return AllTrialsFit(together, joint)
+    return None

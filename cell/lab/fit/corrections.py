@@ -21,8 +21,9 @@ from cell.lab.data.noise_likelihood import ProjectedResidual
 from cell.lab.data.noise_model import noise_model_of_all_frames, with_level_in
 from cell.lab.data.prepared import PreparedStudy, arcs_are_uncertain, with_noise_model
 from cell.lab.fit.fitting import Fit, best_initial_states, fit_trials
+from cell.lab.fit.projection import nuisance_of, orthonormal
 from cell.lab.fit.score_test import score_test
-from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
+from cell.lab.fit.sensitivity import one_sided, sensitivities
 
 
 def with_noise_given(
@@ -64,8 +65,7 @@ def projected_residuals(
         directions = nuisance.remove(np.concatenate(rows))
         size = np.linalg.norm(directions, axis=1)
         usable = size > 1e-6 * np.maximum(np.linalg.norm(np.concatenate(rows), axis=1), 1e-300)
-        u, strength, _ = np.linalg.svd((directions[usable] / size[usable, None]).T, False)
-        of_effects = u[:, strength > 1e-6]
+        of_effects = orthonormal((directions[usable] / size[usable, None]).T, 1e-6)
         residual = residual - of_effects @ (of_effects.T @ residual)
         basis = np.concatenate([basis, of_effects], axis=1)
     trials, gauges = fit_trials(prepared), prepared.gauges
@@ -96,8 +96,7 @@ def _projected(columns: Sequence[FloatArray]) -> ProjectedResidual:
     basis = [np.zeros((*p.shape, 0)) for p in present]
     if directions.size > 0:
         q, r = np.linalg.qr(directions)
-        u, strength, _ = np.linalg.svd(r)
-        independent = q @ u[:, strength > 1e-6 * strength[0]]
+        independent = q @ orthonormal(r, 1e-6, of_largest=True)
         basis = [np.zeros((*p.shape, independent.shape[1])) for p in present]
         ends = np.cumsum([p.sum() for p in present])
         for of_trial, p, part in zip(basis, present, np.split(independent, ends), strict=False):
@@ -189,13 +188,7 @@ def without_mesh_error(
     error_m  of `mesh_error_m`
     source   deferred correction (Stetter 1978, Numer. Math. 29, 425)
     """
-    shown = []
-    for trial in prepared.study.trials:
-        if (moved := error_m.get(trial.name)) is not None:
-            seen = trial.markers.xy_m - moved
-            trial = replace(trial, markers=replace(trial.markers, xy_m=seen))
-        shown.append(trial)
-    study = replace(prepared.study, trials=tuple(shown))
+    study = prepared.study.with_places(lambda t: t.markers.xy_m - error_m.get(t.name, 0.0))
     states = best_initial_states(prepared, fit)
     lines = lines_of(prepared, fit.model, states) if arcs_are_uncertain(study) else {}
     taken = {n: e + prepared.mesh_m.get(n, 0.0) for n, e in error_m.items()}
@@ -304,11 +297,7 @@ def without_rounding_error(
     """
     if not error_m:
         return prepared
-    trials = [
-        replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m - error_m[t.name]))
-        for t in prepared.study.trials
-    ]
-    study = replace(prepared.study, trials=tuple(trials))
+    study = prepared.study.with_places(lambda t: t.markers.xy_m - error_m[t.name])
     rounding_m = {n: e + prepared.rounding_m.get(n, 0.0) for n, e in error_m.items()}
     return prepared.rewhitened(study=study, rounding_m=rounding_m)
 

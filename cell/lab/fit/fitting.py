@@ -193,12 +193,19 @@ def fit_model(
     )
     q, found = solution.q[:p], by_trial(prepared, trials, solution.q[None, p:])
     predicted = prepared.predict_all(trials, [space.model(q)], found)
-    errors = [prepared.error_m(t, points[0]) for t, points in zip(trials, predicted, strict=True)]
     chi2 = float(solution.residual @ solution.residual)
     at_first = {name: rows[0] for name, rows in found.items()}
-    places = [prepared.of_markers(t, e) for t, e in zip(trials, errors, strict=True)]
-    rms_m = overall(errors), overall(places)
+    rms_m = rms_of(prepared, trials, [points[0] for points in predicted])
     return Fit(space, q, at_first, solution, chi2, solution.objective, *rms_m, std)
+
+
+def rms_of(
+    prepared: PreparedStudy, trials: Sequence[Trial], predicted_m: Sequence[FloatArray]
+) -> tuple[float, float]:
+    """Root mean square error of predictions in trials: of all points, and of the markers, m."""
+    errors = [prepared.error_m(t, p) for t, p in zip(trials, predicted_m, strict=True)]
+    places = [prepared.of_markers(t, e) for t, e in zip(trials, errors, strict=True)]
+    return overall(errors), overall(places)
 
 
 def _minimised_in_two(
@@ -340,10 +347,13 @@ def extended(
     fit: Fit, space: ParameterSpace, effect: type[Effect], values: FloatArray
 ) -> FloatArray:
     """Coordinates in `space` (one more effect than the fit's) with the effect at `values`."""
-    q = space.mean.copy()
-    for i, name in enumerate(fit.space.names):
-        q[space.names.index(name)] = fit.q[i]
-    return with_values(space, q, effect, values)
+    return with_values(space, taken_from(fit, space), effect, values)
+
+
+def taken_from(fit: Fit, space: ParameterSpace) -> FloatArray:
+    """(p,) coordinates in another space: as in a fit, or as its prior has them."""
+    known = dict(zip(fit.space.names, fit.q, strict=True))
+    return np.array([known.get(n, q) for n, q in zip(space.names, space.mean, strict=True)])
 
 
 def with_values(
@@ -424,12 +434,19 @@ def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial)
         return np.zeros(state.count)
 
 
-def best_initial_states(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
-    """By trial (1, unknowns): the initial state, as fitted, else the likeliest one."""
-    return {
-        t.name: fit.initial_states.get(t.name, best_initial_state(prepared, fit.model, t))[None]
-        for t in prepared.study.trials
-    }
+def best_initial_states(
+    prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial] | None = None
+) -> dict[str, FloatArray]:
+    """By trial (1, unknowns): the initial state, as fitted, else the likeliest one.
+
+    trials  None = those of the study
+    """
+    states = {}
+    for trial in prepared.study.trials if trials is None else trials:
+        known = fit.initial_states.get(trial.name)
+        state = best_initial_state(prepared, fit.model, trial) if known is None else known
+        states[trial.name] = state[None]
+    return states
 
 
 #: Steps tried, in units of the solver's.

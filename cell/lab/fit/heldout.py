@@ -14,8 +14,7 @@ from cell.cable.model import CableModel
 from cell.identify.gaussian import marginal_chi2, parameters_root
 from cell.identify.parameters import difference_points
 from cell.lab.data.prepared import PreparedStudy, once_per_study
-from cell.lab.fit.fitting import Fit, best_initial_state, extended
-from cell.lab.fit.series import overall
+from cell.lab.fit.fitting import Fit, best_initial_state, extended, rms_of
 from cell.study.data import Markers, Trial
 
 
@@ -71,26 +70,12 @@ def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     if not trials:
         return None
     rows = heldout_rows(prepared, fit)
+    count, predicted_m = prepared.count(trials), rows.predicted_m
     if not (np.all(np.isfinite(rows.residual)) and np.all(np.isfinite(rows.by_parameters))):
-        return Heldout(
-            rms_m=np.inf,
-            markers_rms_m=np.inf,
-            chi2=np.inf,
-            count=prepared.count(trials),
-            log_likelihood=-np.inf,
-            predicted_m=rows.predicted_m,
-        )
+        return Heldout(np.inf, np.inf, np.inf, count, -np.inf, predicted_m)
     chi2, log_det = marginal_chi2(rows.residual, rows.spread)
-    errors = [prepared.error_m(t, rows.predicted_m[t.name]) for t in trials]
-    places = [prepared.of_markers(t, e) for t, e in zip(trials, errors, strict=True)]
-    return Heldout(
-        rms_m=overall(errors),
-        markers_rms_m=overall(places),
-        chi2=chi2,
-        count=prepared.count(trials),
-        log_likelihood=-0.5 * (chi2 + log_det),
-        predicted_m=rows.predicted_m,
-    )
+    rms_m = rms_of(prepared, trials, [predicted_m[t.name] for t in trials])
+    return Heldout(*rms_m, chi2, count, -0.5 * (chi2 + log_det), predicted_m)
 
 
 @once_per_study

@@ -11,6 +11,7 @@ from scipy.special import ndtr as normal_cdf
 
 from cell.cable.arrays import FloatArray
 from cell.identify.gaussian import covariance_root
+from cell.lab.fit.projection import Projection
 
 #: Draws behind the p-value of a maximum over shapes; below a few of them Bonferroni is used.
 DRAWS = 20_000
@@ -20,65 +21,28 @@ SAME_SHAPE = 0.9
 MOST_SHAPES = 8
 
 
-@dataclass(frozen=True)
-class Nuisance:
-    """Space of residuals that the fitted parameters can imitate, as an orthonormal basis.
-
-    basis      (values, parameters)
-    residual   (values,) whitened residual with that part removed
-    """
-
-    basis: FloatArray
-    residual: FloatArray
-
-    @staticmethod
-    def of(residual: FloatArray, sensitivity: FloatArray) -> Nuisance:
-        """Of a whitened residual (values,) and the fitted parameters' sensitivities (values, p).
-
-        A prior on the parameters enters as further values: one row per prior, zero elsewhere.
-        """
-        basis, r = np.linalg.qr(sensitivity)
-        strength = np.abs(np.diag(r))
-        basis = basis[:, strength > 1e-9 * max(strength.max(initial=0.0), 1e-300)]
-        return Nuisance(basis, residual - basis @ (basis.T @ residual))
-
-    def moved(self, change: FloatArray) -> Nuisance:
-        """With a residual that is changed; the prior's rows, which come last, are not."""
-        behind = len(self.residual) - len(change)
-        moved = self.residual + self.remove(np.pad(change, (0, behind)))
-        return Nuisance(self.basis, moved)
-
-    def remove(self, sensitivity: FloatArray) -> FloatArray:
-        """(…, values) without what the fitted parameters can imitate."""
-        return np.asarray(sensitivity - (sensitivity @ self.basis) @ self.basis.T)
-
-
 @dataclass(frozen=True, eq=False)
 class Score:
     """Result of a score test.
 
     statistic    χ² that the effect would explain
-    dof          number of amplitudes
     amplitude    (dof,) expected coefficients of the sensitivities
     std          (dof,) their standard deviations, the other amplitudes free
     shape        which of the shapes offered that is
     others       further shapes and their coefficients, by falling statistic, none nearly the same
                  as one before
     p_value      of the largest statistic over all shapes, under noise alone
-    left         share of the sensitivity (rms) that the fitted parameters cannot imitate
     """
 
     statistic: float
-    dof: int
     amplitude: FloatArray
     std: FloatArray
     shape: int
     p_value: float
-    left: float
     others: tuple[tuple[int, FloatArray], ...] = ()
 
 
-def score_test(nuisance: Nuisance, sensitivity: FloatArray, *, one_sided: bool) -> Score:
+def score_test(nuisance: Projection, sensitivity: FloatArray, *, one_sided: bool) -> Score:
     """Nuisance-projected score test of an effect whose shape parameters are unknown.
 
     sensitivity  (shapes, amplitudes, values) whitened output per unit of each amplitude, for each
@@ -100,7 +64,7 @@ def score_test(nuisance: Nuisance, sensitivity: FloatArray, *, one_sided: bool) 
         signed = -statistic if one_sided and amplitude[0] < 0.0 else statistic
         tried.append(_ShapeScore(signed, int(shape), amplitude, amplitude @ rows))
     if not tried:
-        return Score(0.0, dof, np.zeros(dof), np.full(dof, np.inf), 0, 1.0, 0.0)
+        return Score(0.0, np.zeros(dof), np.full(dof, np.inf), 0, 1.0)
     tried.sort(key=lambda t: -t.signed)
     best = tried[0]
     if dof == 1:
@@ -111,12 +75,10 @@ def score_test(nuisance: Nuisance, sensitivity: FloatArray, *, one_sided: bool) 
         p_value = min(1.0, shapes * float(chi2_sf(dof, max(best.signed, 0.0))))
     return Score(
         statistic=max(best.signed, 0.0),
-        dof=dof,
         amplitude=best.amplitude,
         std=np.sqrt(np.diag(np.linalg.pinv(left[best.shape] @ left[best.shape].T))),
         shape=best.shape,
         p_value=p_value,
-        left=float(np.linalg.norm(norm[best.shape]) / np.linalg.norm(raw[best.shape])),
         others=tuple((t.shape, t.amplitude) for t in _distinct(tried)[1:]),
     )
 
@@ -161,13 +123,11 @@ def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool) -> float:
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """p-values adjusted for choosing among them (Holm 1979): family-wise error at any level."""
-    count = len(p_values)
-    adjusted = [0.0] * count
-    running = 0.0
-    for rank, index in enumerate(sorted(range(count), key=lambda i: p_values[i])):
-        running = max(running, min(1.0, (count - rank) * p_values[index]))
-        adjusted[index] = running
-    return adjusted
+    count, values = len(p_values), np.asarray(p_values, dtype=np.float64)
+    order, adjusted = np.argsort(values, kind="stable"), np.empty(count)
+    larger = np.minimum(1.0, np.arange(count, 0, -1) * values[order])
+    adjusted[order] = np.maximum.accumulate(larger)
+    return [float(p) for p in adjusted]
 
 
 def boundary_p_value(delta_chi2: float, parameters: int, bounded: int, shapes: int = 1) -> float:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
-from cell.cable.model import CableModel
-from cell.identify.gaussian import covariance_root
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, fit_trials
-from cell.lab.fit.score_test import Nuisance
+from cell.lab.fit.projection import Projection, nuisance_of
 
 #: Amplitudes are perturbed by this share of their typical size: a slope may vanish at zero.
 PERTURBATION = 0.05
@@ -97,7 +95,7 @@ class _Guess:
         return _Guess(self.effect, self.shape, values, self.which, smaller)
 
 
-def _share_of_slope(nuisance: Nuisance, row: FloatArray) -> float:
+def _share_of_slope(nuisance: Projection, row: FloatArray) -> float:
     """Factor by which a perturbation is to be made smaller for a slope; 1 = it is small enough.
 
     row  (values,) its whitened change, the prior's rows included; not finite where it cannot be
@@ -112,7 +110,7 @@ def _share_of_slope(nuisance: Nuisance, row: FloatArray) -> float:
 def changes(prepared: PreparedStudy, fit: Fit, active: Sequence[ActiveEffect]) -> FloatArray:
     """(effects, rows) whitened change of the fit trials' markers, by each effect alone."""
     model = fit.model
-    models = [model, *(_with(model, a) for a in active)]
+    models = [model, *(replace(model, effects=(*model.effects, a)) for a in active)]
     initial_states = {
         name: np.tile(values, (len(models), 1)) for name, values in fit.initial_states.items()
     }
@@ -165,34 +163,3 @@ def _perturbation(parameter: Parameter) -> float:
     size = PERTURBATION * max(abs(s - parameter.default) for s in parameter.starts[:1])
     size = size or PERTURBATION * (parameter.high - parameter.low)
     return size if parameter.default + size <= parameter.high else -size
-
-
-def _with(model: CableModel, active: ActiveEffect) -> CableModel:
-    return CableModel(
-        model.cable,
-        model.rigidity_n_m2,
-        model.exponent,
-        model.viscosity_n_m2_s,
-        model.gravity_m_per_s2,
-        (*model.effects, active),
-    )
-
-
-def nuisance_of(fit: Fit) -> Nuisance:
-    """The nuisance space of a fit: changes by its parameters, with the prior as further rows."""
-    root, p = prior_root(fit), len(fit.q)
-    away = np.concatenate([fit.q - fit.space.mean, fit.solution.q[p:]])
-    residual = np.concatenate([fit.solution.residual, root @ away])
-    return Nuisance.of(residual, np.vstack([fit.solution.jacobian, root]))
-
-
-def prior_root(fit: Fit) -> FloatArray:
-    """(rows, p) jacobian of the prior's residuals by the fit's coordinates and initial states."""
-    p, rows = len(fit.q), len(fit.solution.q)
-    precision = np.zeros((rows, rows))
-    precision[:p, :p] = fit.space.precision
-    if any(
-        len(b) > 1 for b in fit.initial_states.values()
-    ):  # modes have a prior; a delay alone is free
-        precision[p:, p:] = np.diag(1.0 / fit.initial_state_std**2)
-    return np.asarray(covariance_root(precision).T)

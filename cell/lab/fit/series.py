@@ -32,11 +32,11 @@ def rms_by_time(t_s: FloatArray, residual: FloatArray) -> tuple[FloatArray, Floa
 
 @dataclass(frozen=True)
 class PowerSpectrum:
-    """Residual and noise power per coordinate, m²/Hz, at `frequency_hz`."""
+    """Residual and noise power per coordinate at `frequency_hz`."""
 
     frequency_hz: FloatArray
-    residual: FloatArray
-    noise: FloatArray
+    residual_m2_per_hz: FloatArray
+    noise_m2_per_hz: FloatArray
 
 
 def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> PowerSpectrum:
@@ -137,3 +137,11 @@ def _auto(values: FloatArray, lag: int) -> float:
 def overall(parts: Sequence[FloatArray]) -> float:
     """Root mean square over several residual arrays; nan if there are none."""
     return rms(np.concatenate([p.ravel() for p in parts])) if parts else float("nan")
+
+
+def rms_over(rows: Sequence[Sequence[float] | FloatArray]) -> FloatArray:
+    """(n,) root mean square over rows (rows, n), nan left out; nan where a column has nothing."""
+    square = np.array(rows) ** 2
+    seen = np.isfinite(square)
+    total = np.sum(np.where(seen, square, 0.0), axis=0)
+    return np.asarray(np.sqrt(np.where(seen.any(axis=0), total, np.nan) / seen.sum(axis=0).clip(1)))

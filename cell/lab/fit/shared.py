@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,11 +110,15 @@ class SharedFit:
         count = sum(w.count for c in self.cables for w in c.whiteners.values())
         return self.noise_m * float(np.sqrt(self.chi2_by_cable.sum() / count))
 
-    def model(self, i: int) -> CableModel:
-        """Of a cable."""
+    def coordinates(self, i: int) -> FloatArray:
+        """(p,) of a cable, its own and the shared ones."""
         q = self.space.mean.copy()
         q[: self.own], q[self.common] = self.q[i], self.theta
-        return self.space.model(q)
+        return q
+
+    def model(self, i: int) -> CableModel:
+        """Of a cable."""
+        return self.space.model(self.coordinates(i))
 
     def natural(self, theta: FloatArray | None = None) -> FloatArray:
         """Natural values of a cable's parameters, its own at their mean, the shared ones at theta.
@@ -265,7 +270,8 @@ def fit_shared(
         natural = space.natural(start)
         natural[own:] = values
         start = space.coordinates(natural)
-    rows = _rows_of(cables)
+    sizes = [sum(c.whiteners[t.name].rows for t in c.study.trials) for c in cables]
+    rows = [slice(*ends) for ends in pairwise(np.cumsum([0, *sizes]).tolist())]
     problem = _joint_problem(cables, space, own, common, start, rows)
     begin_at = np.concatenate([q[:, :own].ravel(), start[common]])
     solution = gauss_newton.minimise(problem, begin_at, options)
@@ -281,13 +287,6 @@ def fit_shared(
         tuple(rows),
         variance_inflation(solution.residual, whiteners, len(solution.q)),
     )
-
-
-def _rows_of(cables: Sequence[PreparedStudy]) -> list[slice]:
-    """Which residuals are those of each cable."""
-    sizes = [sum(c.whiteners[t.name].rows for t in c.study.trials) for c in cables]
-    ends = np.cumsum(sizes)
-    return [slice(int(end - size), int(end)) for end, size in zip(ends, sizes, strict=True)]
 
 
 def _joint_problem(
@@ -313,7 +312,7 @@ def _joint_problem(
             full = np.tile(start, (len(needed), 1))
             full[:, :own] = mine[needed, :own]
             full[:, common] = mine[needed, own:]
-            white = _white(cable, [space.model(v) for v in full])
+            white = cable.all_white(cable.study.trials, [space.model(v) for v in full])
             out[:, row] = white[0]
             out[needed, row] = white
         return out
@@ -335,7 +334,3 @@ def _joint_problem(
         joined(space.low),
         joined(space.high),
     )
-
-
-def _white(cable: PreparedStudy, models: list[CableModel]) -> FloatArray:
-    return cable.all_white(cable.study.trials, models)

@@ -11,7 +11,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import Fit, fit_trials, residuals
+from cell.lab.fit.fitting import fit_trials, residuals
 
 #: Uniform cables tried for a cold start, over this range about the prior's EI, in logarithm.
 COLD_STARTS, COLD_RANGE = 48, 3.0
@@ -62,11 +62,3 @@ def typical(effect: type[Effect]) -> list[FloatArray]:
     """All combinations of the effect's starts, the most typical first."""
     choices = itertools.product(*(p.starts for p in effect.parameters))
     return [np.array(c) for c in itertools.islice(choices, MOST_GUESSES)]
-
-
-def taken_from(fit: Fit, space: ParameterSpace) -> FloatArray:
-    """(p,) coordinates in another space, for the parameters that a fit has."""
-    q = space.mean.copy()
-    for i, name in enumerate(space.names):
-        q[i] = fit.q[fit.space.names.index(name)]
-    return q

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
@@ -12,21 +12,32 @@ from scipy.special import chdtrc as chi2_sf
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.files.words import counted
-from cell.identify.gauss_newton import UNSIMULATED
+from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.fitting import Fit
+from cell.lab.data.thresholds import SIGNIFICANCE
+from cell.lab.fit.fitting import Fit, taken_from
 from cell.lab.fit.sensitivity import shapes_of
-from cell.lab.fit.shared import PASSES, SharedFit, fit_shared, simulated_s
-from cell.lab.fit.starts import taken_from
+from cell.lab.fit.shared import (
+    PASSES,
+    SharedFit,
+    Spread,
+    along_lines,
+    fit_shared,
+    simulated_s,
+)
 from cell.lab.line.effect_fit import (
     ALL_PASSES,
     NEAR,
     SIMULATED,
     TIE,
+    CycleEvidence,
     EffectFit,
     LearningBudget,
+    LearningResult,
     is_tied,
+    library_first,
 )
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache
@@ -34,6 +45,8 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import holm_among
 
+#: Cables that the library is tried on, at most.
+TRIED_ON = 4
 #: Starts of a fit are compared on so many cables, with so many passes.
 START_ON, FIRST_PASSES = 1, replace(PASSES, tolerance=1.0, max_iterations=6)
 #: Of an effect with more shapes than this a refit begins with several, the likeliest of the cable
@@ -43,47 +56,6 @@ SEVERAL, PLACES = 12, 3
 A_LITTLE = 0.05
 #: Two cables' own solutions are one if they differ by fewer standard deviations in every parameter.
 ALIKE = 3.0
-
-
-def common_start(
-    prepared: Sequence[PreparedStudy],
-    base: ParameterSpace,
-    plausible: FloatArray,
-    simpler: EffectFit | None,
-    effect: type[Effect],
-    screened: Sequence[ScreenedEffect],
-) -> tuple[FloatArray, FloatArray]:
-    """Start of a joint fit: the cables' coordinates and the effects' values, from a few cables."""
-    effects = (effect,) if simpler is None else (*simpler.effects, effect)
-    known = np.zeros(0) if simpler is None else simpler.fit.shared_values
-    # The slope says how much of it there is, but the cables were fitted without it: from a
-    # little of it all parameters move together.
-    off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
-    most = [np.median(np.array([s.starts[0] for s in screened]), axis=0)]
-    if shapes_of(effect) > SEVERAL:
-        clearest = max(screened, key=lambda s: s.score.statistic)
-        most = [*clearest.starts[:PLACES]]
-    places = [np.where(np.isnan(off), m, off + A_LITTLE * (m - off)) for m in most]
-    if not effect.smooth:
-        places += [
-            np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])
-            for k in range(3)
-        ]
-    starts = [np.concatenate([known, values]) for values in places]
-    few, q = slice(0, START_ON), plausible
-    found: list[SharedFit] = []
-    for values in starts if len(starts) > 1 else ():
-        try:
-            found.append(
-                fit_shared(prepared[few], base, q[few], effects, values, options=FIRST_PASSES)
-            )
-        except UNSIMULATED:
-            continue
-    begin, values = q.copy(), starts[0]
-    if found:
-        best = min(found, key=lambda f: f.chi2)
-        begin[few], values = best.q, best.shared_values
-    return begin, values
 
 
 def values_of(fit: Fit, effects: Sequence[type[Effect]]) -> FloatArray:
@@ -126,44 +98,180 @@ OWN, REFITS, ENDS, SECOND = 0.4, 0.5, 0.6, 0.6
 Progress = Callable[[str], None]
 
 
-def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
-    """Fits, likeliest first, but an effect of the library before a file's law that it ties with."""
-    named = [t for t in ranked[:1] if t.effect.file is not None]
-    same = [t for t in ranked[1:] if named and t.effect.file is None and is_tied(t, ranked[0])]
-    return sorted(ranked, key=lambda t: t is not same[0]) if same else list(ranked)
-
-
 @dataclass(frozen=True, eq=False)
 class CablesSpace:
-    """Effects fitted to a few cables in addition to those that their model has.
+    """Model space of learning: effects fitted to cables in addition to those of their model.
 
+    cycles     the recorded cycles of the cables
+    prepared   the same, made ready; effects are first fitted to the first `TRIED_ON`
     base       parameters of one cable without the shared effects
     plausible  (cables, own) where refits begin: each cable as its hold shows it, frames weighed by
                what the model misses.  A fit that takes its misfit for information bends EI(s) until
                it imitates an effect, to where some of it is no longer seen: no way leads back.
-    library    number of effects that could be named
+    others     effects to choose from
     """
 
+    cycles: tuple[RecordedCycle, ...]
     prepared: tuple[PreparedStudy, ...]
     base: ParameterSpace
     plausible: FloatArray
-    library: int
+    others: Sequence[type[Effect]]
     budget: LearningBudget
     progress: Progress
+    _alone: list[SharedFit] = field(default_factory=list, init=False)
+    _all: list[SharedFit] = field(default_factory=list, init=False)
 
-    def next(
+    @property
+    def few(self) -> tuple[PreparedStudy, ...]:
+        """The cables that effects are first fitted to."""
+        return self.prepared[:TRIED_ON]
+
+    def fit_alone(self) -> Sequence[SharedFit]:
+        """Fit the present model to each cable alone; the second time the fits are known."""
+        if not self._alone:
+            self.progress("fitting the present model")
+            each = enumerate(self.prepared)
+            self._alone.extend(
+                fit_shared([p], self.base, self.plausible[i : i + 1]) for i, p in each
+            )
+        return self._alone
+
+    def fit_without_effects(self) -> LearningResult:
+        """Fit the present model to all cables; the second time the fit is known."""
+        if not self._all:
+            q = np.vstack([alone.q for alone in self.fit_alone()])
+            self._all.append(fit_shared(self.prepared, self.base, q))
+        return LearningResult(self.cycles, self._all[0])
+
+    def extended(self, result: LearningResult) -> list[EffectFit]:
+        """The effects of a result and one more, fitted to the few cables, the best first."""
+        best = result.best
+        if best is None:
+            return self._with_one_more(self.fit_alone()[:TRIED_ON], self.others, None)
+        if not self.budget.allows(SECOND, f"effects with {best.effect.name}"):
+            return []
+        self.progress(f"looking for what {best.effect.name} leaves")
+        rest = [e for e in self.others if e not in best.effects]
+        return self._with_one_more(self._each_with(best), rest, result.ranking[0])
+
+    def _each_with(self, best: EffectFit) -> list[SharedFit]:
+        """The few cables, each fitted alone with effects that were found."""
+        fit = best.fit
+        return [
+            fit_shared([p], fit.space, fit.coordinates(i)[None]) for i, p in enumerate(self.few)
+        ]
+
+    def kept(self, result: LearningResult, tried: Sequence[EffectFit]) -> list[LearningResult]:
+        """The result with the best of these, fitted to all cables; none if that is chance.
+
+        One with which not all of them can be simulated is not the cause.
+        Where the last effect explains as much without the one before it, it is the only one.
+        """
+        if not tried or tried[0].p_value >= SIGNIFICANCE:
+            return []
+        try:
+            found = self.fitted_to_all(result, tried)
+        except UNSIMULATED:
+            self.progress(f"not all cables can be simulated with {tried[0].name}")
+            return self.kept(result, tried[1:])
+        single = None if result.best is None else self.last_alone(tried[0])
+        if single is not None:
+            with suppress(*UNSIMULATED):  # not all cables can be with it alone
+                # what is as good as it with the first is as good without
+                alone = self.fitted_to_all(self.fit_without_effects(), [single])
+                found = replace(alone, tied=found.tied)
+        return [found]
+
+    def along_its_lines(self, result: LearningResult) -> LearningResult:
+        """The result of one effect, fitted again where markers move along the line of its model."""
+        if result.best is None or result.simpler is not None:
+            return result
+        if (moving := along_lines(result.best.fit)) is None:
+            return result
+        space = replace(self, prepared=tuple(moving))
+        tried = [result.best, *result.ranking[1:]]
+        try:
+            again = space.fitted_to_all(space.fit_without_effects(), tried)
+        except UNSIMULATED:
+            return result
+        return replace(again, tied=result.tied, ranking=result.ranking)
+
+    def fitted_to_all(self, before: LearningResult, tried: Sequence[EffectFit]) -> LearningResult:
+        """The result with the best of these, fitted to all cables.  Raises UnsimulatedError."""
+        simpler = before.baseline if before.best is None else before.best.fit
+        self.progress(f"fitting {tried[0].name} to {counted(len(self.prepared), 'cable')}")
+        best = self.on_all(simpler, tried[0])
+        values, std = best.fit.by_cable
+        falls = (simpler.chi2_by_cable - best.fit.chi2_by_cable) / best.fit.inflation
+        last = best.firsts[-1]
+        numbers = zip(falls, values[:, last], std[:, last], strict=True)
+        return replace(
+            before,
+            ranking=tuple(tried),
+            best=best,
+            tied=tuple(t.effect.name for t in tried[1:] if is_tied(t, tried[0])),
+            spread=tuple(Spread.of(values[:, i], std[:, i]) for i in best.firsts),
+            cycle_evidence=tuple(
+                CycleEvidence(cycle.name, *map(float, of_it))
+                for cycle, of_it in zip(before.cycles, numbers, strict=True)
+            ),
+            simpler=None if before.best is None else before,
+        )
+
+    def on_all(self, simpler: SharedFit, best: EffectFit) -> EffectFit:
+        """Effects refitted to all cables, starting from their fit to a few.
+
+        The other cables begin as their holds show them or, where one of them cannot be simulated so
+        with the effects, as the simpler model has fitted them.
+
+        raises  UnsimulatedError: nor can they be simulated then
+        """
+        prepared, budget = self.prepared, self.budget
+        each_s = sum(map(simulated_s, prepared)) * (1 + best.fit.own + len(best.names))
+        what = f"the fit of {best.name} to {counted(len(prepared), 'cable')}"
+        options = budget.passes(each_s, ALL_PASSES, what)
+
+        def fitted(begin: FloatArray) -> SharedFit:
+            q = begin.copy()
+            q[: len(best.fit.q)] = best.fit.q
+            return self._fit(prepared, q, best.effects, best.fit.shared_values, options)
+
+        try:
+            fit = fitted(self.plausible)
+        except UNSIMULATED:
+            fit = fitted(simpler.q[:, : self.plausible.shape[1]])
+        while fit.solution.promised > UNFINISHED * fit.chi2:  # as in a long curved valley
+            if not budget.allows(ENDS, f"the end of the fit of {best.name} to all cables"):
+                break
+            more = self._fit(prepared, fit.q, best.effects, fit.shared_values, options)
+            if more.chi2 > (1.0 - UNFINISHED) * fit.chi2:
+                break
+            fit = more
+        return replace(best, fit=fit, fall=float((simpler.chi2 - fit.chi2) / fit.inflation))
+
+    def _fit(
+        self,
+        prepared: Sequence[PreparedStudy],
+        q: FloatArray,
+        effects: Sequence[type[Effect]],
+        values: FloatArray,
+        options: Options,
+    ) -> SharedFit:
+        return fit_shared(prepared, self.base, q, effects, values, options=options)
+
+    def _with_one_more(
         self,
         alone: Sequence[SharedFit],
         others: Sequence[type[Effect]],
         simpler: EffectFit | None,
     ) -> list[EffectFit]:
-        """The likeliest of the other effects, fitted to all cables at once, the best first.
+        """The likeliest of the other effects, fitted to the few cables at once, the best first.
 
         alone    the simpler model fitted to each cable alone, its effects among the own parameters
         simpler  effects before it, fitted to these cables; None = none
         """
         self.progress("screening the library")
-        screens = [screen(p, as_fit(a), others) for p, a in zip(self.prepared, alone, strict=True)]
+        screens = [screen(p, as_fit(a), others) for p, a in zip(self.few, alone, strict=True)]
         ranked = ranked_by_screens(screens)
         chosen = ranked[:BEST] + [e for e in ranked[BEST:] if not e.smooth]
         own = self._own_solutions(alone, chosen, simpler)
@@ -204,7 +312,7 @@ class CablesSpace:
             float(chi2_sf(len(fit.theta) - fewer, max(fall, 0.0)))
             for fall, (_, fit) in zip(falls, fits, strict=True)
         ]
-        adjusted = holm_among(p, self.library)
+        adjusted = holm_among(p, len(self.others))
         tried = [
             EffectFit((*earlier, effect), fit, float(fall), float(value))
             for (effect, fit), fall, value in zip(fits, falls, adjusted, strict=True)
@@ -224,7 +332,7 @@ class CablesSpace:
         """
         shaped = [e for e in effects if shapes_of(e) > 1]
         found: list[dict[str, FittedModel]] = []
-        for number, (prepared, fit) in enumerate(zip(self.prepared, alone, strict=True)):
+        for number, (prepared, fit) in enumerate(zip(self.few, alone, strict=True)):
             what = f"own solutions of {prepared.study.name}"
             if not shaped or (number and not self.budget.allows(OWN, what)):
                 found.append({})
@@ -247,7 +355,7 @@ class CablesSpace:
         fits = [o[effect.name].fit for o in own if effect.name in o]
         return len(fits) == len(own) and sum(f.objective for f in fits) > FAR_ABOVE * best_chi2
 
-    def last_alone(self, alone: Sequence[SharedFit], pair: EffectFit) -> EffectFit | None:
+    def last_alone(self, pair: EffectFit) -> EffectFit | None:
         """The last of two effects without the first, if it explains as much as both.
 
         The first was the best that there was of what began as small; beside it the second has come
@@ -255,18 +363,15 @@ class CablesSpace:
         """
         self.progress(f"trying {pair.effect.name} without {pair.effects[0].name}")
         values = pair.fit.shared_values[len(pair.effects[0].parameters) :]
-        effects = (pair.effect,)
         try:
-            fit = fit_shared(
-                self.prepared, self.base, pair.fit.q, effects, values, options=ALL_PASSES
-            )
+            fit = self._fit(self.few, pair.fit.q, (pair.effect,), values, ALL_PASSES)
         except UNSIMULATED:
             return None
-        fall = (sum(a.chi2 for a in alone) - fit.chi2) / fit.inflation
-        p_value = min(1.0, self.library * float(chi2_sf(len(fit.theta), max(fall, 0.0))))
-        single = EffectFit(effects, fit, float(fall), p_value)
+        fall = (sum(a.chi2 for a in self.fit_alone()[:TRIED_ON]) - fit.chi2) / fit.inflation
+        p_value = min(1.0, len(self.others) * float(chi2_sf(len(fit.theta), max(fall, 0.0))))
         more = (fit.chi2 - pair.fit.chi2) / pair.fit.inflation
-        return single if more < max(TIE, SIMULATED**2 * fall) else None
+        as_much = more < max(TIE, SIMULATED**2 * fall)
+        return EffectFit((pair.effect,), fit, float(fall), p_value) if as_much else None
 
     def _converged(self, fit: SharedFit, best: SharedFit) -> SharedFit:
         """The fit converged: what is compared must not differ by where it was left.
@@ -279,8 +384,7 @@ class CablesSpace:
                 break
             with suppress(*UNSIMULATED):  # the other's cables with what was found of this effect
                 values = found[-1].shared_values
-                more = fit_shared(self.prepared, self.base, q, effects, values, options=ALL_PASSES)
-                found.append(more)
+                found.append(self._fit(self.few, q, effects, values, ALL_PASSES))
         return min(found, key=lambda f: f.chi2)
 
     def _refitted(
@@ -297,14 +401,11 @@ class CablesSpace:
         def fitted(q: FloatArray, values: FloatArray) -> None:
             least = min((f.chi2 for f in found), default=np.inf)
             options = replace(PASSES, above=(FAR_ABOVE * least, ENOUGH_PASSES))
-            try:
-                fit = fit_shared(self.prepared, self.base, q, effects, values, options=options)
-            except UNSIMULATED:
-                return
-            found.append(fit)
+            with suppress(*UNSIMULATED):
+                found.append(self._fit(self.few, q, effects, values, options))
 
         solved = [c for c in own if c is not None]
-        begin = self.plausible.copy()
+        begin = self.plausible[:TRIED_ON].copy()
         for i, candidate in enumerate(own):
             if candidate is not None:
                 begin[i] = taken_from(candidate.fit, self.base)
@@ -312,10 +413,42 @@ class CablesSpace:
             if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
                 fitted(begin, values_of(candidate.fit, effects))
         if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
-            fitted(
-                *common_start(self.prepared, self.base, self.plausible, simpler, effect, screened)
-            )
+            fitted(*self._common_start(simpler, effect, screened))
         return min(found, key=lambda f: f.chi2, default=None)
+
+    def _common_start(
+        self,
+        simpler: EffectFit | None,
+        effect: type[Effect],
+        screened: Sequence[ScreenedEffect],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Start of a joint fit: the cables' coordinates and the effects' values, by few cables."""
+        effects = (effect,) if simpler is None else (*simpler.effects, effect)
+        known = np.zeros(0) if simpler is None else simpler.fit.shared_values
+        # The slope says how much of it there is, but the cables were fitted without it: from a
+        # little of it all parameters move together.
+        off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
+        most = [np.median(np.array([s.starts[0] for s in screened]), axis=0)]
+        if shapes_of(effect) > SEVERAL:
+            clearest = max(screened, key=lambda s: s.score.statistic)
+            most = [*clearest.starts[:PLACES]]
+        places = [np.where(np.isnan(off), m, off + A_LITTLE * (m - off)) for m in most]
+        if not effect.smooth:
+            places += [
+                np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])
+                for k in range(3)
+            ]
+        starts = [np.concatenate([known, values]) for values in places]
+        begin, values = self.plausible[:TRIED_ON].copy(), starts[0]
+        few = slice(0, START_ON)
+        found: list[SharedFit] = []
+        for one in starts if len(starts) > 1 else ():
+            with suppress(*UNSIMULATED):
+                found.append(self._fit(self.few[few], begin[few], effects, one, FIRST_PASSES))
+        if found:
+            best = min(found, key=lambda f: f.chi2)
+            begin[few], values = best.q, best.shared_values
+        return begin, values
 
 
 def ranked_by_screens(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[Effect]]:
@@ -326,46 +459,6 @@ def ranked_by_screens(screens: Sequence[Sequence[ScreenedEffect]]) -> list[type[
         score[s.effect.name] = score.get(s.effect.name, 0.0) + s.score.statistic
         effects.setdefault(s.effect.name, s.effect)
     return [effects[n] for n in sorted(effects, key=lambda n: -score[n])]
-
-
-def on_all(
-    prepared: Sequence[PreparedStudy],
-    base: ParameterSpace,
-    plausible: FloatArray,
-    simpler: SharedFit,
-    best: EffectFit,
-    budget: LearningBudget,
-) -> EffectFit:
-    """Effects refitted to all cables, starting from their fit to a few.
-
-    The other cables begin as their holds show them or, where one of them cannot be simulated so
-    with the effects, as the simpler model has fitted them.
-
-    raises  UnsimulatedError: nor can they be simulated then
-    """
-    each_s = sum(simulated_s(cable) for cable in prepared) * (1 + best.fit.own + len(best.names))
-    options = budget.passes(
-        each_s, ALL_PASSES, f"the fit of {best.name} to {counted(len(prepared), 'cable')}"
-    )
-
-    def fitted(begin: FloatArray) -> SharedFit:
-        q = begin.copy()
-        q[: len(best.fit.q)] = best.fit.q
-        return fit_shared(prepared, base, q, best.effects, best.fit.shared_values, options=options)
-
-    try:
-        fit = fitted(plausible)
-    except UNSIMULATED:
-        fit = fitted(simpler.q[:, : plausible.shape[1]])
-    while fit.solution.promised > UNFINISHED * fit.chi2:  # as in a long curved valley
-        if not budget.allows(ENDS, f"the end of the fit of {best.name} to all cables"):
-            break
-        more = fit_shared(prepared, base, fit.q, best.effects, fit.shared_values, options=options)
-        if more.chi2 > (1.0 - UNFINISHED) * fit.chi2:
-            break
-        fit = more
-    fall = (simpler.chi2 - fit.chi2) / fit.inflation
-    return replace(best, fit=fit, fall=float(fall))
 
 
 def as_fit(alone: SharedFit) -> Fit:

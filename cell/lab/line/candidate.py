@@ -16,8 +16,8 @@ from cell.files.yaml_document import yaml_text
 from cell.identify.model_class import source_of
 from cell.lab.data.check import CheckOutcome
 from cell.lab.data.cycles import RecordedCycle
+from cell.lab.line.effect_fit import LearningResult
 from cell.lab.line.forecasts import ForecastPair, forecasts
-from cell.lab.line.learn import LearningResult
 from cell.lab.line.learning_checks import (
     LineEvidence,
     forecast_better,

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import Options
+from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.work import Budget, Work
 from cell.lab.fit.fitting import Rival
-from cell.lab.fit.shared import PASSES, SharedFit
+from cell.lab.fit.shared import PASSES, SharedFit, Spread
 
 #: Fits whose χ² is within this factor of the best are taken to convergence.
 NEAR, ALL_PASSES = 2.0, replace(PASSES, max_iterations=30)
@@ -126,3 +129,68 @@ def is_tied(other: EffectFit, best: EffectFit) -> bool:
     left = other.fit.solution.promised if other.fit.chi2 < NEAR * best.fit.chi2 else 0.0
     as_much = max(TIE, SIMULATED**2 * best.fall)
     return best.fall - other.fall - left / best.fit.inflation < as_much
+
+
+def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
+    """Fits, likeliest first, but an effect of the library before a file's law that it ties with."""
+    named = [t for t in ranked[:1] if t.effect.file is not None]
+    same = [t for t in ranked[1:] if named and t.effect.file is None and is_tied(t, ranked[0])]
+    return sorted(ranked, key=lambda t: t is not same[0]) if same else list(ranked)
+
+
+@dataclass(frozen=True)
+class CycleEvidence:
+    """Evidence of one cycle for or against the effect that was added last.
+
+    fall    of its own χ² over the inflation: positive speaks for the effect
+    value   of its first parameter as this cable alone would have it
+    std     of that
+    """
+
+    cycle: str
+    fall: float
+    value: float
+    std: float
+
+
+@dataclass(frozen=True, eq=False)
+class LearningResult:
+    """The result of learning from many cables: the missing effects, or that none is missing.
+
+    cycles    that were learned from, as in `cycle_evidence`
+    baseline  the present model, fitted to them
+    ranking   effects that were refitted given those before, the likeliest first
+    best      the likeliest, fitted to all of `cycles`; None = nothing significant is missing
+    tied      effects that explain as much as the last of `best`
+    spread    of the first parameter of each effect of `best` between cables
+    cycle_evidence   for and against the last effect of `best`
+    simpler   the result without the last effect; None = there is one effect, or none
+    left_out  what the limit of work has left out, and cables of which the model is none
+    cables_left_out   other cables that were not learned from, or not wholly, and why
+    """
+
+    cycles: tuple[RecordedCycle, ...]
+    baseline: SharedFit
+    ranking: tuple[EffectFit, ...] = ()
+    best: EffectFit | None = None
+    tied: tuple[str, ...] = ()
+    spread: tuple[Spread, ...] = ()
+    cycle_evidence: tuple[CycleEvidence, ...] = ()
+    simpler: LearningResult | None = None
+    left_out: tuple[str, ...] = ()
+    cables_left_out: tuple[str, ...] = ()
+
+    @property
+    def between(self) -> FloatArray:
+        """(m,) variance of each shared parameter between cables."""
+        assert self.best is not None
+        variance = np.zeros(len(self.best.names))
+        for i, spread in zip(self.best.firsts, self.spread, strict=True):
+            variance[i] = spread.tau**2
+        return variance
+
+    def rivals(self) -> list[Rival]:
+        """Predictions for the next cable by the effect found and those tied with it, if any are."""
+        likeliest = self.ranking[:1] if self.tied else ()
+        tied = [t for t in self.ranking[1:] if t.effect.name in self.tied]
+        return [t.on_next_cable() for t in (*likeliest, *tied)]

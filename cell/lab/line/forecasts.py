@@ -21,8 +21,7 @@ from cell.identify.model_class import ModelClass
 from cell.identify.noise import rms
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.fit.shared import BIAS_M, along_end
-from cell.lab.line.effect_fit import EffectFit
-from cell.lab.line.learn import LearningResult
+from cell.lab.line.effect_fit import EffectFit, LearningResult
 from cell.plan.destination import Destination
 from cell.plan.passage import height_at_opening_m, measured_passage
 from cell.study.data import Markers, Trial
@@ -65,23 +64,14 @@ class ForecastPair:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; null where there is no error."""
-        before, after = self.present, self.candidate
-        return dict(
-            plain(
-                {
-                    "cycle": self.cycle,
-                    "present_m": before.error_m,
-                    "candidate_m": after.error_m,
-                    "present_s": before.cpu_s,
-                    "candidate_s": after.cpu_s,
-                    "present_rms_m": before.rms_m,
-                    "candidate_rms_m": after.rms_m,
-                    "of": self.of,
-                    "present_above_m": before.above_m,
-                    "candidate_above_m": after.above_m,
-                }
-            )
-        )
+        keys = {"error_m": "m", "cpu_s": "s", "rms_m": "rms_m", "above_m": "above_m"}
+        each = {"present": self.present, "candidate": self.candidate}
+        of_models = {
+            f"{model}_{key}": getattr(said, name)
+            for name, key in keys.items()
+            for model, said in each.items()
+        }
+        return dict(plain({"cycle": self.cycle, "of": self.of, **of_models}))
 
 
 def forecasts(

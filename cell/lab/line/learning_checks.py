@@ -8,21 +8,20 @@ judged by the size of the error and by forecasts.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.effects.base import Effect
 from cell.lab.data.check import Check, CheckOutcome, Reading, worst_verdict
 from cell.lab.data.noise_model import KNOWN_WITHIN
 from cell.lab.data.results import Verdict
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.shared import SharedFit, Spread
-from cell.lab.line.effect_fit import EffectFit
+from cell.lab.line.effect_fit import EffectFit, LearningResult
 from cell.lab.line.forecasts import ForecastPair
-from cell.lab.line.learn import CHANCE, LearningResult, ends_seen_beyond
+from cell.lab.line.learn import CHANCE, ends_seen_beyond
 from cell.plan.destination import Destination
 
 #: From as many forecasts a rank test can be sure; of fewer none may be worse by more than noise.
@@ -161,7 +160,7 @@ def forecast_better(evidence: LineEvidence) -> Reading:
         p = 1.0 if same else float(wilcoxon(path_before, path_after, alternative="greater").pvalue)
         how = f"p = {p:.2g}"
     else:
-        worse = int(np.sum(after > before + evidence.result.noise_m))
+        worse = int(np.sum(after > before + evidence.result.baseline.noise_m))
         p, how = float(worse > 0), f"{worse} of {len(before)} worse"
     gain = rms[0] - rms[1]
     enough = rms[1] < (1.0 - rules.least_gain) * rms[0] and gain > rules.least_gain_m
@@ -197,43 +196,30 @@ def at_bound(evidence: LineEvidence) -> Reading | None:
     return Reading(float(len(at)), found=", ".join(at) + " at a bound" if at else "all")
 
 
-@dataclass(frozen=True)
-class _Amplitude:
-    """One of the fitted amplitudes of an effect.
+def _clearest(tried: EffectFit) -> list[tuple[int, float, float] | None]:
+    """Per effect its amplitude that stands out most; None = none is fitted.
 
-    index  among the shared parameters
-    none   its coordinate without the effect
-    stds   standard deviations that it is from there
+    returns  index among the shared parameters, coordinate without the effect, and the standard
+             deviations that it is from there
     """
-
-    index: int
-    none: float
-    stds: float
-
-
-def _clearest(tried: EffectFit, effect: type[Effect]) -> _Amplitude | None:
-    """Of an effect's amplitudes the one that stands out most; None = none is fitted."""
     fit, std = tried.fit, np.sqrt(np.diag(tried.fit.covariance))
-    found = []
-    for p in effect.parameters:
-        name = f"{effect.name}.{p.name}"
-        if p.amplitude and name in tried.names:
-            i = tried.names.index(name)
-            logarithmic = fit.space.logarithmic[fit.common[i]]
-            none = float(np.log(p.default)) if logarithmic else p.default
-            found.append(_Amplitude(i, none, abs(float(fit.theta[i]) - none) / float(std[i])))
-    return max(found, key=lambda a: a.stds, default=None)
-
-
-def _amplitudes(tried: EffectFit) -> Iterator[_Amplitude]:
-    """The clearest amplitude of every effect that has one."""
-    return (a for e in tried.effects if (a := _clearest(tried, e)) is not None)
+    clearest = []
+    for effect in tried.effects:
+        found = []
+        for p in effect.parameters:
+            name = f"{effect.name}.{p.name}"
+            if p.amplitude and name in tried.names:
+                i = tried.names.index(name)
+                logarithmic = fit.space.logarithmic[fit.common[i]]
+                none = float(np.log(p.default)) if logarithmic else p.default
+                found.append((i, none, abs(float(fit.theta[i]) - none) / float(std[i])))
+        clearest.append(max(found, key=lambda a: a[2], default=None))
+    return clearest
 
 
 def least_stds(evidence: LineEvidence) -> Reading | None:
     """Smallest distance of an effect from zero, in standard deviations."""
-    clearest = [_clearest(evidence.best, effect) for effect in evidence.best.effects]
-    least = min(0.0 if found is None else found.stds for found in clearest)
+    least = min(0.0 if found is None else found[2] for found in _clearest(evidence.best))
     return Reading(least, found=f"{least:.1f} standard deviations from none")
 
 
@@ -244,10 +230,9 @@ def most_changed(evidence: LineEvidence) -> Reading | None:
         return Reading(np.inf, found="1 cable")
     left = np.array([fit.without(i) for i in range(len(fit.cables))])
     remain = []
-    for amplitude in _amplitudes(tried):
-        size = float(fit.theta[amplitude.index]) - amplitude.none
-        away = left[:, amplitude.index] - amplitude.none
-        remain += [float(v) / size if size != 0.0 else 0.0 for v in away]
+    for i, none, _ in filter(None, _clearest(tried)):
+        size = float(fit.theta[i]) - none
+        remain += [float(v) / size if size != 0.0 else 0.0 for v in left[:, i] - none]
     factors = [max(v, 1.0 / v) if v > 0.0 else np.inf for v in remain]
     found = f"{min(remain, default=1.0):.2f} … {max(remain, default=1.0):.2f} of it remain"
     return Reading(max(factors, default=1.0), found=found)
@@ -260,25 +245,23 @@ def chance_of_spread(evidence: LineEvidence) -> Reading | None:
     if len(values) < 2:
         return Reading(0.0, found="1 cable")
     readings = []
-    for amplitude in _amplitudes(tried):
-        i = amplitude.index
-        size = abs(float(fit.theta[i]) - amplitude.none)
+    for i, none, _ in filter(None, _clearest(tried)):
         logarithmic = fit.space.logarithmic[fit.common[i]]
-        may = evidence.rules.alike * (1.0 if logarithmic else size)
+        may = evidence.rules.alike * (1.0 if logarithmic else abs(float(fit.theta[i]) - none))
         spread = Spread.of(values[:, i], np.hypot(std[:, i], may))
         found = (
             f"{tried.names[i]} differs by {spread.tau:.2g} beyond a tenth of it, which is allowed: "
             f"Q {spread.q:.1f} of {spread.dof}, p = {spread.p_value:.1g}"
         )
         readings.append(Reading(spread.p_value, found=found))
-    none = Reading(1.0, found="no strength is fitted")
-    return min(readings, key=lambda r: r.value, default=none)
+    nothing = Reading(1.0, found="no strength is fitted")
+    return min(readings, key=lambda r: r.value, default=nothing)
 
 
 LEARNING: tuple[Check[LineEvidence], ...] = (
     Check(
         "fitted_error",
-        "Is the error on all cables that of noise?",
+        "Is the error on all cables as small as the noise?",
         "error / noise",
         error_ratio,
         "<=",
@@ -289,7 +272,7 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
     ),
     Check(
         "ends_beyond",
-        "Are the cables' ends seen where the model has them?",
+        "Are the cables' tips measured where the model predicts them?",
         "standard deviations",
         ends_beyond,
         "<=",
@@ -300,7 +283,7 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
     ),
     Check(
         "ties",
-        "How many effects explain as much?",
+        "How many effects explain the error equally well?",
         "effects",
         most_tied,
         "<=",
@@ -339,7 +322,7 @@ def learning_verdict(
 GATES: tuple[Check[LineEvidence], ...] = (
     Check(
         "enough forecasts",
-        "How many forecasts judge the candidate?",
+        "How many forecasts test the candidate?",
         "forecasts",
         forecast_count,
         ">=",
@@ -372,7 +355,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
     ),
     Check(
         "as many would have passed",
-        "How many forecasts leave the opening?",
+        "How many fewer forecasts pass the opening than before?",
         "forecasts",
         lost_passages,
         "<=",
@@ -394,7 +377,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
     ),
     Check(
         "identifiable",
-        "How clear is each effect?",
+        "How many standard deviations is each effect from zero?",
         "standard deviations",
         least_stds,
         ">=",
@@ -405,7 +388,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
     ),
     Check(
         "whichever cable is left out",
-        "By what factor does it change without one cable?",
+        "By what factor does the effect change without one cable?",
         "factor",
         most_changed,
         "<",
@@ -416,7 +399,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
     ),
     Check(
         "all cables have it alike",
-        "Do all cables have the effect alike?",
+        "Do all cables have the same effect?",
         "p",
         chance_of_spread,
         ">=",

@@ -18,10 +18,9 @@ from scipy.special import stdtrit as t_quantile
 from cell.cable.arrays import FloatArray
 from cell.files.plain import plain
 from cell.lab.data.results import Verdict
-from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.data.thresholds import Rules
 from cell.lab.fit.shared import Spread
 from cell.lab.line.cables_space import ranked_by_screens
-from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.conclusion import Examination
@@ -175,35 +174,6 @@ def pool(values: FloatArray, std: FloatArray) -> Pooled:
     return Pooled(mean, float(reach), spread, np.array(others))
 
 
-@dataclass(frozen=True, eq=False)
-class Examined:
-    """A study and its own diagnosis."""
-
-    name: str
-    examination: Examination
-
-    @property
-    def fits(self) -> FitCache:
-        """Its models."""
-        return self.examination.fits
-
-    @property
-    def base(self) -> FittedModel:
-        """Its model without further effects."""
-        return self.fits.base
-
-    def with_effects(self, names: Names) -> FittedModel | None:
-        """Its model with these effects; None if that cannot be simulated."""
-        model = self.base
-        for name in names:
-            if name not in self.base.names:
-                found = self.fits.fit_extended(model, [self.fits.library[name]])
-                if not found:
-                    return None
-                model = found[0]
-        return model
-
-
 def check_names(names: Sequence[str]) -> None:
     """Raises ValueError: fewer than two studies, or two of one name."""
     if len(names) < 2 or len(set(names)) < len(names):
@@ -212,18 +182,19 @@ def check_names(names: Sequence[str]) -> None:
         )
 
 
-def together(studies: Sequence[Examined], rules: Rules = DEFAULT_RULES) -> Together:
+def together(studies: Sequence[Examination]) -> Together:
     """The joint diagnosis of several studies whose cables may lack the same effects.
 
     raises  ValueError: of fewer than two studies, or of two of one name
     """
-    check_names([s.name for s in studies])
+    check_names([s.fits.prepared.study.name for s in studies])
+    rules = studies[0].fits.rules
     models_of: dict[Names, list[FittedModel]] = {}
     for names in _hypotheses(studies):
-        models = [s.with_effects(names) for s in studies]
+        models = [s.fits.with_effects(names) for s in studies]
         if all(models):
             models_of[names] = [m for m in models if m is not None]
-    bases = [s.base for s in studies]
+    bases = [s.fits.base for s in studies]
     each = [
         Hypothesis(
             names,
@@ -233,7 +204,7 @@ def together(studies: Sequence[Examined], rules: Rules = DEFAULT_RULES) -> Toget
         for names, models in models_of.items()
     ]
     ranked = sorted(each, key=lambda h: -h.evidence)
-    best = _simplest(ranked, studies, models_of, rules)
+    best = _simplest(ranked, studies, models_of)
     # one limit for the residuals of all studies together: each has its share of it
     rules = replace(rules, residual_significance=rules.residual_significance / len(studies))
     tied = tuple(
@@ -249,13 +220,13 @@ def together(studies: Sequence[Examined], rules: Rules = DEFAULT_RULES) -> Toget
     return Together(verdict, why, best.effects, tied, parts, consistency, tuple(ranked))
 
 
-def _hypotheses(studies: Sequence[Examined]) -> list[Names]:
+def _hypotheses(studies: Sequence[Examination]) -> list[Names]:
     """No effect; the sets that studies find, and what is tied; effects that all screens suggest."""
     votes: Counter[Names] = Counter()
     for study in studies:
-        votes.update(_found(study.examination))
+        votes.update(_found(study))
     found = [names for names, _ in votes.most_common(MOST_SETS - BY_SCREENS)]
-    likely = ranked_by_screens([s.fits.screened(s.base) for s in studies])
+    likely = ranked_by_screens([s.fits.screened(s.fits.base) for s in studies])
     suggested = [(effect.name,) for effect in likely[:BY_SCREENS]]
     return list(dict.fromkeys([(), *found, *suggested]))
 
@@ -278,9 +249,8 @@ def _found(examination: Examination) -> Iterator[Names]:
 
 def _simplest(
     ranked: Sequence[Hypothesis],
-    studies: Sequence[Examined],
+    studies: Sequence[Examination],
     models_of: dict[Names, list[FittedModel]],
-    rules: Rules,
 ) -> Hypothesis:
     """The likeliest set, if it is significant; no effect where that leaves noise as well."""
     none = next(h for h in ranked if not h.effects)
@@ -288,30 +258,30 @@ def _simplest(
     if not best.effects:
         return none
     count = sum(p.fitted for m in models_of[best.effects] for e in m.effects for p in e.parameters)
-    count -= sum(p.fitted for s in studies for e in s.base.effects for p in e.parameters)
+    count -= sum(p.fitted for s in studies for e in s.fits.base.effects for p in e.parameters)
     library = max(len(s.fits.library) for s in studies)
     p_value = library * float(chi2_sf(max(count, 1), max(best.delta_chi2, 0.0)))
-    return best if p_value < rules.significance else none
+    return best if p_value < studies[0].fits.rules.significance else none
 
 
 def _parts(
-    studies: Sequence[Examined],
+    studies: Sequence[Examination],
     best: Hypothesis,
     models: Sequence[FittedModel],
     rules: Rules,
 ) -> tuple[tuple[StudyPart, ...], tuple[Consistency, ...]]:
     """Each study's part, and the parameters over those that do not exclude the effects."""
-    evidence = [Evidence(s.fits, m, rules) for s, m in zip(studies, models, strict=True)]
-    shows = [_shows(s, m, best, rules) for s, m in zip(studies, models, strict=True)]
+    evidence = [Evidence(s.fits.with_rules(rules), m) for s, m in zip(studies, models, strict=True)]
+    shows = [_shows(s, m, best) for s, m in zip(studies, models, strict=True)]
     says: list[Says | Literal[""]] = ["" for _ in studies]
     if best.effects:
         says = _says(evidence, best, shows)
     parts = tuple(
         StudyPart(
-            study.name,
-            study.examination.diagnosis.verdict,
-            tuple((m.effect, *m.tied_with) for m in study.examination.diagnosis.missing),
-            study.base.chi2 - model.chi2,
+            study.fits.prepared.study.name,
+            study.diagnosis.verdict,
+            tuple((m.effect, *m.tied_with) for m in study.diagnosis.missing),
+            study.fits.base.chi2 - model.chi2,
             _explained(study, of_model, said),
             said,
         )
@@ -320,22 +290,22 @@ def _parts(
     kept = [i for i, said in enumerate(says) if said != "excludes"]
     if not best.effects or not kept:
         return parts, ()
-    some = [(studies[i].name, evidence[i]) for i in kept]
+    some = [(studies[i].fits.prepared.study.name, evidence[i]) for i in kept]
     found = [_consistency(some, name) for name in _parameters(evidence[0], best)]
     return parts, tuple(found)
 
 
-def _explained(study: Examined, with_effects: Evidence, said: str) -> bool:
+def _explained(study: Examination, with_effects: Evidence, said: str) -> bool:
     """Whether a study's model leaves noise; without the effects where it does not show them."""
-    without = Evidence(study.fits, study.base, with_effects.rules)
+    without = replace(with_effects, final=study.fits.base)
     return any(explains(e) for e in ([] if said == "shows" else [without]) + [with_effects])
 
 
-def _shows(study: Examined, model: FittedModel, best: Hypothesis, rules: Rules) -> bool:
+def _shows(study: Examination, model: FittedModel, best: Hypothesis) -> bool:
     """Whether every effect is significant in a study by itself."""
     for effect in (e for e in model.effects if e.name in best.effects):
         rest = study.fits.fit_reduced(model, effect)
-        if study.fits.gain(rest, model).p_value >= rules.significance:
+        if study.fits.gain(rest, model).p_value >= study.fits.rules.significance:
             return False
     return True
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from cell.lab.data.thresholds import DEFAULT_RULES as RULES
 from cell.lab.fit.sensitivity import one_sided
 from cell.lab.next.linear_study import LinearStudy, Sensitivities
 from cell.lab.search.fitted_model import bic_penalty, p_value_of_fall
+from cell.lab.verdict.smooth_part import noise_was_seen
 
 BoolArray = NDArray[np.bool_]
 
@@ -138,22 +140,6 @@ class EffectTest:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class HalfSizeTest:
-    """The check whether an effect of half the size would be detected.
-
-    scores  numbers of its scores among those that are drawn
-    least   χ² from which it would
-    """
-
-    scores: slice
-    least: float
-
-    def passes(self, scores: FloatArray) -> BoolArray:
-        """Of draws (draws, all)."""
-        return np.asarray(np.sum(scores[:, self.scores] ** 2, axis=1) > self.least)
-
-
 @dataclass(frozen=True)
 class Chances:
     """Probabilities of the possible results of a diagnosis, given a hidden effect.
@@ -175,18 +161,24 @@ class Chances:
         """Nothing is claimed."""
         return max(0.0, 1.0 - self.found - sum(p for _, p in self.confused))
 
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {**vars(self), "confused": dict(self.confused), "missed": self.missed}
+
 
 @dataclass(frozen=True, eq=False)
 class Tests:
     """All tests of a diagnosis, given a hidden effect, as functions of the residual.
 
     effects   the hidden one first
+    detectable_at_half_size  scores by which half of the effect would be detected: their numbers,
+              and the χ² from which it would
     functions (n, rows) of the residual; by_change: (n,) of them by the hidden change itself
     noise     (draws, n) of the scores
     """
 
     effects: tuple[EffectTest, ...]
-    detectable_at_half_size: tuple[HalfSizeTest, ...]
+    detectable_at_half_size: tuple[tuple[slice, float], ...]
     given: Circumstances
     by_change: FloatArray
     noise: FloatArray
@@ -202,12 +194,17 @@ class Tests:
         """Of a hidden change (rows,), its own slopes and those of other effects."""
         functions: list[FloatArray] = []
         effects = tuple(_test_of(linear, s, functions) for s in (own, *rivals))
-        others = (None, own.of_parameters) if linear.sees_noise else ()
-        half_size = tuple(_half_size_test(linear, other, functions) for other in others)
+        half_size = []
+        seen = noise_was_seen(linear.all_trials.prepared)
+        for other in (None, own.of_parameters) if seen else ():
+            scores, least = linear.scores_of_trials(other, RULES.significance)
+            begin = sum(map(len, functions))
+            half_size.append((slice(begin, begin + len(scores)), least))
+            functions.append(scores)
         every = np.concatenate(functions)
         root = covariance_root(linear.covariance(every))
         noise = np.random.default_rng(0).standard_normal((DRAWS, len(every))) @ root.T
-        return Tests(effects, half_size, given, every @ hidden, noise)
+        return Tests(effects, tuple(half_size), given, every @ hidden, noise)
 
     def chances(self, times: float) -> Chances:
         """With the hidden change so many times as large."""
@@ -223,9 +220,9 @@ class Tests:
         few = tied.sum(axis=0) <= RULES.most_named
         identified = np.ones(len(scores), dtype=bool)
         if self.detectable_at_half_size:
-            identified = np.any(
-                [look.passes(scores) for look in self.detectable_at_half_size], axis=0
-            )
+            each = self.detectable_at_half_size
+            squares = [np.sum(scores[:, some] ** 2, axis=1) > least for some, least in each]
+            identified = np.any(squares, axis=0)
         claimed = any_is & few & identified
         # a rival that explains less is exchanged for the effect, which is then judged by itself
         exchanged = chi2[0] < of_best[0] - RULES.tie_delta_chi2
@@ -281,16 +278,6 @@ def _test_of(linear: LinearStudy, slopes: Sensitivities, functions: list[FloatAr
         slice(begin, begin + count),
         slice(begin + count, begin + 2 * count),
     )
-
-
-def _half_size_test(
-    linear: LinearStudy, other: FloatArray | None, functions: list[FloatArray]
-) -> HalfSizeTest:
-    """The check by what single trials' own parameters explain; its functions are added."""
-    scores, least = linear.scores_of_trials(other, RULES.significance)
-    begin = sum(map(len, functions))
-    functions.append(scores)
-    return HalfSizeTest(slice(begin, begin + len(scores)), least)
 
 
 def _square(values: FloatArray, inner: FloatArray) -> FloatArray:

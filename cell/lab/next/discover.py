@@ -131,7 +131,7 @@ class NothingFoundError(ValueError):
     """No law may be written.  Scenario: the model is complete already."""
 
 
-def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
+def discover(fits: FitCache, out: Path) -> Discovery:
     """Find the missing law as an effect that is named after the file `out`.
 
     The residual is regressed on what each admissible term would do to the markers (a score test
@@ -148,8 +148,8 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
     with tempfile.TemporaryDirectory() as folder:
         tried = _each(terms.values(), Path(folder))
         with fits.work.stage("prepare"):
-            search = FitCache.of(replace(fits.setup, library=tried))
-        examination = diagnose(search, rules)
+            search = FitCache.of(replace(fits.setup, library=tried, rules=ALL_TERMS))
+        examination = diagnose(search)
     fits.work.renew()
     base, found = examination.fits.base, examination.accepted
     if found is base:
@@ -162,7 +162,7 @@ def discover(fits: FitCache, out: Path, rules: Rules = ALL_TERMS) -> Discovery:
     with tempfile.TemporaryDirectory() as folder:
         effect = _loaded(Path(folder) / out.name, source)
         joined, final = with_joined(examination.fits, found, effect, names)
-        estimate = Evidence(joined, final, rules).estimate
+        estimate = Evidence(joined, final).estimate
     return Discovery(
         effect=name,
         source=source,

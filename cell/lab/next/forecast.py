@@ -7,7 +7,9 @@ noise.  So the joint distribution of a diagnosis's test statistics is known.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -46,25 +48,105 @@ class Alternative:
     correlation: float
 
 
+Said = Literal["found", "confused", "missed", "undecided", "unexplained", "failed"]
+
+
 @dataclass(frozen=True)
-class PowerForecast:
-    """Forecast of a study's diagnosis, given a hidden effect.
+class CopyOutcome:
+    """Result of the diagnosis of one copy of a study.
+
+    said   found: the effect is claimed, alone or in a tie, and nothing else; confused: another is
+           claimed; missed: the model is called complete; undecided: nothing is claimed;
+           unexplained: none explains it; failed: it could not be diagnosed
+    named  effects that are named, ties by ` or `; with `undecided` they are not claimed
+    """
+
+    said: Said
+    named: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """Results of the diagnoses of all copies.
+
+    asked  copies that were to be diagnosed
+    """
+
+    asked: int
+    outcomes: tuple[CopyOutcome, ...]
+
+    def count(self, *said: Said) -> int:
+        """Copies of which any of these is said."""
+        return sum(o.said in said for o in self.outcomes)
+
+    @property
+    def share(self) -> tuple[float, float, float]:
+        """Share of copies in which the effect is found, and its 95 % interval (Wilson)."""
+        hits, count = self.count("found"), len(self.outcomes)
+        if not count:
+            return float("nan"), 0.0, 1.0
+        from scipy.stats import binomtest  # takes half a second, which only `--verify` pays
+
+        sure = binomtest(hits, count).proportion_ci(method="wilson")
+        return hits / count, float(sure.low), float(sure.high)
+
+    @property
+    def confused_with(self) -> tuple[tuple[str, int], ...]:
+        """What is claimed in its place, the most frequent first."""
+        names = (" + ".join(o.named) for o in self.outcomes if o.said == "confused")
+        return tuple(Counter(names).most_common())
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        share, low, high = self.share
+        said: tuple[Said, ...] = ("found", "undecided", "missed", "unexplained", "failed")
+        return {
+            "copies": len(self.outcomes),
+            "asked": self.asked,
+            "share": share,
+            "low": low,
+            "high": high,
+            "confused": dict(self.confused_with),
+            **{one: self.count(one) for one in said},
+        }
+
+
+@dataclass(frozen=True)
+class EffectPower:
+    """Power of a study's diagnosis for one hidden effect: its forecast.
 
     size      of the amplitude asked; None = none within its bounds has the power
     chances   with an effect of this size
     smallest  that is found with `POWER`; None = none within its bounds
     rivals    the most collinear effects, the nearest first
     noncentrality   χ² that the effect adds to what the fitted model leaves of all trials
+    recovery  results of copies with the effect hidden; None = there are none
     """
 
+    asked: AskedEffect
     size: float | None
     chances: Chances | None
     smallest: float | None
     rivals: tuple[Alternative, ...]
     noncentrality: float | None
+    recovery: Recovery | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "effect": self.asked.effect.name,
+            "parameter": self.asked.parameter.name,
+            "unit": self.asked.parameter.unit,
+            "size": self.size,
+            "forecast": None if self.chances is None else self.chances.to_json(),
+            "noncentrality": self.noncentrality,
+            "smallest": self.smallest,
+            "rivals": [vars(r) for r in self.rivals],
+            "recovery": None if self.recovery is None else self.recovery.to_json(),
+        }
 
 
-def forecast(fits: FitCache, asked: AskedEffect, linear: LinearStudy) -> PowerForecast:
+def forecast(fits: FitCache, asked: AskedEffect, linear: LinearStudy) -> EffectPower:
     """Forecast of the diagnosis with this effect hidden, and the smallest size that it names.
 
     linear  the study near the baseline of `fits`
@@ -75,10 +157,11 @@ def forecast(fits: FitCache, asked: AskedEffect, linear: LinearStudy) -> PowerFo
     size = smallest if asked.size is None else asked.size
     found = at.tests(begin if size is None else size)
     if found is None:
-        return PowerForecast(size, None, smallest, (), None)
+        return EffectPower(asked, size, None, smallest, (), None)
     tests, hidden, rivals = found
     unlike = linear.project_out_all(hidden[None])[0]
-    return PowerForecast(
+    return EffectPower(
+        asked,
         size,
         None if size is None else tests.chances(1.0),
         smallest,

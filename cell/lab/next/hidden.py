@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect
@@ -20,7 +18,7 @@ from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.lab.data.gauges import with_gauges, without_gauges
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.corrections import finer
-from cell.lab.fit.fitting import Fit, best_initial_state, errors_m, fit_model
+from cell.lab.fit.fitting import Fit, best_initial_states, errors_m, fit_model
 from cell.lab.fit.heldout import heldout_rows
 from cell.lab.fit.systematic_error import MOTIONS
 from cell.lab.search.fitted_model import POLISH
@@ -54,7 +52,7 @@ class HiddenEffectWorld:
         """
         model = _with(fit.model, hidden)
         trials = prepared.study.trials if trials is None else tuple(trials)
-        states = {t.name: _beginning(prepared, fit, t)[None] for t in trials}
+        states = best_initial_states(prepared, fit, trials)
         channels = _together(prepared, fit)
         prepared, trials = _with_each_row(prepared, trials)
         places = finer(prepared).predict_all(trials, [model], states)
@@ -139,37 +137,23 @@ def left_of(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> FloatArr
     raises  UnsimulatedError: it cannot be simulated
     """
     trials, model = prepared.study.trials, _with(fit.model, hidden)
-    states = {t.name: _beginning(prepared, fit, t)[None] for t in trials}
-    seen = []
-    for trial, points in zip(trials, prepared.predict_all(trials, [model], states), strict=True):
-        places = np.where(np.isfinite(trial.markers.xy_m), points[0], np.nan)
-        if not np.all(np.isfinite(points)):
-            raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
-        seen.append(replace(trial, markers=replace(trial.markers, xy_m=places)))
-    study = replace(prepared.study, trials=tuple(seen))
+    predicted = prepared.predict_all(trials, [model], best_initial_states(prepared, fit))
+    if not all(np.all(np.isfinite(points)) for points in predicted):
+        raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
+    places = {t.name: points[0] for t, points in zip(trials, predicted, strict=True)}
+    study = prepared.study.with_places(
+        lambda t: np.where(np.isfinite(t.markers.xy_m), places[t.name], np.nan)
+    )
     quiet = prepared.rewhitened(study=study, mesh_m={}, rounding_m={})
     space = replace(fit.space, mean=fit.q)  # the prior pulls whatever is hidden
     found = fit_model(quiet, space, fit.q, fit.initial_states, options=POLISH)
-    of_fitted = iter(np.split(found.solution.residual, _ends(quiet, "fit")[:-1]))
-    held = quiet.study.role("validate")
-    rows = heldout_rows(quiet, found).residual if held else np.zeros(0)
-    of_held = iter(np.split(rows, _ends(quiet, "validate")[:-1]))
-    left = np.concatenate([next(of_fitted if t.role == "fit" else of_held) for t in seen])
+    parts = quiet.by_trial(quiet.study.role("fit"), found.solution.residual)
+    if held := quiet.study.role("validate"):
+        parts |= quiet.by_trial(held, heldout_rows(quiet, found).residual)
+    left = np.concatenate([parts[t.name] for t in trials])
     if not np.all(np.isfinite(left)):
         raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
     return left
-
-
-def _ends(prepared: PreparedStudy, role: Literal["fit", "validate"]) -> NDArray[np.int_]:
-    return np.cumsum([prepared.whiteners[t.name].rows for t in prepared.study.role(role)])
-
-
-def _beginning(prepared: PreparedStudy, fit: Fit, trial: Trial) -> FloatArray:
-    """How a trial begins: at rest, as fitted, or as is likeliest of one held out."""
-    if prepared.initial_state(trial).count == 0:
-        return np.zeros(0)
-    known = fit.initial_states.get(trial.name)
-    return best_initial_state(prepared, fit.model, trial) if known is None else known
 
 
 def _with(model: CableModel, hidden: ActiveEffect | None) -> CableModel:

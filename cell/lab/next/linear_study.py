@@ -17,12 +17,13 @@ from scipy.linalg import block_diag
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
+from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.sensitivity import one_sided, prior_root
+from cell.lab.fit.projection import prior_root
+from cell.lab.fit.sensitivity import one_sided
 from cell.lab.fit.systematic_error import MOTIONS
 from cell.lab.verdict.check_statistics import directions_of_trials
-from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual, noise_was_seen
+from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual
 
 #: Less of a change than this share is not told from what the fitted parameters do.
 LEAST_LEFT = 1e-4
@@ -79,7 +80,7 @@ class LinearStudy:
                 f"study {prepared.study.name}: a trial cannot be simulated with the fitted model, "
                 "so its power cannot be told; leave the trial out"
             )
-        whole = of_all_trials(prepared, fit)
+        whole = left.whole
         solution = whole.fit.solution
         slopes = solution.jacobian[:, solution.free]
         ends = whole.systematic_error.ends
@@ -113,14 +114,11 @@ class LinearStudy:
 
     def gls_weighted(self, held: FloatArray) -> FloatArray:
         """(n, rows) changes of held-out trials by the inverse of what is uncertain of them."""
-        slopes = np.where(self.fitted[:, None], 0.0, self.slopes)
-        moved = np.linalg.solve(self.inner + slopes.T @ slopes, slopes.T @ held.T).T
-        return np.asarray(held - moved @ slopes.T)
+        return np.where(self.fitted, 0.0, self.project_out_all(held))
 
     def heldout_scores(self, weighed: FloatArray) -> FloatArray:
         """(n, rows) functions of the whole residual that are (n, rows) of the held-out one."""
-        answered = np.linalg.solve(self.inner, self.slopes.T @ weighed.T).T
-        return np.asarray(weighed - np.where(self.fitted, answered @ self.slopes.T, 0.0))
+        return weighed - np.where(self.fitted, self._answer(weighed) @ self.slopes.T, 0.0)
 
     def raw_m(self, held: FloatArray) -> FloatArray:
         """(n, values) of changes (n, rows), m, as they were before they were whitened."""
@@ -170,11 +168,6 @@ class LinearStudy:
         directions = np.asarray(block_diag(*[part.T for part in parts]))
         functions = self.project_out_all(directions)
         return functions, self.residual.half_shows_from(functions @ functions.T, directions, p)
-
-    @property
-    def sees_noise(self) -> bool:
-        """Whether the level of noise is that of still frames."""
-        return noise_was_seen(self.all_trials.prepared)
 
     def covariance(self, functions: FloatArray) -> FloatArray:
         """(n, n) of functions (n, rows) of the residual, by noise and the gripper log."""

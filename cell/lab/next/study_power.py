@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 from cell.cable.effects.base import ActiveEffect, Effect
 from cell.cable.solver import Solver, threads
@@ -20,68 +19,18 @@ from cell.lab.data.results import Diagnosis, Doubt
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
 from cell.lab.diagnosis import diagnose
-from cell.lab.fit.plausibility import is_no_model
 from cell.lab.next.asked import AskedEffect
-from cell.lab.next.decisions import Chances
-from cell.lab.next.forecast import POWER, PowerForecast, forecast
+from cell.lab.next.forecast import POWER, CopyOutcome, EffectPower, Recovery, Said, forecast
 from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.verdict.doubts import no_model_doubt
+from cell.lab.verdict.doubts import check_model
 from cell.study.independence import Independence
 from cell.workers.executor import Executor
 from cell.workers.here import this_computer
 
 _LOG = logging.getLogger(__name__)
-
-Said = Literal["found", "confused", "missed", "undecided", "unexplained", "failed"]
-
-
-@dataclass(frozen=True)
-class CopyOutcome:
-    """Result of the diagnosis of one copy of a study.
-
-    said   found: the effect is claimed, alone or in a tie, and nothing else; confused: another is
-           claimed; missed: the model is called complete; undecided: nothing is claimed;
-           unexplained: none explains it; failed: it could not be diagnosed
-    named  effects that are named, ties by ` or `; with `undecided` they are not claimed
-    """
-
-    said: Said
-    named: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Recovery:
-    """Results of the diagnoses of all copies.
-
-    asked  copies that were to be diagnosed
-    """
-
-    asked: int
-    outcomes: tuple[CopyOutcome, ...]
-
-    def count(self, *said: Said) -> int:
-        """Copies of which any of these is said."""
-        return sum(o.said in said for o in self.outcomes)
-
-    @property
-    def share(self) -> tuple[float, float, float]:
-        """Share of copies in which the effect is found, and its 95 % interval (Wilson)."""
-        hits, count = self.count("found"), len(self.outcomes)
-        if not count:
-            return float("nan"), 0.0, 1.0
-        from scipy.stats import binomtest  # takes half a second, which only `--verify` pays
-
-        sure = binomtest(hits, count).proportion_ci(method="wilson")
-        return hits / count, float(sure.low), float(sure.high)
-
-    @property
-    def confused_with(self) -> tuple[tuple[str, int], ...]:
-        """What is claimed in its place, the most frequent first."""
-        names = (" + ".join(o.named) for o in self.outcomes if o.said == "confused")
-        return tuple(Counter(names).most_common())
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,33 +118,6 @@ FORMAT = "cable-power/1"
 
 
 @dataclass(frozen=True)
-class EffectPower:
-    """The power for one hidden effect: the forecast, and the results of its copies.
-
-    recovery  None = no copies were made
-    """
-
-    asked: AskedEffect
-    forecast: PowerForecast
-    recovery: Recovery | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        said = self.forecast
-        return {
-            "effect": self.asked.effect.name,
-            "parameter": self.asked.parameter.name,
-            "unit": self.asked.parameter.unit,
-            "size": said.size,
-            "forecast": None if said.chances is None else _chances(said.chances),
-            "noncentrality": said.noncentrality,
-            "smallest": said.smallest,
-            "rivals": [vars(r) for r in said.rivals],
-            "recovery": None if self.recovery is None else _recovery(self.recovery),
-        }
-
-
-@dataclass(frozen=True)
 class StudyPower:
     """The power of a study: forecasts of its diagnosis for hidden effects.
 
@@ -234,18 +156,17 @@ def power_of(
     raises    ValueError: the study cannot be fitted; UnsimulatedError: nor simulated
     """
     base = fits.base
-    if is_no_model(fits.prepared, base.fit):
-        raise ValueError(f"study {fits.prepared.study.name}: {no_model_doubt().message}")
+    check_model(fits)
     progress("what the trials show of the parameters")
     linear = LinearStudy.of(fits.prepared, base.fit)
     found = []
     for number, effect in enumerate(asked):
         progress(f"what the trials show of {effect.effect.name}", number, len(asked))
-        found.append(EffectPower(effect, forecast(fits, effect, linear)))
+        found.append(forecast(fits, effect, linear))
         fits.work.renew()
     if copies:
         for i, one in enumerate(found):
-            if (size := one.forecast.size) is not None:
+            if (size := one.size) is not None:
                 hidden = one.asked.at(size)
                 tried = recover(fits, hidden, copies, progress, executor=executor)
                 found[i] = replace(one, recovery=tried)
@@ -274,32 +195,3 @@ def _doubts(fits: FitCache) -> tuple[Doubt, ...]:
             )
         )
     return tuple(found)
-
-
-def _chances(chances: Chances) -> dict[str, Any]:
-    return {
-        "found": chances.found,
-        "confused": dict(chances.confused),
-        "missed": chances.missed,
-        "significant": chances.significant,
-        "confirmed": chances.confirmed,
-        "identified": chances.identified,
-        "told_apart": chances.told_apart,
-    }
-
-
-def _recovery(recovery: Recovery) -> dict[str, Any]:
-    share, low, high = recovery.share
-    return {
-        "copies": len(recovery.outcomes),
-        "asked": recovery.asked,
-        "found": recovery.count("found"),
-        "share": share,
-        "low": low,
-        "high": high,
-        "confused": dict(recovery.confused_with),
-        "undecided": recovery.count("undecided"),
-        "missed": recovery.count("missed"),
-        "unexplained": recovery.count("unexplained"),
-        "failed": recovery.count("failed"),
-    }

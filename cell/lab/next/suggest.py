@@ -19,20 +19,19 @@ from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.files.words import counted
 from cell.identify.gaussian import covariance_root, marginal_chi2
-from cell.identify.parameters import ParameterSpace, difference_points
+from cell.identify.parameters import difference_points
 from cell.identify.whitener import Whitener
 from cell.lab.data.prepared import PreparedStudy, whiteners_of
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.fitting import Rival
 from cell.lab.fit.heldout import predict_whole_cable
-from cell.lab.fit.plausibility import is_no_model
 from cell.lab.next.asked import AskedEffect
 from cell.lab.next.planned import planned_trials
 from cell.lab.next.suggestion import TURN_RAD, Option, Stroke, Suggestion, strokes
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.conclusion import Examination
-from cell.lab.verdict.doubts import no_model_doubt
+from cell.lab.verdict.doubts import check_model
 from cell.settings.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial
 
@@ -364,8 +363,7 @@ def showing_motion(
     raises  ValueError: the study cannot be fitted, no motion keeps the limits, or none shows them
     """
     base = fits.base
-    if is_no_model(fits.prepared, base.fit):
-        raise ValueError(f"study {fits.prepared.study.name}: {no_model_doubt().message}")
+    check_model(fits)
     without = _rival(base)
     models = [without, *(_with(without, one) for one in asked)]
     found = distinguishing_motions(fits.prepared, models, surroundings, fits.progress)
@@ -377,11 +375,7 @@ def _with(rival: Rival, asked: AskedEffect) -> Rival:
     parameter = asked.parameter
     size = asked.typical if asked.size is None else asked.size
     name = f"{asked.effect.name} ({parameter.name} {size:.3g}{after_number(parameter.unit)})"
-    return replace(rival, name=name, space=_holding(rival.space, asked, size))
-
-
-def _holding(space: ParameterSpace, asked: AskedEffect, size: float) -> ParameterSpace:
-    effect = asked.effect
-    names = (f"{effect.name}.{p.name}" for p in effect.parameters)
+    names = (f"{asked.effect.name}.{p.name}" for p in asked.effect.parameters)
     held = tuple(zip(names, asked.at(size).values, strict=True))
-    return replace(space, effects=(*space.effects, effect), exact=(*space.exact, *held))
+    effects, exact = (*rival.space.effects, asked.effect), (*rival.space.exact, *held)
+    return replace(rival, name=name, space=replace(rival.space, effects=effects, exact=exact))

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from cell.cable.arrays import FloatArray
-from cell.files.figure_style import NOISE, SEEN, laid_out, listed
+from cell.files.figure_style import NOISE, SEEN, laid_out, listed, play_button
 from cell.lab.report.figures import Series
 from cell.lab.strength.trial_residual import across_tip, displacement, distance, largest
 
@@ -31,8 +31,9 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
     t_s, seen = trial.markers.t_s, trial.markers.xy_m * 1e3
     models = [s.comparison.predicted_m[trial.name] * 1e3 for s in series]
     cables = [s.comparison.cable_m[trial.name] * 1e3 for s in series]
-    error = largest(distance(seen, models[0]))
-    larger = _larger(error, comparison.study.cable.free_length_m * 1e3)
+    length = comparison.study.cable.free_length_m * 1e3
+    wanted = ERROR_SHARE * length / max(largest(distance(seen, models[0])), 1e-6 * length)
+    larger = max((k for k in LARGER if k <= wanted), default=1)
     figure = make_subplots(
         2,
         2,
@@ -140,7 +141,6 @@ def _slider(figure: go.Figure, frames: Sequence[tuple[str, float]], active: int)
     """A slider over frames, and a button that plays them."""
     still = {"mode": "immediate", "frame": {"duration": 0, "redraw": False}}
     still |= {"transition": {"duration": 0}}
-    play = still | {"frame": {"duration": 60, "redraw": False}, "fromcurrent": True}
     figure.update_layout(
         sliders=[
             {
@@ -156,25 +156,8 @@ def _slider(figure: go.Figure, frames: Sequence[tuple[str, float]], active: int)
                 ],
             }
         ],
-        updatemenus=[
-            {
-                "type": "buttons",
-                "x": 0.0,
-                "xanchor": "left",
-                "y": 0.0,
-                "yanchor": "top",
-                "pad": {"t": 70},
-                "showactive": False,
-                "buttons": [{"label": "▶", "method": "animate", "args": [None, play]}],
-            }
-        ],
+        updatemenus=[play_button(60, x=0.0, y=0.0, pad={"t": 70})],
     )
-
-
-def _larger(error: float, length: float) -> int:
-    """By how much errors must be enlarged to be seen beside a cable of this length."""
-    wanted = ERROR_SHARE * length / max(error, 1e-6 * length)
-    return max((k for k in LARGER if k <= wanted), default=1)
 
 
 def _whiskers(seen: FloatArray, model: FloatArray, larger: int) -> dict[str, Any]:

@@ -24,9 +24,11 @@ from cell.files.figure_style import (
     listed,
     logarithmic,
     noise_line,
+    play_button,
     thirds,
 )
 from cell.lab.data.results import Diagnosis
+from cell.lab.fit.series import rms_over
 from cell.lab.report.wording import by_evidence, chance, noise_label, places
 from cell.lab.strength.compare import Comparison
 from cell.lab.strength.profiles import ParameterProfile
@@ -105,6 +107,8 @@ def listed_exactly(values: FloatArray) -> list[float | None]:
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
+#: Names of so many models have room below an axis.
+MOST_NAMED = 24
 #: Family-wise level at which evidence is beyond chance, as a diagnosis asks for.
 CHANCE = 0.01
 
@@ -147,6 +151,42 @@ def history(comparisons: Sequence[Comparison]) -> go.Figure:
         [c.fit_rms_m for c in comparisons],
         comparisons[0].noise_m,
         noise_label(comparisons[0].noise_is_stated),
+    )
+
+
+def fit_history(diagnosis: Diagnosis) -> go.Figure:
+    """Error of every model that was fitted, one after another, and the least so far; playable.
+
+    Models stand in the order of their number of effects, the largest error first.
+    """
+    fits = diagnosis.fit_errors
+    named = {f.effect for f in diagnosis.missing or diagnosis.partial}
+    errors_mm = np.array([f.rms_m for f in fits]) * 1e3
+    least_mm = np.minimum.accumulate(errors_mm)
+    names = [" + ".join(f.effects) or "baseline" for f in fits]
+    colours = [ADDED if f.effects and named >= set(f.effects) else QUIET for f in fits]
+    x = list(range(len(fits)))
+    every, least = listed(errors_mm, 4), listed(least_mm, 4)
+    figure = go.Figure()
+    figure.add_scatter(x=x, y=every, mode="markers", name="each model", text=names,
+        marker={"color": colours, "size": 9},
+        hovertemplate="%{text}: %{y} mm<extra></extra>")  # fmt: skip
+    figure.add_scatter(x=x, y=least, mode="lines", name="least so far",
+        line={"color": ADDED, "shape": "hv"}, hoverinfo="skip")  # fmt: skip
+    noise_mm = fits[-1].noise_m * 1e3
+    noise_line(figure, noise_mm, noise_label(diagnosis.noise_is_stated))
+    logarithmic(figure, [errors_mm, np.array([noise_mm])])
+    figure.frames = [
+        go.Frame(name=str(n), data=[{"x": x[:n], "y": every[:n]}, {"x": x[:n], "y": least[:n]}])
+        for n in range(1, len(fits) + 1)
+    ]
+    labels = [name.replace(" + ", "<br>+ ") for name in names] if len(fits) <= MOST_NAMED else []
+    ends = [-0.5, len(fits) - 0.5]
+    figure.update_xaxes(range=ends, tickvals=x[: len(labels)], ticktext=labels, tickangle=-40)
+    button = play_button(150, x=-0.05, y=-0.1)
+    figure.update_layout(yaxis_title="error, mm rms", updatemenus=[button])
+    return laid_out(figure, 460).update_layout(
+        margin_b=150, legend={"y": 1.02, "yanchor": "bottom"}
     )
 
 
@@ -339,7 +379,7 @@ def profiles(series: Sequence[Series]) -> go.Figure:
     spectrum = comparison.where[0].spectrum
     figure.add_scatter(
         x=listed(spectrum.frequency_hz, 2),
-        y=listed(1e3 * np.sqrt(spectrum.noise), 6),
+        y=listed(1e3 * np.sqrt(spectrum.noise_m2_per_hz), 6),
         mode="lines",
         line={"color": NOISE, "dash": "dash"},
         name=noise_label(comparison.noise_is_stated),
@@ -367,7 +407,7 @@ def _profile_traces(figure: go.Figure, s: Series, phases: Sequence[str]) -> None
     shared = {"name": s.name, "legendgroup": s.name}
     figure.add_scatter(
         x=listed(wheres[0].by_arc_length.centre * 1e3, 2),
-        y=in_mm(_mean_square([w.by_arc_length.rms_m for w in wheres])),
+        y=in_mm(rms_over([w.by_arc_length.rms_m for w in wheres])),
         mode="lines+markers",
         line=style,
         marker={"size": s.size - 2.0},
@@ -377,7 +417,7 @@ def _profile_traces(figure: go.Figure, s: Series, phases: Sequence[str]) -> None
     )
     figure.add_scatter(
         x=phases,
-        y=in_mm(_mean_square([np.array([w.by_phase[p] for p in phases]) for w in wheres])),
+        y=in_mm(rms_over([[w.by_phase[p] for p in phases] for w in wheres])),
         mode="markers",
         marker={"color": s.colour, "size": s.size},
         showlegend=False,
@@ -385,7 +425,9 @@ def _profile_traces(figure: go.Figure, s: Series, phases: Sequence[str]) -> None
         row=1,
         col=2,
     )
-    grid, density = _spectrum(s.comparison)
+    grid, each = wheres[0].spectrum.frequency_hz, [w.spectrum for w in wheres]
+    power = [np.interp(grid, one.frequency_hz, one.residual_m2_per_hz) for one in each]
+    density = 1e3 * np.sqrt(np.mean(power, axis=0))
     figure.add_scatter(
         x=listed(grid, 2),
         y=listed(density, 6),
@@ -396,19 +438,3 @@ def _profile_traces(figure: go.Figure, s: Series, phases: Sequence[str]) -> None
         row=1,
         col=3,
     )
-
-
-def _mean_square(rows: Sequence[FloatArray]) -> FloatArray:
-    """Root of the mean square over trials; nan where no trial has a value."""
-    table = np.array(rows) ** 2
-    seen = np.isfinite(table)
-    total = np.sum(np.where(seen, table, 0.0), axis=0)
-    return np.asarray(np.sqrt(np.where(seen.any(axis=0), total, np.nan) / seen.sum(axis=0).clip(1)))
-
-
-def _spectrum(comparison: Comparison) -> tuple[FloatArray, FloatArray]:
-    """Frequencies and mean residual amplitude over all trials, mm/√Hz."""
-    spectra = [w.spectrum for w in comparison.where]
-    grid = spectra[0].frequency_hz
-    mean = np.mean([np.interp(grid, s.frequency_hz, s.residual) for s in spectra], axis=0)
-    return grid, np.asarray(1e3 * np.sqrt(mean))

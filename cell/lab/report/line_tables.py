@@ -12,14 +12,14 @@ from cell.files.table import TableData
 from cell.files.words import counted
 from cell.lab.data.check import CheckOutcome
 from cell.lab.data.results import Verdict
+from cell.lab.line.effect_fit import LearningResult
 from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.identify_all import IdentifiedAll
-from cell.lab.line.learn import LearningResult
 from cell.lab.line.learning_checks import LineEvidence, learning_outcomes, learning_verdict
 from cell.lab.line.together import Consistency, Together
 from cell.lab.report.tables import check_rows, checks_table
-from cell.lab.report.wording import chance, digits
-from cell.records.mean_error import FEWEST, interval
+from cell.lab.report.wording import chance, digits, with_interval
+from cell.records.model_errors import FEWEST, interval
 
 #: What helps where the library has no name for what is missing.
 LAWS = "`cell learn --laws` looks for a law that is not in the library"
@@ -38,7 +38,7 @@ def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]
 
     so_far  the search for effects was interrupted
     """
-    before_m, noise_m = result.baseline.rms_m, result.noise_m
+    before_m, noise_m = result.baseline.rms_m, result.baseline.noise_m
     first = (
         f"{counted(len(result.cycles), 'cable')}: the model misses {before_m * 1e3:.3f} mm rms, "
         f"the noise is {noise_m * 1e3:.3f} mm"
@@ -250,7 +250,7 @@ def consistency_table(consistency: Sequence[Consistency]) -> TableData:
     rows = [
         [
             c.parameter,
-            f"{digits(c.value, 4)} ({digits(c.low, 4)} … {digits(c.high, 4)}) {c.unit}",
+            f"{with_interval(c.value, c.low, c.high)} {c.unit}",
             f"{100.0 * c.tau:.1f} %" if c.logarithmic else f"{digits(c.tau, 2)} {c.unit}",
             chance(c.q_p_value),
             f"{digits(c.without_low, 4)} … {digits(c.without_high, 4)}",
@@ -265,12 +265,9 @@ def consistency_table(consistency: Sequence[Consistency]) -> TableData:
 def values_table(consistency: Sequence[Consistency]) -> TableData:
     """Table of each parameter's estimate from each study alone."""
     rows = [
-        [value.study, *(
-            f"{digits(v.value, 4)} ({digits(v.low, 4)} … {digits(v.high, 4)})"
-            for v in (c.by_study[i] for c in consistency)
-        )]
-        for i, value in enumerate(consistency[0].by_study)
-    ]  # fmt: skip
+        [values[0].study, *(with_interval(v.value, v.low, v.high) for v in values)]
+        for values in zip(*(c.by_study for c in consistency), strict=True)
+    ]
     heads = ["study", *(f"{c.parameter}, {c.unit}" for c in consistency)]
     return TableData("Parameters by study (95 %)", heads, rows)
 

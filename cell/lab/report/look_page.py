@@ -12,7 +12,17 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from cell.cable.arrays import FloatArray
-from cell.files.figure_style import ADDED, MODEL, NOISE, QUIET, SEEN, in_mm, laid_out, listed
+from cell.files.figure_style import (
+    ADDED,
+    MODEL,
+    NOISE,
+    QUIET,
+    SEEN,
+    in_mm,
+    laid_out,
+    listed,
+    thinned,
+)
 from cell.files.input_error import InputError
 from cell.files.page import Plot, page
 from cell.files.table import TableData
@@ -39,8 +49,6 @@ _BETWEEN = 0.2
 _LINE_PX, _AROUND_PX = 190, 70
 #: A spectrum is drawn to so many times the highest frequency that is told.
 _SHOWN_HZ = 8.0
-#: Points of a line that are drawn: more are not seen.
-_MOST_POINTS = 1500
 
 
 def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
@@ -49,8 +57,8 @@ def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
     All are drawn to one scale, in mm, and where they are; paths of gripper and tip are grey.
     """
     rows = _moments(trial, facts)
-    grip, t_s = trial.grip, trial.markers.t_s
-    hand = np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
+    t_s = trial.markers.t_s
+    hand = trial.gripper_m(t_s)
     both = np.concatenate([trial.markers.xy_m.reshape(-1, 2), hand]) * 1e3
     low, high = np.nanmin(both, axis=0), np.nanmax(both, axis=0)
     size = np.maximum(high - low, 1e-6) * (1.0 + _BETWEEN)
@@ -61,7 +69,7 @@ def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
         from_grip = np.concatenate([hand[row][None], trial.markers.xy_m[row][::-1]])
         shape = from_grip[np.isfinite(from_grip).all(axis=1)] * 1e3 + at
         paths = np.concatenate([hand * 1e3 + at, [[np.nan] * 2], _tip(trial, facts) * 1e3 + at])
-        _line(figure, _thinned(paths), QUIET, 1.0, "paths of hand and tip", number == 0)
+        _line(figure, thinned(paths), QUIET, 1.0, "paths of hand and tip", number == 0)
         _line(figure, shape, SEEN, 2.0, "cable", number == 0, markers=True)
         place = {"x": [float(shape[0, 0])], "y": [float(shape[0, 1])]}
         figure.add_scatter(**place, mode="markers", name="gripping point", showlegend=number == 0,
@@ -82,8 +90,8 @@ def courses(trial: Trial, facts: TrialFacts) -> go.Figure:
     titles = ("tip, mm", "gripper, mm", "clamp angle, degrees")
     figure = make_subplots(3, 1, shared_xaxes=True, subplot_titles=titles, vertical_spacing=0.08)
     markers, grip = trial.markers, trial.grip
-    tip = _thinned(np.column_stack([markers.t_s, _tip(trial, facts) * 1e3]))
-    hand = _thinned(np.column_stack([grip.t_s, grip.x_m * 1e3, grip.y_m * 1e3]))
+    tip = thinned(np.column_stack([markers.t_s, _tip(trial, facts) * 1e3]))
+    hand = thinned(np.column_stack([grip.t_s, grip.x_m * 1e3, grip.y_m * 1e3]))
     for row, course in ((1, tip), (2, hand)):
         for axis, name, colour in ((1, "x (right)", ADDED), (2, "y (up)", MODEL)):
             figure.add_scatter(
@@ -91,7 +99,7 @@ def courses(trial: Trial, facts: TrialFacts) -> go.Figure:
                 line={"color": colour, "width": 1}, marker={"size": 2.5}, name=name,
                 legendgroup=name, showlegend=row == 1, row=row, col=1,
             )  # fmt: skip
-    angle = _thinned(np.column_stack([grip.t_s, np.degrees(grip.angle_rad)]))
+    angle = thinned(np.column_stack([grip.t_s, np.degrees(grip.angle_rad)]))
     figure.add_scatter(x=listed(angle[:, 0], 4), y=listed(angle[:, 1], 3), mode="lines",
         line={"color": NOISE}, showlegend=False, row=3, col=1)  # fmt: skip
     if np.ptp(angle[:, 1]) < 1.0:
@@ -110,7 +118,7 @@ def swing_figure(facts: TrialFacts) -> go.Figure | None:
         return None
     some = spectrum.frequency_hz > 0.0
     amplitude = np.maximum(spectrum.amplitude_m[some], 1e-4 * spectrum.amplitude_m.max())
-    shown = _thinned(np.column_stack([spectrum.frequency_hz[some], amplitude]))
+    shown = thinned(np.column_stack([spectrum.frequency_hz[some], amplitude]))
     figure = go.Figure()
     figure.add_scatter(x=listed(shown[:, 0], 4), y=in_mm(shown[:, 1]), mode="lines",
         line={"color": SEEN, "width": 1.5}, showlegend=False)  # fmt: skip
@@ -136,11 +144,6 @@ def _moments(trial: Trial, facts: TrialFacts) -> list[int]:
 
 def _tip(trial: Trial, facts: TrialFacts) -> FloatArray:
     return np.asarray(trial.markers.xy_m[:, facts.tip])
-
-
-def _thinned(rows: FloatArray) -> FloatArray:
-    """As many rows as can be seen."""
-    return np.asarray(rows[:: max(1, len(rows) // _MOST_POINTS)])
 
 
 def _line(
@@ -206,26 +209,16 @@ class StudyOverview:
         }
 
 
-@dataclass(frozen=True)
-class _TrialPlots:
+def _plots(trial: Trial, facts: TrialFacts) -> dict[str, object]:
     """Pictures of one trial; without a swing there is no spectrum, without a sensor no wrench."""
-
-    name: str
-    strip: Plot
-    courses: Plot
-    swing: Plot | None
-    wrench: Plot | None
-
-    @staticmethod
-    def of(trial: Trial, facts: TrialFacts) -> _TrialPlots:
-        swing = swing_figure(facts)
-        return _TrialPlots(
-            trial.name,
-            Plot.of(film_strip(trial, facts)),
-            Plot.of(courses(trial, facts)),
-            None if swing is None else Plot.of(swing),
-            None if trial.wrench is None else Plot.of(wrench_figure(trial.wrench)),
-        )
+    swing = swing_figure(facts)
+    return {
+        "name": trial.name,
+        "strip": Plot.of(film_strip(trial, facts)),
+        "courses": Plot.of(courses(trial, facts)),
+        "swing": None if swing is None else Plot.of(swing),
+        "wrench": None if trial.wrench is None else Plot.of(wrench_figure(trial.wrench)),
+    }
 
 
 def look_page(look: StudyOverview) -> str:
@@ -247,7 +240,7 @@ def look_page(look: StudyOverview) -> str:
         note=FACT_NOTE,
         wrenches=wrench_facts_table(look.wrenches) if look.wrenches else None,
         # no facts are known of trials that cannot be understood
-        trials=[_TrialPlots.of(t, f) for t, f in zip(look.trials, look.facts, strict=False)],
+        trials=[_plots(t, f) for t, f in zip(look.trials, look.facts, strict=False)],
     )
 
 

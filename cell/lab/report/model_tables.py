@@ -13,8 +13,8 @@ from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
 from cell.lab.next.decisions import Chances
-from cell.lab.next.forecast import POWER
-from cell.lab.next.study_power import EffectPower, Recovery, StudyPower
+from cell.lab.next.forecast import POWER, EffectPower, Recovery
+from cell.lab.next.study_power import StudyPower
 from cell.lab.report.tables import NOISE_ALONE
 from cell.lab.report.wording import (
     chance,
@@ -241,9 +241,9 @@ def power_table(power: StudyPower) -> TableData:
         [
             e.asked.effect.name,
             e.asked.parameter.name,
-            _size(e, e.forecast.size),
-            _chance(e.forecast.chances),
-            _size(e, e.forecast.smallest),
+            _size(e, e.size),
+            _chance(e.chances),
+            _size(e, e.smallest),
             e.asked.parameter.unit,
             *_rival(e),
         ]
@@ -282,23 +282,23 @@ def power_sentences(power: StudyPower) -> list[str]:
 
 
 def _sentences(effect: EffectPower) -> Iterator[str]:
-    asked, said = effect.asked, effect.forecast
+    asked, chances = effect.asked, effect.chances
     name = parameter_in_words(f"{asked.effect.name}.{asked.parameter.name}", asked.parameter.unit)
-    if said.chances is None:
+    if chances is None:
         yield f"No size of {name} within its bounds is found with {POWER:.0%}."
         return
-    size = _size(effect, said.size)
+    size = _size(effect, effect.size)
     yield (
         f"With {name} of {size} a diagnosis finds the effect with a probability of "
-        f"{said.chances.found:.2f}."
+        f"{chances.found:.2f}."
     )
-    gates = {gate: getattr(said.chances, gate) for gate in _GATES}
+    gates = {gate: getattr(chances, gate) for gate in _GATES}
     least = min(gates, key=lambda gate: gates[gate])
     if gates[least] < _SURE:
         yield f"If not, most often {_GATES[least]} ({1.0 - gates[least]:.2f})."
-    if said.chances.confused and said.chances.confused[0][1] >= _SHOWN:
-        other, chance = said.chances.confused[0]
-        yield f"It is taken for {other} with a probability of {chance:.2f}."
+    if chances.confused and chances.confused[0][1] >= _SHOWN:
+        other, p = chances.confused[0]
+        yield f"It is taken for {other} with a probability of {p:.2f}."
     if effect.recovery is not None and effect.recovery.confused_with:
         others = ", ".join(f"{n} ({k})" for n, k in effect.recovery.confused_with)
         yield f"Copies were taken for {others}."
@@ -309,8 +309,8 @@ def _recovered(effect: EffectPower, recovery: Recovery) -> list[str]:
     count = len(recovery.outcomes)
     return [
         effect.asked.effect.name,
-        _size(effect, effect.forecast.size),
-        _chance(effect.forecast.chances),
+        _size(effect, effect.size),
+        _chance(effect.chances),
         f"{recovery.count('found')} of {count}, {share:.2f}",
         f"{low:.2f} … {high:.2f}",
         *(
@@ -321,9 +321,9 @@ def _recovered(effect: EffectPower, recovery: Recovery) -> list[str]:
 
 
 def _rival(effect: EffectPower) -> tuple[str, str]:
-    if not effect.forecast.rivals:
+    if not effect.rivals:
         return "–", "–"
-    first = effect.forecast.rivals[0]
+    first = effect.rivals[0]
     return first.effect, f"{first.correlation:.2f}"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from cell.lab.report.cable_overlay import overlay
 from cell.lab.report.figures import (
     Series,
     by_trial,
+    fit_history,
     history,
     profile_curves,
     profiles,
@@ -61,36 +62,6 @@ MOST_ABOVE = 3
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
-@dataclass(frozen=True)
-class _Law:
-    """The law of an effect, as its file states it, and where it is described further."""
-
-    effect: str
-    first: str
-    others: Sequence[str]
-    entry: str
-
-
-@dataclass(frozen=True)
-class _Where:
-    """Profiles of an error over all trials, and a line for each."""
-
-    profiles: Plot
-    table: TableData
-
-
-@dataclass(frozen=True)
-class _TrialPlots:
-    """Overlay and residual maps of a trial."""
-
-    name: str
-    note: str
-    chosen: bool
-    overlay: Plot
-    maps: Plot
-    wrench: Plot | None
-
-
 def diagnosis_page(
     diagnosis: Diagnosis,
     comparisons: Sequence[Comparison],
@@ -120,6 +91,7 @@ def diagnosis_page(
         warnings=warning_lines(diagnosis.warnings),
         steps=steps,
         waterfall=Plot.of(waterfall(diagnosis)),
+        fitted=Plot.of(fit_history(diagnosis)) if len(diagnosis.fit_errors) > 1 else None,
         nearest=nearest_table(diagnosis) if diagnosis.nearest else None,
         laws=_laws(diagnosis, model),
         parameters=_parameters(diagnosis),
@@ -236,7 +208,7 @@ def _facts(comparison: Comparison) -> str:
     )
 
 
-def _where(series: Sequence[Series]) -> _Where:
+def _where(series: Sequence[Series]) -> dict[str, Plot | TableData]:
     """Profiles over all trials, and a line for each."""
     heads = ["trial", "used", *(f"{s.name}, mm" for s in series), "what is left", "it goes with"]
     rows = []
@@ -248,7 +220,8 @@ def _where(series: Sequence[Series]) -> _Where:
         left = left_in_words(last, series[-1].comparison)
         rows.append([trial.name, role, *errors, left, _goes_with(wheres[0])])
     numbers = range(2, 2 + len(series))
-    return _Where(Plot.of(profiles(series)), TableData("", heads, rows, numbers))
+    table = TableData("", heads, rows, numbers)
+    return {"profiles": Plot.of(profiles(series)), "table": table}
 
 
 def _goes_with(where: TrialResidual) -> str:
@@ -260,18 +233,24 @@ def _goes_with(where: TrialResidual) -> str:
     return ", ".join(found[:2]) or "–"
 
 
-def _trials(series: Sequence[Series]) -> list[_TrialPlots]:
+def _trials(series: Sequence[Series]) -> list[dict[str, object]]:
     """Overlay and residual maps of every trial; one is shown at a time, at first the worst."""
     comparison = series[0].comparison
     worst = int(np.argmax([w.rms_m if np.isfinite(w.rms_m) else 0.0 for w in comparison.where]))
-    found = []
+    found: list[dict[str, object]] = []
     for i, trial in enumerate(comparison.study.trials):
         role = "fitted" if trial.role == "fit" else "held out"
-        note = f"{role}, largest error" if i == worst else role
-        figures = Plot.of(overlay(series, i)), Plot.of(residual_maps(series, i))
         wrench = wrench_overlay(series, trial.name)
-        shown = None if wrench is None else Plot.of(wrench)
-        found.append(_TrialPlots(trial.name, note, i == worst, *figures, shown))
+        found.append(
+            {
+                "name": trial.name,
+                "note": f"{role}, largest error" if i == worst else role,
+                "chosen": i == worst,
+                "overlay": Plot.of(overlay(series, i)),
+                "maps": Plot.of(residual_maps(series, i)),
+                "wrench": None if wrench is None else Plot.of(wrench),
+            }
+        )
     return found
 
 
@@ -290,12 +269,11 @@ def _parameters(diagnosis: Diagnosis) -> TableData:
     return TableData("", ["effect", "parameter", "value", "95 % interval", "unit"], rows, (2, 3))
 
 
-def _laws(diagnosis: Diagnosis, model: Identified) -> list[_Law]:
-    """The law of each accepted effect."""
-    accepted = {f.effect for f in diagnosis.missing}
-    laws = []
-    for effect in model.space.effects:
-        if effect.name in accepted:
-            first, *others = inspect.cleandoc(effect.__doc__ or "").split("\n\n")
-            laws.append(_Law(effect.name, first, others, catalogue_entry([effect.name])))
+def _laws(diagnosis: Diagnosis, model: Identified) -> list[dict[str, object]]:
+    """The law of each accepted effect, as its file states it, and where it is described further."""
+    accepted, laws = {f.effect for f in diagnosis.missing}, list[dict[str, object]]()
+    for effect in (e for e in model.space.effects if e.name in accepted):
+        first, *others = inspect.cleandoc(effect.__doc__ or "").split("\n\n")
+        entry = catalogue_entry([effect.name])
+        laws.append({"effect": effect.name, "first": first, "others": others, "entry": entry})
     return laws

@@ -10,6 +10,7 @@ from cell.files.table import TableData
 from cell.identify.parameters import Prior
 from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors, TrialValue
 from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.fit.series import rms_over
 from cell.lab.next.advice import STATUSES, NextStep, meaning
 from cell.lab.report.wording import (
     agreement_sentence,
@@ -17,6 +18,7 @@ from cell.lab.report.wording import (
     at_noise,
     by_evidence,
     chance,
+    class_in_words,
     digits,
     interrupted,
     mm,
@@ -25,10 +27,10 @@ from cell.lab.report.wording import (
     peak_in_words,
     place_in_words,
     places,
-    plain,
     short,
     unexplained,
     why_not_told,
+    with_interval,
 )
 from cell.lab.strength.compare import Comparison
 from cell.study.facts import sensors_in_words
@@ -69,9 +71,7 @@ def sentence(
     if not diagnosis.missing:
         return f"{misses}, {at_noise(diagnosis)}. {why_not_told(diagnosis) or NOT_WHY}"
     after_mm = _shown_mm(diagnosis.missing[-1].errors)
-    names = " and ".join(
-        " or ".join(plain(n) for n in (f.effect, *f.tied_with)) for f in diagnosis.missing
-    )
+    names = " and ".join(map(class_in_words, diagnosis.missing))
     rest = f"{after_mm / noise_mm:.1f} times the noise, not yet explained"
     if after_mm < NOISE_ALONE * noise_mm:
         rest = noise_like(noise_mm, final)
@@ -81,26 +81,20 @@ def sentence(
 
 def _worst_place(comparison: Comparison) -> str:
     """Which part of the cable, and which phase of the motion, have the largest error."""
-    squares = np.array([w.by_arc_length.rms_m**2 for w in comparison.where])
-    seen = np.isfinite(squares)
-    if not seen.any():
+    by_marker = rms_over([w.by_arc_length.rms_m for w in comparison.where])
+    if not np.isfinite(by_marker).any():
         return ""
-    total, count = np.where(seen, squares, 0.0).sum(axis=0), seen.sum(axis=0)
-    by_marker = np.sqrt(np.where(count > 0, total, np.nan) / np.maximum(count, 1))
     share = comparison.study.arc_length_m[int(np.nanargmax(by_marker))]
     part = place_in_words(share / comparison.study.cable.length_m)
     phases = list(comparison.where[0].by_phase)
-    by_phase = [
-        np.mean([w.by_phase[p] ** 2 for w in comparison.where if np.isfinite(w.by_phase[p])] or [0])
-        for p in phases
-    ]
+    by_phase = rms_over([[w.by_phase[p] for p in phases] for w in comparison.where])
     when = {
         "still": "even at rest",
         "moving": "while the gripper moves",
         "early swing": "early in the swing",
         "late swing": "late in the swing",
     }
-    return f", most of it {part} {when[phases[int(np.argmax(by_phase))]]}"
+    return f", most of it {part} {when[phases[int(np.argmax(np.nan_to_num(by_phase)))]]}"
 
 
 def nearest_table(diagnosis: Diagnosis) -> TableData:
@@ -134,7 +128,7 @@ def waterfall_table(diagnosis: Diagnosis) -> TableData:
     rows = [["baseline", *errors, *before, "", "", ""]]
     for found in diagnosis.missing or diagnosis.partial:
         parameters = ", ".join(
-            f"{name} {digits(p.value, 4)} ({digits(p.low, 4)} … {digits(p.high, 4)}) {p.unit}"
+            f"{name} {with_interval(p.value, p.low, p.high)} {p.unit}"
             for name, p in found.parameters.items()
         )
         tied = f" or {', '.join(found.tied_with)}" if found.tied_with else ""

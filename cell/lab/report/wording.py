@@ -55,7 +55,7 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
             before = f"{short(left.before_rms_m * 1e3)} mm"
             said += f" Fitted to all trials it misses {before}{_near(diagnosis)}."
         return said
-    names = " and ".join(_class(f) for f in diagnosis.partial)
+    names = " and ".join(map(class_in_words, diagnosis.partial))
     explains, it = ("explains", "it") if len(diagnosis.partial) == 1 else ("explain", "them")
     said = f"{misses}, {noise}; {names} {explains} most of it, not all"
     if left is not None:
@@ -97,7 +97,7 @@ def _near(diagnosis: Diagnosis) -> str:
     return f", {_listed(found)}" if found else ", and no effect makes that less"
 
 
-def _class(found: MissingEffect) -> str:
+def class_in_words(found: MissingEffect) -> str:
     """An effect and those that cannot be told from it."""
     return " or ".join(plain(n) for n in (found.effect, *found.tied_with))
 
@@ -232,6 +232,11 @@ def short(value_mm: float) -> str:
 def digits(value: float, many: int) -> str:
     """A number with `many` significant digits; 0 has no sign."""
     return f"{value + 0.0:.{many}g}"
+
+
+def with_interval(value: float, low: float, high: float) -> str:
+    """A value with its interval, four digits each."""
+    return f"{digits(value, 4)} ({digits(low, 4)} … {digits(high, 4)})"
 
 
 def size_in_digits(value: float, none: float) -> str:

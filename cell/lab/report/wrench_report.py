@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from cell.cable.arrays import FloatArray
-from cell.files.figure_style import NOISE, SEEN, laid_out, listed
+from cell.files.figure_style import NOISE, SEEN, laid_out, listed, thinned
 from cell.files.table import TableData
 from cell.lab.report.figures import Series
 from cell.lab.report.wording import chance
@@ -22,8 +22,6 @@ from cell.study.wrench import WrenchFacts
 NAMES = ("force x", "force y", "moment")
 UNITS = ("mN", "mN", "mN·m")
 _MILLI = 1e3
-#: Points of a line that are drawn: more are not seen.
-_MOST_POINTS = 1500
 #: Pixels of a panel's height, and of what is around them.
 _PANEL_PX, _AROUND_PX = 190, 90
 
@@ -52,9 +50,9 @@ def wrench_figure(wrench: Wrench) -> go.Figure:
     there = np.flatnonzero(np.isfinite(wrench.values).any(axis=0))
     titles = [f"{NAMES[i]}, {UNITS[i]}" for i in there]
     figure = make_subplots(len(there), 1, shared_xaxes=True, subplot_titles=titles)
-    thin = slice(None, None, max(1, len(wrench.t_s) // _MOST_POINTS))
     for row, i in enumerate(there, 1):
-        _line(figure, wrench.t_s[thin], wrench.values[thin, i], ("measured", SEEN), (row, 1))
+        values = thinned(wrench.values)[:, i]
+        _line(figure, thinned(wrench.t_s), values, ("measured", SEEN), (row, 1))
     figure.update_xaxes(title="s", row=len(there), col=1)
     return laid_out(figure, _AROUND_PX + _PANEL_PX * len(there))
 
@@ -87,16 +85,14 @@ def wrench_overlay(series: Sequence[Series], trial: str) -> go.Figure | None:
     there = np.flatnonzero(np.isfinite(first.rms))
     titles = [f"{NAMES[i]}{of}, {UNITS[i]}" for i in there for of in ("", ": error")]
     figure = make_subplots(len(there), 2, shared_xaxes=True, subplot_titles=titles)
-    thin = slice(None, None, max(1, len(first.t_s) // _MOST_POINTS))
-    t_s = first.t_s[thin]
+    t_s = thinned(first.t_s)
     for row, i in enumerate(there, 1):
-        measured = first.measured[thin, i]
+        measured = thinned(first.measured)[:, i]
         _line(figure, t_s, measured, ("measured", SEEN), (row, 1), dots=True, named=row == 1)
         for s, w in found:
-            predicted = w.predicted[thin, i]
-            place = row, 1
+            predicted, place = thinned(w.predicted)[:, i], (row, 1)
             _line(figure, t_s, predicted, (s.name, s.colour), place, width=s.width, named=row == 1)
-            error = (w.measured - w.predicted)[thin, i]
+            error = thinned(w.measured - w.predicted)[:, i]
             _line(figure, t_s, error, (s.name, s.colour), (row, 2), width=1.0)
         band = 2.0 * _MILLI * float(first.noise[i])
         figure.add_hrect(

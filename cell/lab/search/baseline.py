@@ -14,6 +14,7 @@ from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy, with_noise_from
+from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.corrections import corrected, with_gain_of, with_noise_given
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with, with_slope_solver
@@ -40,6 +41,8 @@ class SearchSetup:
                      model lacked them, where a fit from their typical size leaves more than noise
     reference        model given which noise and mesh error were re-estimated; None = they were not
     earlier          models of an earlier search by their effects: where fits start
+    rules            limits for accepting an effect
+    rules            limits for accepting an effect
     """
 
     prepared: PreparedStudy
@@ -51,6 +54,7 @@ class SearchSetup:
     unknown_effects: tuple[type[Effect], ...] = ()
     reference: FittedModel | None = None
     earlier: Mapping[frozenset[str], FittedModel] = field(default_factory=dict)
+    rules: Rules = DEFAULT_RULES
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +101,10 @@ class Baseline:
         found = self._with_noise_and_mesh_error(BaselineFit(judged, fit))
         error = error_text(found.prepared, found.fit.rms_m)
         progress(f"weighing the model with {names}, {error}", 2, 3)
+        expected_m = found.prepared.expected_m("fit")
+        prepared.work.note_fit((e.name for e in space.effects), found.fit.rms_m, expected_m)
         count = found.prepared.count(fit_trials(found.prepared))
-        errs = found.fit.rms_m > ERRS * found.prepared.expected_m("fit")
+        errs = found.fit.rms_m > ERRS * expected_m
         far = found.fit.chi2 > MISFIT * count or (self.by_adding is not None and errs)
         if far and prepared.work.affords(f"other starts of the model with {names}"):
             best = self._from_other_starts(found, start, count)

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 
 from cell.lab.data.thresholds import Rules
 from cell.lab.search.baseline import SearchSetup
-from cell.lab.search.fit_cache import FitCache, StudySpace, noise_reestimated
-from cell.lab.search.fitted_model import FittedModel, is_below_stated
-from cell.lab.search.residual_summary import removed_share, residual_summary
-from cell.lab.search.rivals import added_effect
+from cell.lab.search.fit_cache import FitCache, noise_reestimated
+from cell.lab.search.fitted_model import FittedModel, added_effect
 from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels, pruned
 
 _LOG = logging.getLogger(__name__)
@@ -68,14 +66,12 @@ class ConfirmedEffects:
     """
 
     fits: FitCache
-    library: int
-    rules: Rules
 
     def accepted(self, current: FittedModel, options: Sequence[FittedModel]) -> FittedModel | None:
         """The option with the most evidence of those confirmed; else of those that cannot be."""
-        rules = self.rules
-        gains = [self.fits.gain(current, o) for o in options]
-        adjusted = holm_among([g.p_value for g in gains], self.library)
+        fits, rules = self.fits, self.fits.rules
+        gains = [fits.gain(current, o) for o in options]
+        adjusted = holm_among([g.p_value for g in gains], fits.tried)
         likely = [
             (o, self._confirmation(current, o))
             for o, g, p in zip(options, gains, adjusted, strict=True)
@@ -95,13 +91,13 @@ class ConfirmedEffects:
 
     def needed(self, rest: FittedModel, model: FittedModel) -> bool:
         """Whether the model's effect that the rest lacks is confirmed given it."""
-        found, rules = self._confirmation(rest, model), self.rules
+        found, rules = self._confirmation(rest, model), self.fits.rules
         kept = found is None or found.is_given(rules) or found.is_impossible(rules)
         return kept and self.fits.gain(rest, model).delta_bic > 0.0
 
     def _confirmation(self, small: FittedModel, large: FittedModel) -> Confirmation | None:
         """What held-out trials say of the last effect of `large`; None if there are none."""
-        fits, rules = self.fits, self.rules
+        fits, rules = self.fits, self.fits.rules
         base = fits.base.heldout
         if small.heldout is None or large.heldout is None or base is None:
             return None
@@ -138,20 +134,17 @@ class SearchResult:
     refined: SearchSetup | None
 
 
-def search_effects(fits: FitCache, rules: Rules) -> SearchResult:
+def search_effects(fits: FitCache) -> SearchResult:
     """Search the effects that the baseline lacks, within the budget of the present stage."""
-    base = fits.base
-    library = len(fits.screened(base))
-    singles = fits.fit_extended(base, fits.shortlist(base, rules.max_refits))
+    singles = fits.extended(fits.base)
     all_tried = not fits.work.left_out
-    model, refined = _accepted(fits, library, rules)
+    model, refined = _accepted(fits)
     return SearchResult(fits, tuple(singles), model, all_tried, refined)
 
 
-def _accepted(fits: FitCache, library: int, rules: Rules) -> tuple[FittedModel, SearchSetup | None]:
+def _accepted(fits: FitCache) -> tuple[FittedModel, SearchSetup | None]:
     """The baseline with the effects accepted; the setup of a repeated search if one is needed."""
-    base, space = fits.base, StudySpace(fits, rules.max_refits)
-    criterion = ConfirmedEffects(fits, library, rules)
+    base, rules, criterion = fits.base, fits.rules, ConfirmedEffects(fits)
 
     def in_time() -> bool:
         return fits.work.affords("further effects")
@@ -160,19 +153,19 @@ def _accepted(fits: FitCache, library: int, rules: Rules) -> tuple[FittedModel, 
         better = criterion.accepted(current, options)
         if better is None:
             return []
-        if len(fits.added(better)) > 1 and not _two_leave_most(fits, better, rules):
-            better = exchanged(space, better, criterion.better, in_time)
-        better = pruned(space, better, criterion.needed)
+        if len(fits.added(better)) > 1 and not _two_leave_most(fits, better):
+            better = exchanged(fits, better, criterion.better, in_time)
+        better = pruned(fits, better, criterion.needed)
         _LOG.info("with %s: %s", ", ".join(sorted(better.names)), errors_in_words(better))
         return [better]
 
-    for step, (current,) in enumerate(levels(base, space.extended, kept)):
+    for step, (current,) in enumerate(levels(base, fits.extended, kept)):
         explained = current is not base and fits.explained_by(current)
         if explained and (refined := noise_reestimated(fits, current)) is not None:
             return current, refined
-        if step == rules.most_named or is_below_stated(fits.prepared, current, rules.below_stated):
+        if step == rules.most_named or fits.is_below_stated(current):
             break
-        if _two_leave_most(fits, current, rules):
+        if _two_leave_most(fits, current):
             break
         if current is not base and not in_time():  # the baseline's were all refitted already
             return current, None
@@ -180,15 +173,13 @@ def _accepted(fits: FitCache, library: int, rules: Rules) -> tuple[FittedModel, 
     return current, noise_reestimated(fits, current) if unexplained else None
 
 
-def _two_leave_most(fits: FitCache, current: FittedModel, rules: Rules) -> bool:
+def _two_leave_most(fits: FitCache, current: FittedModel) -> bool:
     """Whether two effects leave most of the error: one more, or exchanged, will not explain it."""
     if len(fits.added(current)) < 2:
         return False
-    prepared = fits.prepared
-    before, after = residual_summary(prepared, fits.base), residual_summary(prepared, current)
-    return 1.0 - removed_share(prepared.noise_model.noise.std_m, before, after) > rules.most_share
+    return 1.0 - fits.removed_share(fits.base, current) > fits.rules.most_share
 
 
-def path_to(fits: FitCache, final: FittedModel, rules: Rules) -> tuple[FittedModel, ...]:
+def path_to(fits: FitCache, final: FittedModel) -> tuple[FittedModel, ...]:
     """Models from the baseline to `final`, the effect with the most evidence first."""
-    return tuple(in_order(StudySpace(fits, rules.max_refits), final, lambda c: c.evidence))
+    return tuple(in_order(fits, final, lambda c: c.evidence))

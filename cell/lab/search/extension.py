@@ -136,12 +136,12 @@ class Extension:
         """Coordinates with the sizes that the screens have found, then with typical ones."""
         guesses = _guesses(screens)
         values = scaled(effect, guesses) if self.far else guesses
-        starts = []
-        for value in [*values, *typical(effect)]:
-            q = extended(self.base.fit, space, effect, value)
-            for i, name in enumerate(self.base.fit.space.names):
-                q[space.names.index(name)] = origin[i]
-            starts.append(q)
+        starts = [
+            extended(self.base.fit, space, effect, value) for value in [*values, *typical(effect)]
+        ]
+        of_base = [space.names.index(name) for name in self.base.fit.space.names]
+        for q in starts:
+            q[of_base] = origin
         return starts
 
     def _promising(
@@ -252,14 +252,6 @@ FIRST = 2
 FAR_ABOVE, FAR_FROM_FALL = 10.0, 0.1
 
 
-@dataclass(frozen=True)
-class _Refit:
-    """An effect with which a model is to be fitted."""
-
-    effect: type[Effect]
-    options: Options = REFIT
-
-
 @dataclass(frozen=True, eq=False)
 class Refits:
     """Refits of a model with one effect more.  A user's own effects are all taken to convergence.
@@ -287,31 +279,36 @@ class Refits:
         unknown = [e for e in unknown if work.affords(f"a fit with {self._name(e)}")]
         done = itertools.count(len(effects) - len(unknown) + 1)
 
-        def refitted(job: _Refit) -> FittedModel | None:
-            if known := self.earlier.get(self._key(job.effect)):
-                at_once = replace(job.options, above=(job.options.above[0], 1))
+        def refitted(job: tuple[type[Effect], Options]) -> FittedModel | None:
+            effect, options = job
+            if known := self.earlier.get(self._key(effect)):
+                at_once = replace(options, above=(options.above[0], 1))
                 with contextlib.suppress(*UNSIMULATED):
                     again = continued(prepared, known, at_once)
-                    return self.extension.at_least_nested(again, job.options)
-            return self.extension.by(job.effect, self.screens[job.effect.name], job.options)
+                    return self.extension.at_least_nested(again, options)
+            return self.extension.by(effect, self.screens[effect.name], options)
 
         def taken_on(model: FittedModel) -> FittedModel:
             with contextlib.suppress(*UNSIMULATED):  # it ended where hardly anything is simulated
                 return continued(prepared, model, POLISH)
             return model
 
-        def not_fitted(job: _Refit) -> FittedModel | None:
-            work.leave_out(f"a fit with {self._name(job.effect)}")
+        def not_fitted(job: tuple[type[Effect], Options]) -> FittedModel | None:
+            work.leave_out(f"a fit with {self._name(job[0])}")
             return None
 
-        def was_fitted(job: _Refit, model: FittedModel | None) -> None:
+        def known_now(model: FittedModel) -> None:
+            models[model.names] = model
+            work.note_fit(model.names, model.fit.rms_m, prepared.expected_m("fit"))
+
+        def was_fitted(job: tuple[type[Effect], Options], model: FittedModel | None) -> None:
             if model is not None:
-                models[model.names] = model
-            text = f"refitted with {self._name(job.effect)}, {self._error_fall(effects)}"
+                known_now(model)
+            text = f"refitted with {self._name(job[0])}, {self._error_fall(effects)}"
             self.progress(text, next(done), len(effects))
 
         def was_taken_on(_: FittedModel, model: FittedModel) -> None:
-            models[model.names] = model
+            known_now(model)
             if model.fit.solution.iterations < POLISH.max_iterations:  # it gained no more
                 self.polished.add(model.names)
 
@@ -319,15 +316,13 @@ class Refits:
         self.progress(text, len(effects) - len(unknown), len(effects))
         functions = (refitted, taken_on)
         with side_by_side(prepared.work, functions, self.offered, len(unknown)) as pool:
-            first = [_Refit(e) for e in unknown if e in effects[:FIRST] or e.file is not None]
-            pool.map(refitted, first, not_fitted, was_fitted)
-            begun = [job.effect for job in first]
-            above = (self._far([*effects[:FIRST], *begun]), ENOUGH_PASSES)
+            first = [e for e in unknown if e in effects[:FIRST] or e.file is not None]
+            pool.map(refitted, [(e, REFIT) for e in first], not_fitted, was_fitted)
+            above = (self._far([*effects[:FIRST], *first]), ENOUGH_PASSES)
             hurried = replace(REFIT, above=above)
             # those with most shapes take longest, and so begin first
-            rest = [_Refit(e, hurried) for e in unknown if e not in begun]
-            by_shapes = sorted(rest, key=lambda j: -shapes_of(j.effect))
-            pool.map(refitted, by_shapes, not_fitted, was_fitted)
+            rest = sorted((e for e in unknown if e not in first), key=lambda e: -shapes_of(e))
+            pool.map(refitted, [(e, hurried) for e in rest], not_fitted, was_fitted)
             found = self._fitted(effects)
             rough = self._to_take_on(found, self._far(effects))
             if rough and not work.spent:

@@ -14,6 +14,7 @@ from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import ERRS, PreparedStudy, arcs_are_uncertain
+from cell.lab.data.thresholds import Rules
 from cell.lab.data.work import Progress, Work
 from cell.lab.fit.corrections import (
     corrected,
@@ -22,13 +23,25 @@ from cell.lab.fit.corrections import (
     moves_parameters,
     with_noise_given,
 )
-from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with
+from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with, taken_from
 from cell.lab.fit.heldout import heldout_log_lr
-from cell.lab.fit.starts import cold_start, taken_from
+from cell.lab.fit.starts import cold_start
 from cell.lab.fit.systematic_error import GripperLogError, gripper_log_error
 from cell.lab.search.baseline import Baseline, SearchSetup
 from cell.lab.search.extension import Extension, Refits, continued
-from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, Gain, gained, model_of_fit
+from cell.lab.search.fitted_model import (
+    POLISH,
+    REFIT,
+    FittedModel,
+    Gain,
+    added_effect,
+    error_over_noise,
+    model_of_fit,
+    p_value_of_fall,
+    penalty_of,
+    worth_of,
+)
+from cell.lab.search.residual_summary import removed_share, residual_summary
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import levels
 
@@ -107,6 +120,20 @@ class FitCache:
         return self.setup.prior_q
 
     @property
+    def rules(self) -> Rules:
+        """Limits for accepting an effect."""
+        return self.setup.rules
+
+    def with_rules(self, rules: Rules) -> FitCache:
+        """The same fits, judged by other limits."""
+        return replace(self, setup=replace(self.setup, rules=rules))
+
+    @property
+    def tried(self) -> int:
+        """Number of effects that may be added to the baseline."""
+        return sum(name not in self.base.names for name in self.library)
+
+    @property
     def work(self) -> Work:
         """What is simulated of the study; whoever waits may stop it."""
         return self.setup.prepared.work
@@ -114,6 +141,11 @@ class FitCache:
     def explained_by(self, model: FittedModel) -> bool:
         """Whether a model leaves so little that the rest may be noise and the mesh's error."""
         return model.fit.rms_m <= ERRS * self.prepared.expected_m("fit")
+
+    def is_below_stated(self, model: FittedModel) -> bool:
+        """Whether a model's error is less than a share of the error that the study states."""
+        error = error_over_noise(self.prepared, model)
+        return self.prepared.noise_model.stated and error < self.rules.below_stated
 
     @property
     def second(self) -> Fit | None:
@@ -152,7 +184,22 @@ class FitCache:
 
     def gain(self, small: FittedModel, large: FittedModel) -> Gain:
         """What `large` has over `small`, which lacks one of its effects."""
-        return gained(self.prepared, small, large, self.gripper_log_error())
+        effect, (worth, held) = added_effect(small, large), self.worth(small, large)
+        return Gain(
+            delta_chi2=small.fit.objective - large.fit.objective,
+            p_value=p_value_of_fall(effect, worth),
+            delta_bic=worth - penalty_of(self.prepared, [effect]),
+            heldout=held,
+        )
+
+    def worth(self, small: FittedModel, large: FittedModel) -> tuple[float, float]:
+        """Fall of the objective and held-out ln likelihood ratio, as `worth_of`."""
+        return worth_of(self.prepared, small, large, self.gripper_log_error())
+
+    def removed_share(self, before: FittedModel, after: FittedModel) -> float:
+        """Share, 0 … 1, of a model's error beyond noise that another removes, over all trials."""
+        left = (residual_summary(self.prepared, model) for model in (before, after))
+        return removed_share(self.prepared.noise_model.noise.std_m, *left)
 
     def gripper_log_error(self) -> GripperLogError:
         """What the gripper log may be wrong by, near the baseline."""
@@ -216,6 +263,25 @@ class FitCache:
         if key not in known:
             known[key] = heldout_log_lr(self.prepared, model.fit, effect)
         return known[key]
+
+    def extended(self, model: FittedModel) -> list[FittedModel]:
+        """The model with one effect more: the likeliest of the screen."""
+        return self.fit_extended(model, self.shortlist(model, self.rules.max_refits))
+
+    def with_effects(self, names: Sequence[str]) -> FittedModel | None:
+        """The baseline with these effects; None if that cannot be simulated."""
+        model = self.base
+        for name in names:
+            if name not in self.base.names:
+                found = self.fit_extended(model, [self.library[name]])
+                if not found:
+                    return None
+                model = found[0]
+        return model
+
+    def reduced(self, model: FittedModel) -> Iterator[FittedModel]:
+        """Without one of the effects that the baseline lacks, refitted one after another."""
+        return (self.fit_reduced(model, e) for e in self.added(model))
 
     def fit_reduced(self, model: FittedModel, effect: type[Effect]) -> FittedModel:
         """The model with one effect taken out, refitted from where it was with it.
@@ -366,22 +432,3 @@ def _fit_by_adding(setup: SearchSetup, prepared: PreparedStudy) -> Fit | None:
         states = model.fit.initial_states
         return fit_model(prepared, setup.space, q, states, options=POLISH)
     return None
-
-
-@dataclass(frozen=True, eq=False)
-class StudySpace:
-    """Sets of effects fitted to the trials of one study.
-
-    most  effects of the screen that are refitted, besides all that are not smooth
-    """
-
-    fits: FitCache
-    most: int
-
-    def extended(self, model: FittedModel) -> list[FittedModel]:
-        """With one effect more: the likeliest of the screen."""
-        return self.fits.fit_extended(model, self.fits.shortlist(model, self.most))
-
-    def reduced(self, model: FittedModel) -> Iterator[FittedModel]:
-        """Without one of the effects that the baseline lacks, refitted one after another."""
-        return (self.fits.fit_reduced(model, e) for e in self.fits.added(model))

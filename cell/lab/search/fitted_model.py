@@ -96,11 +96,6 @@ def error_over_noise(prepared: PreparedStudy, model: FittedModel) -> float:
     return over if held is None else max(over, held.rms_m / prepared.noise_m("validate"))
 
 
-def is_below_stated(prepared: PreparedStudy, model: FittedModel, share: float) -> bool:
-    """Whether a model's error is less than this share of the error that the study states."""
-    return prepared.noise_model.stated and error_over_noise(prepared, model) < share
-
-
 def penalty_of(prepared: PreparedStudy, effects: Sequence[type[Effect]]) -> float:
     """BIC's penalty of a model's effects: the fall of χ² that they must exceed."""
     count = prepared.count(fit_trials(prepared))
@@ -118,21 +113,9 @@ def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, Fl
     return found
 
 
-def gained(
-    prepared: PreparedStudy, small: FittedModel, large: FittedModel, log_error: GripperLogError
-) -> Gain:
-    """Gain of `large` over `small`, which has one effect less.
-
-    log_error  what the gripper log may be wrong by: what could be that is worth as much less
-    """
-    effect = next(e for e in large.effects if e.name not in small.names)
-    worth, held = worth_of(prepared, small, large, log_error)
-    return Gain(
-        delta_chi2=small.fit.objective - large.fit.objective,
-        p_value=p_value_of_fall(effect, worth),
-        delta_bic=worth - penalty_of(prepared, [effect]),
-        heldout=held,
-    )
+def added_effect(small: FittedModel, large: FittedModel) -> type[Effect]:
+    """The effect of `large` that `small` lacks."""
+    return next(e for e in large.effects if e.name not in small.names)
 
 
 def error_text(prepared: PreparedStudy, *errors_m: float) -> str:
@@ -148,32 +131,17 @@ def worth_of(
 ) -> tuple[float, float]:
     """Fall of the objective and held-out ln likelihood ratio, less by the log error's inflation.
 
-    log_error  as of `gained`
+    log_error  what the gripper log may be wrong by: what could be that is worth as much less
     """
-    fall = small.fit.objective - large.fit.objective
-    worth = fall / log_error.inflation(_change_fitted(prepared, small, large))
-    held = 0.0
-    if small.heldout and large.heldout:
-        held = large.heldout.log_likelihood - small.heldout.log_likelihood
-        held /= log_error.inflation(_change_heldout(prepared, small.heldout, large.heldout))
-    return worth, held
-
-
-def _change_fitted(
-    prepared: PreparedStudy, small: FittedModel, large: FittedModel
-) -> dict[str, FloatArray]:
-    """Per fitted trial (rows,) by how much the residuals of two models differ."""
     change = small.fit.solution.residual - large.fit.solution.residual
-    return prepared.by_trial(fit_trials(prepared), change)
-
-
-def _change_heldout(
-    prepared: PreparedStudy, small: Heldout, large: Heldout
-) -> dict[str, FloatArray]:
-    """The same of the trials held out."""
-    change = {}
+    by_trial = prepared.by_trial(fit_trials(prepared), change)
+    worth = (small.fit.objective - large.fit.objective) / log_error.inflation(by_trial)
+    if not (small.heldout and large.heldout):
+        return worth, 0.0
+    changes = {}
     for trial in prepared.study.role("validate"):
-        both = np.stack([small.predicted_m[trial.name], large.predicted_m[trial.name]])
-        white = prepared.white(trial, both)
-        change[trial.name] = white[0] - white[1]
-    return change
+        each = [model.heldout.predicted_m[trial.name] for model in (small, large) if model.heldout]
+        white = prepared.white(trial, np.stack(each))
+        changes[trial.name] = white[0] - white[1]
+    held = large.heldout.log_likelihood - small.heldout.log_likelihood
+    return worth, held / log_error.inflation(changes)

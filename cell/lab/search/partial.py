@@ -16,19 +16,16 @@ import numpy as np
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured
-from cell.lab.data.thresholds import Rules
-from cell.lab.fit.fitting import fit_trials
+from cell.lab.fit.fitting import fit_trials, taken_from
 from cell.lab.fit.plausibility import is_hopeless
-from cell.lab.fit.starts import taken_from
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.extension import POLISHED
-from cell.lab.search.fit_cache import FitCache, StudySpace, with_lower_baseline
-from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.fit_cache import FitCache, with_lower_baseline
+from cell.lab.search.fitted_model import FittedModel, added_effect
 from cell.lab.search.residual_summary import (
-    removed_share,
     residual_summary,
 )
-from cell.lab.search.rivals import added_effect, chance, chance_of, is_at_bound, near_singles
+from cell.lab.search.rivals import chance_of, is_at_bound, near_singles
 from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels
 
 #: Its error is far below what a model errs by that explains a study in part; it saves time.
@@ -54,20 +51,19 @@ class PartialExplanation:
     path: tuple[FittedModel, ...]
 
 
-def explain_partly(fits: FitCache, rules: Rules) -> PartialExplanation:
+def explain_partly(fits: FitCache) -> PartialExplanation:
     """Explain most of a study that nothing explains to its noise.
 
     What the best model so far leaves is the model's own error.
     """
-    library = len(fits.screened(fits.base))
     error, lowest = _own_error(fits, fits.known()), fits.base
     least_m = residual_summary(fits.prepared, lowest).rms_m
     for _ in range(MOST_REWEIGHTINGS):
         joint = _with_noise(fits, error)
         if least_m < residual_summary(joint.prepared, joint.base).rms_m:
             # fitted to all trials a model leaves no more of them
-            joint = with_lower_baseline(joint, lowest.fit.q, rules.tie_delta_chi2)
-        joint, singles = _singles(joint, library, rules)
+            joint = with_lower_baseline(joint, lowest.fit.q, fits.rules.tie_delta_chi2)
+        joint, singles = _singles(joint)
         base = joint.base
         lowest, least_m = base, min(least_m, residual_summary(joint.prepared, base).rms_m)
         before, error = error, _own_error(joint, joint.known())
@@ -75,11 +71,11 @@ def explain_partly(fits: FitCache, rules: Rules) -> PartialExplanation:
         # fitted from anywhere.
         if error.std_m > REWEIGHTED_BELOW * before.std_m or joint.work.spent:
             break
-    steps = _added(joint, base, singles, library, rules)
-    steps = _significant_steps(joint, steps, library, rules)
+    steps = _added(joint, base, singles)
+    steps = _significant_steps(joint, steps)
     if len(steps) == 2:
-        for rival in near_singles(joint, steps[1], singles, rules):
-            StudySpace(joint, rules.max_refits).extended(rival)
+        for rival in near_singles(joint, steps[1], singles):
+            joint.extended(rival)
     unfinished = not joint.work.affords("the search for effects that explain most")
     # nor does any model explain a cable that is hopeless
     if unfinished or is_hopeless(joint.prepared, steps[-1].fit):
@@ -87,26 +83,20 @@ def explain_partly(fits: FitCache, rules: Rules) -> PartialExplanation:
     return PartialExplanation(joint, tuple(singles), tuple(steps))
 
 
-def _added(
-    joint: FitCache,
-    base: FittedModel,
-    singles: Sequence[FittedModel],
-    library: int,
-    rules: Rules,
-) -> list[FittedModel]:
+def _added(joint: FitCache, base: FittedModel, singles: Sequence[FittedModel]) -> list[FittedModel]:
     """The baseline, and one effect after another that removes most of what is left; exchanged."""
-    space, steps = StudySpace(joint, rules.max_refits), []
+    steps: list[FittedModel] = []
 
     def extended(model: FittedModel) -> Sequence[FittedModel]:
-        return singles if model is base else space.extended(model)
+        return singles if model is base else joint.extended(model)
 
     def kept(model: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
-        found = largest_step(joint, model, options, library - len(joint.added(model)), rules)
+        found = largest_step(joint, model, options)
         return [] if found is None else [found]
 
     for (model,) in levels(base, extended, kept):
         steps.append(model)
-        if len(steps) > rules.most_partial:
+        if len(steps) == joint.rules.most_named:
             break
     if len(steps) < 3:
         return steps
@@ -125,11 +115,11 @@ def _added(
     def in_time() -> bool:
         return prepared.work.affords("the exchange of effects that explain most")
 
-    final = exchanged(space, steps[-1], better, in_time)
-    return in_order(space, final, lambda c: -left(c))
+    final = exchanged(joint, steps[-1], better, in_time)
+    return in_order(joint, final, lambda c: -left(c))
 
 
-def _singles(joint: FitCache, library: int, rules: Rules) -> tuple[FitCache, list[FittedModel]]:
+def _singles(joint: FitCache) -> tuple[FitCache, list[FittedModel]]:
     """Each effect worth it alone given the baseline, converged; and the fits of that baseline.
 
     One explains only what the same model without it does not, wherever its search began: the
@@ -138,14 +128,14 @@ def _singles(joint: FitCache, library: int, rules: Rules) -> tuple[FitCache, lis
     singles: list[FittedModel] = []
     for _ in range(MOST_REWEIGHTINGS):
         base = joint.base
-        singles = _finished(joint, base, StudySpace(joint, rules.max_refits).extended(base))
-        best = largest_step(joint, base, singles, library, rules)
+        singles = _finished(joint, base, joint.extended(base))
+        best = largest_step(joint, base, singles)
         if best is None:
             break
         if joint.work.spent:
             break
         lower = with_lower_baseline(
-            joint, taken_from(best.fit, base.fit.space), rules.tie_delta_chi2
+            joint, taken_from(best.fit, base.fit.space), joint.rules.tie_delta_chi2
         )
         if lower is joint:
             break
@@ -153,26 +143,24 @@ def _singles(joint: FitCache, library: int, rules: Rules) -> tuple[FitCache, lis
     return joint, singles
 
 
-def _significant_steps(
-    fits: FitCache, steps: Sequence[FittedModel], library: int, rules: Rules
-) -> list[FittedModel]:
+def _significant_steps(fits: FitCache, steps: Sequence[FittedModel]) -> list[FittedModel]:
     """The steps up to the first whose effect explains nothing significant given those before.
 
     Of two effects found together, exchanged and put in order, one may need no other.
     """
     kept = list(steps[:1])
     for small, large in pairwise(steps):
-        if p_value_of(fits, small, large, library) >= rules.significance:
+        if p_value_of(fits, small, large) >= fits.rules.significance:
             break
         kept.append(large)
     return kept
 
 
-def p_value_of(fits: FitCache, small: FittedModel, large: FittedModel, library: int) -> float:
+def p_value_of(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
     """p-value of the last effect of `large`, the larger of two tests, corrected for the library."""
     by_fit = fits.gain(small, large).p_value
     by_residual = chance_of(fits, small, large)
-    return min(1.0, max(by_fit, by_residual) * max(1, library - len(small.effects)))
+    return min(1.0, max(by_fit, by_residual) * max(1, fits.tried - len(small.effects)))
 
 
 def _finished(
@@ -198,7 +186,8 @@ def _with_noise(fits: FitCache, error: Noise) -> FitCache:
         work=fits.prepared.work,
     )
     prepared = replace(prepared, noise_model=fits.prepared.noise_model)
-    return FitCache.of(SearchSetup(prepared, fits.space, fits.library, fits.progress, fits.prior_q))
+    setup = SearchSetup(prepared, fits.space, fits.library, fits.progress, fits.prior_q)
+    return FitCache.of(replace(setup, rules=fits.rules))
 
 
 def _own_error(fits: FitCache, tried: Sequence[FittedModel]) -> Noise:
@@ -210,11 +199,7 @@ def _own_error(fits: FitCache, tried: Sequence[FittedModel]) -> Noise:
 
 
 def largest_step(
-    fits: FitCache,
-    current: FittedModel,
-    options: Sequence[FittedModel],
-    library: int,
-    rules: Rules,
+    fits: FitCache, current: FittedModel, options: Sequence[FittedModel]
 ) -> FittedModel | None:
     """The model with the smallest residual, if it removes most of the error significantly.
 
@@ -223,13 +208,10 @@ def largest_step(
     options = [c for c in options if not is_at_bound(current, c)]
     if not options:
         return None
-    prepared = fits.prepared
-    before = residual_summary(prepared, current)
-    left = [residual_summary(prepared, c) for c in options]
-    chances = [chance(current, c, before, a) for c, a in zip(options, left, strict=True)]
-    adjusted = holm_among(chances, library)
-    best = int(np.argmin([a.mean_square_m2 for a in left]))
-    share = removed_share(prepared.noise_model.noise.std_m, before, left[best])
-    by_fit = fits.gain(current, options[best]).p_value * library
-    sound = max(adjusted[best], by_fit) < rules.significance and share > rules.most_share
-    return options[best] if sound else None
+    library = fits.tried - len(fits.added(current))
+    adjusted = holm_among([chance_of(fits, current, c) for c in options], library)
+    left = [residual_summary(fits.prepared, c).mean_square_m2 for c in options]
+    best = options[int(np.argmin(left))]
+    p_value = max(adjusted[options.index(best)], fits.gain(current, best).p_value * library)
+    most = fits.removed_share(current, best) > fits.rules.most_share
+    return best if p_value < fits.rules.significance and most else None

@@ -169,4 +169,5 @@ def _frequency(prepared: PreparedStudy, t_s: FloatArray, error: FloatArray) -> f
     if len(t_s) < 8 or not np.isfinite(error).any():
         return float("nan")
     found = spectrum(t_s, error, prepared.noise_model.noise)
-    return float(found.frequency_hz[int(np.argmax(found.residual / found.noise))])
+    ratio = found.residual_m2_per_hz / found.noise_m2_per_hz
+    return float(found.frequency_hz[int(np.argmax(ratio))])

@@ -6,26 +6,24 @@ from collections.abc import Sequence
 
 from scipy.special import chdtrc as chi2_sf
 
-from cell.cable.effects.base import Effect
-from cell.lab.data.thresholds import Rules
 from cell.lab.fit.plausibility import at_bound
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel, error_over_noise
+from cell.lab.search.fitted_model import FittedModel, added_effect, error_over_noise
 from cell.lab.search.residual_summary import (
-    ResidualSummary,
     log_variance_ratio,
     residual_summary,
 )
 
 
 def close_rivals(
-    fits: FitCache, final: FittedModel, rivals: Sequence[FittedModel], rules: Rules
+    fits: FitCache, final: FittedModel, rivals: Sequence[FittedModel]
 ) -> list[FittedModel]:
     """Rivals that explain as much as `final`, all trials together, the best first.
 
     By χ² where what remains is noise; where the model's own error remains, by that, with its
     correlation: it is what the answer could be wrong by.
     """
+    rules = fits.rules
     close = {c.names for c in rivals if c.chi2 < final.chi2 + rules.tie_delta_chi2}
     if error_over_noise(fits.prepared, final) > rules.most_over_noise:
         mine = residual_summary(fits.prepared, final)
@@ -39,34 +37,19 @@ def close_rivals(
 
 def chance_of(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
     """p-value of the fall of the residual by one more effect, over all trials."""
-    prepared = fits.prepared
-    return chance(
-        small, large, residual_summary(prepared, small), residual_summary(prepared, large)
-    )
-
-
-def chance(
-    small: FittedModel, large: FittedModel, before: ResidualSummary, after: ResidualSummary
-) -> float:
-    """As `chance_of`, from residual summaries `before` (`small`) and `after` (`large`)."""
-    effect = added_effect(small, large)
-    fall = max(log_variance_ratio(after, before), 0.0)
-    return float(chi2_sf(sum(p.amplitude for p in effect.parameters), max(fall, 0.0)))
-
-
-def added_effect(small: FittedModel, large: FittedModel) -> type[Effect]:
-    """The effect of `large` that `small` lacks."""
-    return next(e for e in large.effects if e.name not in small.names)
+    before, after = (residual_summary(fits.prepared, model) for model in (small, large))
+    amplitudes = sum(p.amplitude for p in added_effect(small, large).parameters)
+    return float(chi2_sf(amplitudes, max(log_variance_ratio(after, before), 0.0)))
 
 
 def near_singles(
-    fits: FitCache, final: FittedModel, singles: Sequence[FittedModel], rules: Rules
+    fits: FitCache, final: FittedModel, singles: Sequence[FittedModel]
 ) -> list[FittedModel]:
     """Other single effects near `final`, if `final` is a single effect and leaves more than noise.
 
     Then a further effect is missing with each of them, as with `final`.
     """
-    prepared = fits.prepared
+    prepared, rules = fits.prepared, fits.rules
     left = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
     if left[final.names] < (rules.most_over_noise * prepared.noise_model.noise.std_m) ** 2:
         return []

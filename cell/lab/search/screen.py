@@ -11,8 +11,9 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit
+from cell.lab.fit.projection import nuisance_of
 from cell.lab.fit.score_test import Score, score_test
-from cell.lab.fit.sensitivity import nuisance_of, one_sided, sensitivities
+from cell.lab.fit.sensitivity import one_sided, sensitivities
 
 #: An effect with more shapes than this to start from acts at a place that must be sought.
 MOST_SHAPES = 50

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +91,7 @@ class Comparison:
     def to_json(self) -> dict[str, Any]:
         """Plain data: errors per trial, profiles, whiteness, correlations."""
         roles = {t.name: t.role for t in self.study.trials}
+        wrenches = {w.trial: {"wrench": w.to_json()} for w in self.wrenches}
         trials = [
             {
                 "name": w.trial,
@@ -102,20 +103,13 @@ class Comparison:
                     "rms_m": w.by_arc_length.rms_m,
                 },
                 "by_phase": w.by_phase,
-                "by_frequency": {
-                    "frequency_hz": w.spectrum.frequency_hz,
-                    "residual_m2_per_hz": w.spectrum.residual,
-                    "noise_m2_per_hz": w.spectrum.noise,
-                },
+                "by_frequency": vars(w.spectrum),
                 "whiteness_p_value": w.whiteness_p_value,
-                "follows": [asdict(f) for f in w.correlations],
+                "follows": [vars(f) for f in w.correlations],
+                **wrenches.get(w.trial, {}),
             }
             for w in self.where
         ]
-        wrenches = {w.trial: w.to_json() for w in self.wrenches}
-        for trial in trials:
-            if trial["name"] in wrenches:
-                trial["wrench"] = wrenches[trial["name"]]
         content = {
             "format": "cable-comparison/1",
             "noise_m": self.noise_m,

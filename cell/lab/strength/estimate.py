@@ -10,7 +10,6 @@ from scipy.special import ndtri as normal_quantile
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
-from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import parameters_root
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Interval
@@ -96,9 +95,8 @@ def estimate(
 
     effects  that it may lack
     """
-    try:
-        joint = of_all_trials(prepared, fit)
-    except UNSIMULATED:
+    joint = of_all_trials(prepared, fit)
+    if joint is None:
         return ParameterEstimate(fit, 1.0)
     solution, p = joint.fit.solution, len(fit.q)
     other = joint.systematic_error.covariance((solution.covariance @ solution.jacobian.T)[:p])

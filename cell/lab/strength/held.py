@@ -19,7 +19,7 @@ from cell.identify.gauss_newton import Options
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import Fit, by_trial, extended, fit_model, fit_trials, space_with
-from cell.lab.fit.sensitivity import prior_root
+from cell.lab.fit.projection import jacobian_with_prior, prior_root
 
 _REFIT = Options(tolerance=0.1, max_iterations=15, least_gain=1e-3, updates=3)
 
@@ -58,7 +58,7 @@ class HeldEffect:
         change  (rows,) of what is seen by the effect alone
         others  (n, rows) the same per unit of each of its free amplitudes
         """
-        slopes = np.vstack([self.fit.solution.jacobian, prior_root(self.fit)])
+        slopes = jacobian_with_prior(self.fit)
         step = np.linalg.lstsq(np.column_stack([slopes, -others.T]), change, rcond=None)[0]
         p, all_q = len(self.fit.q), slopes.shape[1]
         values = np.array(active.values)

@@ -19,10 +19,10 @@ from cell.identify.fit import frames_detected, variance_inflation
 from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import SIGNIFICANCE
-from cell.lab.fit.all_trials_fit import AllTrialsFit, Linear
+from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import Fit, fit_trials
+from cell.lab.fit.projection import orthonormal
 from cell.lab.fit.sensitivity import one_sided
-from cell.lab.fit.systematic_error import SystematicError
 
 #: Effects taken in at most, one after another, until what is left is noise.
 MOST = 4
@@ -59,48 +59,41 @@ class _Option:
 
 def omitted_effect_bias(joint: AllTrialsFit, effects: Iterable[type[Effect]]) -> OmittedEffectBias:
     """The bias of a fitted model's parameters that omitted effects may cause."""
-    prepared, fit, errs = joint.prepared, joint.fit, joint.systematic_error
+    fit, linear = joint.fit, joint.linear
     p, none = len(fit.q), np.zeros((len(fit.q), len(fit.q)))
     tried = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
-    linear = joint.linear
-    options = _options(joint, tried, linear)
-    chosen, factor = _explaining(prepared, fit, options, linear, errs)
+    chosen, factor = _explaining(joint, _options(joint, tried))
     if not chosen:
         return OmittedEffectBias((), none)
     rows, seen = (np.vstack([getattr(o, v) for o in chosen]) for v in ("rows", "seen"))
-    amplitudes = np.linalg.lstsq(seen.T, linear.left, rcond=1e-8)[0]
-    by_each = linear.moved(rows)
+    amplitudes = np.linalg.lstsq(seen.T, linear.residual, rcond=1e-8)[0]
+    by_each = linear.coordinates(rows)
     moved = by_each @ amplitudes
     spread = by_each @ np.linalg.pinv(seen @ seen.T) @ by_each.T * factor
     all_of = np.zeros((len(fit.solution.q), len(fit.solution.q)))
     free = fit.solution.free
-    all_of[np.ix_(free, free)] = np.outer(moved, moved) + spread + _by_parts(prepared, fit, linear)
+    all_of[np.ix_(free, free)] = np.outer(moved, moved) + spread + _by_parts(joint)
     return OmittedEffectBias(tuple(o.effect.name for o in chosen), all_of[:p, :p])
 
 
-def _options(joint: AllTrialsFit, effects: Sequence[type[Effect]], linear: Linear) -> list[_Option]:
+def _options(joint: AllTrialsFit, effects: Sequence[type[Effect]]) -> list[_Option]:
     """Effects at every guess of their shape, but those of which nothing is seen."""
     options = []
     for slopes in joint.sensitivities(effects):
         for rows in slopes.rows:
-            seen = linear.seen(rows)
+            seen = joint.linear.remove(rows)
             if np.linalg.norm(seen) > LEAST_LEFT * np.linalg.norm(rows):
                 options.append(_Option(slopes.effect, rows, seen))
     return options
 
 
-def _explaining(
-    prepared: PreparedStudy,
-    fit: Fit,
-    options: Sequence[_Option],
-    linear: Linear,
-    systematic_error: SystematicError,
-) -> tuple[list[_Option], float]:
+def _explaining(joint: AllTrialsFit, options: Sequence[_Option]) -> tuple[list[_Option], float]:
     """Those that explain most, one after another while significant; and the variance left."""
+    prepared, errs = joint.prepared, joint.systematic_error
     whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
     chosen: list[_Option] = []
-    taken = np.zeros((0, len(linear.left)))
-    left, factor = linear.left, 1.0
+    left, factor = joint.linear.residual, 1.0
+    taken = np.zeros((0, len(left)))
     while len(chosen) < MOST:
         names = {o.effect.name for o in chosen}
         found = [(o, _explained(o, taken, left)) for o in options if o.effect.name not in names]
@@ -108,13 +101,14 @@ def _explaining(
         if best is None or not (square := float(explained @ explained)) > 0.0:
             break
         after = left - explained
-        inflation = variance_inflation(after[: len(systematic_error.mesh)], whiteners, len(fit.q))
-        expected = inflation + systematic_error.variance(explained) / square
+        inflation = variance_inflation(after[: len(errs.mesh)], whiteners, len(joint.fit.q))
+        expected = inflation + errs.variance(explained) / square
         chance = len(options) * float(chi2_sf(len(best.rows), square / expected))
         if chance > SIGNIFICANCE:
             break
         chosen.append(best)
-        taken, left, factor = _orthonormal_rows(taken, best.seen), after, inflation
+        taken = orthonormal(np.vstack([taken, best.seen]).T, 1e-8, of_largest=True).T
+        left, factor = after, inflation
     return chosen, factor
 
 
@@ -127,27 +121,21 @@ def _explained(option: _Option, taken: FloatArray, left: FloatArray) -> FloatArr
     return np.asarray(amplitudes @ orthogonal)
 
 
-def _orthonormal_rows(taken: FloatArray, more: FloatArray) -> FloatArray:
-    """(k, rows) orthonormal basis of both."""
-    rows = np.vstack([taken, more])
-    _, size, units = np.linalg.svd(rows, full_matrices=False)
-    return np.asarray(units[size > 1e-8 * size[0]])
-
-
-def _by_parts(prepared: PreparedStudy, fit: Fit, linear: Linear) -> FloatArray:
+def _by_parts(joint: AllTrialsFit) -> FloatArray:
     """(free, free) by how much parts of trials ask for coordinates of their own.
 
     source  Liang & Zeger 1986, Biometrika 73, 13: the sandwich of clusters within which anything
             may depend on anything
     """
+    prepared, solution, linear = joint.prepared, joint.fit.solution, joint.linear
     inside = np.linalg.inv(linear.triangle.T @ linear.triangle)
     scores = []
-    rows = prepared.by_trial(fit_trials(prepared), np.arange(len(linear.left)))
+    rows = prepared.by_trial(fit_trials(prepared), np.arange(len(linear.residual)))
     for name, of_trial in rows.items():
         in_frames = of_trial.reshape(-1, prepared.whiteners[name].frames)
         for part in np.array_split(in_frames, PARTS, axis=1):
-            slopes = fit.solution.jacobian[part.ravel()][:, fit.solution.free]
-            scores.append(slopes.T @ linear.left[part.ravel()])
+            slopes = solution.jacobian[part.ravel()][:, solution.free]
+            scores.append(slopes.T @ linear.residual[part.ravel()])
     by_part = np.array(scores) @ inside
     return np.asarray(by_part.T @ by_part * len(scores) / (len(scores) - 1))
 

@@ -20,8 +20,8 @@ from cell.lab.data.results import Limit
 from cell.lab.data.work import Progress, no_progress, side_by_side
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import fit_trials
-from cell.lab.fit.score_test import Nuisance
-from cell.lab.fit.sensitivity import Sensitivity, changes, nuisance_of, one_sided
+from cell.lab.fit.projection import Projection, nuisance_of, orthonormal
+from cell.lab.fit.sensitivity import Sensitivity, changes, one_sided
 from cell.lab.fit.systematic_error import SystematicError
 from cell.lab.strength.estimate import LEAST_KNOWN, MIN_FREEDOM
 from cell.lab.strength.held import HeldEffect, all_changes
@@ -81,7 +81,7 @@ class LimitSearch:
         self,
         slopes: Sensitivity,
         j: int,
-        nuisance: Nuisance,
+        nuisance: Projection,
         systematic_error: SystematicError,
         inflation: float,
     ) -> None:
@@ -106,7 +106,7 @@ class LimitSearch:
         tried: list[tuple[float, Side]] = []
         for shape, rows in enumerate(slopes.rows):
             rest = np.delete(rows, j, axis=0)
-            basis = _orthonormal(self._nuisance.remove(rest))
+            basis = orthonormal(self._nuisance.remove(rest).T, 1e-8, of_largest=True)
             left = self._not_imitated(rows[j], basis)
             if not float(np.linalg.norm(left)) > LEAST_LEFT * float(np.linalg.norm(rows[j])):
                 continue
@@ -280,14 +280,6 @@ def _further(tried: Sequence[tuple[float, float]]) -> float:
     return -ratio / slope
 
 
-def _orthonormal(rows: FloatArray) -> FloatArray:
-    """(values, k) basis of the span of rows (n, values)."""
-    if len(rows) == 0:
-        return np.zeros((rows.shape[1], 0))
-    u, size, _ = np.linalg.svd(rows.T, full_matrices=False)
-    return np.asarray(u[:, size > 1e-8 * max(float(size[0]), 1e-300)])
-
-
 def _tip_m(prepared: PreparedStudy, change: FloatArray) -> float:
     """Largest distance that a whitened change of the fit trials moves the outermost marker by."""
     tip = int(np.argmax(prepared.study.arc_length_m))
@@ -326,9 +318,6 @@ def limits(
     def of_some(some: Sequence[type[Effect]]) -> tuple[Limit, ...]:
         return _limits_of(joint, nuisance, inflation, some)
 
-    def none(_: Sequence[type[Effect]]) -> tuple[Limit, ...]:
-        return ()
-
     # some effects take far longer than others
     count = min(len(effects), PER_CORE * threads()) if threads() > 1 else 1
     jobs = [effects[i::count] for i in range(count)]
@@ -337,7 +326,7 @@ def limits(
         found = pool.map(
             of_some,
             jobs,
-            none,
+            lambda _: (),
             lambda *_: progress("how strong other effects could be", next(done), len(jobs)),
         )
     by_effect = itertools.groupby(itertools.chain(*found), key=lambda limit: limit.effect)
@@ -349,7 +338,7 @@ def limits(
 
 
 def _limits_of(
-    joint: AllTrialsFit, nuisance: Nuisance, inflation: float, effects: Sequence[type[Effect]]
+    joint: AllTrialsFit, nuisance: Projection, inflation: float, effects: Sequence[type[Effect]]
 ) -> tuple[Limit, ...]:
     """Limits of some effects, simulated together on one core.
 

@@ -81,7 +81,8 @@ def agreement(
     trials = prepared.study.trials
     if len(trials) < 2:
         return ()
-    whole = _of_all(prepared, fit)
+    joint = of_all_trials(prepared, fit)
+    whole = fit if joint is None else joint.fit
     quantities = _quantities(whole)
     common = _common(whole.space)
     done, on_one_core = itertools.count(1), prepared.on_one_core()
@@ -111,14 +112,6 @@ def agreement(
         )
         for q, (values, spread, _), p_value in zip(quantities, rows, adjusted, strict=True)
     )
-
-
-def _of_all(prepared: PreparedStudy, fit: Fit) -> Fit:
-    """The model fitted to all trials; as it was fitted if some cannot be simulated."""
-    try:
-        return of_all_trials(prepared, fit).fit
-    except UNSIMULATED:
-        return fit
 
 
 def _quantities(fit: Fit) -> list[_Quantity]:

@@ -145,18 +145,19 @@ def correlations(
     t_s = trial.markers.t_s
     if len(t_s) < 2 * LAGS:
         return ()
-    grip = _gripping_point_m(trial)
+    grip = trial.gripper_m(t_s)
     normal = across_tip(trial, predicted_m)
     velocity = np.sum(np.gradient(predicted_m[:, 0], t_s, axis=0) * normal, axis=1)
     smooth = min(len(t_s) - (1 - len(t_s) % 2), 11)
     acceleration = np.gradient(np.gradient(smoothed(grip, smooth), t_s, axis=0), t_s, axis=0)
     chord = np.unwrap(np.arctan2(-normal[:, 0], normal[:, 1]))
+    clamp_angle = np.interp(t_s, trial.grip.t_s, trial.grip.angle_rad)
     signals = {
         "base acceleration, x": acceleration[:, 0],
         "base acceleration, y": acceleration[:, 1],
         "tip velocity": velocity,
         "|v|v of the tip": np.abs(velocity) * velocity,
-        "curvature rate": np.gradient(chord - trial_angle(trial, t_s), t_s),
+        "curvature rate": np.gradient(chord - clamp_angle, t_s),
     }
     # of a marker of which one coordinate is seen, as much as that shows
     seen = np.isfinite(white[:, 0])
@@ -169,21 +170,10 @@ def correlations(
 def across_tip(trial: Trial, predicted_m: FloatArray) -> FloatArray:
     """(times, 2) unit vector across the cable at the outermost marker."""
     # the grip stands in as second marker where there is only one
-    points = np.concatenate([predicted_m, _gripping_point_m(trial)[:, None]], axis=1)
+    points = np.concatenate([predicted_m, trial.gripper_m(trial.markers.t_s)[:, None]], axis=1)
     along = points[:, 0] - points[:, 1]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
     return np.column_stack([-along[:, 1], along[:, 0]])
-
-
-def _gripping_point_m(trial: Trial) -> FloatArray:
-    """(times, 2) logged gripping point at the markers' times, m."""
-    t_s, grip = trial.markers.t_s, trial.grip
-    return np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
-
-
-def trial_angle(trial: Trial, t_s: FloatArray) -> FloatArray:
-    """Logged clamp angle at times, rad."""
-    return np.asarray(np.interp(t_s, trial.grip.t_s, trial.grip.angle_rad))
 
 
 def largest(values: FloatArray) -> float:

@@ -12,16 +12,15 @@ from scipy.special import fdtrc as f_sf
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
-from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import parameters_root
 from cell.lab.data.check import Reading
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit, errors_m, fit_trials
 from cell.lab.fit.heldout import heldout_rows
+from cell.lab.fit.projection import orthonormal
 from cell.lab.fit.score_test import holm
 from cell.lab.search.fitted_model import FittedModel, residuals_m
-from cell.lab.search.residual_summary import removed_share, residual_summary
 from cell.lab.strength.estimate import LEAST_KNOWN, MODEL_ERROR
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.smooth_part import (
@@ -109,9 +108,7 @@ def explained_of_earlier(evidence: Evidence) -> Reading | None:
         return Reading(1.0)
     if evidence.is_base:
         return Reading(0.0)
-    before = residual_summary(prepared, evidence.fits.prior_candidate())
-    after = residual_summary(prepared, evidence.final)
-    return Reading(removed_share(prepared.noise_model.noise.std_m, before, after))
+    return Reading(evidence.fits.removed_share(evidence.fits.prior_candidate(), evidence.final))
 
 
 def heldout_motions(evidence: Evidence) -> Reading | None:
@@ -168,9 +165,9 @@ def possibly_omitted(evidence: Evidence) -> Reading | None:
     The held-out trials do not confirm these effects, or they would have been accepted.  Effects
     that explain only a negligible share of the model's fall of χ² are not counted.
     """
-    if not evidence.prepared.noise_is_measured or evidence.below_stated:
-        return None
     fits, final, rules = evidence.fits, evidence.final, evidence.rules
+    if not fits.prepared.noise_is_measured or fits.is_below_stated(final):
+        return None
     rivals = {name for names in evidence.tied.values() for name in names}
     offered = [e for n, e in fits.library.items() if n not in {*final.names, *rivals}]
     asked = of_effects(evidence.prepared, final.fit, offered)
@@ -186,7 +183,7 @@ def possibly_omitted(evidence: Evidence) -> Reading | None:
 
 def noise_range(evidence: Evidence) -> Reading | None:
     """Ratio of the upper confidence bound of the noise variance to its estimate."""
-    allowed = evidence.noise_model.allowed_over_level
+    allowed = evidence.prepared.noise_model.allowed_over_level
     return Reading(allowed) if evidence.is_base and allowed is not None else None
 
 
@@ -242,9 +239,8 @@ def chance_of_stated(prepared: PreparedStudy, final: FittedModel, negligible: fl
         errors = residuals_m(prepared, final)
         held = [errors[t.name] for t in prepared.study.role("validate")]
         left.append((held, _uncertain_m2(prepared, final.fit)))
-        try:
-            whole = of_all_trials(prepared, final.fit)
-        except UNSIMULATED:
+        whole = of_all_trials(prepared, final.fit)
+        if whole is None:
             return 0.0
         left.append((errors_m(whole.prepared, whole.fit), 0.0))
     least = 1.0
@@ -312,11 +308,9 @@ def directions_of_trials(
     slopes      (rows, free) of all trials, which end at `ends`
     covariance  (free, free) of what all trials and the prior leave open
     """
-    found = []
-    for part in np.split(slopes @ parameters_root(covariance), ends[:-1]):
-        units, sizes, _ = np.linalg.svd(part, full_matrices=False)
-        found.append(units[:, sizes**2 > LEAST_KNOWN])
-    return found
+    least = float(np.sqrt(LEAST_KNOWN))
+    parts = np.split(slopes @ parameters_root(covariance), ends[:-1])
+    return [orthonormal(part, least) for part in parts]
 
 
 def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
@@ -354,5 +348,5 @@ def of_effects(
 
 def _directions(left: AllTrialsResidual, rows: FloatArray) -> FloatArray:
     """(directions, values) orthonormal, of what changes (n, values) do that nothing fitted does."""
-    units, sizes, _ = np.linalg.svd(left.whole.linear.seen(rows).T, full_matrices=False)
-    return np.asarray(units[:, sizes > LEAST_ASKED * float(np.linalg.norm(rows))].T)
+    least = LEAST_ASKED * float(np.linalg.norm(rows))
+    return orthonormal(left.whole.linear.remove(rows).T, least).T

@@ -30,7 +30,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
     ),
     Check(
         "fitted_error",
-        "Is the error on the trials fitted to that of noise?",
+        "Is the error on the fitted trials as small as the noise?",
         "error / noise",
         check_statistics.fitted_ratio,
         "<=",
@@ -41,7 +41,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
     ),
     Check(
         "heldout_smooth",
-        "Is the slow error on held-out trials noise?",
+        "Is the slowly varying error on held-out trials noise?",
         "p",
         check_statistics.heldout_smooth,
         ">=",
@@ -75,7 +75,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
     ),
     Check(
         "residual_level",
-        "Is the error on held-out trials that of noise?",
+        "Is the error (held out, if any is) as small as the noise?",
         "p",
         check_statistics.residual_level,
         ">=",
@@ -150,7 +150,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
     ),
     Check(
         "heldout_insensitive",
-        "Do the held-out trials see each effect found?",
+        "Do the held-out trials show each named effect?",
         "ln LR",
         check_statistics.least_visible,
         ">=",
@@ -158,11 +158,12 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "cannot_tell",
         "The held-out trials cannot show it: it is not confirmed.",
         "ln of the ratio of the likelihoods with and without the effect",
-        doubts.insensitive_doubts,
+        "the held-out trials cannot show {effect}: it explains the trials fitted to, but it is not "
+        "confirmed; hold out a trial that can show it",
     ),
     Check(
         "ties",
-        "How many effects explain as much?",
+        "How many effects explain the error equally well?",
         "effects",
         check_statistics.most_tied,
         "<=",
@@ -193,7 +194,8 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
         "cannot_tell",
         "Without the prior the study does not confirm this.",
         "a diagnosis without the prior, as for another cable",
-        doubts.prior_doubts,
+        "{effect} is needed only because of the prior: without the prior, as for another cable, "
+        "the study does not confirm {effect}; give the prior of this cable, or none",
     ),
     Check(
         "possibly_omitted",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,18 +23,17 @@ from cell.lab.data.results import (
     Status,
     Verdict,
 )
-from cell.lab.data.thresholds import Rules
 from cell.lab.data.work import SpentError, WorkStoppedError
 from cell.lab.fit.plausibility import at_bound
 from cell.lab.fit.score_test import holm
 from cell.lab.search.effect_search import SearchResult
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel, error_over_noise
+from cell.lab.search.fitted_model import FittedModel, added_effect, error_over_noise
 from cell.lab.search.partial import PartialExplanation
-from cell.lab.search.residual_summary import peak, removed_share, residual_summary
-from cell.lab.search.rivals import added_effect, chance_of
+from cell.lab.search.residual_summary import peak, residual_summary
+from cell.lab.search.rivals import chance_of
 from cell.lab.search.screen import ScreenedEffect
-from cell.lab.strength.estimate import ParameterEstimate, estimate
+from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.doubts import doubts, ended_doubt, is_meaningless
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.ties import tied_so_far
@@ -87,8 +86,7 @@ def conclude(
     partial    what comes nearest where the model does not explain the study
     all_tried  nothing that could change a claim was left out because the budget was spent
     """
-    fits, base, rules = evidence.fits, evidence.base, evidence.rules
-    library, tied = len(fits.screened(base)), evidence.tied
+    fits, base, tied = evidence.fits, evidence.base, evidence.tied
     verdict = worst_verdict(checks, evidence.is_base)
     if not all_tried and verdict != "complete":
         verdict = "cannot_tell"
@@ -96,18 +94,18 @@ def conclude(
     nearest_of = partial or PartialExplanation(fits, search.singles, (base,))
     joint, most = nearest_of.fits, nearest_of.path
     final = evidence.final if partial is None else most[-1]
-    also = {e.name: tied_so_far(joint, most[-1], e, rules) for e in joint.added(most[-1])}
+    also = {e.name: tied_so_far(joint, most[-1], e) for e in joint.added(most[-1])}
     rivals = {n for names in (*tied.values(), also, *also.values()) for n in names}
     diagnosis = Diagnosis(
         noise_m=fits.prepared.noise_model.noise.std_m,
         noise_is_stated=fits.prepared.study.noise_std_m is not None,
         baseline=(base if verdict == "complete" else fits.prior_candidate()).errors,
         verdict=verdict,
-        missing=added_effects(fits, path, tied, library, rules),
-        ranking=ranked(fits, path[-1], search.singles, rivals, rules),
+        missing=added_effects(fits, path, tied),
+        ranking=ranked(fits, path[-1], search.singles, rivals),
         left=remaining_error(joint, most[0], final),
-        partial=added_effects(joint, most, also, library, rules),
-        nearest=() if partial is None else nearest(partial, sound(search.singles, base), rules),
+        partial=added_effects(joint, most, also),
+        nearest=() if partial is None else nearest(partial, sound(search.singles, base)),
         warnings=(
             *doubts(fits, joint, final),
             *(doubt for outcome in checks for doubt in outcome.warnings(evidence)),
@@ -115,13 +113,14 @@ def conclude(
         checks=tuple(outcome.result for outcome in checks),
         independence=evidence.independence,
         knots=base.fit.space.knots,
+        fit_errors=fits.work.fit_errors,
     )
     return Examination(
         diagnosis, fits, tuple(path), search.singles, evidence.final, final, joint.prepared, most
     )
 
 
-def interrupted(fits: FitCache, rules: Rules, error: WorkStoppedError) -> Examination:
+def interrupted(fits: FitCache, error: WorkStoppedError) -> Examination:
     """The diagnosis of a study that was stopped early; no effect is confirmed."""
     base = fits.base
     tried = sum(len(c.names) == len(base.names) + 1 for c in fits.known())
@@ -129,10 +128,10 @@ def interrupted(fits: FitCache, rules: Rules, error: WorkStoppedError) -> Examin
         isinstance(error, SpentError),
         f"{counted(tried, 'effect was', 'effects were')} fitted so far, nothing is confirmed",
     )
-    return unconfirmed(fits, rules, "cannot_tell", doubt)
+    return unconfirmed(fits, "cannot_tell", doubt)
 
 
-def unconfirmed(fits: FitCache, rules: Rules, verdict: Verdict, why: Doubt) -> Examination:
+def unconfirmed(fits: FitCache, verdict: Verdict, why: Doubt) -> Examination:
     """The diagnosis without a completed search; no effect is confirmed."""
     base = fits.base
     one_more = len(base.names) + 1
@@ -145,15 +144,16 @@ def unconfirmed(fits: FitCache, rules: Rules, verdict: Verdict, why: Doubt) -> E
         noise_is_stated=fits.prepared.study.noise_std_m is not None,
         baseline=base.errors,
         verdict=verdict,
-        ranking=ranked(fits, base, singles, set(), rules) if searched else (),
+        ranking=ranked(fits, base, singles, set()) if searched else (),
         left=remaining_error(fits, base, base),
-        nearest=nearest(partial, sound(singles, base), rules),
+        nearest=nearest(partial, sound(singles, base)),
         warnings=(
             why,
             *(d for d in doubts(fits, fits, base) if d.code != why.code),
         ),
         independence=Independence.of(fits.prepared.study),
         knots=base.fit.space.knots,
+        fit_errors=fits.work.fit_errors,
     )
     return Examination(diagnosis, fits, (base,), singles, base, base, fits.prepared, ())
 
@@ -164,57 +164,33 @@ def sound(singles: Sequence[FittedModel], base: FittedModel) -> list[FittedModel
 
 
 def added_effects(
-    fits: FitCache,
-    steps: Sequence[FittedModel],
-    tied: Mapping[str, Sequence[str]],
-    library: int,
-    rules: Rules,
+    fits: FitCache, steps: Sequence[FittedModel], tied: Mapping[str, Sequence[str]]
 ) -> tuple[MissingEffect, ...]:
     """The effects that the steps after the first one have added, with their evidence."""
     if len(steps) == 1:
         return ()
-    final = estimate(fits.prepared, steps[-1].fit, fits.library.values())
-    noise_m = fits.prepared.noise_model.noise.std_m
-    left = [residual_summary(fits.prepared, c) for c in steps]
-    return tuple(
-        replace(
-            _added_effect(fits, small, large, tied, library, final, rules),
-            explained_share=removed_share(noise_m, left[0], after),
+    final, found = estimate(fits.prepared, steps[-1].fit, fits.library.values()), []
+    for small, large in itertools.pairwise(steps):
+        effect, gain = added_effect(small, large), fits.gain(small, large)
+        p_value = gain.p_value
+        if error_over_noise(fits.prepared, large) > fits.rules.most_over_noise:
+            p_value = max(p_value, chance_of(fits, small, large))
+        found.append(
+            MissingEffect(
+                effect=effect.name,
+                tied_with=tuple(tied.get(effect.name, ())),
+                p_value=min(1.0, p_value * (fits.tried - len(small.effects))),
+                delta_bic=gain.delta_bic,
+                parameters=final.intervals(effect),
+                errors=large.errors,
+                explained_share=fits.removed_share(steps[0], large),
+            )
         )
-        for (small, large), after in zip(itertools.pairwise(steps), left[1:], strict=True)
-    )
-
-
-def _added_effect(
-    fits: FitCache,
-    small: FittedModel,
-    large: FittedModel,
-    tied: Mapping[str, Sequence[str]],
-    library: int,
-    final: ParameterEstimate,
-    rules: Rules,
-) -> MissingEffect:
-    effect = added_effect(small, large)
-    gain = fits.gain(small, large)
-    p_value = gain.p_value
-    if error_over_noise(fits.prepared, large) > rules.most_over_noise:
-        p_value = max(p_value, chance_of(fits, small, large))
-    return MissingEffect(
-        effect=effect.name,
-        tied_with=tuple(tied.get(effect.name, ())),
-        p_value=min(1.0, p_value * (library - len(small.effects))),
-        delta_bic=gain.delta_bic,
-        parameters=final.intervals(effect),
-        errors=large.errors,
-    )
+    return tuple(found)
 
 
 def ranked(
-    fits: FitCache,
-    final: FittedModel,
-    singles: Sequence[FittedModel],
-    rivals: set[str],
-    rules: Rules,
+    fits: FitCache, final: FittedModel, singles: Sequence[FittedModel], rivals: set[str]
 ) -> tuple[RankedEffect, ...]:
     """All effects, ranked by the evidence for each as the only addition to the baseline.
 
@@ -240,7 +216,7 @@ def ranked(
         status: Status
         if name in final.names:
             status = "present"
-        elif name in rivals or left[name] < rules.significance:
+        elif name in rivals or left[name] < fits.rules.significance:
             status = "inspect"
         else:
             excluded = excludes and _too_small(at_end[name])
@@ -257,31 +233,25 @@ def _too_small(screened: ScreenedEffect) -> bool:
     return bool(np.all(reach < np.array(sizes)))
 
 
-def nearest(
-    partial: PartialExplanation, tried: Sequence[FittedModel], rules: Rules
-) -> tuple[Nearest, ...]:
+def nearest(partial: PartialExplanation, tried: Sequence[FittedModel]) -> tuple[Nearest, ...]:
     """The single effects with the smallest residual over all trials: its size and place.
 
     tried  the same fitted to the fit trials alone: their errors are what a forecast would have
     """
-    prepared = partial.fits.prepared
-    base = partial.path[0]
-    before = residual_summary(prepared, base)
-    best = sorted(
-        ((residual_summary(prepared, c), c) for c in partial.singles),
-        key=lambda pair: pair[0].mean_square_m2,
-    )
+    fits, base = partial.fits, partial.path[0]
+    left_m = {c.names: residual_summary(fits.prepared, c).rms_m for c in partial.singles}
+    best = sorted(partial.singles, key=lambda c: left_m[c.names])
     strict = {c.names: c for c in tried}
     return tuple(
         Nearest(
-            effect=added_effect(base, candidate).name,
-            explained_share=removed_share(prepared.noise_model.noise.std_m, before, after),
-            left_rms_m=after.rms_m,
+            effect=(effect := added_effect(base, candidate).name),
+            explained_share=fits.removed_share(base, candidate),
+            left_rms_m=left_m[candidate.names],
             errors=strict[candidate.names].errors if candidate.names in strict else NOT_FITTED,
-            peak=peak(prepared, candidate),
-            at_bound=_at_bound(candidate, added_effect(base, candidate).name),
+            peak=peak(fits.prepared, candidate),
+            at_bound=_at_bound(candidate, effect),
         )
-        for after, candidate in best[: rules.most_named]
+        for candidate in best[: fits.rules.most_named]
     )
 
 
@@ -296,13 +266,11 @@ def _at_bound(candidate: FittedModel, effect: str) -> tuple[str, ...]:
 
 def remaining_error(fits: FitCache, base: FittedModel, final: FittedModel) -> RemainingError:
     """Residual of a model: its size, the explained share of the baseline's error, its place."""
-    prepared = fits.prepared
-    noise_m = prepared.noise_model.noise.std_m
-    before, after = residual_summary(prepared, base), residual_summary(prepared, final)
+    before, after = (residual_summary(fits.prepared, model) for model in (base, final))
     return RemainingError(
         rms_m=after.rms_m,
         before_rms_m=before.rms_m,
-        over_noise=after.rms_m / noise_m,
-        explained_share=removed_share(noise_m, before, after),
-        peak=peak(prepared, final),
+        over_noise=after.rms_m / fits.prepared.noise_model.noise.std_m,
+        explained_share=fits.removed_share(base, final),
+        peak=peak(fits.prepared, final),
     )

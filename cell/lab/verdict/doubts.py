@@ -7,13 +7,13 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from cell.cable.effects.base import after_number
-from cell.identify.gauss_newton import UNSIMULATED
+from cell.files.words import first_of
 from cell.lab.data.check import Reading
 from cell.lab.data.prepared import ERRS
 from cell.lab.data.results import Doubt
 from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.plausibility import at_bound, is_hopeless, marker_motion_m
+from cell.lab.fit.plausibility import at_bound, is_hopeless, is_no_model, marker_motion_m
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.evidence import Evidence
@@ -190,24 +190,26 @@ def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
     )
 
 
-def no_model_doubt() -> Doubt:
-    """Warning of a diagnosis that did not search for effects."""
-    return Doubt(
-        "not_searched",
-        "no effect was looked for: a model whose error is larger than the motion of the markers is "
-        "not a model of this cable; correct the study first (the signs of y_m and angle_rad, "
-        "gravity, the order of the markers, the datasheet, one clock for both files)",
-    )
+#: Of a diagnosis that did not search for effects.
+NO_MODEL = Doubt(
+    "not_searched",
+    "no effect was looked for: a model whose error is larger than the motion of the markers is "
+    "not a model of this cable; correct the study first (the signs of y_m and angle_rad, "
+    "gravity, the order of the markers, the datasheet, one clock for both files)",
+)
+#: Of a diagnosis that ended early: it has the results until then.
+UNSIMULATED_SEARCH = Doubt(
+    "unsimulated",
+    "the search ended at a model that cannot be simulated; the fits until then are shown, and "
+    "nothing is confirmed; check the study's frame, datasheet and clock, because the error of "
+    "the baseline is so large",
+)
 
 
-def unsimulated_doubt() -> Doubt:
-    """Warning of a diagnosis that ended early: it has the results until then."""
-    return Doubt(
-        "unsimulated",
-        "the search ended at a model that cannot be simulated; the fits until then are shown, and "
-        "nothing is confirmed; check the study's frame, datasheet and clock, because the error of "
-        "the baseline is so large",
-    )
+def check_model(fits: FitCache) -> None:
+    """Raises ValueError: the baseline is no model of the study's cable."""
+    if is_no_model(fits.prepared, fits.base.fit):
+        raise ValueError(f"study {fits.prepared.study.name}: {NO_MODEL.message}")
 
 
 def doubts(fits: FitCache, whole: FitCache, final: FittedModel) -> tuple[Doubt, ...]:
@@ -222,51 +224,26 @@ def doubts(fits: FitCache, whole: FitCache, final: FittedModel) -> tuple[Doubt, 
     if whole.added(final):
         found += _of_estimate(whole, final, codes)
     if left_out := fits.work.left_out:
-        more = f" and {len(left_out) - TOLD} more" if len(left_out) > TOLD else ""
-        found += (cut_short_doubt(f"left out: {', '.join(left_out[:TOLD])}{more}"),)
+        found += (ended_doubt(True, f"left out: {first_of(left_out, TOLD)}"),)
     return tuple(w for w in found if w.code != "beyond_noise")
 
 
 def _of_estimate(fits: FitCache, final: FittedModel, codes: Collection[str]) -> tuple[Doubt, ...]:
     """Warning of the fit to all trials that the intervals come from, if none of the first is."""
-    if "not_converged" in codes:
-        return ()
-    try:
-        return tuple(not_converged(of_all_trials(fits.prepared, final.fit).fit))
-    except UNSIMULATED:
-        return ()
-
-
-def cut_short_doubt(what: str) -> Doubt:
-    """Warning of a result that is incomplete because the budget of work was spent."""
-    return Doubt("cut_short", f"the limit of work was reached: {what}")
-
-
-def interrupted_doubt(what: str) -> Doubt:
-    """Warning of a result that was interrupted."""
-    return Doubt("interrupted", f"interrupted: {what}")
+    joint = None if "not_converged" in codes else of_all_trials(fits.prepared, final.fit)
+    return () if joint is None else tuple(not_converged(joint.fit))
 
 
 def ended_doubt(spent: bool, what: str) -> Doubt:
-    """Warning of a computation that ended early: budget spent, or stopped by the user."""
-    return cut_short_doubt(what) if spent else interrupted_doubt(what)
-
-
-def insensitive_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Warnings of effects that the held-out trials cannot confirm."""
-    return tuple(
-        Doubt(
-            "heldout_insensitive",
-            f"the held-out trials cannot show {effect}: it explains the trials fitted to, but it "
-            "is not confirmed; hold out a trial that can show it",
-        )
-        for effect in reading.effects
-    )
+    """Warning of a computation that ended early: budget of work spent, or stopped by the user."""
+    if spent:
+        return Doubt("cut_short", f"the limit of work was reached: {what}")
+    return Doubt("interrupted", f"interrupted: {what}")
 
 
 def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     """Warning that frames at rest are too few, or rounding too coarse, to determine the noise."""
-    noise_model = evidence.noise_model
+    noise_model = evidence.prepared.noise_model
     low_m, high_m = noise_model.range_m or (noise_model.noise.std_m, noise_model.noise.std_m)
     remedy = f"record at least {noise_model.frames_needed} frames at rest before each motion"
     if noise_model.hidden:
@@ -300,14 +277,12 @@ def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
 
 def omitted_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     """Warning of effects that all trials together show but the held-out trials do not confirm."""
-    effects = reading.effects
-    more = f" and {len(effects) - TOLD} more" if len(effects) > TOLD else ""
     return (
         Doubt(
             "possibly_omitted",
-            f"all trials together show {' or '.join(effects[:TOLD])}{more} beyond chance, but "
-            "the held-out trials do not confirm it: it remains open whether more is missing; add "
-            "a motion that decides, as `cell suggest STUDY` finds",
+            f"all trials together show {first_of(reading.effects, TOLD, ' or ')} beyond chance, "
+            "but the held-out trials do not confirm it: it remains open whether more is missing; "
+            "add a motion that decides, as `cell suggest STUDY` finds",
         ),
     )
 
@@ -323,16 +298,4 @@ def wider_law_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
             "similar to it, but not in the library",
         )
         for effect in broken
-    )
-
-
-def prior_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
-    """Warnings of effects that are not needed, or explain nothing, without the prior."""
-    return tuple(
-        Doubt(
-            "prior_driven",
-            f"{effect} is needed only because of the prior: without the prior, as for another "
-            f"cable, the study does not confirm {effect}; give the prior of this cable, or none",
-        )
-        for effect in reading.effects
     )

@@ -11,13 +11,12 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.check import OwnCheck, Residual
-from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.score_test import holm
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel, error_over_noise, is_below_stated
+from cell.lab.search.fitted_model import FittedModel, error_over_noise
 from cell.lab.strength.estimate import ParameterEstimate, estimate
 from cell.lab.verdict.smooth_part import (
     AllTrialsResidual,
@@ -71,7 +70,7 @@ def _draws(left: AllTrialsResidual, count: int) -> Iterator[FloatArray]:
     seen = np.append(seen, np.zeros(left.every.shape[1] - len(seen), dtype=bool))
     for _ in range(count):
         noise = np.where(seen, rng.standard_normal(len(seen)), 0.0)
-        yield linear.seen(noise[None])[0] + rng.standard_normal(left.errors) @ errors
+        yield linear.remove(noise[None])[0] + rng.standard_normal(left.errors) @ errors
 
 
 def _residuals(left: AllTrialsResidual, rows: FloatArray) -> list[Residual]:
@@ -102,18 +101,17 @@ class Evidence:
 
     fits: FitCache
     final: FittedModel
-    rules: Rules
     tied: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    @property
+    def rules(self) -> Rules:
+        """Limits of the checks."""
+        return self.fits.rules
 
     @property
     def prepared(self) -> PreparedStudy:
         """The study."""
         return self.fits.prepared
-
-    @property
-    def noise_model(self) -> NoiseModel:
-        """Noise of the measurement."""
-        return self.prepared.noise_model
 
     @property
     def base(self) -> FittedModel:
@@ -155,8 +153,3 @@ class Evidence:
     def independence(self) -> Independence:
         """The independent recordings and motions of the study."""
         return Independence.of(self.prepared.study)
-
-    @property
-    def below_stated(self) -> bool:
-        """Whether the model errs by much less than the measurement is said to."""
-        return is_below_stated(self.prepared, self.final, self.rules.below_stated)

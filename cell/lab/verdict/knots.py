@@ -20,7 +20,7 @@ from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.data.prepared import ERRS
 from cell.lab.fit.fitting import Fit, fit_model, fit_trials, problem_of
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import POLISH, FittedModel, model_of_fit, worth_of
+from cell.lab.search.fitted_model import POLISH, FittedModel, model_of_fit
 
 _LOG = logging.getLogger(__name__)
 
@@ -73,17 +73,17 @@ def _more_knots(fits: FitCache, model: FittedModel, needed: float) -> FittedMode
     linear = _LinearModel.of(fits, before)
     if linear is None:
         return None
-    usual = linear.evidence(before.space)
+    usual, _ = linear.evidence(before.space)
     spaces = [before.space.with_knots(k) for k in KNOTS if k > before.space.knots]
-    likeliest = max(spaces, key=linear.evidence)
-    square = linear.square(likeliest)
+    each = [linear.evidence(space) for space in spaces]
+    (evidence, square), likeliest = max(zip(each, spaces, strict=True), key=lambda e: e[0][0])
     noise = (NEAR * ERRS) ** 2 * prepared.count(fit_trials(prepared))
-    if linear.evidence(likeliest) - usual < PROMISED * needed or square > noise:
+    if evidence - usual < PROMISED * needed or square > noise:
         return None
     start = before.space.at_knots(before.q, likeliest.knots)
     fit = fit_model(prepared, likeliest, start, before.initial_states, options=POLISH)
     found = model_of_fit(prepared, model.effects, fit)
-    worth, held = worth_of(prepared, model, found, fits.gripper_log_error())
+    worth, held = fits.worth(model, found)
     gain = held + 0.5 * (worth - _penalty(fits, fit) + _penalty(fits, before))
     shown = gain > needed and held >= 0.0 and fits.explained_by(found)
     return found if shown else None
@@ -127,30 +127,19 @@ class _LinearModel:
             return None
         return _LinearModel(fits, fit, fit.solution.residual, jacobian)
 
-    def evidence(self, space: ParameterSpace) -> float:
-        """ln of the likelihood integrated over the parameters of a space, but for a constant."""
-        jacobian, residual, away, precision, step = self._solved(space)
-        left, there = residual + jacobian @ step, away + step
-        objective = float(left @ left + there @ precision @ there)
-        normal = jacobian.T @ jacobian + precision
-        return -0.5 * (objective + _log_det(normal) - _log_det(precision))
+    def evidence(self, space: ParameterSpace) -> tuple[float, float]:
+        """For a space with its likeliest parameters: ln of the likelihood, and χ² of the residuals.
 
-    def square(self, space: ParameterSpace) -> float:
-        """χ² of the residuals at the likeliest parameters of a space."""
-        jacobian, residual, _, _, step = self._solved(space)
-        left = residual + jacobian @ step
-        return float(left @ left)
-
-    def _solved(
-        self, space: ParameterSpace
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Jacobian, residual, coordinates less their prior's mean, its precision; the step."""
+        The likelihood is integrated over the parameters, and known but for a constant.
+        """
         problem = problem_of(self.fits.prepared, space, fit_trials(self.fits.prepared))
-        most = KNOTS[-1]
+        most, precision = KNOTS[-1], problem.precision
         basis = knot_basis(space.knots, tuple(np.linspace(0.0, 1.0, most)))
         jacobian = np.hstack([self.jacobian[:, :most] @ basis, self.jacobian[:, most:]])
         away = self.fit.space.at_knots(self.fit.solution.q, space.knots) - problem.mean
-        normal = jacobian.T @ jacobian + problem.precision
-        slope = jacobian.T @ self.residual + problem.precision @ away
-        step = np.asarray(-np.linalg.solve(normal, slope))
-        return jacobian, self.residual, away, problem.precision, step
+        normal = jacobian.T @ jacobian + precision
+        step = -np.linalg.solve(normal, jacobian.T @ self.residual + precision @ away)
+        left, there = self.residual + jacobian @ step, away + step
+        square = float(left @ left)
+        objective = square + float(there @ precision @ there)
+        return -0.5 * (objective + _log_det(normal) - _log_det(precision)), square

@@ -10,10 +10,9 @@ from scipy.special import chdtrc as chi2_sf
 from cell.cable.effects.base import Effect
 from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.data.prepared import PreparedStudy, as_measured
-from cell.lab.data.thresholds import Rules
 from cell.lab.fit.fitting import space_with
 from cell.lab.search.baseline import SearchSetup
-from cell.lab.search.fit_cache import FitCache, StudySpace
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel, error_over_noise
 from cell.lab.search.rivals import close_rivals
 from cell.lab.search.stepwise import levels
@@ -32,14 +31,14 @@ def prior_driven_effects(evidence: Evidence, explains: Explains) -> tuple[str, .
     alone asks for is what a prior is for.  Several are never spared: that the cable is not the
     prior's is the simpler explanation.
     """
-    fits, final, rules = evidence.fits, evidence.final, evidence.rules
+    fits = evidence.fits
     if fits.prior_q is None or evidence.is_base:
         return ()
-    spared = int(_of_this_cable(fits, final, rules))
+    spared = int(_of_this_cable(fits, evidence.final))
     if len(evidence.added) <= spared:
         return ()
     alone = _without_prior(fits)
-    found = unconfirmed_without_prior(alone, evidence.added, evidence.tied, rules, explains)
+    found = unconfirmed_without_prior(alone, evidence.added, evidence.tied, explains)
     return found if len(found) > spared else ()
 
 
@@ -58,6 +57,7 @@ def _without_prior(fits: FitCache) -> FitCache:
             space_with(free, space.effects),
             fits.library,
             fits.progress,
+            rules=fits.rules,
         )
     )
 
@@ -66,7 +66,6 @@ def unconfirmed_without_prior(
     alone: FitCache,
     effects: Sequence[type[Effect]],
     tied: Mapping[str, Sequence[str]],
-    rules: Rules,
     explains: Explains,
 ) -> tuple[str, ...]:
     """The effects that are not needed, or explain nothing, in a study without a prior."""
@@ -77,35 +76,33 @@ def unconfirmed_without_prior(
         return alone.fit_extended(model, others) if others else ()
 
     for level in levels(base, extended, lambda _, options: options):
-        fewest = [c for c in level if explains(Evidence(alone, c, rules))]
+        fewest = [c for c in level if explains(Evidence(alone, c))]
         if fewest:
             needed = max(fewest, key=lambda c: c.evidence)
             return tuple(
                 e.name
                 for e in effects
                 if e.name not in needed.names
-                or _in_place(alone, needed, e, rules) - set(tied.get(e.name, ()))
+                or _in_place(alone, needed, e) - set(tied.get(e.name, ()))
             )
     return tuple(e.name for e in effects)
 
 
-def _in_place(
-    alone: FitCache, needed: FittedModel, effect: type[Effect], rules: Rules
-) -> frozenset[str]:
+def _in_place(alone: FitCache, needed: FittedModel, effect: type[Effect]) -> frozenset[str]:
     """Effects that explain as much as one of a candidate's, or more, in its place."""
     rest = alone.fit_reduced(needed, effect)
-    rivals = StudySpace(alone, rules.max_refits).extended(rest)
-    found = [c.names - rest.names for c in close_rivals(alone, needed, rivals, rules)]
+    rivals = alone.extended(rest)
+    found = [c.names - rest.names for c in close_rivals(alone, needed, rivals)]
     return frozenset().union(*found) - needed.names
 
 
-def _of_this_cable(fits: FitCache, final: FittedModel, rules: Rules) -> bool:
+def _of_this_cable(fits: FitCache, final: FittedModel) -> bool:
     """Whether a model explains the study to the measurement's noise, and agrees with the prior."""
-    if error_over_noise(fits.prepared, final) > rules.most_over_noise:
+    if error_over_noise(fits.prepared, final) > fits.rules.most_over_noise:
         return False
     space = fits.space
     own = [final.fit.space.names.index(n) for n in space.names]
     away = final.fit.q[own] - space.mean
     square = float(away @ space.precision @ away)
     chance = float(chi2_sf(len(away), square))
-    return bool(np.isfinite(square) and chance > rules.residual_significance)
+    return bool(np.isfinite(square) and chance > fits.rules.residual_significance)

@@ -13,7 +13,6 @@ from scipy.special import fdtrc as f_sf
 from scipy.special import fdtri as f_quantile
 
 from cell.cable.arrays import FloatArray
-from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.gaussian import marginal_chi2, marginal_products
 from cell.identify.whitener import Whitener
 from cell.lab.data.noise_likelihood import MAX_AR1
@@ -23,7 +22,7 @@ from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.corrections import LEFT
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
 from cell.lab.fit.heldout import HeldoutRows, heldout_rows
-from cell.lab.fit.sensitivity import prior_root
+from cell.lab.fit.projection import jacobian_with_prior
 from cell.lab.fit.systematic_error import MOTIONS, SystematicError, systematic_error
 
 
@@ -141,7 +140,7 @@ def smooth_part(prepared: PreparedStudy, fit: Fit) -> SmoothPart | None:
         return SmoothPart(np.inf, 1, len(rows.residual), prepared.noise_model.slow_dof)
     coarse = _coarse(prepared, rows.residual[None])
     level, dof = _heldout_level(prepared, rows)
-    chi2 = _chi2(coarse[0], _coarse(prepared, rows.spread.T)) / level
+    chi2 = marginal_chi2(coarse[0], _coarse(prepared, rows.spread.T).T)[0] / level
     return SmoothPart(chi2, coarse.shape[1], len(rows.residual), dof)
 
 
@@ -248,15 +247,14 @@ class AllTrialsResidual:
 @once_per_study
 def all_trials_residual(prepared: PreparedStudy, fit: Fit) -> AllTrialsResidual | None:
     """The residual of the model refitted to all trials; None if one cannot be simulated."""
-    try:
-        whole = of_all_trials(prepared, fit)
-    except UNSIMULATED:
+    whole = of_all_trials(prepared, fit)
+    if whole is None:
         return None
     linear, errs, trials = whole.linear, whole.systematic_error, fit_trials(whole.prepared)
     changes = np.concatenate([errs.doubt[None] * LEFT, *_each_alone(errs)])
-    behind = len(linear.left) - errs.ends[-1]  # the prior's rows
-    errors = linear.seen(np.pad(changes, ((0, 0), (0, behind))))
-    every = np.vstack([linear.left, errors, linear.basis.T])
+    behind = len(linear.residual) - errs.ends[-1]  # the prior's rows
+    errors = linear.remove(np.pad(changes, ((0, 0), (0, behind))))
+    every = np.vstack([linear.residual, errors, linear.basis.T])
     whiteners = [whole.prepared.whiteners[t.name] for t in trials]
     return AllTrialsResidual(whole, whiteners, every, len(errors))
 
@@ -346,17 +344,12 @@ def _slow_level(
 def _followed(fit: Fit, changes: FloatArray) -> FloatArray:
     """(n, p) moves of a fit's parameters that changes (n, rows) of its residual bring about."""
     solution = fit.solution
-    slopes = np.vstack([solution.jacobian, prior_root(fit)])[:, solution.free]
+    slopes = jacobian_with_prior(fit)[:, solution.free]
     padded = np.zeros((len(slopes), len(changes)))
     padded[: changes.shape[1]] = changes.T
     moves = np.zeros((len(changes), len(solution.q)))
     moves[:, solution.free] = -np.linalg.lstsq(slopes, padded, rcond=None)[0].T
     return moves[:, : len(fit.q)]
-
-
-def _chi2(residual: FloatArray, spread: FloatArray) -> float:
-    """Of (values,), allowing for what (k, values) are the standard deviations of."""
-    return marginal_chi2(residual, spread.T)[0]
 
 
 def _coarse(prepared: PreparedStudy, white: FloatArray) -> FloatArray:

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from cell.cable.effects.base import Effect
-from cell.lab.data.thresholds import Rules
-from cell.lab.search.fit_cache import FitCache, StudySpace
+from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.residual_summary import (
     log_variance_ratio,
-    removed_share,
     residual_summary,
     vuong_z,
 )
-from cell.lab.search.rivals import any_at_bound, chance, close_rivals, is_at_bound, near_singles
+from cell.lab.search.rivals import any_at_bound, chance_of, close_rivals, is_at_bound, near_singles
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
 
@@ -28,9 +26,9 @@ def with_ties(evidence: Evidence) -> Evidence:
     """
     fits, added = evidence.fits, evidence.added
     for effect in added:
-        if (simpler := _special_case(fits, evidence.final, effect, evidence.rules)) is not None:
+        if (simpler := _special_case(fits, evidence.final, effect)) is not None:
             return with_ties(replace(evidence, final=simpler))
-    tied = {e.name: _tied(fits, evidence.final, e, evidence.rules) for e in added}
+    tied = {e.name: _tied(fits, evidence.final, e) for e in added}
     for effect in added if len(added) > 1 else ():
         if len(tied[effect.name]) + 1 > evidence.rules.most_named:
             rest = replace(evidence, final=fits.fit_reduced(evidence.final, effect))
@@ -39,36 +37,30 @@ def with_ties(evidence: Evidence) -> Evidence:
     return replace(evidence, tied=tied)
 
 
-def _special_case(
-    fits: FitCache, final: FittedModel, effect: type[Effect], rules: Rules
-) -> FittedModel | None:
+def _special_case(fits: FitCache, final: FittedModel, effect: type[Effect]) -> FittedModel | None:
     """The model with a special case in place of `effect`, if that explains as much; None if not."""
     if not any(e.wider is effect for e in fits.library.values()):
         return None
-    rivals = StudySpace(fits, rules.max_refits).extended(fits.fit_reduced(final, effect))
+    rivals = fits.extended(fits.fit_reduced(final, effect))
     special = [c for c in rivals if any(e.wider is effect for e in c.effects)]
-    close = close_rivals(fits, final, special, rules)
+    close = close_rivals(fits, final, special)
     return close[0] if close else None
 
 
-def _tied(
-    fits: FitCache, final: FittedModel, effect: type[Effect], rules: Rules
-) -> tuple[str, ...]:
+def _tied(fits: FitCache, final: FittedModel, effect: type[Effect]) -> tuple[str, ...]:
     """Effects that explain as much in place of `effect`, all trials together.
 
     The wider law of which it is a special case is no other explanation.
     """
     rest = fits.fit_reduced(final, effect)
-    rivals = StudySpace(fits, rules.max_refits).extended(rest)
-    close = close_rivals(fits, final, rivals, rules)
+    rivals = fits.extended(rest)
+    close = close_rivals(fits, final, rivals)
     names = [next(iter(c.names - rest.names)) for c in close]
     own = "" if effect.wider is None else effect.wider.name
     return tuple(name for name in names if name not in final.names and name != own)
 
 
-def tied_so_far(
-    fits: FitCache, final: FittedModel, effect: type[Effect], rules: Rules
-) -> tuple[str, ...]:
+def tied_so_far(fits: FitCache, final: FittedModel, effect: type[Effect]) -> tuple[str, ...]:
     """Effects that tie with `effect`, among the models fitted so far.
 
     Of a single effect that leaves more than noise also those that do with one more added:
@@ -84,9 +76,9 @@ def tied_so_far(
         and not any(e is effect.wider for e in c.effects)
     ]
     small = next((c for c in fits.known() if c.names == rest), fits.base)
-    close = _as_good(fits, small, final, rivals, rules)
+    close = _as_good(fits, small, final, rivals)
     tied = [next(iter(c.names - rest)) for c in close]
-    near = [] if rest else near_singles(fits, final, [final, *rivals], rules)
+    near = [] if rest else near_singles(fits, final, [final, *rivals])
     most = residual_summary(fits.prepared, final)
     for alone in near:
         name = next(iter(alone.names))
@@ -102,30 +94,22 @@ def tied_so_far(
 
 
 def _as_good(
-    fits: FitCache,
-    small: FittedModel,
-    final: FittedModel,
-    rivals: Sequence[FittedModel],
-    rules: Rules,
+    fits: FitCache, small: FittedModel, final: FittedModel, rivals: Sequence[FittedModel]
 ) -> list[FittedModel]:
     """Rivals that leave as little as `final`, by what models that are all wrong can tell.
 
     What is at its bound is none, nor is what removes nothing significant, or not most of what
     `final` does, of the error of `small`, which lacks the last effect.
     """
-    prepared = fits.prepared
-    noise_m = prepared.noise_model.noise.std_m
-    before, most = residual_summary(prepared, small), residual_summary(prepared, final)
-    least = rules.most_share * removed_share(noise_m, before, most)
-    close = {c.names for c in close_rivals(fits, final, rivals, rules)}
-    found = []
-    for rival in rivals:
-        left = residual_summary(prepared, rival)
-        p_value = chance(small, rival, before, left) * len(fits.library)
+    rules, close = fits.rules, {c.names for c in close_rivals(fits, final, rivals)}
+    least = rules.most_share * fits.removed_share(small, final)
+
+    def as_good(rival: FittedModel) -> bool:
+        p_value = chance_of(fits, small, rival) * len(fits.library)
         if is_at_bound(small, rival) or p_value > rules.significance:
-            continue
-        if removed_share(noise_m, before, left) < least:
-            continue
-        if rival.names in close or vuong_z(prepared, final, rival) < rules.vuong_z:
-            found.append(rival)
-    return sorted(found, key=lambda c: c.chi2)
+            return False
+        if fits.removed_share(small, rival) < least:
+            return False
+        return rival.names in close or vuong_z(fits.prepared, final, rival) < rules.vuong_z
+
+    return sorted(filter(as_good, rivals), key=lambda c: c.chi2)

@@ -33,7 +33,7 @@ class HandshakeAdapter:
 
     def __init__(self, carrier: Carrier, runs: Path, by: str) -> None:
         self._carrier = carrier
-        self._client = Client(runs, timeout_s=_ANSWER_S, often=True)
+        self._client = Client(runs, timeout_s=_ANSWER_S)
         self._by = by
         self._memory = Memory()
         self._news = threading.Event()

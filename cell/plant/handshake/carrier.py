@@ -1,4 +1,4 @@
-"""Carriers of signals between PLC and cell: their interface, and signals as numbered bits."""
+"""Carriers of signals between PLC and cell: their interface, and the arm's controller as one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Protocol, Self
 
-from cell.settings.plant import InputSignals, OutputSignals, signals_of
+from cell.settings.plant import Handshake, InputSignals, OutputSignals, signals_of
+from drivers.ur_io import UrIo
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Inputs:
 
     @property
     def product(self) -> int:
-        """Number of the product, from 1 in the order of the settings; 0 = not said."""
+        """Number of the product, from 1 in the order of the settings; 0 = no product is named."""
         bits = (self.product_0, self.product_1, self.product_2, self.product_3)
         return sum(bit << place for place, bit in enumerate(bits))
 
@@ -137,3 +138,32 @@ def bits_of(outputs: Outputs, places: OutputSignals) -> frozenset[int]:
     return frozenset(
         at.number for name, at in signals_of(places) if getattr(outputs, name) is not at.inverted
     )
+
+
+class ControllerCarrier:
+    """A UR controller's inputs and outputs, wired to the PLC, over a connection of their own.
+
+    host  address of the controller
+    """
+
+    def __init__(self, said: Handshake, host: str) -> None:
+        self._said = said
+        self._heard = LatestBits(said.silence_s, f"{host} reports nothing for {said.silence_s:g} s")
+        ours = [at.number for _, at in signals_of(said.outputs)]
+        self._io = UrIo(host, ours, self._heard.take, self._heard.lose, said.silence_s)
+        self.write(UNKNOWN)
+
+    def __enter__(self) -> Self:
+        self._io.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._io.__exit__()
+
+    def read(self) -> Inputs:
+        """What the PLC says now.  Raises CarrierError: the controller is away."""
+        return inputs_of(self._heard.read(), self._said.inputs)
+
+    def write(self, outputs: Outputs) -> None:
+        """Set the outputs, which stay as they are when the program ends."""
+        self._io.set(bits_of(outputs, self._said.outputs))

@@ -15,7 +15,7 @@ import ssl
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -160,37 +160,26 @@ class OutboxFeeder:
                 return
 
 
-@dataclass(frozen=True)
-class Access:
-    """Credentials for the broker.
-
-    client_id  of the connection
-    password   None = no user
-    tls        None = not encrypted
-    """
-
-    client_id: str
-    password: str | None = None
-    tls: ssl.SSLContext | None = None
-
-
 class MqttAdapter:
     """Reports one cell to one broker.
 
+    client_id  of the connection
     runs       folder of the cell's records
     form_anew  the form of messages for a new connection
+    raises     ValueError: there is no password, or a certificate is missing or invalid
     """
 
     def __init__(
         self,
         settings: Mqtt,
-        access: Access,
+        client_id: str,
         runs: Path,
         outbox: MqttOutbox,
         form_anew: Callable[[], PayloadForm],
     ) -> None:
         self._settings = settings
-        self._access = access
+        self._client_id = client_id
+        self._password, self._tls = password_of(settings), tls_of(settings.tls)
         self._runs = runs
         self._outbox = outbox
         self._form_anew = form_anew
@@ -227,7 +216,7 @@ class MqttAdapter:
                     self._warn_once(f"broker: {errors.exceptions[0]}")
                 if loop.time() - begun_s > _ANSWER_S:
                     pause_s = _FIRST_S
-                await self._pause(pause_s)
+                await _wait(self._over, pause_s)
                 pause_s = min(2.0 * pause_s, self._settings.retry_s)
 
     async def _connection(self, taker: OutboxFeeder) -> None:
@@ -241,9 +230,9 @@ class MqttAdapter:
                 self._settings.broker,
                 self._settings.broker_port,
                 username=self._settings.user,
-                password=self._access.password,
-                identifier=self._access.client_id,
-                tls_context=self._access.tls,
+                password=self._password,
+                identifier=self._client_id,
+                tls_context=self._tls,
                 keepalive=self._settings.keep_alive_s,
                 will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
                 timeout=_ANSWER_S,
@@ -272,7 +261,7 @@ class MqttAdapter:
     ) -> None:
         self._news.clear()
         while not form.can_publish() and not self._over.is_set():
-            await self._wait()
+            await _wait(self._news)
             self._news.clear()
         self._is_born_anew, reached, told_s, is_told = True, False, 0.0, True
         while not self._over.is_set():
@@ -280,18 +269,21 @@ class MqttAdapter:
             if taker.error is not None:
                 raise taker.error
             if self._is_born_anew or taker.is_cell != reached:
-                self._is_born_anew, reached = False, taker.is_cell
-                await self._send(client, form, form.birth(await self._published_state(taker)))
+                self._is_born_anew = False
+                known = await self._published_state(taker)
+                reached = known.is_cell
+                await self._send(client, form, form.birth(known))
             waiting = self._outbox.first()
             if waiting is not None:
                 await self._send(client, form, form.of_notice(waiting.notice))
                 self._outbox.remove(waiting)
                 is_told = False
             elif not is_told and time.monotonic() - told_s >= _STATUS_S:
-                told_s, is_told = time.monotonic(), True
-                await self._send(client, form, form.of_status(await self._published_state(taker)))
+                told_s, known = time.monotonic(), await self._published_state(taker)
+                if is_told := self._has_all_of(known):
+                    await self._send(client, form, form.of_status(known))
             else:
-                await self._wait(None if is_told else _STATUS_S)
+                await _wait(self._news, None if is_told else _STATUS_S)
         await self._send(client, form, form.farewell(await self._published_state(taker)))
 
     async def _send(
@@ -309,23 +301,21 @@ class MqttAdapter:
             self._status = status
         return PublishedState(self._status, taker.is_cell, self._outbox.dropped(), time.time())
 
-    async def _wait(self, most_s: float | None = None) -> None:
-        """Until there is news, or for so long."""
-        try:
-            async with asyncio.timeout(most_s):
-                await self._news.wait()
-        except TimeoutError:
-            return
-
-    async def _pause(self, most_s: float) -> None:
-        """For so long, or until the end."""
-        try:
-            async with asyncio.timeout(most_s):
-                await self._over.wait()
-        except TimeoutError:
-            return
+    def _has_all_of(self, known: PublishedState) -> bool:
+        """Whether the outbox has had all notices that the status contains."""
+        if known.status is None or not known.is_cell:
+            return True
+        run, sequence = self._outbox.newest() or ("", 0)
+        return run == known.status.run and sequence >= known.status.sequence
 
     def _warn_once(self, said: str) -> None:
         if said != self._said:
             self._said = said
             _LOG.warning("%s; %d messages wait", said, self._outbox.count())
+
+
+async def _wait(event: asyncio.Event, most_s: float | None = None) -> None:
+    """Until it has happened, or for so long."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(most_s):
+            await event.wait()

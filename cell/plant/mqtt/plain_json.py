@@ -43,13 +43,7 @@ class PlainJson:
 
     def birth(self, known: PublishedState) -> list[Message]:
         """Who is there, and the status."""
-        said = {
-            "adapter": True,
-            "cell": known.is_cell,
-            "dropped": known.dropped,
-            "time_s": known.time_s,
-        }
-        return [self._message(CONNECTION, said, retain=True), *self.of_status(known)]
+        return [self._connection(known, adapter=True), *self.of_status(known)]
 
     def of_notice(self, notice: Notice) -> list[Message]:
         """A message of the topic that is called as the kind of the notice."""
@@ -71,17 +65,17 @@ class PlainJson:
 
     def farewell(self, known: PublishedState) -> list[Message]:
         """As the will, with the time."""
-        said = {
-            "adapter": False,
-            "cell": False,
-            "dropped": known.dropped,
-            "time_s": known.time_s,
-        }
-        return [self._message(CONNECTION, said, retain=True)]
+        return [self._connection(known, adapter=False)]
 
     def receive(self, topic: str, payload: bytes) -> bool:
         """Nothing was asked for, so nothing is obeyed."""
         return False
+
+    def _connection(self, known: PublishedState, *, adapter: bool) -> Message:
+        """Who is there; without the adapter nobody knows of the cell."""
+        said: dict[str, Any] = {"adapter": adapter, "cell": adapter and known.is_cell}
+        said |= {"dropped": known.dropped, "time_s": known.time_s}
+        return self._message(CONNECTION, said, retain=True)
 
     def _message(self, what: str, said: dict[str, Any], *, retain: bool) -> Message:
         text = json.dumps({"version": VERSION, **plain(said)}, ensure_ascii=False)

@@ -17,8 +17,7 @@ from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
 from cell.plant.messages import CommandReply, Request
 from cell.plant.opcua import packml
 from cell.plant.opcua.access import ANONYMOUS, caller
-from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES
-from cell.plant.opcua.packml import Method
+from cell.plant.opcua.packml import MACHINE_PATHS, MACHINES, Method
 from cell.plant.opcua.space import AddressSpace
 from cell.plant.opcua.unit import Unit
 from cell.plant.opcua.view import PackmlView

@@ -25,7 +25,7 @@ from cell.plant.messages import MessageKind, Notice, Status
 from cell.plant.opcua import packml
 from cell.plant.opcua.access import GuardedServer, own_certificate
 from cell.plant.opcua.commands import Methods, TimedServer
-from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES, active_states, transition_between
+from cell.plant.opcua.packml import MACHINE_PATHS, MACHINES, active_states, transition_between
 from cell.plant.opcua.space import AddressSpace, Ids
 from cell.plant.opcua.types import add_types
 from cell.plant.opcua.unit import Unit, tags_of

@@ -104,6 +104,13 @@ class AddressSpace:
         )
         return self._add(item, attributes, described)
 
+    def standard_property(
+        self, parent: ua.NodeId, node: ua.NodeId, name: str, type_: str, value: Any
+    ) -> ua.NodeId:
+        """Add a property that OPC UA itself names; returns its id."""
+        qualified, kind = self.name(name, 0), self.kind(type_)
+        return self.variable(parent, node, qualified, kind, value, reference=Ids.HasProperty)
+
     def method(
         self, parent: ua.NodeId, node: ua.NodeId, name: ua.QualifiedName, described: str = ""
     ) -> ua.NodeId:
@@ -122,14 +129,7 @@ class AddressSpace:
             rank = kind.dimensions or ua.ValueRank.Scalar
             sizes = [0] * kind.dimensions
             value.append(ua.Argument(name, kind.node, rank, sizes, ua.LocalizedText(name)))
-        return self.variable(
-            method,
-            node,
-            self.name("InputArguments", 0),
-            self.kind("Argument[]"),
-            value,
-            reference=Ids.HasProperty,
-        )
+        return self.standard_property(method, node, "InputArguments", "Argument[]", value)
 
     def type(
         self, parent: ua.NodeId, node: ua.NodeId, name: ua.QualifiedName, class_: ua.NodeClass

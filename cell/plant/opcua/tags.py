@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from cell.plant.messages import FaultNotice, Status
+from cell.plant.messages import Status
 from cell.plant.opcua import packml
-from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES, active_states, number_of
-from cell.plant.opcua.view import PackmlView, PastFault
+from cell.plant.opcua.packml import MACHINE_PATHS, MACHINES, active_states, number_of
+from cell.plant.opcua.view import FAULTS, PackmlView, PastFault
 from cell.records.result import Outcome
 from cell.run.machine import CellState
 
@@ -49,6 +49,20 @@ class Tag:
     always: bool = False
     reference: str = "HasComponent"
     definition: str = "BaseDataVariableType"
+
+
+_DECLARED = {
+    f"{below}{declared.name}": declared
+    for below, group in (("", packml.UNIT), ("Status.", packml.STATUS), ("Admin.", packml.ADMIN))
+    for declared in group
+}
+
+
+def packml_tag(path: str, meaning: str, value: Value, always: bool) -> Tag:
+    """A variable that PackML declares, which says its type and how its parent has it."""
+    declared = _DECLARED[path]
+    definition = "BaseDataVariableType" if declared.range_id is None else "AnalogItemType"
+    return Tag(path, declared.type, meaning, value, always, declared.reference, definition)
 
 
 def of(value: Callable[[Status], Any]) -> Value:
@@ -220,59 +234,31 @@ def status_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
 
     design_per_minute  cables that the cell makes at best; None = not said
     """
-    speed = of_view(lambda v: design_per_minute)
-    return (
-        Tag(
-            "Status.UnitSupportedModes",
-            "NodeId",
-            "enumeration of the modes",
-            lambda v, t: packml.MODE_ENUM,
-            True,
-            _PROPERTY,
-        ),
-        Tag(
-            "Status.UnitModeCurrent",
-            "Mode",
-            "1 production, 2 maintenance, 3 manual",
-            of(lambda s: packml.MODE_NUMBERS[s.mode]),
-        ),
-        Tag(
-            "Status.StateChangeInProcess",
-            "Boolean",
+    design = "ideal cables/min, by `ledger.ideal_cycle_s`"
+    blocked = of(lambda s: "downstream" in s.waiting_for)
+    starved = of(lambda s: not {"part", "upstream"}.isdisjoint(s.waiting_for))
+    modes, mode = "1 production, 2 maintenance, 3 manual", of(lambda s: packml.MODE_NUMBERS[s.mode])
+    rows: tuple[tuple[str, str, Value, bool], ...] = (
+        ("UnitSupportedModes", "enumeration of the modes", lambda v, t: packml.MODE_ENUM, True),
+        ("UnitModeCurrent", modes, mode, False),
+        (
+            "StateChangeInProcess",
             "the state ends by itself",
             of(lambda s: s.state in ACTING),
+            False,
         ),
-        Tag(
-            "Status.MachSpeed", "Float", "ideal cables/min, by `ledger.ideal_cycle_s`", speed, True
-        ),
-        Tag("Status.CurMachSpeed", "Float", "cables/min, as the last cycle took", of_view(_speed)),
-        Tag(
-            "Status.EquipmentBlocked",
-            "Boolean",
-            "waits for downstream",
-            of(lambda s: "downstream" in s.waiting_for),
-        ),
-        Tag(
-            "Status.EquipmentStarved",
-            "Boolean",
-            "waits for a part or upstream",
-            of(lambda s: not {"part", "upstream"}.isdisjoint(s.waiting_for)),
-        ),
-        Tag(
-            "Status.Product",
-            "PackMLProductDataType[]",
-            "number of the product, from 1",
-            of(_product),
-        ),
+        ("MachSpeed", design, of_view(lambda v: design_per_minute), True),
+        ("CurMachSpeed", "cables/min, as the last cycle took", of_view(_speed), False),
+        ("EquipmentBlocked", "waits for downstream", blocked, False),
+        ("EquipmentStarved", "waits for a part or upstream", starved, False),
+        ("Product", "number of the product, from 1", of(_product), False),
     )
+    return tuple(packml_tag(f"Status.{row[0]}", *row[1:]) for row in rows)
 
 
 def admin_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
     """Variables of PackML's `Admin`."""
-    alarms, alarm = "PackMLAlarmDataType[]", "PackMLAlarmDataType"
-    count, times = "PackMLCountDataType[]", "Int32[][]"
-    every = tuple(Outcome)
-    speed = of_view(lambda v: design_per_minute)
+    every, defective = _count("cables", tuple(Outcome)), _count("cables", DEFECTIVE)
 
     def history(view: PackmlView) -> tuple[Any, ...]:
         return tuple(map(_alarm, view.faults))
@@ -280,61 +266,25 @@ def admin_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
     def reason(view: PackmlView) -> Any:
         return _alarms(view)[0] if _alarms(view) else NO_DATA
 
-    return (
-        Tag("Admin.ProdConsumedCount", count, "cycles of this run", _count("cables", every)),
-        Tag("Admin.ProdProcessedCount", count, "the same", _count("cables", every)),
-        Tag(
-            "Admin.ProdDefectiveCount",
-            count,
-            "missed, rejected and failed ones",
-            _count("cables", DEFECTIVE),
-        ),
-        Tag(
-            "Admin.Alarm",
-            alarms,
-            "fault that nobody acknowledged",
-            of_view(_alarms),
-            reference="HasAlarm",
-        ),
-        Tag("Admin.AlarmExtent", "Int32", "1 = so many there may be", lambda v, t: 1, True),
-        Tag(
-            "Admin.AlarmHistory",
-            alarms,
-            "faults since the server began, newest first",
-            of_view(history),
-            reference="HasAlarmHistory",
-        ),
-        Tag("Admin.AlarmHistoryExtent", "Int32", "so many at most", lambda v, t: 32, True),
-        Tag(
-            "Admin.StopReason",
-            alarm,
-            "the first of Alarm",
-            of_view(reason),
-            reference="HasStopReason",
-        ),
-        Tag("Admin.StopReasonExtent", "Int32", "1 = so many there may be", lambda v, t: 1, True),
-        Tag(
-            "Admin.ModeCurrentTime",
-            "Int32[]",
-            "time in each mode, s, since the run began",
-            _by_mode(_total),
-        ),
-        Tag("Admin.ModeCumulativeTime", "Int32[]", "the same", _by_mode(_total)),
-        Tag(
-            "Admin.StateCurrentTime",
-            times,
-            "time in this state, s; [mode][state number]",
-            _by_state(_this_state),
-        ),
-        Tag(
-            "Admin.StateCumulativeTime",
-            times,
-            "time in each state of this run, s",
-            _by_state(_all_states),
-        ),
-        Tag("Admin.AccTimeSinceReset", "Int32", "time since the run began, s", _of_total),
-        Tag("Admin.MachDesignSpeed", "Float", "as MachSpeed", speed, True),
+    in_state, in_states = _by_state(_this_state), _by_state(_all_states)
+    rows: tuple[tuple[str, str, Value, bool], ...] = (
+        ("ProdConsumedCount", "cycles of this run", every, False),
+        ("ProdProcessedCount", "the same", every, False),
+        ("ProdDefectiveCount", "missed, rejected and failed ones", defective, False),
+        ("Alarm", "fault that nobody acknowledged", of_view(_alarms), False),
+        ("AlarmExtent", "1 = so many there may be", lambda v, t: 1, True),
+        ("AlarmHistory", "faults since the server began, newest first", of_view(history), False),
+        ("AlarmHistoryExtent", "so many at most", lambda v, t: FAULTS, True),
+        ("StopReason", "the first of Alarm", of_view(reason), False),
+        ("StopReasonExtent", "1 = so many there may be", lambda v, t: 1, True),
+        ("ModeCurrentTime", "time in each mode, s, since the run began", _by_mode(_total), False),
+        ("ModeCumulativeTime", "the same", _by_mode(_total), False),
+        ("StateCurrentTime", "time in this state, s; [mode][state number]", in_state, False),
+        ("StateCumulativeTime", "time in each state of this run, s", in_states, False),
+        ("AccTimeSinceReset", "time since the run began, s", _of_total, False),
+        ("MachDesignSpeed", "as MachSpeed", of_view(lambda v: design_per_minute), True),
     )
+    return tuple(packml_tag(f"Admin.{row[0]}", *row[1:]) for row in rows)
 
 
 def _of_total(view: PackmlView, now_s: float) -> Any:
@@ -354,19 +304,24 @@ def _number(view: PackmlView) -> int:
     return number_of(view.status.state) if view.connected and view.status else 0
 
 
-def _fault(read: Callable[[FaultNotice], Any], none: Any = "") -> Value:
-    return of(lambda s: none if s.fault is None else read(s.fault))
+def _fault(entry: str, none: Any) -> Value:
+    """An entry of the fault that nobody has acknowledged; `none` without one."""
+
+    def read(status: Status) -> Any:
+        found = None if status.fault is None else getattr(status.fault, entry)
+        return none if found is None else utc(found) if entry == "time_s" else found
+
+    return of(read)
 
 
-def _result(key: str, none: Any = None) -> Value:
-    """An entry of the newest result."""
+def _result(entry: str, none: Any) -> Value:
+    """An entry of the newest result; `none` where it has none of its own."""
 
-    def read(view: PackmlView, now_s: float) -> Any:
-        last = None if view.status is None else view.status.last
-        found = None if last is None else last.get(key)
-        return found if found is not None else NO_DATA if none is None else none
+    def read(status: Status) -> Any:
+        found = (status.last or {}).get(entry)
+        return none if found is None else found
 
-    return read
+    return of(read)
 
 
 def _spent(state: CellState) -> Value:
@@ -425,42 +380,41 @@ _NOW = (
     Tag("Cell.Software", "String", "version of the program", of(lambda s: s.software)),
 )
 
-_FAULT = (
-    Tag(
-        "Cell.Fault.Active", "Boolean", "nobody has acknowledged it", _fault(lambda f: True, False)
-    ),
-    Tag("Cell.Fault.Cycle", "UInt32", "in which cycle", _fault(lambda f: f.cycle, 0)),
-    Tag("Cell.Fault.Step", "String", "in which step", _fault(lambda f: f.step)),
-    Tag("Cell.Fault.Device", "String", "of which device", _fault(lambda f: f.device or "")),
-    Tag("Cell.Fault.Code", "String", "its kind", _fault(lambda f: f.code)),
-    Tag("Cell.Fault.Cause", "String", "why", _fault(lambda f: f.cause)),
-    Tag("Cell.Fault.Remedy", "String", "what a person can do", _fault(lambda f: f.remedy)),
-    Tag("Cell.Fault.Cable", "String", "where the cable is", _fault(lambda f: f.cable)),
-    Tag("Cell.Fault.Time", "DateTime", "when", _fault(lambda f: utc(f.time_s), None)),
+#: Of a fault: name, type, meaning, entry of the notice, and what is said without a fault.
+_FAULT: tuple[tuple[str, str, str, str, Any], ...] = (
+    ("Cycle", "UInt32", "in which cycle", "cycle", 0),
+    ("Step", "String", "in which step", "step", ""),
+    ("Device", "String", "of which device", "device", ""),
+    ("Code", "String", "its kind", "code", ""),
+    ("Cause", "String", "why", "cause", ""),
+    ("Remedy", "String", "what a person can do", "remedy", ""),
+    ("Cable", "String", "where the cable is", "cable", ""),
+    ("Time", "DateTime", "when", "time_s", None),
 )
-
-_RESULT = (
-    Tag("Cell.LastResult.Cycle", "UInt32", "number of the cycle", _result("cycle")),
-    Tag("Cell.LastResult.Outcome", "String", "how it ended", _result("outcome")),
-    Tag("Cell.LastResult.Part", "String", "id of the cable", _result("part", "")),
-    Tag("Cell.LastResult.Reason", "String", "why it was rejected or missed", _result("reason", "")),
-    Tag("Cell.LastResult.Offset", "Double", "executed, m", _result("offset_m")),
-    Tag("Cell.LastResult.Margin", "Double", "measured in the destination, m", _result("margin_m")),
-    Tag("Cell.LastResult.PredictedMargin", "Double", "predicted, m", _result("predicted_margin_m")),
-    Tag("Cell.LastResult.Probability", "Double", "predicted, of passing", _result("probability")),
-    Tag(
-        "Cell.LastResult.PredictionError",
-        "Double",
-        "largest between both paths, m",
-        _result("prediction_error_m"),
-    ),
+#: Of the newest result: name, type, meaning, its entry, and what is said where that is null.
+_RESULT: tuple[tuple[str, str, str, str, Any], ...] = (
+    ("Cycle", "UInt32", "number of the cycle", "cycle", None),
+    ("Outcome", "String", "how it ended", "outcome", None),
+    ("Part", "String", "id of the cable", "part", ""),
+    ("Reason", "String", "why it was rejected or missed", "reason", ""),
+    ("Offset", "Double", "executed, m", "offset_m", None),
+    ("Miss", "Double", "tip above the middle, m", "measured_miss_m", None),
+    ("Margin", "Double", "measured in the destination, m", "margin_m", None),
+    ("PredictedMargin", "Double", "predicted, m", "predicted_margin_m", None),
+    ("Probability", "Double", "predicted, of passing", "probability", None),
+    ("PredictionError", "Double", "largest between both paths, m", "prediction_error_m", None),
 )
+_FAULTED = of(lambda s: s.fault is not None)
 
 #: All of them.
 CELL_TAGS = (
     *_NOW,
-    *_FAULT,
-    *_RESULT,
+    Tag("Cell.Fault.Active", "Boolean", "nobody has acknowledged it", _FAULTED),
+    *(Tag(f"Cell.Fault.{n}", kind, what, _fault(e, none)) for n, kind, what, e, none in _FAULT),
+    *(
+        Tag(f"Cell.LastResult.{n}", kind, what, _result(e, none))
+        for n, kind, what, e, none in _RESULT
+    ),
     *(
         Tag(f"Cell.Counts.{o.value.title()}", "UInt32", f"cycles that ended {o.value}", _counted(o))
         for o in Outcome

@@ -10,8 +10,7 @@ from asyncua import ua
 from asyncua.server.address_space import AttributeValue
 
 from cell.plant.opcua import packml
-from cell.plant.opcua.machines import MACHINES, StateMachine
-from cell.plant.opcua.packml import Declared, Method
+from cell.plant.opcua.packml import MACHINES, Declared, Method, StateMachine
 from cell.plant.opcua.space import AddressSpace, Ids
 
 
@@ -60,15 +59,7 @@ def _modes(space: AddressSpace) -> None:
         ua.EnumValueType(number, ua.LocalizedText(text), ua.LocalizedText(text))
         for number, text in enumerate(packml.MODE_NAMES)
     ]
-    kind = space.kind("EnumValueType[]")
-    space.variable(
-        node,
-        space.node_id(194),
-        space.name("EnumValues", 0),
-        kind,
-        values,
-        reference=Ids.HasProperty,
-    )
+    space.standard_property(node, space.node_id(194), "EnumValues", "EnumValueType[]", values)
     fields = [
         ua.EnumField(number, ua.LocalizedText(text), ua.LocalizedText(text), text)
         for number, text in enumerate(packml.MODE_NAMES)
@@ -148,10 +139,8 @@ def _declare(space: AddressSpace, parent: ua.NodeId, declared: Declared) -> None
     )
     space.rule(node, declared.mandatory)
     if declared.range_id is not None:
-        kind, name = space.kind("Range"), space.name("EURange", 0)
         range_ = space.node_id(declared.range_id)
-        space.variable(node, range_, name, kind, ua.Range(), reference=Ids.HasProperty)
-        space.rule(range_, True)
+        space.rule(space.standard_property(node, range_, "EURange", "Range", ua.Range()), True)
 
 
 def _method(space: AddressSpace, parent: ua.NodeId, method: Method) -> ua.NodeId:
@@ -196,11 +185,7 @@ def _machine(space: AddressSpace, machine: StateMachine) -> None:
 
 
 def _number(space: AddressSpace, node: ua.NodeId, name: str, id_: int, number: int) -> None:
-    kind = space.kind("UInt32")
-    listed = space.name(name, 0)
-    added = space.variable(
-        node, space.node_id(id_), listed, kind, number, reference=Ids.HasProperty
-    )
+    added = space.standard_property(node, space.node_id(id_), name, "UInt32", number)
     space.rule(added, True)
 
 
@@ -228,5 +213,4 @@ def _namespace(space: AddressSpace) -> None:
         ("NamespacePublicationDate", 355, "DateTime", published),
         ("IsNamespaceSubset", 354, "Boolean", True),
     ):
-        kind, title_ = space.kind(type_), space.name(title, 0)
-        space.variable(node, space.node_id(number), title_, kind, value, reference=Ids.HasProperty)
+        space.standard_property(node, space.node_id(number), title, type_, value)

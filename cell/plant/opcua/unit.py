@@ -9,7 +9,7 @@ from typing import Any
 from asyncua import ua
 
 from cell.plant.opcua import packml
-from cell.plant.opcua.machines import MACHINE_PATHS, MACHINES
+from cell.plant.opcua.packml import MACHINE_PATHS, MACHINES
 from cell.plant.opcua.space import AddressSpace, Ids, NodeKind
 from cell.plant.opcua.tags import (
     CELL_TAGS,
@@ -18,7 +18,7 @@ from cell.plant.opcua.tags import (
     Tag,
     admin_tags,
     machine_tags,
-    of_view,
+    packml_tag,
     status_tags,
 )
 from cell.plant.opcua.types import reference_of, structure_class
@@ -43,10 +43,9 @@ def tags_of(line: str, design_per_minute: float | None) -> tuple[Tag, ...]:
     line               that the cell belongs to
     design_per_minute  cables that the cell makes at best; None = not said
     """
-    version = of_view(lambda v: packml.VERSION)
     return (
-        Tag("TagID", "String", "the line", of_view(lambda v: line), True, "HasProperty"),
-        Tag("PackMLVersion", "String", "of the types", version, True, "HasProperty"),
+        packml_tag("TagID", "the line", lambda v, t: line, True),
+        packml_tag("PackMLVersion", "of the types", lambda v, t: packml.VERSION, True),
         *(tag for level in range(len(MACHINES)) for tag in machine_tags(level)),
         *status_tags(design_per_minute),
         *admin_tags(design_per_minute),
@@ -97,15 +96,13 @@ class Unit:
             self.id_of(tag.path),
             self.name_of(tag.path),
             kind,
-            type_=getattr(Ids, _definition(tag)),
+            type_=getattr(Ids, tag.definition),
             reference=reference_of(space, tag.reference),
             described=tag.meaning,
         )
-        if _definition(tag) == "AnalogItemType":
-            kind, name = space.kind("Range"), space.name("EURange", 0)
-            range_ = ua.Range(0.0, 60.0)
+        if tag.definition == "AnalogItemType":
             id_ = self.id_of(f"{tag.path}.EURange")
-            space.variable(node, id_, name, kind, range_, reference=Ids.HasProperty)
+            space.standard_property(node, id_, "EURange", "Range", ua.Range(0.0, 60.0))
 
     async def show(self, view: PackmlView, at_s: float, now_s: float) -> None:
         """Write what has changed since it was shown last.
@@ -155,10 +152,3 @@ class Unit:
         names = [name for name, _ in structure.fields]
         given = {n: v for n, v in zip(names, value, strict=True) if v is not None}
         return structure_class(structure.name)(**given)
-
-
-def _definition(tag: Tag) -> str:
-    """Type definition of a variable, as PackML declares it."""
-    below, _, name = tag.path.partition(".")
-    analog = {d.name for d in packml.STATUS if d.range_id is not None}
-    return "AnalogItemType" if below == "Status" and name in analog else tag.definition

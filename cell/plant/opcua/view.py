@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from cell.plant.messages import FaultNotice, MessageKind, Notice, Status
-from cell.plant.opcua.machines import transition_between
-from cell.plant.status_reducer import status_after
+from cell.plant.messages import FaultNotice, MessageKind, Notice, Status, status_after
+from cell.plant.opcua.packml import transition_between
 
 #: So many faults are remembered.
 FAULTS = 32

@@ -13,9 +13,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, Engine, func, insert, select
+from sqlalchemy import Connection, func, insert, select
 
-from cell.records.ledger.database import database_errors, open_engine, url_of, writing
+from cell.records.ledger.database import database_errors, opened, writing
 from cell.records.ledger.tables import actions
 
 #: Lines that are taken over at a time.
@@ -51,11 +51,13 @@ def take_over(ledger: str | Path, log: Path, line: str) -> int:
     """
     if not log.exists():
         return 0
-    engine = open_engine(url_of(ledger), create=False)
-    try:
-        return _taken_over(engine, log, line)
-    finally:
-        engine.dispose()
+    with opened(ledger) as engine, writing(engine) as connection:
+        source, after = _reached(connection, log)
+        rows = _rows(log, after)
+        if rows:
+            common = {"source": source, "line": line}
+            connection.execute(insert(actions), [common | row for row in rows])
+    return len(rows)
 
 
 def listed_actions(
@@ -65,28 +67,12 @@ def listed_actions(
     query = select(actions).order_by(actions.c.at.desc(), actions.c.id.desc())
     if since is not None:
         query = query.where(actions.c.at >= since.astimezone(UTC).replace(tzinfo=None))
-    if most is not None:
-        query = query.limit(most)
-    engine = open_engine(url_of(ledger), create=False)
-    try:
-        with database_errors(engine), engine.connect() as connection:
-            rows: Sequence[Any] = connection.execute(query).all()[::-1]
-    finally:
-        engine.dispose()
+    with opened(ledger) as engine, database_errors(engine), engine.connect() as connection:
+        rows: Sequence[Any] = connection.execute(query.limit(most)).all()[::-1]
     return [
         Action(r.at.replace(tzinfo=UTC).astimezone(), r.by, r.action, r.done, r.note, r.line)
         for r in rows
     ]
-
-
-def _taken_over(engine: Engine, log: Path, line: str) -> int:
-    with writing(engine) as connection:
-        source, after = _reached(connection, log)
-        rows = _rows(log, after)
-        if rows:
-            common = {"source": source, "line": line}
-            connection.execute(insert(actions), [common | row for row in rows])
-    return len(rows)
 
 
 def _reached(connection: Connection, log: Path) -> tuple[str, int | None]:

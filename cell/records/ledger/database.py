@@ -11,14 +11,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, inspect, text
+from sqlalchemy import Connection, Engine, create_engine, event, inspect, select, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 from sqlalchemy.exc import NoSuchModuleError as NoDialectError
 
 from cell.files.atomic import named_folder
 from cell.records.ledger.entry import LedgerError
-from cell.records.ledger.tables import HEAD
+from cell.records.ledger.tables import HEAD, upgrade, version
 from drivers.installing import install_extra
 
 #: How the file of a ledger ends.
@@ -110,6 +110,16 @@ def open_engine(url: URL, *, create: bool) -> Engine:
         engine.dispose()
         raise
     return engine
+
+
+@contextmanager
+def opened(place: str | Path) -> Iterator[Engine]:
+    """An engine of a ledger that is there, disposed of at the end.  Raises LedgerError."""
+    engine = open_engine(url_of(place), create=False)
+    try:
+        yield engine
+    finally:
+        engine.dispose()
 
 
 @contextmanager
@@ -208,16 +218,14 @@ def _bring_up_to_date(engine: Engine, create: bool) -> None:
     if not create:
         what = "has no tables of a ledger" if found is None else f"is of an older version ({found})"
         raise LedgerError(f"{where} {what}; the next `cell run` that uses it brings it up to date")
-    from cell.records.ledger.migrations.upgrade import upgrade  # takes its time; hardly ever needed
-
     with writing(engine) as connection:
-        if _version(connection) != HEAD:  # nobody else has done it meanwhile
-            upgrade(connection)
+        found = _version(connection)
+        if found != HEAD:  # nobody else has done it meanwhile
+            upgrade(connection, found)
 
 
 def _version(connection: Connection) -> str | None:
-    """Newest migration that was done; None = there is no ledger yet."""
-    if not inspect(connection).has_table("alembic_version"):
+    """Version of the ledger's tables; None = there is no ledger yet."""
+    if not inspect(connection).has_table(version.name):
         return None
-    found = connection.scalar(text("SELECT version_num FROM alembic_version"))
-    return None if found is None else str(found)
+    return connection.scalar(select(version.c.version_num))

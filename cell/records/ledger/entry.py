@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
@@ -11,7 +10,7 @@ from typing import Any
 
 from cell.files.plain import plain
 from cell.files.text_file import known_json
-from cell.records.folder import cycle_of, started_of
+from cell.records.folder import cycle_of, read_json_if_there, started_of
 from cell.records.result import Outcome, Result
 
 #: States in which the cell works on a cable; in the others it waits for a person or the line.
@@ -126,7 +125,9 @@ def entry_of_folder(folder: Path, line: str) -> LedgerEntry | None:
     if cycle is None:
         return None
     try:
-        result, model = (_read(folder / name) for name in ("result.json", "model.json"))
+        result, model = (
+            read_json_if_there(folder / f"{name}.json") for name in ("result", "model")
+        )
         ended = (folder / "result.json").stat().st_mtime if result is not None else None
         known = None if result is None else Result.from_json(result)
         estimates = estimates_of(model)
@@ -147,7 +148,3 @@ def entry_of_folder(folder: Path, line: str) -> LedgerEntry | None:
         known,
         estimates,
     )
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None

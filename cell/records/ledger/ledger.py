@@ -1,10 +1,16 @@
-"""The ledger: a database of cycles, written once per cycle, and queried for results and faults."""
+"""The ledger: a database of cycles, written once per cycle, queried for results and faults.
+
+Its cycles become tables for other programs: CSV, Parquet.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import csv
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +25,8 @@ from sqlalchemy import (
     select,
 )
 
+from cell.files.atomic import write_atomic
+from cell.records.folder import UNFINISHED
 from cell.records.ledger.database import database_errors, open_engine, url_of, writing
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry, LedgerEstimate
 from cell.records.ledger.entry_rows import acknowledge_cycle, utc, write_entry
@@ -31,8 +39,8 @@ from cell.records.ledger.tables import (
     parts,
     times,
 )
-from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Fault, Outcome, Result
+from drivers.installing import install_extra
 
 #: Newest cycles that charts and the promotion check look at.
 MOST = 500
@@ -168,7 +176,7 @@ class Ledger:
             .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
             .limit(most)
         )
-        with database_errors(self._engine), self._engine.connect() as connection:
+        with self._asking() as connection:
             rows = connection.execute(newest).all()[::-1]
             estimates = _estimates(connection, newest)
         results = []
@@ -187,16 +195,13 @@ class Ledger:
         estimates  with the cables' parameters
         """
         query = (
-            select(cycles, parts.c.code.label("part"), *_FAULT_COLUMNS, *_SEEN_COLUMNS)
-            .outerjoin(parts, parts.c.id == cycles.c.part_id)
-            .outerjoin(faults, faults.c.cycle_id == cycles.c.id)
-            .outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
-            .where(*_conditions(wanted))
+            _of_cycles(
+                select(cycles, parts.c.code.label("part"), *_FAULT_COLUMNS, *_SEEN_COLUMNS), wanted
+            )
             .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
+            .limit(most)
         )
-        if most is not None:
-            query = query.limit(most)
-        with database_errors(self._engine), self._engine.connect() as connection:
+        with self._asking() as connection:
             rows = connection.execute(query).all()[::-1]
             known = _estimates(connection, query) if estimates else {}
         return [self._cycle(row, known.get(row.id, ())) for row in rows]
@@ -210,13 +215,8 @@ class Ledger:
     def faults(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
         """Reason code, number of cycles and newest cause of what has ended them; most first."""
         columns = faults.c.code.label("kind"), faults.c.cycle_id, faults.c.cause.label("why")
-        return self._counted(
-            select(*columns)
-            .join(cycles, cycles.c.id == faults.c.cycle_id)
-            .outerjoin(parts, parts.c.id == cycles.c.part_id)
-            .outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
-            .where(*_conditions(wanted))
-        )
+        ended = faults.c.code.is_not(None)
+        return self._counted(_of_cycles(select(*columns).where(ended), wanted))
 
     def not_inserted(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
         """Outcome, number of cycles and newest reason of those rejected and missed; most first."""
@@ -245,8 +245,13 @@ class Ledger:
         return [(kind, n, why or "") for kind, n, why in rows]
 
     def _rows(self, query: Select[Any]) -> Sequence[Any]:
-        with database_errors(self._engine), self._engine.connect() as connection:
+        with self._asking() as connection:
             return connection.execute(query).all()
+
+    @contextmanager
+    def _asking(self) -> Iterator[Connection]:
+        with database_errors(self._engine), self._engine.connect() as connection:
+            yield connection
 
     def times(self, wanted: LedgerQuery) -> dict[str, dict[str, dict[str, float]]]:
         """Seconds of the cycles that are asked for: `uid` → kind → name; kinds as in `times`."""
@@ -287,7 +292,7 @@ class Ledger:
         at_work = _of_cycles(select(cycles.c.running_s), wanted).where(
             cycles.c.outcome == Outcome.INSERTED.value, cycles.c.running_s.is_not(None)
         )
-        with database_errors(self._engine), self._engine.connect() as connection:
+        with self._asking() as connection:
             number = connection.scalar(select(func.count()).select_from(at_work.subquery())) or 0
             if not number:
                 return None
@@ -296,28 +301,19 @@ class Ledger:
         return None if found is None else float(found)
 
     def _cycle(self, row: Any, estimates: Sequence[LedgerEstimate]) -> ListedCycle:
-        columns = ("step", "cause", "device", "remedy", "cable", "code")
-        fault = None if row.code is None else Fault(*(getattr(row, k) for k in columns))
+        seen = None
+        if row.seen_at is not None:
+            seen = Acknowledgement(_aware(row.seen_at), row.seen_by, row.seen_note)
         return ListedCycle(
-            line=row.line,
-            cycle=row.cycle,
-            part=row.part,
-            product=row.product,
+            **{name: getattr(row, name) for name in _AS_STORED},
             folder=self._folder(row.folder),
             started=_aware(row.started),
             ended=None if row.ended is None else _aware(row.ended),
             outcome=row.outcome or UNFINISHED,
-            reason=row.reason,
-            model=row.model,
-            calibration=row.calibration,
-            software=row.software,
-            running_s=row.running_s,
             numbers={name: getattr(row, name) for name in NUMBERS},
-            fault=fault,
+            fault=None if row.code is None else Fault(*(getattr(row, k) for k in _OF_FAULT)),
             estimates=tuple(estimates),
-            acknowledged=None
-            if row.seen_at is None
-            else Acknowledgement(_aware(row.seen_at), row.seen_by, row.seen_note),
+            acknowledged=seen,
         )
 
     def _folder(self, said: str) -> Path:
@@ -335,21 +331,27 @@ _CHARTED_NAMES = (
     *("residual_rms_m", "noise_m", "model", "model_misses", "product"),
 )
 _CHARTED = [cycles.c[name] for name in _CHARTED_NAMES]
-_FAULT_COLUMNS = [faults.c[k] for k in ("step", "cause", "device", "remedy", "cable", "code")]
-
+_OF_FAULT = ("step", "cause", "device", "remedy", "cable", "code")
+_FAULT_COLUMNS = [faults.c[k] for k in _OF_FAULT]
+#: Entries of a `ListedCycle` that stand so in the tables.
+_AS_STORED = (
+    *("line", "cycle", "part", "product", "reason"),
+    *("model", "calibration", "software", "running_s"),
+)
 _SEEN_COLUMNS = [acknowledgements.c[k].label(f"seen_{k}") for k in ("at", "by", "note")]
 
 
+#: Each cycle with its part, its fault and what was said of that.
+_CYCLES = (
+    cycles.outerjoin(parts, parts.c.id == cycles.c.part_id)
+    .outerjoin(faults, faults.c.cycle_id == cycles.c.id)
+    .outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
+)
+
+
 def _of_cycles(query: Select[Any], wanted: LedgerQuery) -> Select[Any]:
-    """A question to cycles alone, unless parts or faults are asked for."""
-    query = query.select_from(cycles)
-    if wanted.part is not None:
-        query = query.outerjoin(parts, parts.c.id == cycles.c.part_id)
-    if wanted.fault is not None or wanted.acknowledged is not None:
-        query = query.outerjoin(faults, faults.c.cycle_id == cycles.c.id)
-    if wanted.acknowledged is not None:
-        query = query.outerjoin(acknowledgements, acknowledgements.c.cycle_id == cycles.c.id)
-    return query.where(*_conditions(wanted))
+    """A question to the cycles that are asked for; a database skips joins that it does not need."""
+    return query.select_from(_CYCLES).where(*_conditions(wanted))
 
 
 def _conditions(wanted: LedgerQuery) -> list[ColumnElement[bool]]:
@@ -401,3 +403,45 @@ def _estimates(connection: Connection, of: Select[Any]) -> dict[int, list[Ledger
 def _aware(moment: datetime) -> datetime:
     """As people read it: local time, with its zone."""
     return moment.replace(tzinfo=UTC).astimezone()
+
+
+def rows_of(cycles: Sequence[ListedCycle]) -> tuple[list[str], list[dict[str, Any]]]:
+    """Column names, those of parameters last, and one row per cycle; None = not known."""
+    rows = [cycle.to_json() for cycle in cycles]
+    return list(dict.fromkeys(name for row in rows for name in row)), rows
+
+
+def csv_text(cycles: Sequence[ListedCycle]) -> str:
+    """Comma-separated values, one line of names."""
+    names, rows = rows_of(cycles)
+    text = StringIO(newline="")
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def write_csv(cycles: Sequence[ListedCycle], path: Path) -> None:
+    """Write `csv_text` to a file, UTF-8.  Raises OSError."""
+    write_atomic(path, csv_text(cycles))
+
+
+def write_parquet(cycles: Sequence[ListedCycle], path: Path) -> None:
+    """Apache Parquet.  Raises OSError."""
+    import pyarrow
+    import pyarrow.parquet
+
+    names, rows = rows_of(cycles)
+    columns = {name: [row.get(name) for row in rows] for name in names}
+    sink = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(pyarrow.table(columns), sink)
+    write_atomic(path, sink.getvalue().to_pybytes())
+
+
+def need_parquet() -> None:
+    """Raise ValueError if the package that writes Parquet is not installed."""
+    try:
+        import pyarrow  # noqa: F401
+    except ModuleNotFoundError as error:
+        message = f"--parquet needs a package: {error}; {install_extra('parquet')}"
+        raise ValueError(message) from error

@@ -1,30 +1,37 @@
 """Every minute of a shift that did not end in an inserted cable, with its cause and evidence.
 
 Each moment of a shift belongs to one cause or to inserted cables: their times add up to the planned
-time of the shift exactly.
+time of the shift exactly.  A learned model tells which share of the rejected and missed cables it
+would have inserted.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, time, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cell.records.ledger.candidate_forecasts import CandidateForecasts, PassingShare
+from cell.files.input_error import InputError
+from cell.files.yaml_document import read_yaml
 from cell.records.ledger.effectiveness import QUICK, shift_bounds
 from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
 from cell.records.ledger.timeline import Cause, CycleTimes, LossKind, Segment, timeline
 from cell.records.result import Outcome
+from cell.settings.model import Settings
+from cell.settings.promotion import read_candidate
 
 #: A cycle before which was waited over the end of a shift began at most so much later.
 _LATER = timedelta(days=7)
 _NONE = timedelta(0)
 #: Steps that are named as slow: so many at most, each slower by so much in the mean, s.
 _SLOW_STEPS, _SLOWER_S = 3, 0.05
+#: Of the share's interval.
+CONFIDENCE = 0.95
 #: What is waited for, where its name does not say it; others are as the PLC or a person named them.
 _WAITS = {
     "start": "a start",
@@ -40,6 +47,95 @@ _WAITS = {
 def minutes_in(lasted: timedelta) -> float:
     """A duration in minutes."""
     return lasted.total_seconds() / 60.0
+
+
+@dataclass(frozen=True)
+class PassingShare:
+    """Share of cables whose tip the learned model forecast within the opening, with its interval.
+
+    effects         of the model
+    passed, cables  forecasts within the opening, and all: each of a cable that the model before it
+                    rejected or missed, from that cable's own hold, without it in the fit
+    low, high       95 % interval
+    source          Clopper & Pearson 1934, Biometrika 26, 404
+    """
+
+    effects: str
+    passed: int
+    cables: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, effects: str, passed: int, cables: int) -> PassingShare:
+        """With the exact interval of a binomial share.  Raises ValueError: 0 cables."""
+        from scipy.special import betaincinv
+
+        if not 0 <= passed <= cables or not cables:
+            raise ValueError(f"{passed} of {cables} cables is no share; give 0 ≤ passed ≤ cables")
+        tail, failed = 0.5 * (1.0 - CONFIDENCE), cables - passed
+        low = float(betaincinv(passed, failed + 1, tail)) if passed else 0.0
+        high = float(betaincinv(passed + 1, failed, 1.0 - tail)) if failed else 1.0
+        return cls(effects, passed, cables, low, high)
+
+    def __str__(self) -> str:
+        return (
+            f"with {self.effects} {self.passed} of {self.cables} forecasts pass "
+            f"({self.low:.0%} to {self.high:.0%})"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {**asdict(self), "share": self.passed / self.cables}
+
+
+@dataclass(frozen=True)
+class CandidateForecasts:
+    """Forecasts of recorded cables by a model of `cell learn`.
+
+    model   hash of the model that the line had when it was learned
+    counts  outcome → forecasts within the opening, and all
+    """
+
+    effects: str
+    model: str
+    counts: Mapping[str, tuple[int, int]]
+
+    def share(self, cycles: Sequence[ListedCycle]) -> PassingShare | None:
+        """Of cycles of one outcome; None = cannot tell: another model, or nothing was forecast."""
+        outcomes = {c.outcome for c in cycles}
+        if {c.model for c in cycles} != {self.model} or len(outcomes) != 1:
+            return None
+        passed, cables = self.counts.get(outcomes.pop(), (0, 0))
+        return PassingShare.of(self.effects, passed, cables) if cables else None
+
+
+def read_forecasts(path: Path, settings: Settings, ledger: Ledger) -> CandidateForecasts:
+    """Forecasts in a candidate's file, of cycles that the ledger knows as rejected or missed.
+
+    settings  whose opening the tip must be forecast in, to half its height
+    raises    InputError: the file is no candidate, or its forecasts are damaged; LedgerError
+    """
+    candidate = read_candidate(path)
+    document = read_yaml(path)
+    try:
+        errors_m = {
+            str(f["cycle"]): float("inf") if f["candidate_m"] is None else float(f["candidate_m"])
+            for f in document.data.get("forecasts", [])
+        }
+    except (TypeError, KeyError, ValueError) as error:
+        message = "need cycle and candidate_m in metres; learn it again"
+        raise InputError([document.problem(("forecasts",), message)]) from error
+    low_m, high_m = settings.destination.y_m
+    outcomes = (Outcome.REJECTED.value, Outcome.MISSED.value)
+    counts: dict[str, tuple[int, int]] = {}
+    for cycle in ledger.listed(LedgerQuery(model=candidate.beside, outcomes=outcomes)):
+        if cycle.folder.name in errors_m:
+            passed, cables = counts.get(cycle.outcome, (0, 0))
+            passes = errors_m[cycle.folder.name] < 0.5 * (high_m - low_m)
+            counts[cycle.outcome] = passed + passes, cables + 1
+    names = [Path(effect.effect).stem for effect in candidate.model.effects]
+    return CandidateForecasts(" + ".join(names), candidate.beside, counts)
 
 
 @dataclass(frozen=True)
@@ -126,7 +222,48 @@ class ShiftLosses:
             "inserted_minutes": minutes_in(self.productive),
             "inserted": self.inserted,
             "losses": [loss.to_json() for loss in self.losses],
+            "failures": [one.to_json() for one in failure_times([self])],
         }
+
+
+@dataclass(frozen=True)
+class FailureTimes:
+    """Failures of one reason code: how often they come, and how long each stops the line.
+
+    mtbf  mean operating time between failures: what is planned and neither stopped nor switched
+          off, divided by the number of failures
+    mttr  mean time to restoration: stopped time divided by that number
+
+    source  IEC 60050-192:2015, 192-05-13 and 192-07-23
+    """
+
+    code: str
+    failures: int
+    mtbf: timedelta
+    mttr: timedelta
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "code": self.code,
+            "failures": self.failures,
+            "mtbf_minutes": minutes_in(self.mtbf),
+            "mttr_minutes": minutes_in(self.mttr),
+        }
+
+
+def failure_times(shifts: Sequence[ShiftLosses]) -> list[FailureTimes]:
+    """Failures in these shifts by reason code, the most frequent first; each counts once."""
+    down = (LossKind.STOPPED, LossKind.NOT_RUNNING)
+    planned = sum((s.planned for s in shifts), _NONE)
+    losses = merged(shifts)
+    operating = planned - sum((x.lasted for x in losses if x.kind in down), _NONE)
+    found = [
+        FailureTimes(x.reason, n, operating / n, x.lasted / n)
+        for x in losses
+        if x.kind is LossKind.STOPPED and (n := len(x.cycles))
+    ]
+    return sorted(found, key=lambda one: (-one.failures, one.code))
 
 
 def shift_losses(

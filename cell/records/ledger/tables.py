@@ -1,14 +1,17 @@
 """Tables of the ledger.  All times are UTC; all numbers are in SI units.
 
-What is changed here needs a migration, and a new `HEAD`.
+What is changed here needs a new `HEAD`, and what `upgrade` adds to older ledgers.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable, Mapping
 
 from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
+    Connection,
     DateTime,
     Float,
     ForeignKey,
@@ -18,12 +21,17 @@ from sqlalchemy import (
     String,
     Table,
     Text,
+    insert,
+    text,
+    update,
 )
 
-#: Newest migration.
+#: Version of these tables.
 HEAD = "0004"
 
 metadata = MetaData()
+#: The version that a ledger has, in the one row of a table of its own.
+version = Table("alembic_version", MetaData(), Column("version_num", String(32), primary_key=True))
 
 #: Numbers of a `Result` that have a column of the same name.
 NUMBERS = (
@@ -142,3 +150,32 @@ actions = Table(
     Index("once", "source", "place", unique=True),
     Index("actions_by_time", "at", "id"),
 )
+
+
+def _add_products(connection: Connection) -> None:
+    connection.execute(text("ALTER TABLE cycles ADD COLUMN product VARCHAR(64)"))
+    next(index for index in cycles.indexes if index.name == "by_product").create(connection)
+
+
+#: What each version has beyond the one before it.
+_ADDED: Mapping[str, Callable[[Connection], None]] = {
+    "0002": acknowledgements.create,
+    "0003": _add_products,
+    "0004": actions.create,
+}
+
+
+def upgrade(connection: Connection, found: str | None) -> None:
+    """Make the tables of a new ledger, or add what one of an older version lacks.
+
+    found  its version; None = it is new
+    """
+    if found is None:
+        metadata.create_all(connection)
+        version.create(connection, checkfirst=True)
+        connection.execute(insert(version).values(version_num=HEAD))
+        return
+    for number, add in _ADDED.items():
+        if number > found:
+            add(connection)
+    connection.execute(update(version).values(version_num=HEAD))

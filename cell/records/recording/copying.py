@@ -3,35 +3,25 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
+from typing import IO
 
 import foxglove
 from foxglove import Channel, Context
 from mcap import records
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import StreamReader, breakup_chunk
 from zstandard import ZstdDecompressor, ZstdError
 
 from cell.records.recording import form
 from cell.records.recording.reading import MAGIC, UNREADABLE
 from cell.records.recording.writer import LEVEL, Sink, open_mcap
 
-_HEAD_BYTES = 9  # opcode, length
 #: Of a chunk: its head; where the name of the compression begins; the most that one may hold.
 _CHUNK_HEAD_BYTES, _NAME_AT, _MOST_OF_CHUNK = 53, 37, 256 * 2**20
-
-
-_READERS: dict[int, Callable[[ReadDataStream], records.McapRecord]] = {
-    Opcode.SCHEMA: records.Schema.read,
-    Opcode.CHANNEL: records.Channel.read,
-    Opcode.CHUNK: records.Chunk.read,
-    Opcode.METADATA: records.Metadata.read,
-    Opcode.FOOTER: records.Footer.read,
-}
 
 
 class RecordingCopy:
@@ -94,7 +84,7 @@ class RecordingCopy:
         with suppress(ZstdError), ZstdDecompressor().stream_reader(packed) as stream:
             while block := stream.read(65536):
                 inside += block
-        for record in _complete_records(inside):
+        for record in _whole_records(BytesIO(inside)):
             self._take(record)
 
     def close(self, said: Mapping[str, str]) -> None:
@@ -157,39 +147,13 @@ class RecordingCopy:
 
 def records_of(source: Path) -> Iterator[tuple[records.McapRecord, int]]:
     """Records of a file up to the first incomplete one, and where each ends."""
-    size = source.stat().st_size
     with source.open("rb") as file:
         file.seek(len(MAGIC))
-        at = len(MAGIC)
-        while at + _HEAD_BYTES <= size:
-            head = file.read(_HEAD_BYTES)
-            opcode, length = head[0], int.from_bytes(head[1:], "little")
-            if not 1 <= opcode <= Opcode.DATA_END or length > size - at - _HEAD_BYTES:
-                return
-            body = file.read(length)
-            at += _HEAD_BYTES + length
-            read = _READERS.get(Opcode(opcode))
-            if read is not None:
-                try:
-                    yield read(ReadDataStream(BytesIO(body))), at
-                except UNREADABLE:
-                    return
+        for record in _whole_records(file):
+            yield record, file.tell()
 
 
-def _complete_records(inside: bytes) -> Iterator[records.McapRecord]:
-    """Records at the beginning of a chunk's content, up to one that is not all there."""
-    at = 0
-    while at + _HEAD_BYTES <= len(inside):
-        opcode, length = inside[at], int.from_bytes(inside[at + 1 : at + _HEAD_BYTES], "little")
-        body = inside[at + _HEAD_BYTES : at + _HEAD_BYTES + length]
-        if len(body) < length:
-            return
-        stream = ReadDataStream(BytesIO(body))
-        try:
-            if opcode == Opcode.MESSAGE:
-                yield records.Message.read(stream, length)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                yield _READERS[Opcode(opcode)](stream)
-        except UNREADABLE:
-            return
-        at += _HEAD_BYTES + length
+def _whole_records(file: IO[bytes]) -> Iterator[records.McapRecord]:
+    """Records from here on, up to one that is not all there."""
+    with suppress(*UNREADABLE):
+        yield from StreamReader(file, skip_magic=True, emit_chunks=True).records

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import cv2
 import numpy as np
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from mcap.data_stream import ReadDataStream
-from mcap.reader import make_reader
-from mcap.records import Chunk, Message, MessageIndex
-from mcap.stream_reader import breakup_chunk
+from mcap.reader import McapReader, make_reader
+from mcap.records import MessageIndex
 from numpy.typing import NDArray
 
 from cell.files.atomic import write_atomic
@@ -30,6 +29,8 @@ from cell.records.recording.retention import KEPT
 _HEAD_BYTES = 9
 #: The cable as it was seen is drawn in this colour, blue first.
 _SEEN = (255, 160, 0)
+#: So is the destination.
+_DESTINATION = (38, 38, 179)
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,12 @@ class RecordedFilm:
     """Index of the frames of a recording, in the order of their times.
 
     stamps_ns  when each was taken, nanoseconds since 1970
-    places     time → where in the file the chunk with the frame, and with what was seen in it, is
-    channels   numbers of the topics with frames, with what was seen, and with what frames leave out
+    destination_px  (4, 2) corners of the destination; none where the recording does not say them
     """
 
     path: Path
     stamps_ns: tuple[int, ...]
-    places: Mapping[int, tuple[int, ...]] = field(repr=False)
-    channels: tuple[int, int, int]
+    destination_px: NDArray[np.float64] = field(repr=False)
 
     @property
     def times_s(self) -> tuple[float, ...]:
@@ -57,25 +56,25 @@ def read_film(path: Path) -> RecordedFilm:
 
     raises  InputError: it cannot be read
     """
-    places: dict[int, tuple[int, ...]] = {}
+    stamps: list[int] = []
     with _read_errors(path), path.open("rb") as file:
-        summary = make_reader(file).get_summary()
+        reader = make_reader(file)
+        summary = reader.get_summary()
         if summary is None:
             raise ValueError("it has no index")
-        known = {c.topic: c.id for c in summary.channels.values()}
-        image, seen, frame = (known.get(t, -1) for t in (form.IMAGE, form.SEEN, form.FRAME))
-        channels = image, seen, frame
-        stamps: list[int] = []
+        begun = [json.loads(message.data) for _, _, message in reader.iter_messages([form.CYCLE])]
+        images = {c.id for c in summary.channels.values() if c.topic == form.IMAGE}
         for chunk in summary.chunk_indexes:
-            for channel in (image, seen):
-                if channel not in chunk.message_index_offsets:
-                    continue
+            for channel in images & chunk.message_index_offsets.keys():
                 file.seek(chunk.message_index_offsets[channel] + _HEAD_BYTES)
-                found = [stamp for stamp, _ in MessageIndex.read(ReadDataStream(file)).records]
-                stamps += found if channel == image else ()
-                for stamp in found:
-                    places[stamp] = (*places.get(stamp, ()), chunk.chunk_start_offset)
-    return RecordedFilm(path, tuple(sorted(stamps)), places, channels)
+                stamps += [stamp for stamp, _ in MessageIndex.read(ReadDataStream(file)).records]
+    corners_px = corners_of(begun[0] if begun else None)
+    return RecordedFilm(path, tuple(sorted(stamps)), corners_px)
+
+
+def corners_of(begun: Mapping[str, Any] | None) -> NDArray[np.float64]:
+    """(4, 2) corners of the destination, px, in a cycle's first message; (0, 2) = not said."""
+    return np.array((begun or {}).get("destination_px", ()), float).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,15 +83,19 @@ class FilmFrame:
 
     image      (H, W) grey levels
     points_px  (n, 2) column and row of the cable as it was seen; none if it was not
+    destination_px  (4, 2) its corners; none if not known
     """
 
     number: int
     image: NDArray[np.uint8] = field(repr=False)
     points_px: NDArray[np.float64] = field(repr=False)
+    destination_px: NDArray[np.float64] = field(repr=False)
 
     def jpeg(self, width_px: int) -> bytes:
-        """The frame with the cable as it was seen, as JPEG of at most this width."""
-        picture = drawn(self.image, self.points_px)
+        """The frame with the destination and the cable as it was seen, as JPEG of at most this
+        width.
+        """
+        picture = drawn(self.image, self.points_px, self.destination_px)
         scale = min(1.0, width_px / picture.shape[1])
         if scale < 1.0:
             size = (round(scale * picture.shape[1]), round(scale * picture.shape[0]))
@@ -109,48 +112,46 @@ def read_frame(film: RecordedFilm, number: int, near: FilmFrame | None = None) -
     if not 0 <= number < len(film.stamps_ns):
         raise IndexError(number)
     with _read_errors(film.path), film.path.open("rb") as file:
-        kept, blank, seen = _kept(film, file, number, with_seen=True)
+        reader = make_reader(file, validate_crcs=True)
+        kept, blank, seen = _kept(reader, film.stamps_ns[number], form.SEEN)
         later, at = [(kept, blank)], number
         while blank is not None and at > 0:  # elsewhere it shows what was shown before
             at -= 1
             if near is not None and near.number == at:
                 later.append((near.image, None))
                 break
-            kept, blank, _ = _kept(film, file, at)
+            kept, blank, _ = _kept(reader, film.stamps_ns[at])
             later.append((kept, blank))
         image: NDArray[np.uint8] | None = None
         for kept, blank in reversed(later):
             image = shown_image(image, kept, blank)
     assert image is not None
-    return FilmFrame(number, image, np.array(seen).reshape(-1, 2))
+    return FilmFrame(number, image, np.array(seen).reshape(-1, 2), film.destination_px)
 
 
 def _kept(
-    film: RecordedFilm, file: BinaryIO, number: int, *, with_seen: bool = False
-) -> tuple[NDArray[np.uint8], int | None, list[tuple[float, float]]]:
+    reader: McapReader, stamp_ns: int, *also: str
+) -> tuple[NDArray[np.uint8], int | None, Sequence[tuple[float, float]]]:
     """A frame as it was kept, its blank grey level, and the cable as it was seen.
 
+    also    topics of what else is wanted
     raises  ValueError: it is not in the file
     """
-    stamp_ns = film.stamps_ns[number]
     image, blank = None, None
     seen: list[tuple[float, float]] = []
-    for place in dict.fromkeys(film.places[stamp_ns]):
-        file.seek(place + _HEAD_BYTES)
-        for message in breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True):
-            if not isinstance(message, Message) or message.log_time != stamp_ns:
-                continue
-            if message.channel_id == film.channels[0]:
-                image = image_of(message.data)
-            elif message.channel_id == film.channels[1]:
-                lines = ImageAnnotations.FromString(message.data).points
-                seen = [(p.x, p.y) for line in lines for p in line.points]
-            elif message.channel_id == film.channels[2]:
-                blank = json.loads(message.data).get("blank")
-        if image is not None and not with_seen:
-            break
+    topics = form.IMAGE, form.FRAME, *also
+    for _, channel, message in reader.iter_messages(
+        topics, starting_at=stamp_ns, ending_at=stamp_ns
+    ):
+        if channel.topic == form.IMAGE:
+            image = image_of(message.data)
+        elif channel.topic == form.FRAME:
+            blank = json.loads(message.data).get("blank")
+        else:
+            lines = ImageAnnotations.FromString(message.data).points
+            seen = [(p.x, p.y) for line in lines for p in line.points]
     if image is None:
-        raise ValueError(f"it has no frame {number}")
+        raise ValueError(f"it has no frame of {stamp_ns} ns")
     return image, blank, seen
 
 
@@ -165,12 +166,20 @@ def _read_errors(path: Path) -> Iterator[None]:
         raise damaged(path, error) from error
 
 
-def drawn(image: NDArray[np.uint8], points_px: NDArray[np.float64] | None) -> NDArray[np.uint8]:
-    """(H, W, 3) picture, blue first: a frame (H, W) with the detected cable drawn on it.
+def drawn(
+    image: NDArray[np.uint8],
+    points_px: NDArray[np.float64] | None,
+    destination_px: NDArray[np.float64],
+) -> NDArray[np.uint8]:
+    """(H, W, 3) picture, blue first: a frame (H, W) with destination and detected cable.
 
-    points_px  (n, 2) column and row; None = it was not seen
+    points_px       (n, 2) column and row of the cable; None = it was not seen
+    destination_px  (4, 2) corners; (0, 2) = not known
     """
     picture = np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_GRAY2BGR), np.uint8)
+    if len(destination_px):
+        outline = np.round(destination_px).astype(np.int32)[:, None]
+        cv2.polylines(picture, [outline], True, _DESTINATION, 3, cv2.LINE_AA)
     if points_px is not None and len(points_px):
         line = np.round(points_px).astype(np.int32)[:, None]
         cv2.polylines(picture, [line], False, _SEEN, 4, cv2.LINE_AA)

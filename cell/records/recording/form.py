@@ -58,16 +58,18 @@ PATH, REVISION, ANSWER, ARM = "/arm/path", "/arm/revision", "/arm/answer", "/arm
 GRIPPER = "/gripper"
 CYCLE, STATE, SETTINGS, TASK = "/cell/cycle", "/cell/state", "/cell/settings", "/cell/task"
 FILMING, DECISION, MODEL = "/cell/filming", "/cell/decision", "/cell/model"
-FAULT, RESULT, STUDY = "/cell/fault", "/cell/result", "/cell/study"
+PASSAGE, FAULT = "/cell/passage", "/cell/fault"
+RESULT, STUDY = "/cell/result", "/cell/study"
 GAP, LOG = "/recording/gap", "/log"
 
 #: Topics whose messages are JSON objects.
 JSON_TOPICS: Final = (
     FRAME, PATH, REVISION, ANSWER, ARM, GRIPPER, CYCLE, STATE, SETTINGS, TASK, FILMING, DECISION,
-    MODEL, FAULT, RESULT, STUDY, GAP,
+    MODEL, PASSAGE, FAULT, RESULT, STUDY, GAP,
 )  # fmt: skip
 
 _NUMBER, _NUMBERS = {"type": "number"}, {"type": "array", "items": {"type": "number"}}
+_PLACES = {"type": "array", "items": _NUMBERS}
 _POSES = {"t_s": _NUMBERS, "x_m": _NUMBERS, "y_m": _NUMBERS, "angle_rad": _NUMBERS}
 _PROPERTIES: Final[dict[str, dict[str, Any]]] = {
     FRAME: {"index": {"type": "integer"}, "t_s": _NUMBER, "blank": {"type": "integer"}},
@@ -76,6 +78,8 @@ _PROPERTIES: Final[dict[str, dict[str, Any]]] = {
     ANSWER: {"start_s": _NUMBER, "end_s": _NUMBER, **_POSES},
     ARM: {"t_s": _NUMBER, "mode": {"type": "string"}},
     GRIPPER: {"told": {"type": "string"}, "opening_m": _NUMBER, "holding": {"type": "boolean"}},
+    CYCLE: {"cycle": {"type": "integer"}, "destination_px": _PLACES},
+    PASSAGE: {"t_s": _NUMBERS, "tip_m": _PLACES, "predicted_m": _PLACES},
     STATE: {"state": {"type": "string"}, "step": {"type": ["string", "null"]}},
     GAP: {"first": {"type": "integer"}, "frames": {"type": "integer"}, "cause": {"type": "string"}},
 }

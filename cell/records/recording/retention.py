@@ -161,9 +161,7 @@ class Retention:
         if self._known is None:
             there = self._runs.is_dir()
             paths = (p for name in _NAMES for p in self._runs.glob(f"*/{name}")) if there else ()
-            self._known = []
-            for path in sorted(paths, key=_written_s):
-                self._known += self._ranked(path)
+            self._known = [k for path in sorted(paths, key=_looked_up) for k in self._ranked(path)]
             return self._known
         unfinished = []
         for path in self._ended:
@@ -177,15 +175,14 @@ class Retention:
 
     def _ranked(self, path: Path) -> list[_Known]:
         """A recording; nothing if it is not there, or not there any more."""
-        try:
-            found = path.stat()
-        except FileNotFoundError:
+        written_s, size = _looked_up(path)
+        if not written_s:
             return []
         if path.name == form.WHOLE:
             rank = _Rank.WHOLE_FRAMES
         else:
             rank = _Rank.LAST if self._is_last(path.parent) else _Rank.USUAL
-        return [_Known(path, found.st_size, found.st_mtime, rank)]
+        return [_Known(path, size, written_s, rank)]
 
     def _is_last(self, folder: Path) -> bool:
         """Whether a cycle's recording is removed after all others; see `LastRemoved`."""
@@ -262,11 +259,11 @@ def recording_room(runs: Path, wanted: RecordingSettings, pixels: int) -> Record
 
     pixels  of a frame
     """
-    files = sorted(runs.glob(f"*/{form.FILE}"), key=_written_s)[-_NEWEST:] if runs.is_dir() else []
-    sizes = [size for path in files if (size := _size(path))]
+    files = sorted(runs.glob(f"*/{form.FILE}"), key=_looked_up)[-_NEWEST:] if runs.is_dir() else []
+    sizes = [size for path in files if (size := _looked_up(path)[1])]
     usual = _FRAMES * pixels * (_OF_WHOLE if wanted.whole_frames else _OF_BAND)
     times = [s for path in files if (s := _cycle_s(path.parent)) is not None]
-    taken = sum(_size(path) for name in _NAMES for path in runs.glob(f"*/{name}"))
+    taken = sum(_looked_up(path)[1] for name in _NAMES for path in runs.glob(f"*/{name}"))
     room = DiskRoom.of(wanted)
     on_disk = max(0.0, free_bytes(runs) + taken - room.min_free_bytes)
     return RecordingRoom(
@@ -275,14 +272,6 @@ def recording_room(runs: Path, wanted: RecordingSettings, pixels: int) -> Record
         on_disk if room.max_bytes is None else min(on_disk, room.max_bytes),
         room.max_bytes,
     )
-
-
-def _size(path: Path) -> int:
-    """Bytes of a file; 0 = it is not there any more."""
-    try:
-        return path.stat().st_size
-    except FileNotFoundError:
-        return 0
 
 
 def _cycle_s(folder: Path) -> float | None:
@@ -305,12 +294,13 @@ def remove_recording(path: Path, why: str) -> None:
         write_atomic(path.with_name(form.REMOVED), json.dumps(said, ensure_ascii=False))
 
 
-def _written_s(path: Path) -> float:
-    """When a file was written; 0 = it is not there any more."""
+def _looked_up(path: Path) -> tuple[float, int]:
+    """When a file was written, Unix time, and its bytes; 0 = it is not there any more."""
     try:
-        return path.stat().st_mtime
+        found = path.stat()
     except FileNotFoundError:
-        return 0.0
+        return 0.0, 0
+    return found.st_mtime, found.st_size
 
 
 def _is_inserted(folder: Path) -> bool:

@@ -10,6 +10,7 @@ ch. 15.3 (zero velocity updates).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -89,19 +90,6 @@ class Integrated:
     drift: HandDrift | None
 
 
-@dataclass(frozen=True)
-class _MotionRows:
-    """First row of the motion, and first of the rest after it."""
-
-    begin: int
-    end: int
-
-    @property
-    def rows(self) -> tuple[slice, slice]:
-        """Of both rests."""
-        return slice(0, self.begin), slice(self.end, None)
-
-
 def turned_by(angle_rad: FloatArray, vectors: FloatArray) -> FloatArray:
     """(T, 2) vectors turned by angles (T,) anticlockwise, as a clamp that comes to point down."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
@@ -124,27 +112,30 @@ def integrated(
               saturation, too few samples, an end that is missed by more than noise explains
     """
     inner = sensed.accelerations()
-    rests = _motion_rows(sensed, inner)
-    if rests is None:
+    rows = _motion_rows(sensed, inner)
+    if rows is None:
         return Integrated(np.zeros_like(inner), None)
-    _check_saturation(sensed, rests)
-    _check_gaps(sensed, rests)
-    noise = _noise(sensed, inner, rests)
-    offset = _offset(sensed, inner, rests, noise, limit_m)
-    outer = turned_by(sensed.angle_rad, (inner - offset) * sensed.measured)
-    path_m = _path(sensed.t_s, outer, rests, 1)
-    _check_velocity(sensed, outer, rests, noise, limit_m)
-    _check_rate(sensed, outer, path_m, rests, noise, limit_m)
-    x, y = (float(v) for v in _turned_noise(noise, sensed.angle_rad[rests.begin]))
-    times = float(sensed.t_s[rests.begin]), float(sensed.t_s[rests.end])
+    moved = _SensedMotion(sensed, inner, *rows, limit_m)
+    moved.check_saturation()
+    moved.check_gaps()
+    moved.check_rests()
+    moved.check_velocity()
+    moved.check_rate()
+    angle_rad = sensed.angle_rad[moved.begin]
+    c, s = np.cos(angle_rad) ** 2, np.sin(angle_rad) ** 2
+    x, y = np.sqrt(np.array([[c, s], [s, c]]) @ moved.noise**2).tolist()
+    times = float(sensed.t_s[moved.begin]), float(sensed.t_s[moved.end])
     drift = HandDrift(*times, (x, y), gain_std, ends_known=ends_m is not None)
-    if ends_m is not None:
-        path_m = _closed(sensed, path_m, rests, drift, np.array(ends_m))
-    return Integrated(path_m, drift)
+    if ends_m is None:
+        return Integrated(moved.path_m, drift)
+    return Integrated(moved.closed(drift, np.array(ends_m)), drift)
 
 
-def _motion_rows(sensed: AccelerometerSamples, inner: FloatArray) -> _MotionRows | None:
-    """Where the motion begins and ends; None if there is none.  Raises NotIntegrableError."""
+def _motion_rows(sensed: AccelerometerSamples, inner: FloatArray) -> tuple[int, int] | None:
+    """First row of the motion, and first of the rest after it; None if there is no motion.
+
+    raises  NotIntegrableError: there is no rest before or after it
+    """
     count, step_s = len(inner), sensed.step_s
     rest = max(REST_ROWS, int(np.ceil(REST_S / step_s)))
     if count < 3 * rest:
@@ -184,179 +175,179 @@ def _motion_rows(sensed: AccelerometerSamples, inner: FloatArray) -> _MotionRows
                 f"record: there is no rest {where} the motion, limit {rest * step_s:.2g} s; record "
                 "the gripper at rest there, for only then its velocity is known"
             )  # fmt: skip
-    return _MotionRows(begin - margin, end + margin)
+    return begin - margin, end + margin
 
 
-def _check_saturation(sensed: AccelerometerSamples, rests: _MotionRows) -> None:
-    for axis in range(2):
-        values = sensed.specific_force[rests.begin : rests.end, axis]
-        steps, span = np.abs(np.diff(values)), float(np.ptp(values))
-        if not sensed.measured[axis] or span < 1e-6:
-            continue
-        for extreme in (values.max(), values.min()):
-            at = np.flatnonzero(values == extreme)
-            runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
-            longest = max(runs, key=len)
-            within = longest[0] > 0 and longest[-1] < len(values) - 1  # else it may be the rest
-            before = steps[longest[0] - 1] if within else 0.0
-            steep = before > max(_SATURATED_STEP * sensed.digit[axis], _STEEP * span)
-            if len(longest) >= SATURATED_ROWS and steep:
-                raise NotIntegrableError(
-                    rests.begin + int(longest[0]),
-                    f"shows {extreme:.6g} m/s², an end of its range, in {len(longest)} rows one "
-                    f"after the other, limit {SATURATED_ROWS - 1}: the sensor is saturated; move "
-                    "the gripper more slowly, or take a wider range",
-                )
+@dataclass(frozen=True, eq=False)
+class _SensedMotion:
+    """A motion between two rests, as a sensor shows it.
 
+    inner    (T, 2) acceleration in the sensor's axes, with its offset, m/s²
+    begin    first row of the motion
+    end      first row of the rest after it
+    limit_m  error of the place that is allowed for each thing that is wrong with a sensor
 
-def _check_gaps(sensed: AccelerometerSamples, rests: _MotionRows) -> None:
-    steps_s = np.diff(sensed.t_s[rests.begin : rests.end + 1])
-    longest = int(np.argmax(steps_s))
-    if steps_s[longest] > _GAP * sensed.step_s:
-        raise NotIntegrableError(
-            rests.begin + longest + 1,
-            f"comes {steps_s[longest]:.3g} s after the sample before, limit "
-            f"{_GAP * sensed.step_s:.3g} s while the gripper moves; record it again without gaps",
-        )
-
-
-def _noise(sensed: AccelerometerSamples, inner: FloatArray, rests: _MotionRows) -> FloatArray:
-    """(2,) one-sided density of the noise at rest along the sensor's axes, m/s²/√Hz.
-
-    Of means over tenths of both rests where these vary more than white noise makes them.
+    All checks raise NotIntegrableError.
     """
-    variance, blocks, sizes = np.zeros(2), np.zeros(2), 0
-    for rows in rests.rows:
-        part = inner[rows]
-        size = len(part) // _BLOCKS
-        means = part[: size * _BLOCKS].reshape(_BLOCKS, size, 2).mean(axis=1)
-        variance += np.sum((part - part.mean(axis=0)) ** 2, axis=0)
-        blocks += size * np.sum((means - means.mean(axis=0)) ** 2, axis=0) / (2 * _BLOCKS - 2)
-        sizes += len(part) - 1
-    variance = np.maximum(variance / sizes, sensed.digit**2 / 12.0)
-    return np.asarray(np.sqrt(2.0 * sensed.step_s * np.maximum(variance, blocks)))
 
+    sensed: AccelerometerSamples
+    inner: FloatArray
+    begin: int
+    end: int
+    limit_m: float
 
-def _turned_noise(noise: FloatArray, angle_rad: float) -> FloatArray:
-    """(2,) along the study's axes."""
-    c, s = np.cos(angle_rad) ** 2, np.sin(angle_rad) ** 2
-    return np.sqrt(np.array([[c, s], [s, c]]) @ noise**2)
+    @property
+    def _rests(self) -> tuple[FloatArray, FloatArray]:
+        """Accelerations before the motion and after it."""
+        return self.inner[: self.begin], self.inner[self.end :]
 
+    @property
+    def _moved_s(self) -> float:
+        return float(self.sensed.t_s[self.end] - self.sensed.t_s[self.begin])
 
-def _offset(
-    sensed: AccelerometerSamples,
-    inner: FloatArray,
-    rests: _MotionRows,
-    noise: FloatArray,
-    limit_m: float,
-) -> FloatArray:
-    """(2,) the sensor's offset, by both rests.  Raises NotIntegrableError: they differ."""
-    parts = [inner[rows] for rows in rests.rows]
-    means = [part.mean(axis=0) for part in parts]
-    seconds = [len(part) * sensed.step_s for part in parts]
-    differ = np.abs(means[1] - means[0])
-    std = noise * np.sqrt(0.5 * (1.0 / seconds[0] + 1.0 / seconds[1]))
-    moved_s = sensed.t_s[rests.end] - sensed.t_s[rests.begin]
-    allowed = np.maximum(SIGNIFICANT * std, 8.0 * limit_m / moved_s**2)
-    worst = int(np.argmax(differ / np.maximum(allowed, 1e-12)))
-    if differ[worst] > allowed[worst]:
-        raise NotIntegrableError(
-            rests.end,
-            f"is {means[1][worst]:.4g} m/s² at rest after the motion, {means[0][worst]:.4g} m/s² "
-            f"before it, gravity taken out; limit {allowed[worst]:.2g} m/s² apart, for a motion of "
-            f"{moved_s:.2g} s: let the sensor warm up and fasten it, and if the clamp turns give "
-            "its angle",
-        )
-    return np.asarray((means[0] * seconds[0] + means[1] * seconds[1]) / sum(seconds))
+    @cached_property
+    def noise(self) -> FloatArray:
+        """(2,) one-sided density of the noise at rest along the sensor's axes, m/s²/√Hz.
 
+        Of means over tenths of both rests where these vary more than white noise makes them.
+        """
+        variance, blocks, sizes = np.zeros(2), np.zeros(2), 0
+        for part in self._rests:
+            size = len(part) // _BLOCKS
+            means = part[: size * _BLOCKS].reshape(_BLOCKS, size, 2).mean(axis=1)
+            variance += np.sum((part - part.mean(axis=0)) ** 2, axis=0)
+            blocks += size * np.sum((means - means.mean(axis=0)) ** 2, axis=0) / (2 * _BLOCKS - 2)
+            sizes += len(part) - 1
+        variance = np.maximum(variance / sizes, self.sensed.digit**2 / 12.0)
+        return np.asarray(np.sqrt(2.0 * self.sensed.step_s * np.maximum(variance, blocks)))
 
-def _path(t_s: FloatArray, outer: FloatArray, rests: _MotionRows, every: int) -> FloatArray:
-    """(T, 2) path by every so many samples, velocity 0 at both ends of the motion."""
-    at_s = t_s[rests.begin : rests.end + 1 : every]
-    if at_s[-1] < t_s[rests.end]:
-        at_s = np.append(at_s, t_s[rests.end])
-    rows = np.searchsorted(t_s, at_s)
-    velocity = CubicSpline(at_s, outer[rows]).antiderivative()
-    mean = velocity(at_s[-1]) / (at_s[-1] - at_s[0])
-    within_s = np.clip(t_s, at_s[0], at_s[-1])
-    since_s = within_s - at_s[0]
-    return np.asarray(velocity.antiderivative()(within_s) - 0.5 * since_s[:, None] ** 2 * mean)
+    @cached_property
+    def _outer(self) -> FloatArray:
+        """(T, 2) acceleration in the study's frame, without the sensor's offset, m/s²."""
+        seconds = [len(part) * self.sensed.step_s for part in self._rests]
+        means = [part.mean(axis=0) for part in self._rests]
+        offset = (means[0] * seconds[0] + means[1] * seconds[1]) / sum(seconds)
+        return turned_by(self.sensed.angle_rad, (self.inner - offset) * self.sensed.measured)
 
+    @cached_property
+    def path_m(self) -> FloatArray:
+        """(T, 2) path from (0, 0) on, m."""
+        return self._path(1)
 
-def _check_velocity(
-    sensed: AccelerometerSamples,
-    outer: FloatArray,
-    rests: _MotionRows,
-    noise: FloatArray,
-    limit_m: float,
-) -> None:
-    """Raise NotIntegrableError where the gripper would not stop by far more than noise explains."""
-    rows = slice(rests.begin, rests.end + 1)
-    moved_s = float(sensed.t_s[rests.end] - sensed.t_s[rests.begin])
-    ends = np.trapezoid(outer[rows], sensed.t_s[rows], axis=0)
-    rest_s = (len(outer) - rests.end + rests.begin) * sensed.step_s
-    std = float(np.max(noise)) * np.sqrt(0.5 * moved_s * (1.0 + moved_s / rest_s))
-    allowed = max(SIGNIFICANT * std, 8.0 * limit_m / moved_s)
-    speed = float(np.linalg.norm(ends))
-    if speed > allowed:
-        raise NotIntegrableError(
-            rests.end,
-            f"the acceleration leaves the gripper with {speed:.3g} m/s after the motion, where it "
-            f"rests; limit {allowed:.2g} m/s: give the sensor's axes, the clamp's angle if it "
-            "turns, and a sensor whose range is wide enough",
-        )
+    def _path(self, every: int) -> FloatArray:
+        """(T, 2) path by every so many samples, velocity 0 at both ends of the motion."""
+        t_s = self.sensed.t_s
+        at_s = t_s[self.begin : self.end + 1 : every]
+        if at_s[-1] < t_s[self.end]:
+            at_s = np.append(at_s, t_s[self.end])
+        rows = np.searchsorted(t_s, at_s)
+        velocity = CubicSpline(at_s, self._outer[rows]).antiderivative()
+        mean = velocity(at_s[-1]) / (at_s[-1] - at_s[0])
+        within_s = np.clip(t_s, at_s[0], at_s[-1])
+        since_s = within_s - at_s[0]
+        return np.asarray(velocity.antiderivative()(within_s) - 0.5 * since_s[:, None] ** 2 * mean)
 
+    def check_saturation(self) -> None:
+        """Check that no axis rests at an end of its range while the gripper moves."""
+        for axis in range(2):
+            values = self.sensed.specific_force[self.begin : self.end, axis]
+            steps, span = np.abs(np.diff(values)), float(np.ptp(values))
+            if not self.sensed.measured[axis] or span < 1e-6:
+                continue
+            for extreme in (values.max(), values.min()):
+                at = np.flatnonzero(values == extreme)
+                runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
+                longest = max(runs, key=len)
+                within = longest[0] > 0 and longest[-1] < len(values) - 1  # else it may be the rest
+                before = steps[longest[0] - 1] if within else 0.0
+                steep = before > max(_SATURATED_STEP * self.sensed.digit[axis], _STEEP * span)
+                if len(longest) >= SATURATED_ROWS and steep:
+                    raise NotIntegrableError(
+                        self.begin + int(longest[0]),
+                        f"shows {extreme:.6g} m/s², an end of its range, in {len(longest)} rows "
+                        f"one after the other, limit {SATURATED_ROWS - 1}: the sensor is "
+                        "saturated; move the gripper more slowly, or take a wider range",
+                    )
 
-def _check_rate(
-    sensed: AccelerometerSamples,
-    outer: FloatArray,
-    path_m: FloatArray,
-    rests: _MotionRows,
-    noise: FloatArray,
-    limit_m: float,
-) -> None:
-    """Raise NotIntegrableError where half of the samples would make another path."""
-    moved_s = float(sensed.t_s[rests.end] - sensed.t_s[rests.begin])
-    if rests.end - rests.begin < 8:
-        apart_m = np.inf
-    else:
-        apart_m = float(np.abs(_path(sensed.t_s, outer, rests, 2) - path_m).max())
-    std_m = float(np.max(noise)) * np.sqrt(moved_s**3 / 24.0)
-    allowed_m = max(limit_m, SIGNIFICANT * std_m)
-    if apart_m > allowed_m:
-        raise NotIntegrableError(
-            rests.begin,
-            f"the motion of {moved_s:.2g} s has {rests.end - rests.begin} samples, "
-            f"{1.0 / sensed.step_s:.4g} a second; the path from half of them differs by "
-            f"{apart_m * 1e3:.3g} mm, limit {allowed_m * 1e3:.2g} mm: take a higher rate",
-        )
+    def check_gaps(self) -> None:
+        """Check that no samples of the motion are missing."""
+        steps_s = np.diff(self.sensed.t_s[self.begin : self.end + 1])
+        longest = int(np.argmax(steps_s))
+        if steps_s[longest] > _GAP * self.sensed.step_s:
+            raise NotIntegrableError(
+                self.begin + longest + 1,
+                f"comes {steps_s[longest]:.3g} s after the sample before, limit "
+                f"{_GAP * self.sensed.step_s:.3g} s while the gripper moves; record it again "
+                "without gaps",
+            )
 
+    def check_rests(self) -> None:
+        """Check that both rests show the same offset."""
+        means = [part.mean(axis=0) for part in self._rests]
+        seconds = [len(part) * self.sensed.step_s for part in self._rests]
+        differ = np.abs(means[1] - means[0])
+        std = self.noise * np.sqrt(0.5 * (1.0 / seconds[0] + 1.0 / seconds[1]))
+        allowed = np.maximum(SIGNIFICANT * std, 8.0 * self.limit_m / self._moved_s**2)
+        worst = int(np.argmax(differ / np.maximum(allowed, 1e-12)))
+        if differ[worst] > allowed[worst]:
+            raise NotIntegrableError(
+                self.end,
+                f"is {means[1][worst]:.4g} m/s² at rest after the motion, {means[0][worst]:.4g} "
+                f"m/s² before it, gravity taken out; limit {allowed[worst]:.2g} m/s² apart, for a "
+                f"motion of {self._moved_s:.2g} s: let the sensor warm up and fasten it, and if "
+                "the clamp turns give its angle",
+            )
 
-def _closed(
-    sensed: AccelerometerSamples,
-    path_m: FloatArray,
-    rests: _MotionRows,
-    drift: HandDrift,
-    ends_m: FloatArray,
-) -> FloatArray:
-    """The likeliest path that ends where it is known to.  Raises NotIntegrableError."""
-    missed_m = ends_m - path_m[-1]
-    moved_s = drift.to_s - drift.from_s
-    noise_m2 = np.array(drift.noise_m_per_s2_per_rt_hz) ** 2 * moved_s**3 / 24.0
-    gain_m2 = (drift.gain_std * path_m[-1]) ** 2
-    std_m = np.sqrt(noise_m2 + gain_m2)
-    worst = int(np.argmax(np.abs(missed_m) / np.maximum(std_m, 1e-12)))
-    if abs(missed_m[worst]) > SIGNIFICANT * std_m[worst] + 1e-9:
-        raise NotIntegrableError(
-            rests.end,
-            f"the path ends {abs(missed_m[worst]) * 1e3:.3g} mm from hand_ends_at_m along "
-            f"{'xy'[worst]}, limit {SIGNIFICANT * std_m[worst] * 1e3:.2g} mm by its noise"
-            f"{' and gain_std' if drift.gain_std else ''}; measure the end anew, or give gain_std "
-            "of the sensor",
-        )
-    share = np.clip((sensed.t_s - drift.from_s) / moved_s, 0.0, 1.0)[:, None]
-    by_noise = 3.0 * share**2 - 2.0 * share**3
-    ends = np.where(path_m[-1] == 0.0, 1.0, path_m[-1])
-    total = np.where(std_m > 0.0, std_m**2, 1.0)
-    closed = missed_m * (noise_m2 * by_noise + gain_m2 * path_m / ends) / total
-    return np.asarray(path_m + closed)
+    def check_velocity(self) -> None:
+        """Check that the gripper stops, within what noise explains."""
+        rows, moved_s = slice(self.begin, self.end + 1), self._moved_s
+        ends = np.trapezoid(self._outer[rows], self.sensed.t_s[rows], axis=0)
+        rest_s = (len(self._outer) - self.end + self.begin) * self.sensed.step_s
+        std = float(np.max(self.noise)) * np.sqrt(0.5 * moved_s * (1.0 + moved_s / rest_s))
+        allowed = max(SIGNIFICANT * std, 8.0 * self.limit_m / moved_s)
+        speed = float(np.linalg.norm(ends))
+        if speed > allowed:
+            raise NotIntegrableError(
+                self.end,
+                f"the acceleration leaves the gripper with {speed:.3g} m/s after the motion, where "
+                f"it rests; limit {allowed:.2g} m/s: give the sensor's axes, the clamp's angle if "
+                "it turns, and a sensor whose range is wide enough",
+            )
+
+    def check_rate(self) -> None:
+        """Check that half of the samples make the same path."""
+        count, moved_s, apart_m = self.end - self.begin, self._moved_s, np.inf
+        if count >= 8:
+            apart_m = float(np.abs(self._path(2) - self.path_m).max())
+        std_m = float(np.max(self.noise)) * np.sqrt(moved_s**3 / 24.0)
+        allowed_m = max(self.limit_m, SIGNIFICANT * std_m)
+        if apart_m > allowed_m:
+            raise NotIntegrableError(
+                self.begin,
+                f"the motion of {moved_s:.2g} s has {count} samples, "
+                f"{1.0 / self.sensed.step_s:.4g} a second; the path from half of them differs by "
+                f"{apart_m * 1e3:.3g} mm, limit {allowed_m * 1e3:.2g} mm: take a higher rate",
+            )
+
+    def closed(self, drift: HandDrift, ends_m: FloatArray) -> FloatArray:
+        """The likeliest path that ends where it is known to.  Raises NotIntegrableError."""
+        last_m, moved_s = self.path_m[-1], self._moved_s
+        missed_m = ends_m - last_m
+        noise_m2 = np.array(drift.noise_m_per_s2_per_rt_hz) ** 2 * moved_s**3 / 24.0
+        gain_m2 = (drift.gain_std * last_m) ** 2
+        std_m = np.sqrt(noise_m2 + gain_m2)
+        worst = int(np.argmax(np.abs(missed_m) / np.maximum(std_m, 1e-12)))
+        if abs(missed_m[worst]) > SIGNIFICANT * std_m[worst] + 1e-9:
+            raise NotIntegrableError(
+                self.end,
+                f"the path ends {abs(missed_m[worst]) * 1e3:.3g} mm from hand_ends_at_m along "
+                f"{'xy'[worst]}, limit {SIGNIFICANT * std_m[worst] * 1e3:.2g} mm by its noise"
+                f"{' and gain_std' if drift.gain_std else ''}; measure the end anew, or give "
+                "gain_std of the sensor",
+            )
+        share = np.clip((self.sensed.t_s - drift.from_s) / moved_s, 0.0, 1.0)[:, None]
+        by_noise = 3.0 * share**2 - 2.0 * share**3
+        ends = np.where(last_m == 0.0, 1.0, last_m)
+        total = np.where(std_m > 0.0, std_m**2, 1.0)
+        closed = missed_m * (noise_m2 * by_noise + gain_m2 * self.path_m / ends) / total
+        return np.asarray(self.path_m + closed)

@@ -26,8 +26,8 @@ _NUMBER = {
     ".": re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
     ",": re.compile(r"[-+]?(?:\d+(?:,\d+)?|,\d+)(?:[eEdD][-+]?\d+)?"),
 }
-#: An error of a spreadsheet, in any of its languages: #N/A, #NV, #DIV/0!, #¡VALOR!.
-_SHEET_ERROR = re.compile(r"#[¡¿]?[^\W\d_][\w/]*[!?]?")
+#: An error of a spreadsheet, in any of its languages, or of C: #N/A, #NV, #¡VALOR!, -1.#IND.
+_SHEET_ERROR = re.compile(r"#[¡¿]?[^\W\d_][\w/]*[!?]?|[-+]?1\.#[A-Z]+0*")
 _BLANKS = "'’\u00a0\u202f "
 #: Groups of thousands: certainly, for it has both marks, blanks or two groups; and perhaps.
 _GROUPED = {
@@ -43,8 +43,12 @@ _PERHAPS_GROUPED = {
     ",": re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+(?:,\d*)?"),
 }
 _MARKS = re.compile(rf"[.,{_BLANKS}]")
-#: Hours, minutes, seconds; or minutes and seconds, if these have a fraction.
-_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)|(\d{1,2}):(\d{2}[.,]\d+)")
+#: Hours, minutes, seconds and perhaps the half of the day, of which milliseconds may stand behind a
+#: colon; or minutes and seconds, if these have a fraction.
+_CLOCK = re.compile(
+    r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+|:\d{3})?)(?: ?([AP])M)?|(\d{1,2}):(\d{2}[.,]\d+)",
+    re.IGNORECASE,
+)
 #: A date and a time; a date alone is none.
 _MOMENT = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}(?:\.\d+)?(?:Z|[-+]\d{2}:?\d{2})?")
 #: The same as spreadsheets write it: day.month.year, or month/day/year.
@@ -73,14 +77,26 @@ def number(cell: str, decimal: Decimal, grouped: bool = False) -> float | None:
         whole, mark, part = text.partition(decimal)
         return float(_MARKS.sub("", whole) + ("." + part if mark else ""))
     if found := _CLOCK.fullmatch(text):
-        hours, minutes, seconds = found.groups()[:3] if found[1] else ("0", found[4], found[5])
-        return 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
+        hours, minutes, seconds = found.groups()[:3] if found[1] else ("0", found[5], found[6])
+        whole = re.sub("[,:]", ".", seconds)
+        return 3600.0 * _hour(hours, found[4]) + 60.0 * int(minutes) + float(whole)
     return _time_of_day_s(text) if _MOMENT.fullmatch(text) else _dated_s(text)
+
+
+def _hour(hours: str, half: str | None) -> int:
+    """Of the day, where its half, A or P, may be given."""
+    return int(hours) % 12 + 12 * (half.upper() == "P") if half else int(hours)
 
 
 def is_grouped(text: str, decimal: Decimal) -> bool:
     """Whether a number certainly has groups of thousands."""
     return _GROUPED[decimal].fullmatch(text) is not None
+
+
+def is_clock(cell: str) -> bool:
+    """Whether a cell is a time of day, or a date with one, by its form."""
+    text = cell.strip()
+    return any(form.fullmatch(text) for form in (_CLOCK, _MOMENT, _DATED))
 
 
 def is_number(cell: str, decimal: Decimal) -> bool:
@@ -103,8 +119,8 @@ def _dated_s(text: str) -> float | None:
         return None
     first, mark, second, year, hours, minutes, seconds, half = found.groups()
     month, day = (second, first) if mark == "." or int(first) > 12 else (first, second)
-    hour = int(hours) % 12 + 12 * (half.upper() == "P") if half else int(hours)
     try:
+        hour = _hour(hours, half)
         whole = datetime(int(year), int(month), int(day), hour, int(minutes), tzinfo=UTC)
     except ValueError:
         return None
@@ -137,6 +153,26 @@ class Finding:
         return {"entry": self.entry, "sentence": self.sentence, "sure": self.sure.value}
 
 
+class ImportFindings(list[Finding]):
+    """What is found out as a mapping is proposed, in the order in which it is."""
+
+    def said(self, entry: str, sentence: str) -> None:
+        """Add what a file states about an entry."""
+        self.append(Finding(entry, sentence, Sure.SAID))
+
+    def seen(self, entry: str, sentence: str) -> None:
+        """Add what the data show."""
+        self.append(Finding(entry, sentence, Sure.SEEN))
+
+    def guessed(self, entry: str, sentence: str) -> None:
+        """Add what somebody must check."""
+        self.append(Finding(entry, sentence, Sure.GUESSED))
+
+    def wanted(self, entry: str, sentence: str) -> None:
+        """Add what somebody must give."""
+        self.append(Finding(entry, sentence, Sure.WANTED))
+
+
 #: Stands for a column of time where a file has none.
 ROW_NUMBER = "row number"
 
@@ -165,8 +201,10 @@ class Capture:
     lines    (rows,) where every row stands, counted from 1 in units of `counted`
     rate_hz  rows a second that the file states; None = it states none
     unit     of length that the file states for all its columns; empty = none
+    pixel_m  length of a pixel, m, that the file states; None = it states none
     form     of a text; None = the file is no text
     notes    what was left out on reading, one sentence each
+    of_cable  numbers that the file states of the cable, by their names in a study
     """
 
     path: Path
@@ -177,7 +215,9 @@ class Capture:
     unit: str = ""
     form: TextForm | None = None
     notes: tuple[str, ...] = ()
+    of_cable: tuple[tuple[str, float], ...] = ()
     counted: str = field(default="line", compare=False)
+    pixel_m: float | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.study.imports.capture import Capture, Finding, Sure
+from cell.study.imports.capture import Capture, ImportFindings
 from cell.study.imports.contents import Contents, Point
 from cell.study.imports.shape import (
     chain,
@@ -18,6 +18,7 @@ from cell.study.imports.shape import (
     reach_of,
     rest_rows,
 )
+from cell.study.imports.units import METRES
 
 #: A point stays if it moves by less than this share of what the farthest moves.
 STAYS = 1e-3
@@ -35,85 +36,98 @@ class Chosen:
 
     gripper    the gripping point, in the same file; None = it is in another one, or in none
     second     another point of the gripper
-    of_root    whether the gripping point is the cable's own first marker
     """
 
     markers: tuple[Point, ...]
     gripper: Point | None
     second: Point | None
-    of_root: bool
     lost: tuple[float, ...]
 
 
 def choose(
-    capture: Capture, inside: Contents, hand_elsewhere: bool, others: Sequence[Capture] = ()
-) -> tuple[Chosen, list[Finding]]:
-    """The cable's points in order, and the gripper's.  Raises InputError: there are no points.
+    capture: Capture,
+    inside: Contents,
+    hand_elsewhere: bool,
+    findings: ImportFindings,
+    others: Sequence[Capture] = (),
+    free_length_m: float | None = None,
+) -> Chosen:
+    """The cable's points in order, and the gripper's.  Raises InputError: there are no points,
+    or a single one and no gripper.
 
-    others  files of the other trials, which may lose markers that this one does not
+    findings  those about it are added
+    others    files of the other trials, which may lose markers that this one does not
     """
     points = _same_dimension(capture, inside)
     lost = _lost([capture, *others], points)
     raw = {p.name: detected_places(capture, p.columns, lost, p.on_gripper) for p in points}
     _check_distinct(capture, points, raw)
-    findings = [
-        Finding("lost", f"{v:g} in all coordinates means that a marker was not seen", Sure.SEEN)
-        for v in lost
-    ]
+    for value in lost:
+        findings.seen("lost", f"{value:g} in all coordinates means that a marker was not seen")
     named = [p for p in points if p.on_gripper]
     cable = [p for p in points if not p.on_gripper]
     if not cable and len(named) > 1:  # a cable all of whose points are called after the gripper
         named, cable = named[:1], named[1:]
-    cable, told = _labeled(cable)
-    findings += told
-    cable, still, told = _moving(cable, raw)
-    findings += told
+    cable, still = _moving(_labeled(cable, findings), raw, findings)
     if not cable:
         raise capture.error(
             0, "shows no point that moves besides the gripper; give the cable's markers"
         )
-    if hand_elsewhere:
+    hand, second = None, None
+    if named:
+        cable = _in_front(named, cable, raw, findings)
+    if not hand_elsewhere:
+        hand, second = _gripper_points(named, cable, raw, inside)
+        if hand is not None:
+            findings.guessed("hand", f"{hand.name!r} is the gripping point, by its name")
+        elif (hand := still) is not None:
+            sentence = f"{hand.name!r} does not move: it is taken as the gripping point, held still"
+            findings.guessed("hand", sentence)
+    if hand is None and not hand_elsewhere:
+        _check_several(capture, cable, others)
         order = _from_end(cable, raw)
-        findings.append(_order_finding(order))
-        return Chosen(tuple(order), None, None, False, lost), findings
-    hand, second = _gripper_points(named, cable, raw, inside)
-    if hand is not None:
-        findings.append(
-            Finding("hand", f"{hand.name!r} is the gripping point, by its name", Sure.GUESSED)
-        )
-    elif still is not None:
-        hand = still
-        sentence = f"{hand.name!r} does not move: it is taken as the gripping point, held still"
-        findings.append(Finding("hand", sentence, Sure.GUESSED))
-    if hand is not None:
-        order = _ordered([hand, *cable], raw, 0)[1:]
-        findings.append(_order_finding(order))
-        return Chosen(tuple(order), hand, second, False, lost), findings
-    if len(cable) < 2:
-        sentence = (
-            f"{capture.path.name} shows one point and no gripper: name two columns of its place as "
-            "hand.columns, or give a file of the gripper with --hand"
-        )
-        findings += [Finding("hand", sentence, Sure.WANTED), columns_finding(capture)]
-        return Chosen(tuple(cable), None, None, False, lost), findings
-    order = _from_end(cable, raw)
-    sentence = f"no point is named after a gripper: {order[0].name!r}, the end of the chain that "
-    findings.append(Finding("hand", f"{sentence}rests first, is the gripping point", Sure.GUESSED))
-    findings.append(_order_finding(order[1:]))
-    return Chosen(tuple(order[1:]), order[0], None, True, lost), findings
+        behind = _behind_jaws(order, raw, free_length_m)
+        second = order[behind - 1] if behind else None
+        hand, *order = order[behind:]
+        sentence = f"no point is named after a gripper: {hand.name!r}, the end of the chain that "
+        if second is None:
+            findings.guessed("hand", f"{sentence}rests first, is the gripping point")
+        else:
+            sentence = f"no point is named after a gripper: {hand.name!r} is the gripping point, "
+            sentence += f"for {second.name!r} moves with it as one body, and from it to the tip "
+            findings.guessed("hand", f"{sentence}the markers span the free length")
+    elif hand is None:
+        order = _from_end(cable, raw)
+    else:
+        order = [cable[i - 1] for i in chain(_typical([hand, *cable], raw), 0)[1:]]
+    names = " → ".join(p.name for p in order)
+    findings.seen(
+        "markers",
+        f"from the gripper to the tip the markers are {names}, each nearest to the one before",
+    )
+    return Chosen(tuple(order), hand, second, lost)
 
 
-def _labeled(cable: Sequence[Point]) -> tuple[list[Point], list[Finding]]:
+def _check_several(capture: Capture, cable: Sequence[Point], others: Sequence[Capture]) -> None:
+    """Raise InputError where a file shows one point alone: none is left for the gripper."""
+    if len(cable) > 1:
+        return
+    message = "shows one point and no gripper: give a file of the gripper with --hand, or call "
+    message += "the columns of its place gripper_x and gripper_y"
+    if others:
+        message += ", or, if each file shows a marker of one motion, write the columns of all "
+        message += "into one file, such as m1_x, m1_y, m2_x"
+    raise capture.error(0, f"{message}. Columns: {', '.join(capture.names[:12])}")
+
+
+def _labeled(cable: Sequence[Point], findings: ImportFindings) -> list[Point]:
     """Points that somebody named; all, if nobody named any."""
     named = [p for p in cable if p.name.split()[0] not in _UNLABELED]
-    if not named:
-        return list(cable), []
-    return named, [
-        Finding("markers", f"{p.name!r} is no marker of the cable by its name: it is left out",
-                Sure.SEEN)
-        for p in cable
-        if p not in named
-    ]  # fmt: skip
+    for p in cable if named else ():
+        if p not in named:
+            sentence = f"{p.name!r} is no marker of the cable by its name: it is left out"
+            findings.seen("markers", sentence)
+    return named or list(cable)
 
 
 def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, FloatArray]) -> None:
@@ -163,20 +177,16 @@ def _lost(captures: Sequence[Capture], points: Sequence[Point]) -> tuple[float, 
 
 
 def _moving(
-    cable: Sequence[Point], raw: dict[str, FloatArray]
-) -> tuple[list[Point], Point | None, list[Finding]]:
-    """Points that move; the one that stays and is an end of the chain; what is left out."""
+    cable: Sequence[Point], raw: dict[str, FloatArray], findings: ImportFindings
+) -> tuple[list[Point], Point | None]:
+    """Points that move, and the one that stays if it alone does and may be held."""
     reach = {p.name: reach_of(raw[p.name]) for p in cable}
     most = max(reach.values(), default=0.0)
     stay = [p for p in cable if reach[p.name] <= STAYS * most or not np.isfinite(reach[p.name])]
-    moving = [p for p in cable if p not in stay]
     held = stay[0] if len(stay) == 1 and np.isfinite(reach[stay[0].name]) else None
-    left_out = [] if held is not None else stay
-    findings = [
-        Finding("markers", f"{p.name!r} never moves or is never seen: it is left out", Sure.SEEN)
-        for p in left_out
-    ]
-    return moving, held, findings
+    for p in stay if held is None else ():
+        findings.seen("markers", f"{p.name!r} never moves or is never seen: it is left out")
+    return [p for p in cable if p not in stay], held
 
 
 def _gripper_points(
@@ -203,14 +213,9 @@ def _gripper_points(
     return hand, others[0] if others and not with_angle else None
 
 
-def _ordered(points: Sequence[Point], raw: dict[str, FloatArray], start: int) -> list[Point]:
-    """Points in the order in which a cable passes through them at rest."""
-    places = _typical(points, raw)
-    return [points[i] for i in chain(places, start)]
-
-
 def _from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
-    """The same from the end that rests first: there the gripper is."""
+    """Points in the order in which a cable passes through them at rest, from the end that rests
+    first: there the gripper is."""
     places = _typical(cable, raw)
     orders = [chain(places, start) for start in range(len(cable))]
     order = min(
@@ -221,6 +226,70 @@ def _from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]
     return [cable[i] for i in (order if not first > last else order[::-1])]
 
 
+#: Points of one body keep their distance to this share of the length that they are part of.
+_ONE_BODY = 0.01
+#: … and to this share of what the distance of a cable's point changes.
+_OF_CABLE = 0.4
+#: A chain is as long as the cable to this share of its length.
+_AS_LONG = 0.03
+
+
+def _changes(first: FloatArray, second: FloatArray) -> float:
+    """By how much the distance of two points (rows, d) changes, but for a few rows."""
+    away = np.linalg.norm(first - second, axis=1)
+    away = away[np.isfinite(away)]
+    return float(np.subtract(*np.percentile(away, (98, 2)))) if len(away) > 1 else np.inf
+
+
+def _in_front(
+    named: Sequence[Point],
+    cable: Sequence[Point],
+    raw: dict[str, FloatArray],
+    findings: ImportFindings,
+) -> list[Point]:
+    """Points but those that move with the gripper as one body, behind it.
+
+    The cable's next marker keeps its distance too, but is where the others are.
+    """
+    places = _typical([*named, *cable], raw)
+    size = float(np.ptp(places, axis=0).max())
+    change = {p.name: max(_changes(raw[h.name], raw[p.name]) for h in named) for p in cable}
+    most = min(_ONE_BODY * size, _OF_CABLE * max(c for c in [0.0, *change.values()] if c < np.inf))
+    rigid = [p for p in cable if change[p.name] < most]
+    loose = [i for i, p in enumerate(cable, len(named)) if p not in rigid]
+    if not rigid or len(loose) < 2 or not np.isfinite(places).all():
+        return list(cable)
+    hand = places[: len(named)].mean(axis=0)
+    towards = places[loose].mean(axis=0) - hand
+    body = [p for i, p in enumerate(cable, len(named))
+            if p in rigid and float((places[i] - hand) @ towards) < 0.0]  # fmt: skip
+    for p in body:
+        sentence = f"{p.name!r} moves with the gripper as one body, away from the cable: it is left"
+        findings.seen("markers", f"{sentence} out")
+    return [p for p in cable if p not in body]
+
+
+def _behind_jaws(
+    order: Sequence[Point], raw: dict[str, FloatArray], free_length_m: float | None
+) -> int:
+    """How many points of a chain are on the gripper, behind the point that holds the cable.
+
+    From this one to the tip the chain is as long as the cable, where with them it is not.
+    """
+    steps = np.linalg.norm(np.diff(_typical(order, raw), axis=0), axis=1)
+    left = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    if free_length_m is None or not np.isfinite(left).all():
+        return 0
+    units = [METRES[p.unit] for p in order if p.unit in METRES][:1] or list(METRES.values())
+    for behind in range(len(order) - 2):
+        if any(abs(left[behind] * u - free_length_m) < _AS_LONG * free_length_m for u in units):
+            body = order[: behind + 1]
+            whole = left[behind]
+            change = [_changes(raw[p.name], raw[body[-1].name]) for p in body[:-1]]
+            return behind if max(change, default=0.0) < _ONE_BODY * whole else 0
+    return 0
+
+
 def _typical(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
     """(points, d) at rest, else a row in the middle that shows them all."""
     places = np.stack([raw[p.name] for p in points], axis=1)
@@ -229,19 +298,3 @@ def _typical(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
         return middle(rest)
     whole = places[np.isfinite(places).all(axis=(1, 2))]
     return whole[len(whole) // 2] if len(whole) else middle(places)
-
-
-def columns_finding(capture: Capture) -> Finding:
-    """The file's columns, listed for a person to choose the gripper's, if none was recognised."""
-    names, most = capture.names, 24
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    sentence = f"columns of {capture.path.name}: {', '.join(names[:most])}{more}"
-    return Finding("hand", sentence, Sure.SEEN)
-
-
-def _order_finding(order: Sequence[Point]) -> Finding:
-    names = " → ".join(p.name for p in order)
-    sentence = (
-        f"from the gripper to the tip the markers are {names}, each nearest to the one before"
-    )
-    return Finding("markers", sentence, Sure.SEEN)

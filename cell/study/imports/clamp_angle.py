@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.study.imports.capture import Capture, Finding, Sure
+from cell.study.imports.capture import Capture, ImportFindings
 from cell.study.imports.contents import HAND, Contents, Point
 from cell.study.imports.gripper_section import BODY_AXES, AngleSection, AxesSection
-from cell.study.imports.places import angle_of, body_axis, continuous
+from cell.study.imports.places import angle_of, body_axis, clamp_angle_rad, continuous
 from cell.study.imports.units import RADIANS
 from cell.study.series import wrapped
 
@@ -22,6 +22,9 @@ _TURNS = 0.05
 _SIGN, _QUARTER, _UNIT = 0.02, 0.3, 0.05
 #: The cable's root and a right reading agree at rest within this, rad; else an offset is needed.
 _AGREES = 0.35
+#: A body whose turn differs from that of the cable's root by more than the first share of it is not
+#: read rightly; by less than the second it is.
+_NO_TURN, _SAME_TURN = 0.8, 0.4
 #: So near at rest an angle that nothing names is that of the clamp, rad.
 _SAME_AT_REST = 0.1
 #: The same of a root that only the line to a single marker shows: a cable droops.
@@ -76,28 +79,35 @@ def clamp_angle(
     inside: Contents,
     axes: AxesSection,
     root: Root,
-    second: tuple[Point, float] | None,
-    hand: str,
-) -> tuple[AngleSection, list[Finding]]:
-    """The mapping's section of the clamp angle, and findings about it.
+    findings: ImportFindings,
+    hand: str = "",
+    second: tuple[Point, float] | None = None,
+) -> AngleSection:
+    """The mapping's section of the clamp angle.
 
-    capture  with the gripper
-    second   another point of the gripper, and the angle of the line to it at rest; None = none
-    hand     name of the gripping point, by which its columns are known
+    capture   with the gripper
+    findings  those about it are added
+    hand      name of the gripping point, by which its columns are known; empty = it has none
+    second    another point of the gripper, and the angle of the line to it at rest; None = none
     """
-    if (column := _column(inside, axes, hand)) is not None:
-        return _of_column(capture, *column, root)
-    if (column := _agreeing(capture, inside, root)) is not None:
-        section, findings = _of_column(capture, *column, root)
-        sentence = f"{column[0]!r} is the clamp angle, for it agrees with the cable's root"
-        return section, [*findings, Finding("hand.angle", sentence, Sure.GUESSED)]
     four = next((q for group, q in inside.quaternions if group == hand), None)
     if four is None and len(inside.quaternions) == 1:
         four = inside.quaternions[0][1]
+    if four is not None and _is_filler(capture.at(list(four)), hand):
+        four = None
+    if four is not None and len(axes.up) == len("xyz"):  # one of three angles is not all of it
+        return _of_body(capture, four, axes, root, findings)
+    if (column := _column(inside, axes, hand)) is not None:
+        return _of_column(capture, *column, root, findings)
+    if (column := _agreeing(capture, inside, root)) is not None:
+        section = _of_column(capture, *column, root, findings)
+        sentence = f"{column[0]!r} is the clamp angle, for it agrees with the cable's root"
+        findings.guessed("hand.angle", sentence)
+        return section
     if four is not None:
-        return _of_body(capture, four, axes, root)
+        return _of_body(capture, four, axes, root, findings)
     if second is not None:
-        return _of_line(*second, root, hand)
+        return _of_line(*second, root, hand, findings)
     angle = round(root.rest_rad, 4) + 0.0
     sentence = (
         "no angle of the gripper is in the file: it is taken as constant, "
@@ -105,30 +115,41 @@ def clamp_angle(
     )
     if root.is_line:
         sentence += "; that is the line to the only marker, from which a cable droops: measure it"
-    return AngleSection(constant_rad=angle), [Finding("hand.angle", sentence, Sure.GUESSED)]
+    findings.guessed("hand.angle", sentence)
+    return AngleSection(constant_rad=angle)
+
+
+def _is_filler(quaternion: FloatArray, hand: str) -> bool:
+    """Whether a point that is named after no gripper has no turn in all rows: so programs fill the
+    poses of points."""
+    known = quaternion[np.isfinite(quaternion).all(axis=1)]
+    return not HAND.intersection(hand.split()) and bool(np.all(known == [0.0, 0.0, 0.0, 1.0]))
 
 
 def _of_line(
-    second: Point, shown_rad: float, root: Root, hand: str
-) -> tuple[AngleSection, list[Finding]]:
+    second: Point, shown_rad: float, root: Root, hand: str, findings: ImportFindings
+) -> AngleSection:
     """The line between two points of the gripper, along the cable or against it."""
     offset = wrapped(root.rest_rad - shown_rad)
     offset = 0.0 if abs(offset) < root.agrees_rad else offset
     if abs(abs(offset) - np.pi) < _AGREES:
         offset = float(np.pi)
     sentence = f"the clamp angle is that of the line between {hand!r} and {second.name!r}"
-    if offset:
-        sentence += f", turned by {np.degrees(offset):.0f}° as the cable shows at rest"
-    section = AngleSection(towards=list(second.columns), offset_rad=round(offset, 10))
-    return section, [Finding("hand.angle", sentence, Sure.GUESSED)]
+    findings.guessed("hand.angle", sentence + _turned_by(offset))
+    return AngleSection(towards=list(second.columns), offset_rad=round(offset, 10))
+
+
+def _turned_by(offset_rad: float) -> str:
+    """The end of a sentence about an offset, if there is one."""
+    degrees = np.degrees(offset_rad)
+    return f", turned by {degrees:.0f}° as the cable shows at rest" if offset_rad else ""
 
 
 def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, str] | None:
     """The column of the clamp angle and its unit: the gripper's, about the normal of the plane."""
-    of_hand = [
-        (n, m) for n, m in inside.angles if m.group == hand or HAND.intersection(m.group.split())
-    ]
-    chosen = of_hand or [(n, m) for n, m in inside.angles if not m.group]
+    own = [(n, m) for n, m in inside.angles if hand and m.group == hand]
+    of_hand = [(n, m) for n, m in inside.angles if HAND.intersection(m.group.split())]
+    chosen = own or of_hand or [(n, m) for n, m in inside.angles if not m.group]
     if not chosen:
         return None
     if len(axes.up) == 3 and len(chosen) > 1:
@@ -152,37 +173,32 @@ def _agreeing(capture: Capture, inside: Contents, root: Root) -> tuple[str, str]
 
 
 def _of_column(
-    capture: Capture, name: str, unit: str, root: Root
-) -> tuple[AngleSection, list[Finding]]:
+    capture: Capture, name: str, unit: str, root: Root, findings: ImportFindings
+) -> AngleSection:
     """Unit, sign and zero of a column of angles, by what the cable's root shows."""
     values = capture.column(name)
     best = min(_readings(values, unit, root), key=lambda reading: reading.cost)
     word, s, offset = best.unit, best.sign, best.quarters * np.pi / 2.0
-    findings = []
-    if best.off_rad > root.agrees_rad:
-        offset = float(round(wrapped(root.rest_rad - s * best.rest_rad), 4))
-        sentence = (
-            f"{name!r} is {np.degrees(best.off_rad):.0f}° from what the cable shows at rest: "
-        )
-        findings.append(
-            Finding("hand.angle.offset_rad", f"{sentence}an offset is added", Sure.GUESSED)
-        )
-    stated = unit in RADIANS
+    is_off = best.off_rad > root.agrees_rad
     matters = float(np.nanmax(np.abs(values))) * RADIANS[word] > 1e-3
     which = "positive = down" if s > 0 else "positive = up, turned round"
     why = "the cable turns with it" if best.is_measured else "the cable's root at rest agrees best"
     if not matters:
-        why = "it is 0 throughout"
-    if best.quarters and not findings:
+        why = f"it is 0 throughout {capture.path.name}"
+    if best.quarters and not is_off:
         which += f", turned by {90 * best.quarters}°"
-    sure = Sure.SEEN if best.is_measured or not matters else Sure.GUESSED
-    sentence = (
-        f"the clamp angle is column {name!r} in {word}{', as the file says' if stated else ''}"
-    )
-    findings.insert(0, Finding("hand.angle", f"{sentence}; {which}: {why}", sure))
+    told = findings.seen if best.is_measured or not matters else findings.guessed
+    stated = ", as the file says" if unit in RADIANS else ""
+    told("hand.angle", f"the clamp angle is column {name!r} in {word}{stated}; {which}: {why}")
+    if is_off:
+        offset = float(round(wrapped(root.rest_rad - s * best.rest_rad), 4))
+        findings.guessed(
+            "hand.angle.offset_rad",
+            f"{name!r} is {np.degrees(best.off_rad):.0f}° from what the cable shows at rest: an "
+            "offset is added",
+        )
     factor = round(s * RADIANS[word], 12)
-    section = AngleSection(column=name, radians_per_unit=factor, offset_rad=round(offset, 10) + 0.0)
-    return section, findings
+    return AngleSection(column=name, radians_per_unit=factor, offset_rad=round(offset, 10) + 0.0)
 
 
 def _readings(values: FloatArray, unit: str, root: Root) -> list[_PoseReader]:
@@ -216,9 +232,44 @@ def _sign(values: FloatArray, root: Root) -> float:
 
 
 def _of_body(
+    capture: Capture, four: Sequence[str], axes: AxesSection, root: Root, findings: ImportFindings
+) -> AngleSection:
+    """The axis of a body that is nearest to the direction in which the cable leaves it.
+
+    Of four numbers w may be the first: so it is if only then the body turns as the cable's root.
+    """
+    section = _along_axis(capture, four, axes, root)
+    other = _along_axis(capture, [*four[1:], four[0]], axes, root)
+    turns, as_other = (
+        _turn(clamp_angle_rad(capture, each, axes), root) for each in (section, other)
+    )
+    w_first = turns > _NO_TURN and as_other < _SAME_TURN
+    section = other if w_first else section
+    assert section.quaternion is not None
+    sentence = f"the gripper turns as {section.quaternion[0]!r} … say; the cable leaves along its "
+    sentence += f"axis {section.body_axis}{_turned_by(section.offset_rad)}"
+    findings.guessed("hand.angle", sentence)
+    if w_first:
+        sentence = f"{four[0]!r} is w, x, y and z follow: so it turns as the cable's root"
+        findings.guessed("hand.angle", sentence)
+    return section
+
+
+def _turn(turned: FloatArray | None, root: Root) -> float:
+    """By which share a body's turn differs from that of the cable's root; 0 = nothing shows it."""
+    if turned is None or len(turned) != len(root.angle_rad):
+        return 0.0
+    good = np.isfinite(turned) & np.isfinite(root.angle_rad)
+    if not good.any() or np.ptp(root.angle_rad[good]) < _TURNS:
+        return 0.0
+    x, y = (v[good] - v[good].mean() for v in (root.angle_rad, turned))
+    return float(np.linalg.norm(y - x) / np.linalg.norm(x))
+
+
+def _along_axis(
     capture: Capture, four: Sequence[str], axes: AxesSection, root: Root
-) -> tuple[AngleSection, list[Finding]]:
-    """The axis of a body that is nearest to the direction in which the cable leaves it."""
+) -> AngleSection:
+    """The section for columns x, y, z, w."""
     quaternion = capture.at(list(four))
     right, up = (np.append(v, 0.0)[:3] for v in (np.array(axes.right), np.array(axes.up)))
     leaving = -np.cos(root.rest_rad) * right - np.sin(root.rest_rad) * up
@@ -228,6 +279,4 @@ def _of_body(
     seen = body_axis(rows, best)[0] if len(rows) else leaving
     offset = wrapped(root.rest_rad - angle_of(np.array([seen @ right, seen @ up])))
     offset = float(round(offset, 4)) if abs(offset) > root.agrees_rad else 0.0
-    sentence = f"the gripper turns as {four[0]!r} … say; the cable leaves along its axis {best}"
-    section = AngleSection(quaternion=list(four), body_axis=best, offset_rad=offset)
-    return section, [Finding("hand.angle", sentence, Sure.GUESSED)]
+    return AngleSection(quaternion=list(four), body_axis=best, offset_rad=offset)

@@ -38,17 +38,20 @@ class Meaning:
     unit: str
 
 
-#: Words that are a time with its unit: of Arduino's functions.
-_TIME_WITH_UNIT = {"millis": "ms", "micros": "µs"}
+#: Words that are a time with its unit: of Arduino's functions, and of KUKA's RSI.
+_TIME_WITH_UNIT = {"millis": "ms", "micros": "µs", "ipoc": "ms"}
 _TIME = frozenset(
     ("t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "stamp", "elapsed",
+     "timestamps", "stamps", "ts",
      *_TIME_WITH_UNIT)
 )  # fmt: skip
+#: In longer names `t` is no time, but a transform.
+_NEAR_T = 2
 #: LabVIEW's column of times, seconds.
 _X_VALUE = "x_value"
 _FRAME = frozenset(
-    ("frame", "frames", "bild", "image", "sample", "field", "nr", "no", "row", "pic", "picture",
-     "index", "idx", "counter", "step")
+    ("frame", "frames", "bild", "image", "slice", "sample", "field", "nr", "no", "row", "pic",
+     "picture", "index", "idx", "counter", "step")
 )  # fmt: skip
 _ANGLE = frozenset(
     ("angle", "theta", "winkel", "angulo", "rotation", "rot", "roll", "pitch", "yaw", "orientation",
@@ -66,9 +69,9 @@ _OF_WRENCH = frozenset(("n", "nm", "n·m", "n*m", "n m", "mn", "mnm"))
 #: Words that say what kind of number a coordinate is, not of which point.
 _FILLER = frozenset(
     ("pos", "position", "positions", "xy", "xyz", "tracks", "coord", "coordinate", "coordinates",
-     "trans", "translation", "location",
+     "trans", "translation", "location", "values",
      "place", "value", "data", "in", "col", "koordinate", "pose", "point", "markers", "transform",
-     "transforms")
+     "transforms", "xpos")
 )  # fmt: skip
 #: Words with their axis grown onto them.
 _GROWN = re.compile(r"(pos|p|t|coord|q|quat|rot|r)([xyzw])")
@@ -115,6 +118,8 @@ def meaning(column: CapturedColumn) -> Meaning:
         grown = _GROWN.fullmatch(word)
         if word in ("x", "y", "z", "w") and not axis:
             axis = word
+        elif word == axis:  # several lines of names say it
+            continue
         elif grown and not axis:
             axis = grown[2]
             rest += {"q": ["quat"], "quat": ["quat"]}.get(grown[1], [])
@@ -129,6 +134,89 @@ def meaning(column: CapturedColumn) -> Meaning:
     return Meaning(kind, " ".join(w for w in rest if w not in dropped), axis, unit)
 
 
+#: A name that ends with its axis, or with the number of an array's column, from 0 or from 1.
+_AXIS_AT_END = re.compile(r"(.{2,}?)([xyz])", re.IGNORECASE)
+_NUMBER_AT_END = re.compile(r"(.*\w)(?:_|\[)([0-3])\]?")
+#: Kinds of columns whose numbers may be those of an array, if nothing else names their axes.
+_UNNUMBERED = (ColumnKind.OTHER, ColumnKind.ANGLE, ColumnKind.QUATERNION)
+_QUATERNION = frozenset(("quat", "quaternion", "xquat", "quats"))
+_NUMBERED_AXES = {
+    frozenset(str(first + k) for k in range(count)): {
+        str(first + k): "xyz"[k] for k in range(count)
+    }
+    for first in (0, 1)
+    for count in (2, 3)
+}
+#: Quantities with an axis that are no place, beside those above.
+_NO_PLACE = _OTHER | _ACCELERATION | frozenset(("gyro", "mag", "imu", "omega", "err", "res", "ma"))
+
+
+def with_axes_at_ends(said: list[tuple[str, Meaning]]) -> list[tuple[str, Meaning]]:
+    """The columns, with coordinates whose names have their axis grown on: `gripx, gripy`.
+
+    It is an axis if the file has x and y, or x, y and z, behind one word.  If no column is a
+    coordinate otherwise, those of a point may be numbered: `m1_1, m1_2, m1_3`, `m1[0], m1[1]`.
+    """
+    said = _with_pixels(said)
+    forms = [_AXIS_AT_END]
+    if not any(m.kind is ColumnKind.COORDINATE for _, m in said):
+        forms.append(_NUMBER_AT_END)
+    found = dict(said)
+    for form in forms:
+        stems: dict[str, dict[str, str]] = {}
+        for name, m in said:
+            match = form.fullmatch(split_unit(name)[0])
+            kinds = (ColumnKind.OTHER,) if form is _AXIS_AT_END else _UNNUMBERED
+            if match and m.kind in kinds and not m.axis:
+                stems.setdefault(match[1], {})[match[2].lower()] = name
+        for stem, names in stems.items():
+            words = _words(stem)
+            if frozenset(names) == frozenset("0123") and _is_quaternion(words):
+                group = " ".join(w for w in words if w not in _FILLER | _ANGLE | _QUATERNION)
+                for place, name in names.items():
+                    axis = "xyzw"[int(place)]
+                    found[name] = Meaning(ColumnKind.QUATERNION, group, axis, "")
+                continue
+            axes = _NUMBERED_AXES.get(frozenset(names), {})
+            if axes and any(found[n].kind is not ColumnKind.OTHER for n in names.values()):
+                continue
+            names = {axes.get(end, end): name for end, name in names.items()}
+            if set(names) not in ({"x", "y"}, {"x", "y", "z"}) or _NO_PLACE & set(words):
+                continue
+            if any(_WRENCH.fullmatch(w) or _VELOCITY.fullmatch(f"{w}x") for w in words):
+                continue
+            group = " ".join(w for w in words if w not in _FILLER)
+            for axis, name in names.items():
+                found[name] = Meaning(ColumnKind.COORDINATE, group, axis, found[name].unit)
+    return [(name, found[name]) for name, _ in said]
+
+
+#: Columns and rows of an image.
+_OF_IMAGE = re.compile(r"(.*[^_\s.:])?[_\s.:]?([uv])", re.IGNORECASE)
+
+
+def _with_pixels(said: list[tuple[str, Meaning]]) -> list[tuple[str, Meaning]]:
+    """The columns, with `d1_u, d1_v` as coordinates in an image, where no others are there."""
+    if any(m.kind is ColumnKind.COORDINATE for _, m in said):
+        return said
+    stems: dict[str, dict[str, str]] = {}
+    for name, _ in said:
+        if match := _OF_IMAGE.fullmatch(split_unit(name)[0]):
+            stems.setdefault(match[1] or "", {})[match[2].lower()] = name
+    found = dict(said)
+    for stem, names in stems.items():
+        if set(names) == {"u", "v"}:
+            group = " ".join(w for w in _words(stem) if w not in _FILLER)
+            for end, name in names.items():
+                unit = found[name].unit or "px"
+                found[name] = Meaning(ColumnKind.COORDINATE, group, "xy"["uv".index(end)], unit)
+    return [(name, found[name]) for name, _ in said]
+
+
+def _is_quaternion(words: list[str]) -> bool:
+    return bool(_QUATERNION.intersection(words) or "orientation" in words)
+
+
 def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
     words = set(rest)
     if words & _OTHER or any(_VELOCITY.fullmatch(w) for w in rest):
@@ -141,7 +229,11 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
         return ColumnKind.ANGLE
     if axis in ("x", "y", "z"):
         return ColumnKind.COORDINATE
-    if words & _TIME or unit in SECONDS or rest in (["s"], ["ms"], ["sec"], ["seconds"]):
+    if (
+        (words & _TIME and not (words & _TIME == {"t"} and len(rest) > _NEAR_T))
+        or (unit in SECONDS)
+        or rest in (["s"], ["ms"], ["sec"], ["seconds"])
+    ):
         return ColumnKind.TIME
     return ColumnKind.FRAME if words & _FRAME else ColumnKind.OTHER
 

@@ -4,31 +4,48 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import NOT_SEEN, Capture, CapturedColumn, is_number
-from cell.study.imports.column_names import ColumnKind, meaning
-from cell.study.imports.delimited import Row, captured
+from cell.study.imports.capture import Capture, CapturedColumn, is_number
+from cell.study.imports.contents import contents
+from cell.study.imports.delimited import captured
+from cell.study.imports.groups import (
+    LABELS,
+    PART,
+    WITHIN,
+    FilePart,
+    Tree,
+    group_of,
+    labels,
+    split_part,
+    time_groups,
+    trials_in,
+    within,
+)
 from cell.study.imports.header import read_header
+from cell.study.imports.line_protocol import is_line_protocol, line_protocol_tree
 from cell.study.imports.long_tables import pivoted
-from cell.study.imports.units import METRES, unit_of
+from cell.study.imports.stated import OF_CABLE
+from cell.study.imports.text_rows import Row, without_summary
+from cell.study.imports.units import METRES, split_unit, unit_of
 from cell.study.table import MAX_ROWS
 from drivers.installing import install_extra
 
-#: Arrays by their path within a file, the outermost name first.
-Tree = dict[tuple[str, ...], NDArray[Any]]
+_Read = TypeVar("_Read")
+#: Units that attributes of arrays state.
+Units = dict[tuple[str, ...], str]
 
 #: Coordinates of an array whose last dimension has so many: places, or quaternions.
-_AXES = {2: "xy", 3: "xyz", 4: "xyzw"}
-#: Names of arrays of text that name the points of another one, and of numbers that are rates.
-_LABELS = re.compile(r"labels?|(node|marker|point|body|column)_?names?|names?|columns|keypoints")
+AXES = {2: "xy", 3: "xyz", 4: "xyzw"}
+#: Names of arrays that hold a table's columns, of numbers that are rates, and of units.
 _OF_PANDAS = re.compile(r"values_block_\d+")
 _RATE = re.compile(r"(frame_?rate|sampl(e|ing)_?rate|rate|frequency|freq|fps|fs)(_hz)?")
 _UNIT = re.compile(r"(length_?)?units?")
@@ -41,12 +58,63 @@ _FEWEST_ROWS = 3
 def read_container(path: Path) -> Capture:
     """Read the numbers of a file of arrays: one row per time, columns named by place and axis.
 
+    path    of the file, or of a part of it, as `trials.h5#first.camera`
     raises  InputError: it cannot be read, holds no table, or a library is missing
     """
+    file, part = split_part(path)
+    if file.suffix.lower() == ".xlsx":
+        return _guarded(file, _sheet)
+    tree, units = _guarded(file, _tree)
+    if part:
+        return _of_part(path, part, tree, units)
+    return _guarded(file, lambda f: capture_of(f, tree, units))
+
+
+def _tree(path: Path) -> tuple[Tree, Units]:
+    return _TREES.get(path.suffix.lower(), line_protocol_tree)(path)
+
+
+def parts_of(path: Path) -> list[FilePart]:
+    """Trials that are parts of a file of arrays; empty = the file is one, or a part itself.
+
+    raises  InputError: it cannot be read, or its groups cannot be told apart
+    """
+    file, part = split_part(path)
+    if part or not (file.suffix.lower() in _TREES or is_line_protocol(file)):
+        return []
+    tree, units = _guarded(file, _tree)
+
+    def shows_points(group: tuple[str, ...]) -> bool:
+        try:
+            made = _of_part(path, WITHIN.join(group), tree, units)
+        except InputError:
+            return False
+        return bool(contents(made).points)
+
+    return trials_in(tree, shows_points) or []
+
+
+def _of_part(path: Path, part: str, tree: Tree, units: Units) -> Capture:
+    """Columns of the arrays of one group.  Raises InputError: there is none."""
+    group = group_of(tree, part)
+    if group is None:
+        there = ", ".join(WITHIN.join(g) for g in time_groups(tree)) or "none"
+        raise InputError.at(path, f"has no part {part!r} with times; it has {there}")
+    kept = within(tree, group)
+    of_key = {key: found for key in kept for found in units_at(units, group, key)}
+    return capture_of(path, kept, of_key)
+
+
+def units_at(units: Units, group: tuple[str, ...], key: tuple[str, ...]) -> list[str]:
+    """The unit of an array of a group by its name within it; empty = none is stated."""
+    names = ((*group, *key), (*group[:-1], *key))  # a gripper's group keeps its own name
+    return [units[name] for name in names if name in units][:1]
+
+
+def _guarded(path: Path, read: Callable[[Path], _Read]) -> _Read:
+    """What is read of a file.  Raises InputError: whatever its reader raises."""
     if not path.is_file():
         raise InputError.at(path, "cannot be read: there is no such file; check the name")
-    ending = path.suffix.lower()
-    read = _READERS[ending]
     try:
         return read(path)
     except ImportError as error:
@@ -56,23 +124,39 @@ def read_container(path: Path) -> Capture:
     except InputError:
         raise
     except Exception as error:  # of a damaged file its reader raises what it likes
-        message = f"is damaged, or is no {ending} file ({error}); save it again"
+        message = f"is damaged, or is no {path.suffix.lower()} file ({error}); save it again"
         raise InputError.at(path, message) from error
 
 
 def _sheet(path: Path) -> Capture:
-    """The first sheet that holds a table."""
+    """The sheet whose table shows the most points; the first of those that show as many.
+
+    raises  InputError: none holds a table, or the first complaint if none can be read
+    """
     from openpyxl import load_workbook
 
     book = load_workbook(path, read_only=True, data_only=True)
+    tables: dict[str, Capture] = {}
+    problems: list[InputError] = []
     try:
         for page in book.worksheets:
             each = enumerate(page.iter_rows(values_only=True), 1)
             rows = [Row(line, tuple(_word(cell) for cell in cells)) for line, cells in each]
-            if (made := _table_of_sheet(path, [row for row in rows if not row.blank])) is not None:
-                return made
+            try:
+                made = _table_of_sheet(path, [row for row in rows if not row.blank])
+            except InputError as error:
+                problems.append(error)
+                continue
+            tables |= {} if made is None else {page.title: made}
     finally:
         book.close()
+    if tables:
+        best = max(tables, key=lambda title: len(contents(tables[title]).points))
+        rest = ", ".join(repr(title) for title in tables if title != best)
+        notes = [f"{path}: sheet {best!r} is read, not {rest}"] if rest else []
+        return replace(tables[best], notes=(*tables[best].notes, *notes))
+    if problems:
+        raise problems[0]
     raise InputError.at(path, "no sheet holds rows of numbers; give a line of names above them")
 
 
@@ -87,14 +171,14 @@ def _table_of_sheet(path: Path, rows: Sequence[Row]) -> Capture | None:
         width = max(width, len(named) if len(named) > 2 else 0)
     above = [(row.line, row.cells[:width]) for row in rows[:first]]
     table = [Row(row.line, row.cells[:width]) for row in rows[first:]]
+    table, below = without_summary(path, table, ".")
     header = read_header(path, above, table[0].cells)
-    return pivoted(*captured(path, header, table, "."))
+    made, labels = captured(path, header, table, ".")
+    return pivoted(replace(made, notes=(*made.notes, *below)), labels)
 
 
 def _begins_table(row: Row) -> bool:
-    filled = [cell for cell in row.cells if cell.lower() not in NOT_SEEN]
-    numbers = sum(is_number(cell, ".") for cell in filled)
-    return numbers >= 2 and 2 * numbers >= len(filled)
+    return row.is_data(".") and sum(is_number(cell, ".") for cell in row.cells) >= 2
 
 
 def _word(cell: object) -> str:
@@ -104,22 +188,31 @@ def _word(cell: object) -> str:
     return str(int(cell)) if isinstance(cell, bool) else str(cell).strip()
 
 
-def _mat(path: Path) -> Capture:
+def _mat(path: Path) -> tuple[Tree, Units]:
     """MATLAB's file; from version 7.3 on it is HDF5 with its dimensions reversed."""
     with path.open("rb") as stream:
         newest = b"MATLAB 7.3" in stream.read(128)
     if newest:
-        return _capture(path, *_hdf5_tree(path, reverse=True))
+        return _hdf5_tree(path, reverse=True)
     from scipy.io import loadmat
 
     content = loadmat(path, simplify_cells=True)
-    return _capture(path, _flat({k: v for k, v in content.items() if not k.startswith("__")}), {})
+    return flat({k: v for k, v in content.items() if not k.startswith("__")}), {}
 
 
-def _parquet(path: Path) -> Capture:
+def _parquet(path: Path) -> tuple[Tree, Units]:
     from pyarrow.parquet import read_table
 
-    table = read_table(path)
+    return _of_arrow(read_table(path)), {}
+
+
+def _feather(path: Path) -> tuple[Tree, Units]:
+    from pyarrow.feather import read_table
+
+    return _of_arrow(read_table(path)), {}
+
+
+def _of_arrow(table: Any) -> Tree:
     columns: Tree = {}
     for name in table.column_names:
         values = table.column(name).to_pylist()
@@ -129,7 +222,7 @@ def _parquet(path: Path) -> Capture:
             columns[(name,)] = np.array(values, dtype=np.float64)
         else:
             columns[(name,)] = _series(values)
-    return _capture(path, columns, {})
+    return columns
 
 
 def _series(values: Sequence[object]) -> NDArray[Any]:
@@ -140,36 +233,35 @@ def _series(values: Sequence[object]) -> NDArray[Any]:
     return np.array([_word(v) for v in values], dtype=object)
 
 
-def _npy(path: Path) -> Capture:
+def _npy(path: Path) -> tuple[Tree, Units]:
     values = np.load(path, allow_pickle=False)
     if values.dtype.names is None:
         raise InputError.at(
             path, f"has no names for its {values.shape[-1] if values.ndim else 0} columns; save it "
             "as a structured array, or as a table with a line of names",
         )  # fmt: skip
-    return _capture(path, _flat({n: values[n] for n in values.dtype.names}), {})
+    return flat({n: values[n] for n in values.dtype.names}), {}
 
 
-def _npz(path: Path) -> Capture:
+def _npz(path: Path) -> tuple[Tree, Units]:
     with np.load(path, allow_pickle=False) as store:
-        return _capture(path, _flat({name: store[name] for name in store.files}), {})
+        return flat({name: store[name] for name in store.files}), {}
 
 
-def _hdf5(path: Path) -> Capture:
-    return _capture(path, *_hdf5_tree(path, reverse=False))
-
-
-def _hdf5_tree(path: Path, reverse: bool) -> tuple[Tree, dict[tuple[str, ...], str]]:
-    """Arrays, and the units that are attributes of some."""
+def _hdf5_tree(path: Path, reverse: bool = False) -> tuple[Tree, Units]:
+    """Arrays and numbers that are attributes of groups, and the units that are of arrays."""
     import h5py
 
     tree: Tree = {}
-    units: dict[tuple[str, ...], str] = {}
+    units: Units = {}
 
     def keep(name: str, item: Any) -> None:
+        key = tuple(name.split("/")) if name else ()
+        if isinstance(item, h5py.Group) and not name.startswith("#"):
+            numbers = {n: np.asarray(v) for n, v in item.attrs.items() if np.ndim(v) == 0}
+            tree.update({(*key, n): v for n, v in numbers.items() if v.dtype.kind in "fiu"})
         if not isinstance(item, h5py.Dataset) or name.startswith("#"):
             return
-        key = tuple(name.split("/"))
         values = item.asstr()[()] if h5py.check_string_dtype(item.dtype) else item[()]
         values = np.asarray(values)
         if values.dtype.names is not None:
@@ -181,6 +273,7 @@ def _hdf5_tree(path: Path, reverse: bool) -> tuple[Tree, dict[tuple[str, ...], s
         units[key] = unit_of(said.decode() if isinstance(said, bytes) else str(said))
 
     with h5py.File(path, "r") as store:
+        keep("", store)
         store.visititems(keep)
     return tree, units
 
@@ -192,20 +285,20 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
         raise InputError.at(path, f"{message}CSV: DataFrame.to_csv, of DeepLabCut save_as_csv=True")
 
 
-def _flat(content: Mapping[str, Any], above: tuple[str, ...] = ()) -> Tree:
+def flat(content: Mapping[str, Any], above: tuple[str, ...] = ()) -> Tree:
     """Arrays of structures within structures."""
     found: Tree = {}
     for name, value in content.items():
         key = (*above, str(name))
         if isinstance(value, Mapping):
-            found |= _flat(value, key)
+            found |= flat(value, key)
             continue
         if isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
-            found |= _flat({_called(item, k): item for k, item in enumerate(value)}, key)
+            found |= flat({_called(item, k): item for k, item in enumerate(value)}, key)
             continue
         values = np.asarray(value)
         if values.dtype.names is not None:
-            found |= _flat({n: values[n] for n in values.dtype.names}, key)
+            found |= flat({n: values[n] for n in values.dtype.names}, key)
         else:
             found[key] = values
     return found
@@ -213,20 +306,22 @@ def _flat(content: Mapping[str, Any], above: tuple[str, ...] = ()) -> Tree:
 
 def _called(item: Mapping[str, Any], number: int) -> str:
     """What a structure of a list calls itself, else its number."""
-    said = (value for name, value in item.items() if _LABELS.fullmatch(str(name).lower()))
+    said = (value for name, value in item.items() if LABELS.fullmatch(str(name).lower()))
     return next((value for value in said if isinstance(value, str) and value), str(number))
 
 
-def _check_one_trial(path: Path, keys: Collection[tuple[str, ...]]) -> None:
+def _check_one_trial(path: Path, tree: Tree) -> None:
     """Raise InputError where groups have times of their own."""
-    groups = {key[:-1] for key in keys if meaning(CapturedColumn(key[-1])).kind is ColumnKind.TIME}
+    groups = [WITHIN.join(group) or "its top" for group in time_groups(tree)]
     if len(groups) > 1:
-        names = " and ".join(sorted("/".join(group) or "its top" for group in groups)[:3])
-        message = f"holds times in {names}: these are several recordings; save each in a file of "
-        raise InputError.at(path, f"{message}its own, and give that of the gripper with --hand")
+        raise InputError.at(
+            path, f"holds times in {' and '.join(groups[:3])}: these are several recordings; save "
+            "each in a file of its own, and give that of the gripper with --hand, or name them "
+            f"{path.name}{PART}{groups[0]}",
+        )  # fmt: skip
 
 
-def _capture(path: Path, tree: Tree, units: Mapping[tuple[str, ...], str]) -> Capture:
+def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
     """Columns of all arrays that have as many rows as most have."""
     arrays = {key: np.squeeze(values) for key, values in tree.items()}
     numbers = {k: v for k, v in arrays.items() if v.dtype.kind in "fiub" and v.ndim >= 1}
@@ -238,7 +333,7 @@ def _capture(path: Path, tree: Tree, units: Mapping[tuple[str, ...], str]) -> Ca
         raise InputError.at(path, f"has {rows} rows, limit {MAX_ROWS}; cut it to the motion")
     words = {key: [_word(v) for v in value.ravel()] for key, value in arrays.items()
              if value.dtype.kind in "OUS" and value.ndim <= 1}  # fmt: skip
-    _check_one_trial(path, [k for k, v in numbers.items() if v.ndim == 1])
+    _check_one_trial(path, tree)
     columns: list[CapturedColumn] = []
     series: list[NDArray[Any]] = []
     left_out: list[str] = []
@@ -248,13 +343,14 @@ def _capture(path: Path, tree: Tree, units: Mapping[tuple[str, ...], str]) -> Ca
             continue
         along = values.shape.index(rows)
         values = np.moveaxis(values, along, 0).astype(np.float64)
-        for name, column in _columns(key, values, _labels(key, values.shape, words)):
+        for name, column in _columns(key, values, labels(key, values.shape, words)):
             columns.append(CapturedColumn(name, units.get(key, "")))
             series.append(column)
     notes = [f"{path}: {n} is no series of {rows} rows; it is not read" for n in left_out]
     made = Capture(
         path, tuple(_distinct(columns)), np.column_stack(series), np.arange(1, rows + 1),
-        _rate_hz(arrays), _unit(words), notes=tuple(notes), counted="row",
+        _rate_hz(arrays), _unit(words), notes=tuple(notes), of_cable=_of_cable(arrays),
+        counted="row",
     )  # fmt: skip
     of_rows = {_name(k): w for k, w in words.items() if len(w) == rows}
     return pivoted(made, of_rows)
@@ -266,7 +362,7 @@ def _name(key: tuple[str, ...]) -> str:
 
 
 def _columns(
-    key: tuple[str, ...], values: NDArray[np.float64], labels: Sequence[str] | None
+    key: tuple[str, ...], values: NDArray[np.float64], said: Sequence[str] | None
 ) -> Iterator[tuple[str, NDArray[np.float64]]]:
     """Names and series of an array (rows, …): coordinates last, points before them."""
     name, own = _name(key), key[-1]
@@ -274,38 +370,49 @@ def _columns(
         yield name, values
         return
     if values.ndim == 2:
-        if labels is not None and len(labels) == values.shape[1]:
-            yield from ((f"{label} {own}", values[:, k]) for k, label in enumerate(labels))
+        if said is not None and len(said) == values.shape[1]:
+            yield from ((_with_name(own, label), values[:, k]) for k, label in enumerate(said))
             return
-        point = f"{labels[0]} {own}" if labels is not None and len(labels) == 1 else name
+        point = f"{said[0]} {own}" if said is not None and len(said) == 1 else name
         yield from _of_point(point, values)
         return
     points = values.shape[1:]
-    if (points[0] in _AXES and points[1] not in _AXES) or (
-        labels is not None and len(labels) == points[1] != points[0]
+    if _are_poses(values):  # column by column, as robots write them
+        columns = values.transpose(0, 2, 1).reshape(len(values), -1)
+        yield from ((f"{name} {k}", columns[:, k]) for k in range(columns.shape[1]))
+        return
+    if (points[0] in AXES and points[1] not in AXES) or (
+        said is not None and len(said) == points[1] != points[0]
     ):
         values = values.transpose(0, 2, 1)
     for k in range(values.shape[1]):
-        named = labels is not None and len(labels) == values.shape[1]
-        point = f"{labels[k]} {own}" if labels is not None and named else f"{name} {k}"
+        named = said is not None and len(said) == values.shape[1]
+        point = f"{said[k]} {own}" if said is not None and named else f"{name} {k}"
         yield from _of_point(point, values[:, k])
+
+
+def _with_name(own: str, label: str) -> str:
+    """A column's name with that of its array, and its unit at the end."""
+    bare, unit = split_unit(label)
+    return f"{bare} {own} [{unit}]" if unit else f"{bare} {own}"
+
+
+def _are_poses(values: NDArray[np.float64]) -> bool:
+    """Whether matrices (rows, 4, 4) have the last row of a pose, or (rows, 3, 3) are rotations."""
+    if values.shape[1:] == (4, 4):
+        known = values[np.isfinite(values).all(axis=(1, 2))]
+        return len(known) > 0 and bool(np.allclose(known[:, 3], [0.0, 0.0, 0.0, 1.0]))
+    if values.shape[1:] != (3, 3):
+        return False
+    known = values[np.isfinite(values).all(axis=(1, 2))]
+    square = known @ known.transpose(0, 2, 1)
+    return len(known) > 0 and bool(np.allclose(square, np.eye(3), atol=1e-3))
 
 
 def _of_point(point: str, values: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64]]]:
     """Names and series of the coordinates (rows, d) of a point, or of other numbers of it."""
-    titles = _AXES.get(values.shape[1]) or [str(k) for k in range(values.shape[1])]
+    titles = AXES.get(values.shape[1]) or [str(k) for k in range(values.shape[1])]
     yield from ((f"{point} {title}", values[:, k]) for k, title in enumerate(titles))
-
-
-def _labels(
-    key: tuple[str, ...], shape: Sequence[int], words: Mapping[tuple[str, ...], Sequence[str]]
-) -> Sequence[str] | None:
-    """Names of points that stand in the same group as an array."""
-    for other, found in words.items():
-        fits = len(found) in shape or (len(found) == 1 and len(shape) > 1)
-        if other[:-1] == key[:-1] and _LABELS.fullmatch(other[-1].lower()) and fits:
-            return found
-    return None
 
 
 def _distinct(columns: Sequence[CapturedColumn]) -> Iterator[CapturedColumn]:
@@ -325,6 +432,12 @@ def _rate_hz(arrays: Tree) -> float | None:
     return None
 
 
+def _of_cable(arrays: Tree) -> tuple[tuple[str, float], ...]:
+    """Positive single numbers that are named as those of a study's cable."""
+    single = {key[-1]: v for key, v in arrays.items() if v.ndim == 0 and v.dtype.kind in "fiu"}
+    return tuple((name, float(single[name])) for name in OF_CABLE if single.get(name, 0.0) > 0.0)
+
+
 def _unit(words: Mapping[tuple[str, ...], Sequence[str]]) -> str:
     """Unit of length that a text states."""
     said = [unit_of(found[0]) for key, found in words.items()
@@ -332,9 +445,9 @@ def _unit(words: Mapping[tuple[str, ...], Sequence[str]]) -> str:
     return next((unit for unit in said if unit in METRES), "")
 
 
-_READERS: dict[str, Callable[[Path], Capture]] = {
-    ".xlsx": _sheet, ".mat": _mat, ".parquet": _parquet, ".npy": _npy, ".npz": _npz,
-    ".h5": _hdf5, ".hdf5": _hdf5,
+_TREES: dict[str, Callable[[Path], tuple[Tree, Units]]] = {
+    ".mat": _mat, ".parquet": _parquet, ".npy": _npy, ".npz": _npz, ".h5": _hdf5_tree,
+    ".hdf5": _hdf5_tree, ".feather": _feather, ".arrow": _feather,
 }  # fmt: skip
 #: Endings of names of files of arrays.
-CONTAINERS = tuple(_READERS)
+CONTAINERS = (".xlsx", *_TREES)

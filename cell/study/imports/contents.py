@@ -7,29 +7,45 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.study.imports.capture import Capture
-from cell.study.imports.column_names import ColumnKind, Meaning, confidence, meaning
+from cell.study.imports.column_names import (
+    ColumnKind,
+    Meaning,
+    confidence,
+    meaning,
+    with_axes_at_ends,
+)
 from cell.study.imports.units import RADIANS
 
 #: Words for what holds a cable.
 HAND = frozenset(
     ("hand", "grip", "gripper", "gripping", "clamp", "tcp", "tool", "robot", "flange", "ee",
      "effector", "base", "root", "mount", "greifer", "holder", "wrist", "shaker", "cart", "fixture",
-     "chuck", "jaw", "jaws", "hub", "motor", "eef", "klemm", "klemme")
+     "chuck", "jaw", "jaws", "hub", "motor", "eef", "klemm", "klemme", "grp", "backe", "backen",
+     "pince", "mors", "pinza", "garra")
 )  # fmt: skip
+
+
+#: Frames of a film to a row that is there, at most.
+_GAPS = 1.5
 
 
 @dataclass(frozen=True)
 class Point:
-    """A point with two or three coordinates in columns of one file."""
+    """A point with two or three coordinates in columns of one file.
+
+    common  words that the names of all points of the file have: of a subject, or of the program
+    """
 
     name: str
     columns: tuple[str, ...]
     unit: str
+    common: frozenset[str] = frozenset()
 
     @property
     def on_gripper(self) -> bool:
-        """Whether its name says that it is on what holds the cable."""
-        return bool(HAND.intersection(self.name.split()))
+        """Whether its name says that it is on what holds the cable, and the others are not."""
+        own = set(self.name.split()) - self.common
+        return bool(HAND.intersection(word.rstrip("0123456789") for word in own))
 
 
 @dataclass(frozen=True)
@@ -68,11 +84,14 @@ class Contents:
 
 def contents(capture: Capture) -> Contents:
     """Sort the columns of a file by what their names and units say."""
-    said = [(c.name, meaning(c)) for c in capture.columns]
-    times = [(n, m) for n, m in said if m.kind is ColumnKind.TIME]
+    said = with_axes_at_ends([(c.name, meaning(c)) for c in capture.columns])
+    times = [(n, m) for n, m in said if m.kind is ColumnKind.TIME and _holds_any(capture, n)]
     frames = [(n, m) for n, m in said if m.kind is ColumnKind.FRAME]
     rising = [(n, m) for n, m in times if _rises(capture, n)]
+    rising.sort(key=lambda found: "header" not in found[1].group.split())  # stamped by its sensor
     chosen = (rising or times or frames)[:1]
+    if not chosen and said and _counts_rows(capture, *said[0]):
+        chosen = frames = [(said[0][0], replace(said[0][1], kind=ColumnKind.FRAME))]
     points, others = _points(capture, said)
     quaternions = _quaternions(said)
     of_quaternions = {n for _, four in quaternions for n in four}
@@ -139,6 +158,19 @@ def _accelerations(
     return tuple(sorted(((n, m) for n, m in found if m.group == chosen), key=lambda f: f[1].axis))
 
 
+def _counts_rows(capture: Capture, name: str, said: Meaning) -> bool:
+    """Whether a first column without a meaning counts frames, of which few are missing."""
+    steps = np.diff(capture.column(name))
+    if said.kind is not ColumnKind.OTHER or said.unit or not len(steps):
+        return False
+    whole = bool(np.all(steps >= 1.0) and np.all(steps == np.round(steps)))
+    return whole and bool(np.median(steps) == 1.0 and steps.mean() < _GAPS)
+
+
+def _holds_any(capture: Capture, name: str) -> bool:
+    return bool(np.isfinite(capture.column(name)).any())
+
+
 def _rises(capture: Capture, name: str) -> bool:
     values = capture.column(name)
     return bool(np.isfinite(values).all() and len(values) > 1 and values[-1] > values[0])
@@ -152,7 +184,8 @@ def _points(
     for name, m in said:
         if m.kind is ColumnKind.COORDINATE:
             groups.setdefault(m.group, {}).setdefault(m.axis, (name, m.unit))
-    points, alone = [], []
+    points: list[Point] = []
+    alone: list[str] = []
     for group, axes in groups.items():
         if len(axes) < 2:
             alone += [name for name, _ in axes.values()]
@@ -161,6 +194,9 @@ def _points(
         unit = next((u for _, u in axes.values() if u), capture.unit)
         name = f"marker {group}" if group.isdecimal() else group or "point"
         points.append(Point(name, columns, unit))
+    if len(points) > 1:
+        common = frozenset.intersection(*(frozenset(p.name.split()) for p in points))
+        points = [replace(p, common=common) for p in points]
     return tuple(points), alone
 
 

@@ -21,9 +21,11 @@ from cell.study.import_checks import IMPORT_NOTES, IMPORT_REFUSALS, IMPORT_SHAPE
 from cell.study.imports.capture import Capture
 from cell.study.imports.gripper_path import GripperPath, gripper_path
 from cell.study.imports.gripper_section import TimeSection
+from cell.study.imports.joined_files import joined
 from cell.study.imports.mapping import Mapping, ReadMapping, TrialEntry
 from cell.study.imports.places import out_of_plane_m, places_m
 from cell.study.imports.read import read_capture
+from cell.study.imports.row_trials import rows_of
 from cell.study.imports.scales import WRONG_UNIT, is_coarse, other_rate
 from cell.study.trial_checks import TrialEvidence, trial_problems
 
@@ -44,10 +46,15 @@ def read_captures(read: ReadMapping) -> dict[str, Capture]:
     each = [(t, read.mapping.of_trial(t)) for t in read.mapping.trials]
     forms = {t.file: mapping.text for t, mapping in each}
     forms |= {t.hand_file: mapping.hand.text for t, mapping in each if t.hand_file is not None}
-    return {
+    found = {
         name: read_capture(read.file(name), None if text is None else text.form)
         for name, text in forms.items()
     }
+    for trial, _ in each:
+        if trial.joined_files:
+            others = [read_capture(read.file(name)) for name in trial.joined_files]
+            found[trial.file] = joined([found[trial.file], *others])
+    return found
 
 
 def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
@@ -135,6 +142,8 @@ def _tested(
     return problems, [*told, *more]
 
 
+#: Rows between two steps back in time that are a recording of its own.
+_OWN_RECORDING = 5
 #: Trials of one cable whose clamp never turns rest alike, rad.
 _RESTS_ALIKE = 0.05
 
@@ -236,7 +245,7 @@ def _measured(
 ) -> _ImportedTrial:
     """One trial, with the lines and names of its file."""
     mapping = read.mapping
-    capture = captures[entry.file]
+    capture = rows_of(captures[entry.file], entry.only)
     t_s = times_s(capture, mapping.time)
     zero_s = float(t_s[0]) if mapping.time.starts_at_zero else 0.0
     scale = mapping.metres_per_unit or 1.0
@@ -281,6 +290,8 @@ def times_s(capture: Capture, section: TimeSection) -> FloatArray:
         word = "repeats" if raw[row] == raw[row - 1] else "comes after"
         more = f", as in {len(back) - 1} more rows" if len(back) > 1 else ""
         remedy = "remove what is there twice, and sort the rows"
+        if _restarts(raw, back):
+            remedy = "another recording begins here: save each in a file of its own, or remove one"
         if is_coarse(raw):
             remedy = "its clock is coarser than the rows: give --rate, by which they are counted"
         raise capture.error(
@@ -290,6 +301,14 @@ def times_s(capture: Capture, section: TimeSection) -> FloatArray:
             section.column,
         )
     return np.asarray(raw * (section.seconds_per_unit or 1.0))
+
+
+def _restarts(raw: FloatArray, back: NDArray[np.intp]) -> bool:
+    """Whether times rise for long between the rows at which they go back by more than a few."""
+    parts = np.diff([0, *back, len(raw)])
+    steps = raw[back - 1] - raw[back]
+    usual = float(np.median(np.diff(raw)))
+    return bool(parts.min() >= _OWN_RECORDING and steps.min() > _OWN_RECORDING * usual > 0.0)
 
 
 def _motion(
@@ -304,7 +323,7 @@ def _motion(
     raises  InputError: it is missing somewhere, or on no clock
     """
     mapping, hand = read.mapping, read.mapping.hand
-    capture = captures[entry.hand_file or entry.file]
+    capture = rows_of(captures[entry.hand_file or entry.file], entry.only)
     t_s = times_s(capture, hand.time or mapping.time) - zero_s + entry.clock_offset_s
     path = gripper_path(read, entry, capture, t_s)
     xy_m, angle_rad = path.xy_m, path.angle_rad

@@ -2,34 +2,51 @@
 
 from __future__ import annotations
 
-import codecs
-import csv
 import re
 import reprlib
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from cell.files.input_error import InputError
-from cell.files.text_file import read_bytes
 from cell.study.imports.capture import (
     NOT_SEEN,
     Capture,
     CapturedColumn,
     Decimal,
     TextForm,
+    is_clock,
     is_grouped,
     is_number,
     number,
 )
 from cell.study.imports.contents import contents
-from cell.study.imports.header import Header, read_header
-from cell.study.imports.long_tables import pivoted, time_column
-from cell.study.table import MAX_BYTES, MAX_ROWS
+from cell.study.imports.header import Header, read_header, with_legend, without_properties
+from cell.study.imports.long_tables import (
+    joined,
+    pivoted,
+    point_by_point,
+    same_frames,
+    stacked,
+)
+from cell.study.imports.remarks import without_units
+from cell.study.imports.text_content import text_of
+from cell.study.imports.text_rows import (
+    Row,
+    goes_on,
+    split_line,
+    split_lines,
+    upright,
+    without_comments,
+    without_reception,
+    without_repeats,
+)
+from cell.study.imports.vector_cells import with_single_cells
+from cell.study.table import MAX_ROWS
 
 #: In the order in which they are preferred; a blank stands for any number of blanks.
 SEPARATORS = (",", ";", "\t", "|", " ")
@@ -38,23 +55,14 @@ DECIMALS: tuple[Decimal, ...] = (".", ",")
 _SAMPLE, _LOOKED_AT = 400, 80
 #: Lines that are read cell by cell before plain ones are read at once: more than any header has.
 _HEAD = 60
+#: Any number of blanks stands between cells only if another separator shows so much less.
+_BLANKS = 0.95
 #: A text that shows fewer than this share of its numbers in one form is of another.
 _OF_FORM = 0.5
+#: A word that stands in fewer cells is no program's word for a gap.
+_FEWEST_GAPS = 2
 #: Headers of motion capture have a dozen lines; what begins later is no table.
 _MOST_HEADER = 200
-
-
-@dataclass(frozen=True)
-class Row:
-    """A line's number, counted from 1, and its cells."""
-
-    line: int
-    cells: tuple[str, ...]
-
-    @property
-    def blank(self) -> bool:
-        """Whether nothing stands there."""
-        return not any(cell.strip() for cell in self.cells)
 
 
 def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
@@ -69,13 +77,17 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     if text.count("\n") > MAX_ROWS + _MOST_HEADER:
         message = f"has {text.count(chr(10))} lines, limit {MAX_ROWS}; cut it to the motion"
         raise InputError.at(path, message, line=MAX_ROWS)
+    raw = with_single_cells(text.splitlines())
+    text = "\n".join(raw)
     if form is not None:
         _check_form(path, text, form)
     form = form or text_form(text)
-    lines = text.splitlines()
+    lines = with_legend(without_properties(raw, form.separator), form.separator)
     made = _long_table(path, lines, form)
     if made is None:
-        made = _richest(path, _tables(_rows(path, lines, form.separator), form), form)
+        rows, told = upright(path, split_lines(path, lines, form.separator), form.decimal)
+        notes += told
+        made = _richest(path, _tables(rows, form), form)
     return replace(made, notes=(*notes, *made.notes))
 
 
@@ -84,11 +96,11 @@ def _long_table(path: Path, lines: Sequence[str], form: TextForm) -> Capture | N
     below = _plain_numbers(lines[_HEAD:], form)
     if below is None:
         return None
-    tables = _tables(_rows(path, lines[:_HEAD], form.separator), form)
+    tables = _tables(split_lines(path, lines[:_HEAD], form.separator), form)
     if len(tables) > 1:
         return None
     try:
-        return _read_table(path, tables[0], form, below)
+        return pivoted(*_raw_table(path, tables[0], form, below))
     except InputError:
         return None
 
@@ -122,23 +134,13 @@ def _plain_numbers(lines: Sequence[str], form: TextForm) -> np.ndarray | None:
 
 
 def _text(path: Path) -> tuple[str, list[str]]:
-    """Text of a file in UTF-8, UTF-16 or, as spreadsheets write it, Windows-1252; and a note.
+    """Text of a file without times of reception, and notes on how it is read.
 
     raises  InputError: it is no text, is missing or too large
     """
-    content = read_bytes(path, MAX_BYTES)
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encodings = ["utf-16"]
-    else:
-        encodings = ["utf-8-sig"] if b"\0" in content else ["utf-8-sig", "cp1252"]
-    for encoding in encodings:
-        try:
-            text = content.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        notes = [f"{path}: is no UTF-8 text; it is read as Windows-1252, as Excel writes it"]
-        return text, notes if encoding == "cp1252" else []
-    raise InputError.at(path, "cannot be read: is not UTF-8 text; save it as UTF-8", column=1)
+    text, notes = text_of(path)
+    text, received = without_reception(path, text)
+    return text, [*notes, *received]
 
 
 def _tables(rows: Sequence[Row], form: TextForm) -> list[Sequence[Row]]:
@@ -151,10 +153,10 @@ def _tables(rows: Sequence[Row], form: TextForm) -> list[Sequence[Row]]:
     for i, row in enumerate(rows):
         if row.blank:
             blank, words = True, i + 1
-        elif not _is_data(row.cells, form.decimal) or _is_remark(row, form.decimal):
+        elif not row.is_data(form.decimal) or _is_remark(row, form.decimal):
             words = words if blank else i
         elif not blank or words == i:
-            with_numbers, blank = True, blank and not with_numbers
+            with_numbers, blank = True, False
         elif with_numbers:
             tables.append(rows[begin:words])
             begin, blank = words, False
@@ -174,21 +176,29 @@ def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Cap
 
     raises  InputError: the first complaint, if none can be read
     """
+    parts: list[tuple[Capture, dict[str, list[str]]]] = []
     read: list[Capture] = []
     problems: list[InputError] = []
     for rows in _with_names_of_first(path, tables, form):
         try:
-            read.append(_read_table(path, rows, form))
+            parts.append(_raw_table(path, rows, form))
+        except InputError as error:
+            problems.append(error)
+    for part, labels in stacked(parts):
+        try:
+            read.append(pivoted(part, labels))
         except InputError as error:
             problems.append(error)
     if not read:
         raise problems[0]
+    if (made := point_by_point(read)) is not None:
+        return made
     best = max(read, key=lambda table: len(contents(table).points))
     for other in read:
         if other is best:
             continue
-        if _same_frames(best, other):
-            best = _joined(best, other)
+        if same_frames(best, other):
+            best = joined(best, other)
         else:
             note = f"{path}:{other.lines[0]}: another table begins here; it is not read"
             best = replace(best, notes=(*best.notes, note))
@@ -230,33 +240,16 @@ def _bare(row: Row) -> list[str]:
     return [word for word in words if word]
 
 
-def _same_frames(one: Capture, other: Capture) -> bool:
-    """Whether two tables have a row for each of the same frames or times."""
-    first, second = time_column(one), time_column(other)
-    if first is None or second is None:
-        return False
-    return np.array_equal(one.values[:, first], other.values[:, second])
-
-
-def _joined(one: Capture, other: Capture) -> Capture:
-    """A table with the columns of another that it does not have, row by row."""
-    new = [i for i, name in enumerate(other.names) if name not in one.names]
-    return replace(
-        one,
-        columns=(*one.columns, *(other.columns[i] for i in new)),
-        values=np.hstack([one.values, other.values[:, new]]),
-        notes=(*one.notes, *other.notes),
-    )
-
-
-def _read_table(
+def _raw_table(
     path: Path, rows: Sequence[Row], form: TextForm, below: np.ndarray | None = None
-) -> Capture:
-    """One table with the lines above it.  Raises InputError.
+) -> tuple[Capture, dict[str, list[str]]]:
+    """One table with the lines above it, and its columns of words.  Raises InputError.
 
     below  numbers of the lines that follow; None = there are none.  It is an error if they do not
            go on with the table
     """
+    rows, again = without_repeats(path, rows, form.decimal)
+    rows, words = without_comments(path, rows, form.decimal)
     first, last = _block(path, rows, form)
     table = _without_end(rows[:first], rows[first:last])
     header = read_header(path, [(r.line, r.cells) for r in rows[:first]], table[0].cells)
@@ -267,8 +260,12 @@ def _read_table(
         lines = np.append(made.lines, made.lines[-1] + 1 + np.arange(len(below)))
         made = replace(made, values=np.vstack([made.values, below]), lines=lines)
     rest = [row.line for row in rows[last:] if not row.blank]
-    notes = [f"{path}:{rest[0]}: another table begins here; it is not read"] if rest else []
-    return pivoted(replace(made, form=form, notes=tuple(notes)), labels)
+    begins = "another table begins here; it is not read"
+    if not any(goes_on(row, table[0], form.decimal) for row in rows[last:]):
+        begins = "the table ends here, for no row of numbers follows; the rest is not read"
+    notes = [f"{path}:{rest[0]}: {begins}"] if rest else []
+    notes = [*made.notes, *again, *words, *notes]
+    return replace(made, form=form, notes=tuple(notes)), labels
 
 
 def captured(
@@ -278,17 +275,25 @@ def captured(
 
     raises  InputError: a cell of a column of numbers is none
     """
+    table, columns = without_units(path, table, header.columns, decimal)
+    header = replace(header, columns=columns)
     grouped = any(is_grouped(c.strip(), decimal) for row in table[:_SAMPLE] for c in row.cells)
     numeric = _numeric_columns(table, decimal, grouped)
-    values = _values(path, table, header, numeric, decimal, grouped)
+    values, notes = _values(path, table, header, numeric, decimal, grouped)
     labels = {
         column.name: [row.cells[c].strip() for row in table]
         for c, column in enumerate(header.columns)
         if not numeric[c]
     }
-    columns = tuple(c for c, is_one in zip(header.columns, numeric, strict=True) if is_one)
+    columns = tuple(
+        replace(column, unit="s") if not column.unit and is_clock(table[0].cells[c]) else column
+        for c, column in enumerate(header.columns)
+        if numeric[c]
+    )
     lines = np.array([row.line for row in table], dtype=np.intp)
-    return Capture(path, columns, values, lines, header.rate_hz, header.unit), labels
+    made = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
+    made = replace(made, pixel_m=header.pixel_m)
+    return made, labels
 
 
 def text_form(text: str) -> TextForm:
@@ -296,7 +301,7 @@ def text_form(text: str) -> TextForm:
     lines = _sample(text)
     there = [s for s in SEPARATORS if s == " " or any(s in line for line in lines)]
     forms = [TextForm(separator, decimal) for separator in there for decimal in DECIMALS]
-    return max(forms, key=lambda form: _numbers(lines, form))
+    return max(forms, key=lambda f: _numbers(lines, f) * (_BLANKS if f.separator == " " else 1.0))
 
 
 def _sample(text: str) -> list[str]:
@@ -309,7 +314,7 @@ def _numbers(lines: Sequence[str], form: TextForm) -> int:
     """How many numbers stand in rows of equal width, less what is none."""
     counts: Counter[int] = Counter()
     for line in lines:
-        cells = _split(line, form.separator)
+        cells = split_line(line, form.separator)
         if len(cells) < 2:
             continue
         values = [number(c, form.decimal) for c in cells]
@@ -333,38 +338,12 @@ def _check_form(path: Path, text: str, form: TextForm) -> None:
     )
 
 
-def _split(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return line.split()
-    try:
-        return next(csv.reader([line], delimiter=separator), [])
-    except csv.Error:
-        return []
-
-
-def _rows(path: Path, lines: Sequence[str], separator: str) -> list[Row]:
-    if separator == " ":
-        return [Row(i, tuple(line.split())) for i, line in enumerate(lines, 1)]
-    reader = csv.reader(lines, delimiter=separator)
-    try:
-        return [Row(reader.line_num, tuple(cells)) for cells in reader]
-    except csv.Error as error:
-        message = f"is no table: {error}; write plain numbers between {separator!r}"
-        raise InputError.at(path, message, line=reader.line_num) from error
-
-
-def _is_data(cells: Sequence[str], decimal: Decimal) -> bool:
-    """Whether a row holds a number, and at least as many numbers as other words."""
-    filled = [c for c in cells if c.strip().lower() not in NOT_SEEN]
-    return bool(filled) and 2 * sum(is_number(c, decimal) for c in filled) >= len(filled)
-
-
 def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
     """First row of the table, and the row after its last.
 
     raises  InputError: there is none, or a row in it is something else
     """
-    data = [len(r.cells) >= 2 and _is_data(r.cells, form.decimal) for r in rows]
+    data = [len(r.cells) >= 2 and r.is_data(form.decimal) for r in rows]
     widths = Counter(len(r.cells) for r, is_one in zip(rows, data, strict=True) if is_one)
     if not widths:
         raise InputError.at(
@@ -383,10 +362,12 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
             blank = True
         elif data[i] and (len(rows[i].cells) == width or not blank):
             last = i + 1
-        elif blank:
+        elif blank or not any(data[i:]):
             break
         else:
             raise _no_row(path, rows[i])
+    while last > first + 1 and not goes_on(rows[last - 1], rows[first], form.decimal):
+        last -= 1
     return first, _checked_width(path, rows, first, last, form)
 
 
@@ -454,17 +435,31 @@ def _values(
     numeric: Sequence[bool],
     decimal: Decimal,
     grouped: bool,
-) -> np.ndarray:
-    """(rows, numeric columns).  Raises InputError: a cell is no number."""
+) -> tuple[np.ndarray, list[str]]:
+    """(rows, numeric columns), and notes about words that mean that nothing was seen.
+
+    raises  InputError: a cell is no number
+    """
     chosen = [c for c, is_one in enumerate(numeric) if is_one]
     values = np.empty((len(table), len(chosen)))
+    words: dict[str, list[tuple[Row, int]]] = {}
     for i, row in enumerate(table):
         for k, c in enumerate(chosen):
             value = number(row.cells[c], decimal, grouped)
-            if value is None:
+            if value is None and re.search(r"\d", row.cells[c]):
                 raise _no_number(path, row, header.columns[c], row.cells[c], decimal)
-            values[i, k] = value
-    return values
+            if value is None:
+                words.setdefault(row.cells[c].strip(), []).append((row, c))
+            values[i, k] = np.nan if value is None else value
+    for places in words.values():  # a program writes its word for a gap into each coordinate
+        if len(places) < _FEWEST_GAPS:
+            row, c = places[0]
+            raise _no_number(path, row, header.columns[c], row.cells[c], decimal)
+    return values, [
+        f"{path}:{places[0][0].line}: {reprlib.repr(word)} stands in {len(places)} cells of "
+        "numbers: nothing was seen there"
+        for word, places in words.items()
+    ]
 
 
 def _no_number(
@@ -473,7 +468,7 @@ def _no_number(
     hint = "give one, or nothing where nothing was seen"
     if re.fullmatch(r"\s*[-+]?\d{1,3}([.,]\d{3})+[.,]?\d*\s*", cell):
         hint = "write numbers without separators of thousands"
-    elif "," in cell or "." in cell:
+    elif re.search(r"\d", cell) and ("," in cell or "." in cell):
         hint = f"the decimal mark of this file is {decimal!r}; use one mark throughout"
     elif re.fullmatch(r"\s*[-+]?[0-9.,]+\s*[^\d\s.,]+\s*", cell):
         hint = "write the number alone, and its unit in the column's name"

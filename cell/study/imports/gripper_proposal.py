@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.study.imports.capture import Capture, Finding, Sure
-from cell.study.imports.choosing import columns_finding, detected_places
+from cell.files.words import first_of
+from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
+from cell.study.imports.choosing import detected_places
 from cell.study.imports.clamp_angle import Root, clamp_angle
 from cell.study.imports.column_names import Meaning
 from cell.study.imports.contents import Contents, Point, contents
@@ -32,6 +33,8 @@ ACCELERATIONS = {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665}
 _WITHIN = 0.1
 #: Rows in which a gripper rests at first.
 _REST = 20
+#: Columns that are listed for a person to choose the gripper's.
+_LISTED = 24
 
 
 def sensor_section(
@@ -40,63 +43,61 @@ def sensor_section(
     axes: AxesSection,
     root: Root,
     of_file: dict[str, Any],
-) -> tuple[GripperSection, list[Finding]]:
+    findings: ImportFindings,
+) -> GripperSection:
     """The gripper's section for an encoder or accelerometer, null where the user must fill it in.
 
-    axes     of the markers
-    of_file  entries of the section that are of a file of its own
+    axes      of the markers
+    of_file   entries of the section that are of a file of its own
+    findings  those about it are added
     """
     if not inside.encoders:
-        section, findings = _by_acceleration(capture, inside, axes, root)
+        section = _by_acceleration(capture, inside, axes, root, findings)
     elif all(m.unit in METRES for _, m in inside.encoders):
-        columns, findings = _linear(inside)
-        plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
-        angle, told = clamp_angle(capture, inside, plane, root, None, "")
-        unit = METRES[inside.encoders[0][1].unit]
-        section = GripperSection(columns=columns, axes=plane, metres_per_unit=unit, angle=angle)
-        findings += told
+        section = _linear(capture, inside, root, findings)
     else:
-        section, findings = _turning(capture, inside, axes, root)
+        section = _turning(capture, inside, axes, root, findings)
     section = section.model_copy(update=of_file)
-    findings += [
-        Finding("hand", f"give {'.'.join(map(str, key))}: {remedy}", Sure.WANTED)
-        for key, remedy in entries_to_fill_in(section)
-    ]
-    return section, findings
+    for key, remedy in entries_to_fill_in(section):
+        findings.wanted("hand", f"give {'.'.join(map(str, key))}: {remedy}")
+    return section
 
 
-def _linear(inside: Contents) -> tuple[list[str | None], list[Finding]]:
-    """Columns of axes that move the gripper straight; null = it stays along this one."""
+def _linear(
+    capture: Capture, inside: Contents, root: Root, findings: ImportFindings
+) -> GripperSection:
+    """Axes that move the gripper straight; null = it stays along this one."""
     by_axis = {m.axis or "x": name for name, m in reversed(inside.encoders)}
     columns: list[str | None] = [by_axis.get("x"), by_axis.get("y") or by_axis.get("z")]
     names = " and ".join(repr(c) for c in columns if c is not None)
     sentence = f"{names} tells the gripper's place; along null it stays at hand.origin_m"
-    return columns, [Finding("hand", f"{sentence}: does it move right, or up?", Sure.GUESSED)]
+    findings.guessed("hand", f"{sentence}: does it move right, or up?")
+    plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
+    angle = clamp_angle(capture, inside, plane, root, findings)
+    unit = METRES[inside.encoders[0][1].unit]
+    return GripperSection(columns=columns, axes=plane, metres_per_unit=unit, angle=angle)
 
 
 def _turning(
-    capture: Capture, inside: Contents, axes: AxesSection, root: Root
-) -> tuple[GripperSection, list[Finding]]:
+    capture: Capture, inside: Contents, axes: AxesSection, root: Root, findings: ImportFindings
+) -> GripperSection:
     name, said = next((n, m) for n, m in inside.encoders if m.unit not in METRES)
     unit = RADIANS.get(said.unit)
     turns = TurnsSection(column=name, radians_per_unit=unit, axle_m=None, radius_m=None)
-    sentence = (
-        f"no place of the gripper is in {capture.path.name}: {name!r} tells how its arm turns"
-    )
-    findings = [Finding("hand", sentence, Sure.GUESSED)]
-    if not inside.angles:
-        sentence = (
-            "the clamp turns with the arm, and the cable leaves along it; else give offset_rad"
-        )
-        findings.append(Finding("hand.angle", sentence, Sure.GUESSED))
-        return GripperSection(turns=turns, angle=AngleSection(follows=True)), findings
-    angle, told = clamp_angle(capture, inside, axes, root, None, "")
-    return GripperSection(turns=turns, angle=angle), [*findings, *told]
+    sentence = f"no place of the gripper is in {capture.path.name}: {name!r} tells how its arm "
+    findings.guessed("hand", f"{sentence}turns")
+    if inside.angles:
+        angle = clamp_angle(capture, inside, axes, root, findings)
+    else:
+        angle = AngleSection(follows=True)
+        sentence = "the clamp turns with the arm, and the cable leaves along it; else give "
+        findings.guessed("hand.angle", f"{sentence}offset_rad")
+    return GripperSection(turns=turns, angle=angle)
 
 
 def _by_acceleration(
-    capture: Capture, inside: Contents, axes: AxesSection, root: Root
-) -> tuple[GripperSection, list[Finding]]:
+    capture: Capture, inside: Contents, axes: AxesSection, root: Root, findings: ImportFindings
+) -> GripperSection:
     """Which of the columns is up, by gravity at rest, and their unit."""
     found: tuple[tuple[str, Meaning], ...] = inside.accelerations[:3]
     names = [n for n, _ in found]
@@ -105,17 +106,15 @@ def _by_acceleration(
     size = float(np.linalg.norm(rest))
     unit, sure, why = _unit(found[0][1].unit, size)
     shows_gravity = unit is None or size * unit > 0.5 * ACCELERATIONS["g"]
-    own, sentence = _axes(capture, names, rest, shows_gravity)
-    said = (
-        f"no place of the gripper is in {capture.path.name}: it is integrated from acceleration, "
-    )
-    findings = [Finding("hand", f"{said}columns {', '.join(names)}; {sentence}", Sure.GUESSED)]
+    own, shown = _axes(capture, names, rest, shows_gravity)
+    sentence = f"no place of the gripper is in {capture.path.name}: it is integrated from "
+    findings.guessed("hand", f"{sentence}acceleration, columns {', '.join(names)}; {shown}")
     findings.append(Finding("hand.acceleration", f"acceleration is {why}", sure))
     sensor = AccelerationSection(
         columns=columns, m_per_s2_per_unit=unit, along="clamp", starts_at_m=None
     )
-    angle, told = clamp_angle(capture, inside, axes, root, None, "")
-    return GripperSection(acceleration=sensor, axes=own, angle=angle), [*findings, *told]
+    angle = clamp_angle(capture, inside, axes, root, findings)
+    return GripperSection(acceleration=sensor, axes=own, angle=angle)
 
 
 def _unit(stated: str, size: float) -> tuple[float | None, Sure, str]:
@@ -194,6 +193,10 @@ def _initial_place(places: FloatArray) -> FloatArray | None:
     return np.asarray(np.median(seen[:rests], axis=0)) if rests >= FEWEST_REST else None
 
 
+#: Units of length of robots' logs.
+_OWN_UNITS = ("m", "mm")
+
+
 def first_point(
     hand: GripperFile, shape: FloatArray, units: Set[str], free_length_m: float | None
 ) -> FloatArray | None:
@@ -208,15 +211,24 @@ def first_point(
     if free_length_m is None or point is None or rest is None or len(rest) != shape.shape[1]:
         return None
     stated = next((u for u in sorted(units) if u in METRES), "")
-    for unit in [stated] if stated else METRES:
-        place = rest * (METRES[point.unit] / METRES[unit] if point.unit in METRES else 1.0)
+    tried = [stated] if stated else list(METRES)
+    pairs = [(unit, point.unit if point.unit in METRES else unit) for unit in tried]
+    if point.unit not in METRES:  # it may be in another one than the markers
+        pairs += [(unit, own) for unit in tried for own in _OWN_UNITS if own != unit]
+    for unit, own in pairs:
+        place = rest * METRES[own] / METRES[unit]
         chain_m = METRES[unit] * float(arc_lengths(np.vstack([place, shape])[None])[-1])
-        least_m = 0.0 if stated else free_length_m / (1.0 + _SHORTER)
+        known = bool(stated) and (own == unit or own == point.unit)
+        least_m = 0.0 if known else free_length_m / (1.0 + _SHORTER)
         if least_m <= chain_m <= free_length_m * (1.0 + TIP):
             return np.asarray(place)
     return None
 
 
+#: A gripper that moves across the markers' plane by more than this share of its way has other axes.
+_ACROSS = 0.2
+#: A gripper and the marker next to it rise alike within this share of their ways.
+_RISES_ALIKE = 0.25
 #: The marker next to the gripper moves about as far as the gripper; so many times more or less is
 #: another unit.
 _AS_FAR = 5.0
@@ -240,48 +252,45 @@ def section_of_file(
     root: Root,
     scale: float | None,
     nearest: NearestMarker | None,
-) -> tuple[GripperSection, list[Finding]]:
+    findings: ImportFindings,
+) -> GripperSection:
     """The section of a gripper with a file of its own; without a place where it tells none.
 
-    nearest  None = the markers' unit or the gripper's place is not known
+    nearest   None = the markers' unit or the gripper's place is not known
+    findings  those about it are added
     """
-    capture, inside, point = hand.capture, hand.inside, hand.point
+    capture, inside, point, file = hand.capture, hand.inside, hand.point, hand.capture.path.name
     time, told = time_section(capture, inside, None)
     of_file: dict[str, Any] = {"text": TextSection.of(capture), "time": time}
-    if point is None and inside.has_gripper_sensor:
-        section, findings = sensor_section(capture, inside, axes, root, of_file)
-        return section, [*told, *findings]
     if point is None:
-        sentence = (
-            f"no place of the gripper is known in {capture.path.name}: name two columns of it "
+        findings.append(told)
+        if inside.has_gripper_sensor:
+            return sensor_section(capture, inside, axes, root, of_file, findings)
+        findings.wanted(
+            "hand",
+            f"no place of the gripper is known in {file}: name two columns of it as hand.columns, "
+            "that of its axle's encoder in hand.turns, or those of an accelerometer on it in "
+            "hand.acceleration",
         )
-        sentence += "as hand.columns, that of its axle's encoder in hand.turns, or those of an "
-        sentence += "accelerometer on it in hand.acceleration"
-        findings = [Finding("hand", sentence, Sure.WANTED), columns_finding(capture)]
-        return GripperSection(angle=AngleSection(), **of_file), [*told, *findings]
-    sentence = f"{point.name!r} of {capture.path.name} is the gripping point"
-    findings = [Finding("hand", sentence, Sure.GUESSED)]
+        columns = first_of(capture.names, _LISTED)
+        findings.seen("hand", f"columns of {file}: {columns}")
+        return GripperSection(angle=AngleSection(), **of_file)
+    findings.guessed("hand", f"{point.name!r} of {file} is the gripping point")
     own = None
-    if len(point.columns) != len(axes.up):
+    if len(point.columns) != len(axes.up) or _leaves_plane(axes, nearest):
         own, sentence = _own_axes(detected_places(capture, point.columns, ()), nearest)
-        findings.append(Finding("hand.axes", sentence, Sure.GUESSED))
-    unit, finding = _unit_of_place(point, scale, nearest)
-    of_this = [*told, *([finding] if finding else [])]
-    findings += [replace(f, sentence=f"{capture.path.name}: {f.sentence}") for f in of_this]
-    angle, told = clamp_angle(capture, inside, own or axes, root, None, point.name)
-    section = GripperSection(
-        columns=list(point.columns),
-        angle=angle,
-        metres_per_unit=unit,
-        axes=own,
-        **of_file,
+        findings.guessed("hand.axes", sentence)
+    unit, of_unit = _unit_of_place(point, scale, nearest)
+    findings += [replace(f, sentence=f"{file}: {f.sentence}") for f in (told, of_unit)]
+    angle = clamp_angle(capture, inside, own or axes, root, findings, point.name)
+    return GripperSection(
+        columns=list(point.columns), angle=angle, metres_per_unit=unit, axes=own, **of_file
     )
-    return section, [*findings, *told]
 
 
 def _unit_of_place(
     point: Point, scale: float | None, nearest: NearestMarker | None
-) -> tuple[float | None, Finding | None]:
+) -> tuple[float | None, Finding]:
     """Metres a unit of the gripper's place; the marker next to it moves as far.
 
     scale  of the markers
@@ -289,54 +298,79 @@ def _unit_of_place(
     seen_m = 0.0 if nearest is None else reach(nearest.xy_m)
     moves = 0.0 if nearest is None else reach(nearest.hand)
     stated = METRES.get(point.unit)
+    as_stated = Finding("hand", f"lengths are in {point.unit}, as it says", Sure.SAID)
     names = {METRES[n]: n for n in ("m", "mm", "cm", "in")}
     tried = [u for u in (scale, *names) if u is not None]
     fitting = [u for u in tried if moves > 0.0 and 1 / _AS_FAR < u * moves / seen_m < _AS_FAR]
     if not moves > 0.0 or not seen_m > 0.0 or not fitting:
         if stated is not None:
-            return stated, Finding("hand", f"lengths are in {point.unit}, as it says", Sure.SAID)
-        return scale, Finding(
-            "hand", "its unit of length is taken as that of the markers", Sure.GUESSED
-        )
+            return stated, as_stated
+        sentence = "its unit of length is taken as that of the markers"
+        return scale, Finding("hand", sentence, Sure.GUESSED)
     unit = fitting[0]
     said = f"in {names.get(unit, f'{unit:g} m')} it moves by {unit * moves:.3g} m, the marker next "
     said += f"to it by {seen_m:.3g} m"
     if stated is None:
         return unit, Finding("hand.metres_per_unit", f"{said}: so that is its unit", Sure.SEEN)
     if 1 / _AS_FAR < stated * moves / seen_m < _AS_FAR:
-        return stated, Finding("hand", f"lengths are in {point.unit}, as it says", Sure.SAID)
+        return stated, as_stated
     sentence = f"it says {point.unit}, and would move by {stated * moves:.3g} m, yet {said}; give "
-    return stated, Finding(
-        "hand.metres_per_unit", f"{sentence}hand.metres_per_unit: {unit:g}", Sure.WANTED
-    )
+    sentence += f"hand.metres_per_unit: {unit:g}"
+    return stated, Finding("hand.metres_per_unit", sentence, Sure.WANTED)
+
+
+def _leaves_plane(axes: AxesSection, nearest: NearestMarker | None) -> bool:
+    """Whether the gripper moves across the plane in which the markers move: then the axes of its
+    file are not those of the markers' file."""
+    if nearest is None or len(axes.up) < 3:
+        return False
+    across = nearest.hand @ np.cross(axes.right, axes.up)
+    return reach(across[:, None]) > _ACROSS * reach(nearest.hand)
 
 
 def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSection, str]:
-    """Right and up along the columns of a gripper that are not as many as a marker's.
+    """Right and up along the columns of a gripper that are no markers' axes.
 
-    A robot's third axis is up.  Right is the level direction in which the gripper moves, towards
-    the same side as the marker next to it.
+    A robot's third axis is up, of motion capture perhaps the second: along it the gripper moves as
+    far as the marker next to it does.  Right is the level direction in which the gripper moves,
+    towards the same side as that marker.
     """
     if places.shape[1] == 2:
         plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
         return plane, "the gripper's file has its own axes: right and up are its first and second"
     seen = places[np.isfinite(places).all(axis=1)]
     span = np.ptp(seen, axis=0) if len(seen) else np.zeros(3)
-    sentence = "the gripper's file has its own axes: up is its third"
+    up = _up_axis(nearest)
+    flat = [0, 3 - up]
+    sentence = f"the gripper's file has its own axes: up is its {'second' if up == 1 else 'third'}"
     right = np.array([1.0, 0.0, 0.0])
-    if np.hypot(*span[:2]) <= _LEVEL * span[2]:
-        return _plane_of(right), f"{sentence}; it only moves along that: right is its first"
-    level = seen[:, :2] - seen[:, :2].mean(axis=0)
-    right[:2] = np.linalg.svd(level, full_matrices=False)[2][0]
+    if np.hypot(*span[flat]) <= _LEVEL * span[up]:
+        return _plane_of(right, up), f"{sentence}; it only moves along that: right is its first"
+    level = seen[:, flat] - seen[:, flat].mean(axis=0)
+    right[flat] = np.linalg.svd(level, full_matrices=False)[2][0]
     if nearest is not None:
         hand, marker = (v[np.isfinite(v).all(axis=1)] for v in (nearest.hand, nearest.xy_m))
         goes = (hand[-1] - hand[0]) @ right
         right *= -1.0 if goes * (marker[-1, 0] - marker[0, 0]) < 0.0 else 1.0
-    return _plane_of(right), f"{sentence}, right the level direction in which it moves"
+    return _plane_of(right, up), f"{sentence}, right the level direction in which it moves"
 
 
-def _plane_of(right: FloatArray) -> AxesSection:
-    return AxesSection(right=[round(float(v), 7) + 0.0 for v in right], up=[0.0, 0.0, 1.0])
+def _up_axis(nearest: NearestMarker | None) -> int:
+    """2, or 1 where only the second coordinate rises as much as the marker next to the gripper."""
+    if nearest is None:
+        return 2
+    hand, marker = (v[np.isfinite(v).all(axis=1)] for v in (nearest.hand, nearest.xy_m))
+    if not len(hand) or not len(marker) or not reach(hand) > 0.0 or not reach(marker) > 0.0:
+        return 2
+    rises = (hand[-1] - hand[0]) / reach(hand)
+    off = np.abs(rises - (marker[-1, 1] - marker[0, 1]) / reach(marker))
+    return 1 if off[1] < _RISES_ALIKE and off[2] > 2.0 * _RISES_ALIKE else 2
+
+
+def _plane_of(right: FloatArray, up: int) -> AxesSection:
+    above = [0.0, 0.0, 0.0]
+    above[up] = 1.0
+    return AxesSection(right=[round(float(v), 7) + 0.0 for v in right], up=above)
 
 
 def reach(places: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""Lines above a table: column names over one or more lines, units, rate, remarks."""
+"""Lines above a table: column names over one or more lines or in a list, units, rate, remarks."""
 
 from __future__ import annotations
 
@@ -10,26 +10,32 @@ from pathlib import Path
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import CapturedColumn, number
+from cell.study.imports.remarks import stated_in_remarks, stated_pixel_m
+from cell.study.imports.text_rows import REMARKS, split_line
 from cell.study.imports.units import METRES, unit_of
 
 Lines = Sequence[tuple[int, tuple[str, ...]]]
 
-#: Words that begin a remark.
-_REMARK = ("#", "%", "//")
 #: Rows of a header that say what kind of thing a column is or who its parent is, not its name.
 _NO_NAMES = frozenset(("type", "id", "parent"))
 _RATE = re.compile(r"(?:export |data |camera |capture )?(?:frame ?rate|rate|frequency|freq|fps)\b")
 _UNIT_KEY = re.compile(r"(?:length )?units?\b")
+#: Characters of a unit that is not known here.
+_LONGEST_UNIT = 4
 _MARKER_NAMES = re.compile(r"marker_?names")
 
 
 @dataclass(frozen=True)
 class Header:
-    """Columns of a table, and metadata that apply to all of them."""
+    """Columns of a table, and metadata that apply to all of them.
+
+    pixel_m  length of a pixel, m; None = it is not stated
+    """
 
     columns: tuple[CapturedColumn, ...]
     rate_hz: float | None
     unit: str
+    pixel_m: float | None = None
 
 
 def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
@@ -45,10 +51,12 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
     rate_hz, unit = _stated_rate_and_unit(rows)
     units = [""] * width
     naming = list(rows)
-    if naming and (found := _units_row(naming[-1][1], width)) is not None:
-        units = found
-        naming.pop()
+    for at in reversed(range(len(naming))):
+        if (found := _units_row(naming[at][1], width)) is not None:
+            units, naming = found, naming[:at] or naming[at + 1 :]  # below it stands what measured
+            break
     names, line = _names(path, naming, row)
+    names = _with_name_of_index(naming, names)
     twice = next((n for n in names if names.count(n) > 1), None)
     if twice is not None:
         both = [str(i + 1) for i, n in enumerate(names) if n == twice]
@@ -57,12 +65,15 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
             "a name of its own", line=line,
         )  # fmt: skip
     return Header(
-        tuple(CapturedColumn(n, u) for n, u in zip(names, units, strict=True)), rate_hz, unit
+        tuple(CapturedColumn(n, u) for n, u in zip(names, units, strict=True)),
+        rate_hz,
+        unit,
+        stated_pixel_m(path, rows),
     )
 
 
 def _without_remark(cells: tuple[str, ...]) -> tuple[str, ...]:
-    for mark in _REMARK:
+    for mark in REMARKS:
         if cells and cells[0].lstrip().startswith(mark):
             first = cells[0].lstrip()[len(mark) :].strip()
             return (first, *cells[1:]) if first or len(cells) < 2 else cells[1:]
@@ -74,9 +85,11 @@ def _units_row(cells: Sequence[str], width: int) -> list[str] | None:
     fitted = _fitted(cells, width)
     if fitted is None:
         return None
-    filled = [c for c in fitted if c.strip() and c.strip() != "-"]
+    filled = [c.strip() for c in fitted if c.strip() and c.strip() != "-"]
     found = [unit_of(c) for c in fitted]
-    return found if filled and all(unit_of(c) for c in filled) else None
+    others = [c for c in filled if not unit_of(c)]  # of channels that no study has, as °C
+    are_units = len(filled) > 2 * len(others) and all(len(c) <= _LONGEST_UNIT for c in others)
+    return found if are_units else None
 
 
 def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]:
@@ -86,9 +99,9 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
     parts: list[list[str]] = []
     kinds: list[list[str]] = []
     apart = False
-    for line, cells in reversed(rows[-8:]):
-        if _MARKER_NAMES.match(cells[0].strip().lower().replace(" ", "_")) and not parts:
-            return _of_markers(path, line, cells, width), line
+    for _, cells in reversed(rows[-8:]):
+        if not parts and width > 2 and sum(bool(c.strip()) for c in cells) == 1:
+            continue  # a word alone above the table is no line of names
         fitted = _fitted(cells, width)
         if fitted is None or (not parts and len(cells) < width):
             break
@@ -104,7 +117,11 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
         names = _joined(parts)
         if apart:
             break
-        apart = all(parts[-1]) and len(set(names)) == width
+        named = (any(said) for said in zip(*parts, strict=True))
+        apart = all(n or not c.strip() for n, c in zip(named, row, strict=True))
+        apart = apart and len(set(names)) == width
+    if len(parts) == 1:
+        parts = [_of_bodies(parts[0])]
     if parts:
         return _unique_names(parts, kinds), last
     for line, cells in rows:
@@ -121,6 +138,18 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
         path, f"has no names above its {width} columns; put a line of names there, such as "
         "time_s, tip_x_mm, tip_y_mm", line=last,
     )  # fmt: skip
+
+
+def _with_name_of_index(rows: Lines, names: list[str]) -> list[str]:
+    """Names with that of the first column, where it alone stands in the last of several lines.
+
+    As pandas writes an index below the levels of its columns, whose names stand above it.
+    """
+    if len(rows) < 2 or len(rows[-1][1]) != len(names):
+        return names
+    first, *others = (cell.strip() for cell in rows[-1][1])
+    above = any(len(cells) == len(names) and cells[0].strip() for _, cells in rows[:-1])
+    return [first, *names[1:]] if first and above and not any(others) else names
 
 
 def _of_markers(path: Path, line: int, cells: Sequence[str], width: int) -> list[str]:
@@ -155,6 +184,24 @@ def _carried(words: Sequence[str]) -> list[str]:
     return carried
 
 
+#: What Qualisys writes of a body behind its x, which alone has the body's name.
+_OF_BODY = re.compile(r"[yz]|roll|pitch|yaw|residual|rot\[\d]", re.IGNORECASE)
+
+
+def _of_bodies(names: Sequence[str]) -> list[str]:
+    """Names with that of their body, where `Gripper X` is followed by `Y`, `Z`, `Roll`, …"""
+    made, body = [], ""
+    for i, name in enumerate(names):
+        begins = re.fullmatch(r"(.+)[ _]x", name, re.IGNORECASE)
+        if begins and [n.lower() for n in names[i + 1 : i + 3]] == ["y", "z"]:
+            body = begins[1]
+            made.append(name)
+            continue
+        body = body if _OF_BODY.fullmatch(name) else ""
+        made.append(f"{body} {name}".strip())
+    return made
+
+
 def _unique_names(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]) -> list[str]:
     """Names of columns; of those that are there twice, with what the lines of kinds say of them.
 
@@ -170,7 +217,7 @@ def _unique_names(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]
 
 
 def _joined(parts: Sequence[Sequence[str]]) -> list[str]:
-    names = [" ".join(w for w in words if w) for words in zip(*parts, strict=True)]
+    names = [" ".join(dict.fromkeys(w for w in words if w)) for words in zip(*parts, strict=True)]
     return [name or f"column {i}" for i, name in enumerate(names, 1)]
 
 
@@ -187,7 +234,8 @@ def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
                 rate_hz = said
             if not unit and _UNIT_KEY.match(key.lower()) and unit_of(value) in METRES:
                 unit = unit_of(value)
-    return rate_hz or _rate_below_title(rows), unit
+    in_remarks, its_unit = stated_in_remarks(rows)
+    return rate_hz or in_remarks or _rate_below_title(rows), unit or its_unit
 
 
 def _rate_below_title(rows: Lines) -> float | None:
@@ -199,3 +247,75 @@ def _rate_below_title(rows: Lines) -> float | None:
         return None
     rate_hz = number(second[0], ".")
     return rate_hz if rate_hz is not None and rate_hz > 0.0 else None
+
+
+#: Ends a header of LabVIEW's; the first is of the file, the second of a table.
+_END_OF_HEADER = "***End_of_Header***"
+_UNITS, _STEP = "Y_Unit_Label", "Delta_X"
+
+
+def without_properties(lines: Sequence[str], separator: str) -> list[str]:
+    """Lines of LabVIEW's text without the rows of properties above its table's names.
+
+    As many lines, so that numbers of lines stay right; the units stand below the names.
+    """
+    made = list(lines)
+    ends = [i for i, line in enumerate(made) if line.startswith(_END_OF_HEADER)]
+    if len(ends) != 2 or ends[1] + 1 >= len(made):  # several tables keep their headers
+        return made
+    end, names = ends[1], made[ends[1] + 1]
+    below = made[end + 2].count(separator) if end + 2 < len(made) else 0
+    if below < names.count(separator):  # rows without a comment have no cell for one
+        names = names.removesuffix(f"{separator}Comment")
+    units = next((line for line in made[:end] if line.startswith(_UNITS)), _UNITS)
+    step = next((line for line in made[:end] if line.startswith(_STEP)), "").split(separator)[1:2]
+    made[:end] = [""] * end
+    if step and (step_s := number(step[0], "," if "," in step[0] else ".")):
+        made[0] = f"rate{separator}{1.0 / step_s:.12g}"
+    made[end], made[end + 1] = names, units.removeprefix(_UNITS)
+    if not made[end + 1].strip(f"{separator} \t"):
+        made[end], made[end + 1] = "", names
+    return made
+
+
+#: `A. Time (sec)`, `ch1: tip x [mm]`.
+_ENTRY = re.compile(r"[\s#%]*([A-Za-z]{0,3}\d*)\s*[.:=)]\s+(\S.*?)[\s,;]*")
+#: Lines in which the list and the names stand, and fewest columns.
+_MOST_LINES, _FEWEST = 300, 3
+_UNIT = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
+
+
+def with_legend(lines: Sequence[str], separator: str) -> list[str]:
+    """As many lines, with the names that a list gives in place of letters."""
+    said: dict[str, str] = {}
+    for i, line in enumerate(lines[:_MOST_LINES]):
+        cells = [cell.strip() for cell in split_line(line, separator)]
+        while cells and not cells[-1]:
+            cells.pop()
+        if len(cells) >= _FEWEST and len(set(cells)) == len(cells) and set(cells) <= set(said):
+            names = _without_common([said[cell] for cell in cells])
+            joint = "\t" if separator == " " else separator
+            quoted = [f'"{n}"' if separator in n and separator != " " else n for n in names]
+            return [*lines[:i], joint.join(quoted), *lines[i + 1 :]]
+        if (found := _ENTRY.fullmatch(line)) and found[1]:
+            said[found[1]] = found[2]
+    return list(lines)
+
+
+def _without_common(names: Sequence[str]) -> list[str]:
+    """Names without what all those with dots have before the first and behind the last of them."""
+    dotted = [_UNIT.sub("", n).strip(".").split(".") for n in names if "." in _UNIT.sub("", n)]
+    if len(dotted) < _FEWEST:
+        return list(names)
+    before = min(len(d) for d in dotted) > 1 and len({d[0] for d in dotted}) == 1
+    behind = min(len(d) for d in dotted) > 1 + before and len({d[-1] for d in dotted}) == 1
+    made = []
+    for name in names:
+        bare = _UNIT.sub("", name)
+        if "." not in bare:
+            made.append(name)
+            continue
+        parts = bare.strip(".").split(".")
+        parts = parts[1 if before else 0 : -1 if behind else None]
+        made.append(".".join(parts) + name[len(bare) :])
+    return made

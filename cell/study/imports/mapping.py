@@ -15,11 +15,10 @@ from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Start
 from cell.files.input_error import InputError
 from cell.files.words import counted
-from cell.files.yaml_document import Document, Key, read_yaml, validate
+from cell.files.yaml_document import Complaint, Document, Key, read_yaml, validate
 from cell.study.data import Study, Wrench
 from cell.study.entries import (
-    Complaint,
-    ConnectorEntry,
+    CableSection,
     Finite,
     Positive,
     SectionPart,
@@ -79,17 +78,6 @@ FILE = "import.yaml"
 NOT_SQUARE = 2e-3
 
 
-class CableSection(SectionPart):
-    """The cable; null = to be filled in."""
-
-    free_length_m: Positive | None = None
-    line_density_kg_per_m: Positive | None = None
-    width_m: Positive | None = None
-    thickness_m: Positive | None = None
-    diameter_m: Positive | None = None
-    connector: ConnectorEntry | None = None
-
-
 class MarkerEntry(SectionPart):
     """A marker: its columns, two or three (null = not measured), and where on the cable it is.
 
@@ -105,6 +93,8 @@ class MarkerEntry(SectionPart):
 class TrialEntry(SectionPart):
     """A trial; file names are relative to the mapping's folder.
 
+    joined_files    files with the same times, whose columns are joined to those of `file`
+    only    values of columns in its rows, where its files hold several trials; empty = all rows
     clock_offset_s  added to the times of the gripper's file
     hand_starts_at_m, hand_ends_at_m  gripping point before and after its motion, where an
                     accelerometer tells this: what the integral misses the end by is closed
@@ -115,11 +105,13 @@ class TrialEntry(SectionPart):
 
     name: TrialName
     file: Name
+    joined_files: tuple[Name, ...] = ()
     hand_file: Name | None = None
     text: TextSection | None = None
     hand_text: TextSection | None = None
     seconds_per_unit: Positive | None = None
     hand_seconds_per_unit: Positive | None = None
+    only: dict[str, Finite] = Field(default_factory=dict)
     clock_offset_s: Finite = 0.0
     hand_starts_at_m: tuple[Finite, Finite] | None = None
     hand_ends_at_m: tuple[Finite, Finite] | None = None
@@ -195,9 +187,8 @@ def read_mapping(path: Path) -> ReadMapping:
     mapping = validate(document, Mapping)
     complaints = [*_missing(mapping), *_axes(mapping), *gripper_complaints(mapping.hand)]
     complaints += [*_twice(mapping), *_of_sensors(mapping)]
-    problems = [document.problem(key, message) for key, message in complaints]
-    if problems:
-        raise InputError(problems)
+    if complaints:
+        raise InputError(document.problems(complaints))
     return ReadMapping(mapping, document)
 
 

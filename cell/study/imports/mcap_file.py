@@ -6,7 +6,6 @@ import json
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -34,25 +33,6 @@ _STAMPS = ("timestamp", "stamp", "time")
 _NO_NUMBERS = frozenset(("covariance", "header", "seq", "color", "scale", "lifetime", *_STAMPS))
 
 
-@dataclass(frozen=True)
-class _Message:
-    topic: str
-    log_s: float
-    content: Any
-
-
-@dataclass
-class _Table:
-    """Rows being gathered: numbers by column, at their times."""
-
-    rows: dict[float, dict[str, float]] = field(default_factory=dict)
-    columns: dict[str, None] = field(default_factory=dict)
-
-    def add(self, t_s: float, name: str, value: float) -> None:
-        self.columns.setdefault(name)
-        self.rows.setdefault(t_s, {})[name] = value
-
-
 def read_mcap(path: Path) -> Capture:
     """Read all numbers of all topics: one row per time, columns named topic and field.
 
@@ -60,23 +40,24 @@ def read_mcap(path: Path) -> Capture:
 
     raises  InputError: it is no MCAP file, or no message can be decoded
     """
-    table, undecoded, notes = _Table(), set[str](), list[str]()
-    for message in _messages(path, undecoded, notes):
-        for t_s, name, value in _numbers(message.content, 0, message.log_s):
-            table.add(t_s, f"{message.topic} {name}", value)
-        if len(table.rows) > MAX_ROWS or len(table.columns) > _MOST_COLUMNS:
+    rows: dict[float, dict[str, float]] = {}
+    undecoded, notes, names = set[str](), list[str](), dict[str, None]()
+    for topic, log_s, content in _messages(path, undecoded, notes):
+        for t_s, name, value in _numbers(content, 0, log_s):
+            rows.setdefault(t_s, {})[f"{topic} {name}"] = value
+            names[f"{topic} {name}"] = None
+        if len(rows) > MAX_ROWS or len(names) > _MOST_COLUMNS:
             raise InputError.at(
                 path,
                 f"has more than {MAX_ROWS} times or {_MOST_COLUMNS} numbers; keep the topics with "
                 "markers and gripper, and cut it to the motion",
             )
-    if not table.rows:
+    if not rows:
         why = f": {', '.join(sorted(undecoded))} cannot be decoded" if undecoded else ""
         remedy = f"{install_extra('import')} decodes ROS 2 and protobuf"
         raise InputError.at(path, f"holds no messages with numbers{why}; {remedy}")
-    names = list(table.columns)
-    times = sorted(table.rows)
-    values = [[t, *(table.rows[t].get(n, np.nan) for n in names)] for t in times]
+    times = sorted(rows)
+    values = [[t, *(rows[t].get(n, np.nan) for n in names)] for t in times]
     columns = (CapturedColumn("time", "s"), *(CapturedColumn(n) for n in names))
     notes += [f"{path}: {t} cannot be decoded; it is not read" for t in sorted(undecoded)]
     return Capture(
@@ -94,7 +75,10 @@ def metadata_names(path: Path) -> frozenset[str]:
         return frozenset()
 
 
-def _messages(path: Path, undecoded: set[str], notes: list[str]) -> Iterator[_Message]:
+def _messages(
+    path: Path, undecoded: set[str], notes: list[str]
+) -> Iterator[tuple[str, float, Any]]:
+    """Topic, time of recording, s, and content of every message that can be decoded."""
     try:
         with path.open("rb") as file:
             decoders: dict[int, Any] = {}
@@ -105,7 +89,7 @@ def _messages(path: Path, undecoded: set[str], notes: list[str]) -> Iterator[_Me
                 if decode is None:
                     undecoded.add(f"topic {channel.topic} ({channel.message_encoding})")
                     continue
-                yield _Message(channel.topic, message.log_time * 1e-9, decode(message.data))
+                yield channel.topic, message.log_time * 1e-9, decode(message.data)
     except FileNotFoundError as error:
         raise InputError.at(path, "cannot be read: no such file; check the name") from error
     except _UNREADABLE as error:

@@ -1,7 +1,10 @@
-"""Reads a file of measurements by its kind: C3D, TRC, recordings, files of arrays, tables."""
+"""Reads a file of measurements by its kind: C3D, TRC, JSON, recordings, files of arrays, tables."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +13,132 @@ import numpy as np
 from cell.files.input_error import InputError
 from cell.files.text_file import read_text
 from cell.study.imports.capture import Capture, CapturedColumn, TextForm, number
-from cell.study.imports.containers import CONTAINERS, read_container
+from cell.study.imports.containers import (
+    AXES,
+    CONTAINERS,
+    capture_of,
+    flat,
+    read_container,
+)
 from cell.study.imports.contents import without_unsure
 from cell.study.imports.delimited import read_delimited
+from cell.study.imports.groups import split_part
+from cell.study.imports.line_protocol import is_line_protocol
+from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
+from cell.study.imports.repairs import repaired, without_codes, without_held, without_hidden
 from cell.study.imports.robot_poses import with_quaternions
-from cell.study.imports.units import METRES, unit_of
-from cell.study.table import MAX_BYTES
+from cell.study.imports.text_content import is_text, text_of
+from cell.study.imports.units import METRES, split_unit, unit_of
+from cell.study.table import MAX_BYTES, MAX_ROWS
 from drivers.installing import install_extra
+
+#: Entries by which a record of a list says of which point it is.
+_LABELS = ("name", "label", "id", "child_frame_id", "marker_id", "tag_id")
+_MOST_DEPTH, _FEWEST_RECORDS = 8, 3
+
+_Cell = tuple[CapturedColumn, float | str]
+
+
+def read_json(path: Path) -> Capture:
+    """Read records, one per time or one per time and point, or a document of arrays.
+
+    raises  InputError: it is no JSON, or holds no records of numbers
+    """
+    text = read_text(path, MAX_BYTES)
+    if path.suffix.lower() != ".json":
+        lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+        return _table(path, [(i, _parsed(path, line, i)) for i, line in lines], "line")
+    content = _parsed(path, text, None)
+    records = _records(content, 0)
+    arrays = flat(_without_nulls(content)) if isinstance(content, dict) else {}
+    series = [v for v in arrays.values() if v.ndim > 0 and v.dtype.kind in "fiu"]
+    longest = max((len(v) for v in series), default=0)
+    if longest >= max(len(records), _FEWEST_RECORDS):
+        return capture_of(path, arrays, {})
+    return _table(path, list(enumerate(records, 1)), "record")
+
+
+def _without_nulls(content: Any) -> Any:
+    """The same with nan where a list has no number."""
+    if isinstance(content, dict):
+        return {key: _without_nulls(value) for key, value in content.items()}
+    if isinstance(content, list) and not any(isinstance(c, dict) for c in content):
+        return [np.nan if c is None else _without_nulls(c) for c in content]
+    return content
+
+
+def _parsed(path: Path, text: str, line: int | None) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        at = line if line is not None else getattr(error, "lineno", 1)
+        message = f"is no JSON ({error}); save it again, or remove the line"
+        raise InputError.at(path, message, line=at) from error
+
+
+def _records(content: Any, depth: int) -> list[Any]:
+    """The longest list of records; empty = there is none."""
+    if isinstance(content, list):
+        return content if all(isinstance(c, dict) for c in content) else []
+    if not isinstance(content, dict) or depth > _MOST_DEPTH:
+        return []
+    found = [_records(value, depth + 1) for value in content.values()]
+    return max(found, key=len, default=[])
+
+
+def _table(path: Path, records: Sequence[tuple[int, Any]], counted: str) -> Capture:
+    if len(records) > MAX_ROWS:
+        raise InputError.at(path, f"has {len(records)} records, limit {MAX_ROWS}; cut it")
+    rows = [dict(_cells(record, 0, "")) for _, record in records]
+    columns = list(dict.fromkeys(column for row in rows for column in row))
+    words = {c.name for row in rows for c, value in row.items() if isinstance(value, str)}
+    kept = [c for c in columns if c.name not in words]
+    if len(rows) < _FEWEST_RECORDS or not kept:
+        message = "holds no list of records with numbers; give one record per time, each with its "
+        raise InputError.at(path, f"{message}time and the places of the points")
+    values = np.array([[row.get(c, np.nan) for c in kept] for row in rows], dtype=np.float64)
+    lines = np.array([i for i, _ in records], dtype=np.intp)
+    labels = {
+        c.name: [str(row.get(c, "")) for row in rows] for c in columns if c.name in words
+    }  # fmt: skip
+    return pivoted(Capture(path, tuple(kept), values, lines, counted=counted), labels)
+
+
+def _cells(content: Any, depth: int, name: str) -> Iterator[_Cell]:
+    """Every number and word of a record, by the names on the way to it."""
+    if depth > _MOST_DEPTH:
+        return
+    if isinstance(content, Mapping):
+        for key, item in content.items():
+            bare, unit = split_unit(name)
+            whole = f"{bare} {key} {unit}" if unit and not split_unit(key)[1] else f"{name} {key}"
+            yield from _cells(item, depth + 1, whole.strip())
+    elif isinstance(content, list):
+        plain = all(item is None or isinstance(item, int | float) for item in content)
+        axes = AXES.get(len(content), "") if plain else ""
+        bare, unit = split_unit(name)
+        for i, item in enumerate(content):
+            label = axes[i] if axes else _label(item, i)
+            yield from _cells(item, depth + 1, f"{bare} {label} {unit}".strip())
+    elif isinstance(content, bool):
+        yield CapturedColumn(name), float(content)
+    elif content is None:
+        return
+    elif isinstance(content, int | float):
+        yield CapturedColumn(*split_unit(name)), float(content)
+    else:
+        value = number(str(content), ".")
+        yield CapturedColumn(*split_unit(name)), str(content) if value is None else value
+
+
+def _label(item: Any, place: int) -> str:
+    """What an entry of a list calls itself, else its place."""
+    if not isinstance(item, Mapping):
+        return str(place)
+    said = (item[key] for key in _LABELS if key in item)
+    return str(next((s for s in said if isinstance(s, str | int)), place))
+
 
 #: Keys that the second line may hold; the third has their values.
 _KEYS = ("DataRate", "Units")
@@ -29,7 +150,8 @@ def read_trc(path: Path) -> Capture:
     raises  InputError: it is no TRC file, or a line is wrong
     source  OpenSim, "Marker (.trc) files"
     """
-    lines = read_text(path, MAX_BYTES).splitlines()
+    text, notes = text_of(path)
+    lines = text.splitlines()
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         message = "is no TRC file: its first line does not begin with PathFileType"
         raise InputError.at(path, f"{message}; export it again")
@@ -55,7 +177,7 @@ def read_trc(path: Path) -> Capture:
     values, numbers = _rows(path, lines, names)
     units = ["", "s", *[unit] * (3 * len(markers))]
     columns = tuple(CapturedColumn(n, u) for n, u in zip(names, units, strict=True))
-    return Capture(path, columns, values, numbers, rate_hz, unit)
+    return Capture(path, columns, values, numbers, rate_hz, unit, notes=tuple(notes))
 
 
 def _rows(path: Path, lines: list[str], names: list[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -140,9 +262,11 @@ def _first_frame(content: Any) -> int:
 
 
 #: Endings of names of text tables.
-TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".log", ".sto", ".mot", ".lvm")
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".log", ".sto", ".mot", ".lvm",
+          ".rpt", ".itx", ".prn", ".out")  # fmt: skip
 _READERS = {".trc": read_trc, ".c3d": read_c3d, ".mcap": read_mcap}
 _READERS |= dict.fromkeys(CONTAINERS, read_container)
+_READERS |= dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json)
 KINDS = (*TABLES, *_READERS)
 
 
@@ -152,10 +276,34 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     form    of a text table; None = found from the text
     raises  InputError: it cannot be read
     """
-    ending = path.suffix.lower()
-    if ending not in KINDS:
-        message = f"{ending or 'no ending'} is no kind of file that is read; give "
+    whole = split_part(path)[0]
+    ending = whole.suffix.lower()
+    if ending not in _READERS and is_line_protocol(whole):
+        capture = read_container(path)
+    elif ending in _READERS:
+        capture = _READERS[ending](path)
+    elif ending in TABLES:
+        capture = read_delimited(path, form)
+    else:
+        capture = _of_unknown_kind(path, form)
+    sure = without_hidden(without_unsure(one_row_per_time(without_codes(capture))))
+    return with_quaternions(repaired(without_held(sure)))
+
+
+def _of_unknown_kind(path: Path, form: TextForm | None) -> Capture:
+    """A table of text under any ending.  Raises InputError: it is none."""
+    ending = path.suffix.lower() or "no ending"
+    if not is_text(path):
+        message = f"{ending} is no kind of file that is read; give "
         message += f"{', '.join(KINDS)}, or a video with --config and --hand"
         raise InputError.at(path, message)
-    capture = read_delimited(path, form) if ending in TABLES else _READERS[ending](path)
-    return with_quaternions(without_unsure(capture))
+    try:
+        made = read_delimited(path, form)
+    except InputError as error:
+        message = f"; {ending} is no kind that is known, and was tried as a table of text: export "
+        message += "a CSV with a line of names, of times and places"
+        raise InputError(
+            [replace(p, message=p.message + message) for p in error.problems]
+        ) from error
+    note = f"{path}: {ending} is no kind that is known: it is read as a table of text"
+    return replace(made, notes=(note, *made.notes))

@@ -3,7 +3,7 @@
   UR         pose_0 … pose_5: place, m, and rotation vector, rad
   KUKA       X, Y, Z, A, B, C: turns about Z, then the new Y, then the new X, degrees
   Fanuc      X, Y, Z, W, P, R: turns about the fixed X, Y, Z, degrees
-  ABB        q1 … q4: w, x, y, z
+  ABB        q1 … q4, or q0 … q3: w, x, y, z
   Franka     O_T_EE 0 … 15: a pose as a matrix, column by column, m
 source  UR, RTDE guide, actual_TCP_pose; KUKA System Software, ABC angles; Fanuc, W P R of a
         Cartesian position; ABB, RAPID data type orient; libfranka, RobotState
@@ -25,7 +25,7 @@ from cell.study.imports.units import RADIANS, split_unit
 
 #: By so much a matrix that is written with few digits may miss a rotation.
 _SQUARE = 1e-3
-_LAST_WORD = re.compile(r"^(.*?)[\s_.:\-\[]*(q[1-4]|[a-z]|\d{1,2})\]?$", re.IGNORECASE)
+_LAST_WORD = re.compile(r"^(.*?)[\s_.:\-\[]*(q[0-5]|[a-z]|\d{1,2})\]?$", re.IGNORECASE)
 
 
 def _w_first(values: FloatArray) -> Rotation:
@@ -44,6 +44,7 @@ _FORMS: tuple[tuple[str, str, str, Callable[[FloatArray], Rotation]], ...] = (
     ("x y z a b c", "a b c", "deg", partial(Rotation.from_euler, "ZYX")),
     ("x y z w p r", "w p r", "deg", partial(Rotation.from_euler, "xyz")),
     ("q1 q2 q3 q4", "q1 q2 q3 q4", "", _w_first),
+    ("q0 q1 q2 q3", "q0 q1 q2 q3", "", _w_first),
 )
 
 
@@ -63,6 +64,8 @@ def with_quaternions(capture: Capture) -> Capture:
                 continue
             if words.startswith("0") and ("pose" not in stem.lower() or len(parts) > 6):
                 continue
+            if words.startswith("q0") and ("q4" in parts or not _are_unit(capture, parts, words)):
+                continue  # joints of an arm
             chosen = [parts[word] for word in turned.split()]
             made = _quaternions(capture, chosen, usual, rotation)
             names = [f"{stem} quaternion {axis}".strip() for axis in "xyzw"]
@@ -72,6 +75,13 @@ def with_quaternions(capture: Capture) -> Capture:
                 values=np.hstack([capture.values, made]),
             )
     return capture
+
+
+def _are_unit(capture: Capture, parts: dict[str, CapturedColumn], words: str) -> bool:
+    """Whether numbers are the parts of quaternions, by their size."""
+    size = np.linalg.norm(capture.at([parts[word].name for word in words.split()]), axis=1)
+    size = size[np.isfinite(size)]
+    return bool(len(size) and np.all(np.abs(size - 1.0) < _SQUARE))
 
 
 def _with_matrix(capture: Capture, stem: str, parts: list[CapturedColumn]) -> Capture:

@@ -37,7 +37,7 @@ _EPOCH_S = 1000.0
 
 def time_section(
     capture: Capture, inside: Contents, rate_hz: float | None
-) -> tuple[TimeSection, list[Finding]]:
+) -> tuple[TimeSection, Finding]:
     """Column of time and its unit.
 
     rate_hz  rows a second that somebody stated; None = as the file states
@@ -63,7 +63,7 @@ def time_section(
         shown = f"{1.0 / (step * unit):.4g} rows a second" if step > 0.0 else "no steady rate"
         sentence = f"time is in column {column!r}, {unit:.6g} s a unit ({why}): {shown}"
     section = TimeSection(column=column, seconds_per_unit=unit, starts_at_zero=zero)
-    return section, [Finding("time", sentence, sure)]
+    return section, Finding("time", sentence, sure)
 
 
 def is_coarse(times: FloatArray) -> bool:

@@ -23,6 +23,8 @@ OF_NOISE, STAYS = 8.0, 3
 FEWEST_REST = 5
 #: A row is still at rest whose farthest point is so many times as far from where it rests as usual.
 _QUIET = 2.0
+#: Of the usual distance between neighbours; nearer ones are at one place.
+_COINCIDES = 0.05
 #: Shapes of which lengths are the median, and samples of each piece between two points.
 _SHAPES, _SAMPLES = 200, 16
 
@@ -30,10 +32,11 @@ _SHAPES, _SAMPLES = 200, 16
 def rest_rows(places: FloatArray) -> slice:
     """Rows from the first on in which no point moves; empty if it moves from the beginning on.
 
-    places  (rows, points, 2 or 3), nan = not seen
+    places  (rows, points, 2 or 3), nan = not seen; rows that show no point do not count
     """
-    begin = _begin(places)
-    return slice(0, begin if begin >= FEWEST_REST else 0)
+    shown = _shown(places)
+    begin = _begin(places[shown])
+    return _up_to(shown, begin if begin >= FEWEST_REST else 0, len(places))
 
 
 def still_rows(places: FloatArray) -> slice:
@@ -41,14 +44,27 @@ def still_rows(places: FloatArray) -> slice:
 
     A motion begins slowly: as many rows again are left out as show it beyond their noise.
     """
-    rest = rest_rows(places)
-    if rest.stop in (0, len(places)):
-        return rest
-    away = np.linalg.norm(places[rest] - middle(places[rest]), axis=2)
+    shown = _shown(places)
+    seen = places[shown]
+    begin = _begin(seen)
+    if begin < FEWEST_REST or begin == len(seen):
+        return _up_to(shown, begin if begin >= FEWEST_REST else 0, len(places))
+    away = np.linalg.norm(seen[:begin] - middle(seen[:begin]), axis=2)
     farthest = np.nan_to_num(away).max(axis=1)
     quiet = np.flatnonzero(farthest <= _QUIET * np.median(farthest))
     begins = int(quiet[-1]) + 1
-    return slice(0, max(2 * begins - rest.stop, FEWEST_REST))
+    return _up_to(shown, max(2 * begins - begin, FEWEST_REST), len(places))
+
+
+def _shown(places: FloatArray) -> NDArray[np.intp]:
+    """Rows that show a point; all, if none does."""
+    shown = np.flatnonzero(np.isfinite(places).any(axis=(1, 2)))
+    return shown if len(shown) else np.arange(len(places))
+
+
+def _up_to(shown: NDArray[np.intp], count: int, rows: int) -> slice:
+    """The rows before that of the shown ones with number `count`."""
+    return slice(0, rows if count >= len(shown) else int(shown[count]) if count else 0)
 
 
 def resting(places: FloatArray) -> FloatArray | None:
@@ -118,13 +134,29 @@ def arc_lengths(places: FloatArray, ends: Ends = "not-a-knot") -> FloatArray:
 
 def _lengths(shape: FloatArray, ends: Ends) -> FloatArray:
     """Arc lengths of points (points, d) of a cubic through them."""
-    at = _chords(shape)
+    every = _chords(shape)
+    kept = _apart(every)
+    at = every[kept]
     fine = np.concatenate(
         [np.linspace(a, b, _SAMPLES, endpoint=False) for a, b in pairwise(at)] + [at[-1:]]
     )
-    curve = CubicSpline(at, shape, bc_type=ends)
+    curve = CubicSpline(at, shape[kept], bc_type=ends)
     steps = np.linalg.norm(np.diff(curve(fine), axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])[::_SAMPLES]
+    lengths = np.concatenate([[0.0], np.cumsum(steps)])[::_SAMPLES]
+    return np.asarray(np.interp(every, at, lengths))
+
+
+def _apart(at: FloatArray) -> list[int]:
+    """Points that do not coincide with the one before, by their distances along straight pieces.
+
+    Between a marker at the gripping point and the gripper noise alone makes a curve.
+    """
+    least = _COINCIDES * float(np.median(np.diff(at))) if len(at) > 1 else 0.0
+    kept = [0]
+    for i in range(1, len(at)):
+        if at[i] - at[kept[-1]] > least:
+            kept.append(i)
+    return kept if kept[-1] == len(at) - 1 else [*(kept[:-1] or kept), len(at) - 1]
 
 
 def root_direction(shape: FloatArray) -> FloatArray:

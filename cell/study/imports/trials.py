@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping as Dictionary
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,33 +13,53 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from cell.cable.arrays import FloatArray
-from cell.study.imports.capture import Capture, Finding, Sure
+from cell.study.imports.capture import Capture, CapturedColumn, ImportFindings, Sure
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.gripper_section import TextSection, TimeSection
+from cell.study.imports.groups import PART
 from cell.study.imports.mapping import Mapping, TrialEntry
 from cell.study.imports.places import places_m
 from cell.study.imports.scales import time_section
 from cell.study.imports.shape import FEWEST_REST, rest_rows
+from cell.study.root_motion import INNERMOST, root_places_m
 from cell.study.series import span_m
 
 
 @dataclass(frozen=True)
 class Files:
-    """A trial's files as the mapping names them, and what they hold."""
+    """A trial's files as the mapping names them, and what they hold.
+
+    joined_files  other files with the same times, whose columns are in the first one's capture
+    only  values of columns that tell its rows; empty = all are
+    """
 
     name: str
     file: str
     capture: Capture
     gripper_file: str | None = None
     gripper: Capture | None = None
+    joined_files: tuple[str, ...] = ()
+    only: Dictionary[str, float] = field(default_factory=dict)
+
+    @property
+    def in_one(self) -> bool:
+        """Whether markers and gripper are parts of one file, which one program wrote."""
+        whole = self.file.partition(PART)[0]
+        return PART in self.file and (self.gripper_file or "").partition(PART)[0] == whole
 
 
 def trial_names(files: Sequence[Path]) -> list[str]:
     """Unique names of trials, from the names of their files."""
+    return unique_names([file.stem for file in files])
+
+
+def unique_names(labels: Sequence[str]) -> list[str]:
+    """Labels as names of trials, no two alike."""
     names: list[str] = []
-    for file in files:
-        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", file.stem).strip("_.-") or "trial"
+    for label in labels:
+        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", label).strip("_.-") or "trial"
         number = 2
         unique = name
         while unique in names:
@@ -48,43 +69,36 @@ def trial_names(files: Sequence[Path]) -> list[str]:
 
 
 def trial_entries(
-    trials: Sequence[Files], mapping: Mapping, rate_hz: float | None
-) -> tuple[list[TrialEntry], list[Finding]]:
+    trials: Sequence[Files], mapping: Mapping, rate_hz: float | None, findings: ImportFindings
+) -> list[TrialEntry]:
     """Start, role and clock of every trial, and what its files have of their own.
 
-    rate_hz  rows a second that somebody stated for all files of markers
-    raises   InputError: times are in disorder, or a column is missing
+    rate_hz   rows a second that somebody stated for all files of markers
+    findings  those about the trials are added
+    raises    InputError: times are in disorder, or a column is missing
     """
     entries: list[TrialEntry] = []
-    findings: list[Finding] = []
+    shared_s = _shared_clock(trials, mapping, findings)
     for number, (files, entry) in enumerate(zip(trials, mapping.trials, strict=True)):
         role = "validate" if len(trials) > 1 and number == len(trials) - 1 else "fit"
-        own, told = _own(files, mapping, rate_hz)
-        findings += told
+        own = _own(files, mapping, rate_hz, findings)
         entry = entry.model_copy(update={"role": role, **own})
         of_trial = mapping.of_trial(entry)
-        if of_trial.time.seconds_per_unit is None or mapping.metres_per_unit is None:
-            entries.append(entry)
-            continue
-        begun, told = start_of(files.name, files.capture, files.gripper, of_trial)
-        entry = entry.model_copy(update=begun)
+        if of_trial.time.seconds_per_unit is not None and mapping.metres_per_unit is not None:
+            entry = entry.model_copy(update=_start_and_clock(files, of_trial, findings, shared_s))
         entries.append(entry)
-        findings += told
     if len(trials) > 1:
-        sentence = (
-            f"{trials[-1].name} is kept for comparison (role validate), the others are fitted"
-        )
-        findings.append(Finding("trials", sentence, Sure.GUESSED))
-    return entries, findings
+        sentence = f"{trials[-1].name} is kept for comparison (role validate), the others are "
+        findings.guessed("trials", f"{sentence}fitted")
+    return entries
 
 
 def _own(
-    files: Files, mapping: Mapping, rate_hz: float | None
-) -> tuple[dict[str, Any], list[Finding]]:
+    files: Files, mapping: Mapping, rate_hz: float | None, findings: ImportFindings
+) -> dict[str, Any]:
     """Entries of a trial in which its files differ from the first trial's."""
     hand = mapping.hand
     own: dict[str, Any] = {}
-    findings: list[Finding] = []
     both = [("", files.capture, mapping.text, mapping.time, rate_hz)]
     if files.gripper is not None:
         both.append(("hand_", files.gripper, hand.text, hand.time or mapping.time, None))
@@ -93,31 +107,29 @@ def _own(
         if form != text and form is not None:
             own[f"{prefix}text"] = form
             sentence = f"{capture.path.name}: cells are separated by {form.separator!r}, "
-            sentence += f"the decimal mark is {form.decimal!r}"
-            findings.append(Finding("trials.text", sentence, Sure.SEEN))
-        unit, told = _seconds_per_unit(capture, time, stated_hz)
-        findings += told
+            findings.seen("trials.text", f"{sentence}the decimal mark is {form.decimal!r}")
+        unit = _seconds_per_unit(capture, time, stated_hz, findings)
         if unit is not None:
             own[f"{prefix}seconds_per_unit"] = unit
-    return own, findings
+    return own
 
 
 def _seconds_per_unit(
-    capture: Capture, section: TimeSection, rate_hz: float | None
-) -> tuple[float | None, list[Finding]]:
+    capture: Capture, section: TimeSection, rate_hz: float | None, findings: ImportFindings
+) -> float | None:
     """Seconds a unit of a file's times that it states otherwise than the first file does."""
-    own, (found,) = time_section(capture, contents(capture), rate_hz)
+    own, found = time_section(capture, contents(capture), rate_hz)
     unit, of_first = own.seconds_per_unit, section.seconds_per_unit
     if own.column != section.column or unit == of_first:
-        return None, []
-    entry = "trials.seconds_per_unit"
+        return None
+    entry, name = "trials.seconds_per_unit", capture.path.name
     if found.sure is Sure.SAID and unit is not None:
-        return unit, [Finding(entry, f"{capture.path.name}: {found.sentence}", Sure.SAID)]
+        findings.said(entry, f"{name}: {found.sentence}")
+        return unit
     if found.sure is Sure.WANTED and of_first is not None:
-        sentence = f"{capture.path.name} states no rate: it is taken as that of the first trial, "
-        sentence += f"{1.0 / of_first:g} rows a second"
-        return None, [Finding(entry, sentence, Sure.GUESSED)]
-    return None, []
+        sentence = f"{name} states no rate: it is taken as that of the first trial, "
+        findings.guessed(entry, f"{sentence}{1.0 / of_first:g} rows a second")
+    return None
 
 
 #: A clock is proposed to be off if it is so by more than this many rows.
@@ -128,13 +140,63 @@ NEAR_HAND = 0.35
 _MOVES = 0.01
 
 
-def start_of(
-    name: str, capture: Capture, hand: Capture | None, mapping: Mapping
-) -> tuple[dict[str, Any], list[Finding]]:
-    """Entries `start`, `release_s` and `clock_offset_s` of a trial, and why.
+#: Clocks of trials in the rows of the same files are compared this much more finely, as several
+#: trials must agree.
+_TOGETHER = 0.5
+
+
+def _shared_clock(
+    trials: Sequence[Files], mapping: Mapping, findings: ImportFindings
+) -> float | None:
+    """Offset of the gripper's clock, s, where all trials are in the rows of the same files.
+
+    None = they are not, or their motions tell none that they agree on.
+    """
+    time, hand_time = mapping.time, mapping.hand.time or mapping.time
+    known = None not in (time.seconds_per_unit, hand_time.seconds_per_unit, mapping.metres_per_unit)
+    one = {(t.file, t.gripper_file) for t in trials if t.only and t.gripper is not None}
+    if len(trials) < 2 or len(one) != 1 or not all(t.only for t in trials) or not known:
+        return None
+    if mapping.hand.columns is None or _counts(time) or _counts(hand_time):
+        return None
+    shifts, weights, steps = [], [], []
+    for files in trials:
+        t_s = times_s(files.capture, time)
+        zero_s = float(t_s[0]) if time.starts_at_zero else 0.0
+        hand_s, hand_m = _gripper_path(files.capture, files.gripper, mapping, zero_s)
+        at_m = [
+            places_m(files.capture, m.columns, mapping.axes, mapping.metres_per_unit or 1.0)
+            for m in mapping.markers
+        ]
+        root_m = _root_m(np.stack(at_m, axis=1), [m.arc_length_m for m in mapping.markers])
+        shift_s = clock_shift_s(hand_s, hand_m, t_s - zero_s, root_m)
+        steps.append(float(max(np.median(np.diff(hand_s)), np.median(np.diff(t_s)))))
+        if shift_s is not None:
+            shifts.append(shift_s)
+            weights.append(span_m(hand_m) ** 2)
+    if not shifts:
+        return None
+    shift_s = round(float(np.average(shifts, weights=weights)), 4)
+    apart_s = float(np.sqrt(np.average((np.array(shifts) - shift_s) ** 2, weights=weights)))
+    if not max(steps) * _TOGETHER * ROWS_OFF < abs(shift_s) or apart_s > _TOGETHER * max(steps):
+        return None
+    sentence = (
+        f"{shift_s:+g} s are added to the gripper's clock in all trials, so that both move at "
+    )
+    findings.guessed("clock_offset_s", f"{sentence}once: each shows it, and they have one clock")
+    return shift_s
+
+
+def _start_and_clock(
+    files: Files, mapping: Mapping, findings: ImportFindings, shared_s: float | None = None
+) -> dict[str, Any]:
+    """Entries `start`, `release_s` and `clock_offset_s` of a trial.
+
+    shared_s  offset of the clock that all trials show, s; None = this trial's is its own
 
     raises  InputError: times are in disorder, or a column is missing
     """
+    name, capture, hand = files.name, files.capture, files.gripper
     scale = mapping.metres_per_unit or 1.0
     t_s = times_s(capture, mapping.time)
     zero_s = float(t_s[0]) if mapping.time.starts_at_zero else 0.0
@@ -143,25 +205,35 @@ def start_of(
         [places_m(capture, m.columns, mapping.axes, scale, mapping.lost) for m in mapping.markers],
         axis=1,
     )
-    begun: dict[str, Any] = {}
-    findings: list[Finding] = []
-    hand_s, hand_m = t_s, np.zeros((len(t_s), 2))
-    known = mapping.hand.columns is not None or mapping.hand.fixed_m is not None
-    if known:
+    late_s, of_hand, length_m = 0.0, None, mapping.cable.free_length_m or 1.0
+    if mapping.hand.columns is not None or mapping.hand.fixed_m is not None:
         hand_s, hand_m = _gripper_path(capture, hand, mapping, zero_s)
+        if shared_s is not None:
+            late_s = shared_s
+        elif hand is not None:
+            late_s = _by_rows(name, capture, t_s, hand_s, findings)
+        if hand is not None and not late_s:
+            counts = _counts(mapping.time) and not _counts(mapping.hand.time or mapping.time)
+            first_s = zero_s if counts else 0.0
+            seen_at = t_s, xy_m
+            late_s = _clock(files, (hand_s + first_s, hand_m), seen_at, mapping, findings)
+            if first_s:
+                late_s = round(first_s + late_s, 6)
+                sentence = f"{name}: column {mapping.time.column!r} counts frames: the first is "
+                sentence += "taken as time 0 of the gripper's file, unless said otherwise"
+                findings.guessed("clock_offset_s", sentence)
+        of_hand = hand_s + late_s, hand_m
     elif hand is not None:
         sentence = f"{name}: whether both clocks agree is not known before the gripper's path is"
-        findings.append(Finding("clock_offset_s", sentence, Sure.GUESSED))
-    if known and hand is not None:
-        begun, findings = _by_rows(name, capture, t_s, hand_s)
-        if not begun:
-            begun, findings = _clock(name, (hand_s, hand_m), (t_s, xy_m), mapping)
-        hand_s = hand_s + begun.get("clock_offset_s", 0.0)
+        findings.guessed("clock_offset_s", sentence)
     seen = np.isfinite(xy_m).any(axis=(1, 2))
-    length_m = mapping.cable.free_length_m or 1.0
-    of_hand = (hand_s, hand_m) if known else None
-    more, told = _start(name, (t_s[seen], xy_m[seen]), of_hand, length_m)
-    return begun | more, [*findings, *told]
+    begun = _start(name, (t_s[seen], xy_m[seen]), of_hand, length_m, findings)
+    return begun | ({"clock_offset_s": late_s} if late_s else {})
+
+
+def _counts(time: TimeSection) -> bool:
+    """Whether a column of times counts frames."""
+    return meaning(CapturedColumn(time.column)).kind is ColumnKind.FRAME
 
 
 def _gripper_path(
@@ -180,44 +252,65 @@ def _gripper_path(
 
 
 def _by_rows(
-    name: str, capture: Capture, t_s: FloatArray, hand_s: FloatArray
-) -> tuple[dict[str, Any], list[Finding]]:
-    """The offset to a clock that counts frames, of which programs call the first 0 or 1."""
+    name: str, capture: Capture, t_s: FloatArray, hand_s: FloatArray, findings: ImportFindings
+) -> float:
+    """Offset to a clock that counts frames, of which programs call the first 0 or 1, s; 0 = the
+    gripper's rows are none of the markers'."""
     late_s = float(t_s[0] - hand_s[0])
     step_s = float(np.median(np.diff(t_s)))
     together = len(t_s) == len(hand_s) and np.allclose(t_s - late_s, hand_s, atol=0.1 * step_s)
     if capture.counted != "frame" or not together or not 0.0 < abs(late_s) < ROWS_OFF * step_s:
-        return {}, []
+        return 0.0
     late_s = round(late_s, 6)
-    sentence = (
+    findings.guessed(
+        "clock_offset_s",
         f"{name}: gripper and markers have {len(t_s)} rows at one rate and are taken row by row: "
-        f"{late_s:+g} s are added to the gripper's clock"
+        f"{late_s:+g} s are added to the gripper's clock",
     )
-    return {"clock_offset_s": late_s}, [Finding("clock_offset_s", sentence, Sure.GUESSED)]
+    return late_s
 
 
 def _clock(
-    name: str,
+    files: Files,
     hand: tuple[FloatArray, FloatArray],
     seen: tuple[FloatArray, FloatArray],
     mapping: Mapping,
-) -> tuple[dict[str, Any], list[Finding]]:
-    """The offset of the gripper's clock, where a marker near it tells one."""
-    first, length_m = mapping.markers[0].arc_length_m, mapping.cable.free_length_m
-    if first is None or length_m is None or first > NEAR_HAND * length_m:
-        sentence = f"{name}: no marker is near the gripper: whether both clocks agree is not known"
-        return {}, [Finding("clock_offset_s", sentence, Sure.GUESSED)]
-    shift_s = clock_shift_s(*hand, seen[0], seen[1][:, 0])
+    findings: ImportFindings,
+) -> float:
+    """Offset of the gripper's clock, s; 0 = both agree, or no marker near the gripper tells one."""
+    name, first = files.name, mapping.markers[0].arc_length_m
+    length_m = mapping.cable.free_length_m
+    why, shift_s = "no marker is near the gripper", None
+    if first is not None and length_m is not None and first <= NEAR_HAND * length_m:
+        root_m = _root_m(seen[1], [m.arc_length_m for m in mapping.markers])
+        why, shift_s = "the gripper hardly moves", clock_shift_s(*hand, seen[0], root_m)
     if shift_s is None:
-        sentence = f"{name}: the gripper hardly moves: whether both clocks agree is not known"
-        return {}, [Finding("clock_offset_s", sentence, Sure.GUESSED)]
+        sentence = f"{name}: {why}: whether both clocks agree is not known"
+        findings.guessed("clock_offset_s", sentence)
+        return 0.0
     limit_s = ROWS_OFF * float(max(np.median(np.diff(hand[0])), np.median(np.diff(seen[0]))))
     if abs(shift_s) <= limit_s:
         sentence = f"{name}: both clocks agree within {limit_s * 1e3:.3g} ms"
-        return {}, [Finding("clock_offset_s", sentence, Sure.SEEN)]
+        findings.seen("clock_offset_s", sentence)
+        return 0.0
     shift_s = round(shift_s, 4)
+    if files.in_one:
+        sentence = f"{name}: gripper and markers are in one file, and so on one clock, though both "
+        sentence += f"move at once if the gripper's is {shift_s:+g} s later; give clock_offset_s if"
+        findings.guessed("clock_offset_s", f"{sentence} that is right")
+        return 0.0
     sentence = f"{name}: {shift_s:+g} s are added to the gripper's clock, so that both move at once"
-    return {"clock_offset_s": shift_s}, [Finding("clock_offset_s", sentence, Sure.GUESSED)]
+    findings.guessed("clock_offset_s", sentence)
+    return shift_s
+
+
+def _root_m(xy_m: FloatArray, arcs_m: Sequence[float | None]) -> FloatArray:
+    """(T, 2) the root by the innermost markers; the nearest marker where one is not seen."""
+    known = [float(a) for a in arcs_m[:INNERMOST] if a is not None]
+    if len(known) < INNERMOST or np.any(np.diff(known) <= 0.0):
+        return xy_m[:, 0]
+    root_m = root_places_m(xy_m, np.array(known))
+    return root_m if np.isfinite(root_m).all(axis=1).mean() > 0.5 else xy_m[:, 0]
 
 
 def _start(
@@ -225,7 +318,8 @@ def _start(
     seen: tuple[FloatArray, FloatArray],
     hand: tuple[FloatArray, FloatArray] | None,
     length_m: float,
-) -> tuple[dict[str, Any], list[Finding]]:
+    findings: ImportFindings,
+) -> dict[str, Any]:
     """At rest until the gripper moves, let go, or in motion from the first row on.
 
     hand  times and places of the gripper; None = its path is not known yet
@@ -234,24 +328,23 @@ def _start(
     rest = rest_rows(xy_m)
     if rest.stop < FEWEST_REST:
         sentence = f"{name}: the cable moves from the first row on: start moving"
-        return {"start": "moving"}, [Finding("trials.start", sentence, Sure.SEEN)]
+        findings.seen("trials.start", sentence)
+        return {"start": "moving"}
     if hand is None:
         sentence = f"{name}: the cable is at rest at first: start equilibrium"
-        return {"start": "equilibrium"}, [Finding("trials.start", sentence, Sure.GUESSED)]
+        findings.guessed("trials.start", sentence)
+        return {"start": "equilibrium"}
     away = np.linalg.norm(hand[1] - hand[1][:1], axis=1) > _MOVES * length_m
     moves_s = float(hand[0][np.argmax(away)]) if away.any() else np.inf
     begins_s = float(t_s[rest.stop]) if rest.stop < len(t_s) else np.inf
     late_s = 0.15 + float(np.sqrt(length_m / 9.81))  # as `cell.study.clocks` allows it
     if begins_s == np.inf or moves_s <= begins_s + late_s:
         sentence = f"{name}: the cable is at rest until the gripper moves: start equilibrium"
-        return {"start": "equilibrium"}, [Finding("trials.start", sentence, Sure.SEEN)]
-    release_s = round(float(t_s[rest.stop - 1]), 4)
-    sentence = (
-        f"{name}: the cable moves at {begins_s:.3g} s, the gripper does not: let go (start held)"
-    )
-    return {"start": "held", "release_s": release_s}, [
-        Finding("trials.start", sentence, Sure.GUESSED)
-    ]
+        findings.seen("trials.start", sentence)
+        return {"start": "equilibrium"}
+    sentence = f"{name}: the cable moves at {begins_s:.3g} s, the gripper does not: let go (start "
+    findings.guessed("trials.start", f"{sentence}held)")
+    return {"start": "held", "release_s": round(float(t_s[rest.stop - 1]), 4)}
 
 
 #: Shifts that are tried, and samples that each is tried on.
@@ -281,22 +374,32 @@ def clock_shift_s(
     some = np.unique(np.linspace(0, len(seen_s) - 1, _SAMPLES).astype(int))
     at_s, at_m = seen_s[some], seen_m[some]
 
-    def off(shift_s: float) -> float:
-        there = (at_s >= hand_s[0] + shift_s) & (at_s <= hand_s[-1] + shift_s)
-        if np.count_nonzero(there) < 4:
-            return np.inf
-        path = np.column_stack(
-            [np.interp(at_s[there] - shift_s, hand_s, hand_m[:, k]) for k in range(2)]
-        )
-        return float(
-            np.sum(np.var(at_m[there] - path, axis=0)) / np.sum(np.var(path, axis=0) + 1e-12)
-        )
+    def off(shifts_s: FloatArray) -> FloatArray:
+        """Variance of marker minus gripper over the gripper's, while both are known; per shift."""
+        then_s = at_s - shifts_s[:, None]
+        there = (then_s >= hand_s[0]) & (then_s <= hand_s[-1])
+        path = np.stack([np.interp(then_s, hand_s, hand_m[:, k]) for k in range(2)], axis=-1)
+        shares = there / np.maximum(there.sum(axis=1, keepdims=True), 1)
+        ratio = _variance(at_m - path, shares) / (_variance(path, shares) + 2e-12)
+        return np.where(there.sum(axis=1) < 4, np.inf, ratio)
 
     tried = np.linspace(low, high, _SHIFTS)
-    values = np.array([off(s) for s in tried])
+    values = off(tried)
     best = int(np.argmin(values))
     if not np.isfinite(values[best]) or values[best] > 0.5:
         return None
     step = tried[1] - tried[0]
     bounds = tried[best] - 2.0 * step, tried[best] + 2.0 * step
-    return float(minimize_scalar(off, bounds=bounds, method="bounded", options={"xatol": 1e-5}).x)
+    found = minimize_scalar(
+        lambda shift_s: off(np.array([shift_s]))[0],
+        bounds=bounds,
+        method="bounded",
+        options={"xatol": 1e-5},
+    )
+    return float(found.x)
+
+
+def _variance(xy_m: FloatArray, shares: FloatArray) -> FloatArray:
+    """Sum of the variances of x and y, each row with shares that sum to 1."""
+    mean_m = np.einsum("st,stk->sk", shares, xy_m)
+    return np.asarray(np.einsum("st,stk->s", shares, (xy_m - mean_m[:, None]) ** 2))

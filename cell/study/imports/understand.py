@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cell.cable.arrays import FloatArray
-from cell.study.entries import MAX_ARC_STD_FRACTION
-from cell.study.imports.capture import Capture, Finding, Sure
+from cell.files.words import first_of
+from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
+from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, choose, detected_places
 from cell.study.imports.clamp_angle import Root, clamp_angle
 from cell.study.imports.column_names import is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.convert import times_s
-from cell.study.imports.directions import find_axes
 from cell.study.imports.gripper_proposal import (
     TIP,
     GripperFile,
@@ -33,31 +33,24 @@ from cell.study.imports.gripper_section import (
     GripperSection,
     TextSection,
 )
-from cell.study.imports.mapping import FORMAT, CableSection, Mapping, MarkerEntry, TrialEntry
-from cell.study.imports.places import angle_of, places_m
+from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
+from cell.study.imports.places import angle_of, find_axes, places_m
 from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
 from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
+from cell.study.imports.stated import Stated, with_files
+from cell.study.imports.trial_files import by_rows
 from cell.study.imports.trials import Files, trial_entries
 
 #: Rows of a long trial in which the direction of the cable's root is estimated.
 _ROOTS = 1000
 #: Points of a chain that show a line and no bend, and that show how a curve goes on.
 _A_LINE, _A_CURVE = 2, 3
+#: The second coordinate is the vertical from this component of its direction on.
+_DOWN = 0.5
+#: A marker is at the gripping point if it is nearer to it than this share of the cable's length.
+_AT_GRIPPER = 0.005
 #: Where the curve through the markers begins is known to so much of the cable's length.
 _SAME_FRAME = 0.05
-
-
-@dataclass(frozen=True)
-class Stated:
-    """What the user states about cable and files; None = not stated."""
-
-    name: str
-    free_length_m: float | None = None
-    line_density_kg_per_m: float | None = None
-    width_m: float | None = None
-    thickness_m: float | None = None
-    diameter_m: float | None = None
-    rate_hz: float | None = None
 
 
 @dataclass(frozen=True)
@@ -87,14 +80,22 @@ class _Scene:
 def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     """Propose a mapping.  Raises InputError: a file has no points or no gripper, or is
     disordered."""
+    findings = ImportFindings()
+    trials = by_rows(trials, findings)
     first = trials[0]
     inside = contents(first.capture)
     apart = None if first.gripper is None else gripper_file(first.gripper)
     elsewhere = apart is not None or inside.has_gripper_sensor
     others = [files.capture for files in trials[1:]]
-    chosen, findings = choose(first.capture, inside, elsewhere, others)
+    stated = with_files(stated, [files.capture for files in trials], findings)
+    if first.joined_files:
+        sentence = (
+            f"{first.capture.path.name} and {', '.join(first.joined_files)} have the same times: "
+        )
+        findings.guessed("trials", f"{sentence}they are taken as one motion's")
+    chosen = choose(first.capture, inside, elsewhere, findings, others, stated.free_length_m)
     time, told = time_section(first.capture, inside, stated.rate_hz)
-    findings = [*told, *findings]
+    findings.insert(0, told)
     times_s(first.capture, time)  # in disorder nothing below means anything
     points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
     raw = _detected(first.capture, points, chosen)
@@ -104,23 +105,23 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         begins = first_point(apart, shape, units, stated.free_length_m)
     shape = shape if begins is None else np.vstack([begins, shape])
     extent = float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
-    scale, finding = metres_per_unit(units, extent, stated.free_length_m)
-    axes, told = find_axes(raw, shape)
-    findings += [finding, *told]
+    scale, told = metres_per_unit(units, extent, stated.free_length_m)
+    axes, of_axes = find_axes(raw, shape)
+    findings += [_of_image(told, axes, raw), *of_axes]
     scene = _scene(raw, axes, scale or 1.0, begins, chosen.gripper is not None)
-    arcs, told = _arcs(scene, chosen, stated, known=scale is not None)
-    findings += told
+    arcs = _arcs(scene, chosen, stated, scale is not None, findings)
     chain_m = _chain(raw, begins if scene.from_gripper else None) * (scale or 1.0)
-    stds, told = _arc_stds(chain_m, scene, chosen, stated, arcs)
-    findings += told
+    stds = _arc_stds(chain_m, scene, stated, arcs, findings)
     nearest = None
     if apart is not None and apart.point is not None and scale is not None:
         nearest = _nearest(trials, apart.point, chosen, axes, scale)
-    hand, told = _gripper(first, apart, inside, chosen, axes, scene, scale, nearest)
-    findings += told
+    if apart is not None:
+        root = _root_at_rest(scene, arcs)
+        hand = section_of_file(apart, axes, root, scale, nearest, findings)
+    else:
+        hand = _gripper(first.capture, chosen, axes, scene, arcs, findings)
     if apart is not None and begins is None:
-        hand, told = _with_origin(hand, apart, axes, scene, arcs, scale)
-        findings += told
+        hand = _with_origin(hand, apart, axes, scene, arcs, scale, findings)
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
@@ -137,11 +138,42 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
             )
             for p, arc, std in zip(chosen.markers, arcs, stds, strict=True)
         ],
-        trials=[TrialEntry(name=t.name, file=t.file, hand_file=t.gripper_file) for t in trials],
+        trials=[_trial(t) for t in trials],
     )
-    entries, told = trial_entries(trials, mapping, stated.rate_hz)
-    findings += [*told, *_missing_entries(mapping), *_unused(inside, chosen, hand, first.capture)]
-    return Understanding(mapping.model_copy(update={"trials": entries}), tuple(findings))
+    entries = trial_entries(trials, mapping, stated.rate_hz, findings)
+    markers = _from_gripper(mapping.markers)
+    _tell_missing(mapping, findings)
+    _tell_unused(inside, chosen, hand, first.capture, findings)
+    return Understanding(
+        mapping.model_copy(update={"trials": entries, "markers": markers}), tuple(findings)
+    )
+
+
+def _trial(files: Files) -> TrialEntry:
+    """Entry of a trial, with its files alone."""
+    return TrialEntry(
+        name=files.name,
+        file=files.file,
+        joined_files=files.joined_files,
+        hand_file=files.gripper_file,
+        only=dict(files.only),
+    )
+
+
+def _of_image(finding: Finding, axes: AxesSection, raw: FloatArray) -> Finding:
+    """The finding about an unstated unit, where the second coordinate runs down as in an image.
+
+    raw  (rows, points, d) places in the file's unit
+    """
+    if finding.sure not in (Sure.SEEN, Sure.GUESSED) or not axes.up[1] < -_DOWN:
+        return finding
+    if np.nanmin(raw) >= 0.0 and np.nanmax(raw) <= 1.0:
+        what = "shares of an image's size, multiply x by its width and y by its height in pixels"
+    elif finding.sure is Sure.SEEN:
+        what = "pixels, give metres_per_unit"
+    else:
+        return finding
+    return replace(finding, sentence=f"{finding.sentence}; if these are {what}", sure=Sure.GUESSED)
 
 
 def _detected(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
@@ -191,75 +223,82 @@ def _scene(
 
 
 def _arcs(
-    scene: _Scene, chosen: Chosen, stated: Stated, known: bool
-) -> tuple[list[float | None], list[Finding]]:
+    scene: _Scene, chosen: Chosen, stated: Stated, known: bool, findings: ImportFindings
+) -> list[float | None]:
     """Where the markers are along the cable, to 10 µm; None where nothing tells it."""
-    if not known:
-        sentence = "where the markers are along the cable is known with the unit of length"
-        return [None] * len(chosen.markers), [Finding("markers", sentence, Sure.WANTED)]
     lengths, length_m = scene.arcs, stated.free_length_m
     how = "" if chosen.gripper is not None else ", from the gripper's place at rest on"
-    if not scene.from_gripper:
-        if length_m is None:
-            sentence = "where the markers are along the cable needs --free-length"
-            return [None] * len(lengths), [Finding("markers", sentence, Sure.WANTED)]
+    if not known or (not scene.from_gripper and length_m is None):
+        needs = "needs --free-length" if known else "is known with the unit of length"
+        findings.wanted("markers", f"where the markers are along the cable {needs}")
+        return [None] * len(chosen.markers)
+    if not scene.from_gripper and length_m is not None:
         lengths = lengths + length_m - lengths[-1]
         why = "no place of the gripper at rest is known in their frame"
         if len(scene.shape) > scene.xy_m.shape[1]:
             why = "one marker shows no curve from the gripper on"
         how = f", {chosen.markers[-1].name!r} taken as the cable's tip, for {why}"
+    if not np.isfinite(lengths).all():
+        sentence = "where the markers are along the cable is not known, for no row shows "
+        findings.wanted("markers", f"{sentence}two neighbours of each; measure arc_length_m")
+        return [None] * len(chosen.markers)
     arcs = [round(float(s), 5) for s in lengths]
     if length_m is not None and 0.0 < arcs[-1] - length_m <= TIP * length_m:
         arcs[-1] = length_m
-    sentence = (
-        f"arc lengths are those of a curve through the markers, {arcs[0]:g} … {arcs[-1]:g} m{how}; "
-        "measured ones are better"
-    )
-    findings = [Finding("markers", sentence, Sure.GUESSED)]
-    if length_m is not None and arcs[-1] > length_m:
-        sentence = (
-            f"the markers span {arcs[-1]:g} m from the gripper, the cable {length_m:g} m: is the "
-        )
-        sentence += "gripper's place, a unit or --free-length wrong?"
-        findings.append(Finding("markers", sentence, Sure.GUESSED))
+    sentence = f"arc lengths are those of a curve through the markers, {arcs[0]:g} … {arcs[-1]:g} m"
+    findings.guessed("markers", f"{sentence}{how}; measured ones are better")
     if length_m is None:
         sentence = f"the cable ends at its last marker: {arcs[-1]:g} m long; give --free-length"
-        findings.append(Finding("cable.free_length_m", sentence, Sure.GUESSED))
-    return list(arcs), findings
+        findings.guessed("cable.free_length_m", sentence)
+    elif arcs[-1] > length_m:
+        sentence = f"the markers span {arcs[-1]:g} m from the gripper, the cable {length_m:g} m: "
+        sentence += "is the gripper's place, a unit or --free-length wrong, or are points of the "
+        sentence += "gripper to be called gripper_1, gripper_2?"
+        findings.guessed("markers", sentence)
+    elif arcs[-1] < (1.0 - TIP) * length_m:
+        sentence = f"the last {length_m - arcs[-1]:.3g} m of the cable, beyond marker "
+        sentence += f"{chosen.markers[-1].name!r}, has no marker, by --free-length"
+        findings.guessed("cable.free_length_m", sentence)
+    return list(arcs)
+
+
+def _from_gripper(markers: list[MarkerEntry]) -> list[MarkerEntry]:
+    """Markers of which one at the gripping point is at arc length 0, where the curve begins."""
+    first, last = markers[0].arc_length_m, markers[-1].arc_length_m
+    if first is None or last is None or not -_AT_GRIPPER * last <= first < 0.0:
+        return markers
+    return [markers[0].model_copy(update={"arc_length_m": 0.0}), *markers[1:]]
 
 
 def _arc_stds(
     places_m: FloatArray,
     scene: _Scene,
-    chosen: Chosen,
     stated: Stated,
     arcs: Sequence[float | None],
-) -> tuple[list[float | None], list[Finding]]:
+    findings: ImportFindings,
+) -> list[float | None]:
     """How well the proposed arc lengths are known; None where none is proposed, or nothing tells.
 
     places_m  (rows, points, d) of the chain, from the gripper on where that is known
     """
     last_m = arcs[-1]
     if last_m is None or places_m.shape[1] < _A_LINE:
-        return [None] * len(arcs), []
+        return [None] * len(arcs)
     length_m = stated.free_length_m or last_m
     stds = arc_length_stds(places_m, length_m, scene.from_gripper)
     beyond_m = float(scene.arcs[-1]) - last_m if scene.from_gripper else 0.0
-    findings = []
     if beyond_m > max(stds[-1], ROUNDED_M):  # a tip is on the cable, though the curve is longer
-        stds[-1] = min(
-            float(f"{np.hypot(stds[-1], beyond_m):.2g}"), MAX_ARC_STD_FRACTION * length_m
-        )
-        sentence = (
-            f"the curve is {beyond_m * 1e3:.2g} mm longer than the cable: its last marker is "
-        )
-        findings.append(Finding("markers", f"{sentence}taken as the tip", Sure.GUESSED))
+        std_m = float(f"{np.hypot(stds[-1], beyond_m):.2g}")
+        stds[-1] = min(std_m, MAX_ARC_STD_FRACTION * length_m)
+        sentence = f"the curve is {beyond_m * 1e3:.2g} mm longer than the cable: its last marker "
+        findings.guessed("markers", f"{sentence}is taken as the tip")
     low, high = (f"{v * 1e3:.2g}" for v in (stds.min(), stds.max()))
-    sentence = (
+    findings.guessed(
+        "markers",
         f"arc_length_std_m, {low if low == high else f'{low} … {high}'} mm, is what noise and the "
-        "bend between markers leave open; give your own where you measure"
+        "bend between markers leave open; give your own where you measure",
     )
-    return stds.tolist(), [*findings, Finding("markers", sentence, Sure.GUESSED)]
+    return [float(s) for s in stds]
 
 
 def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
@@ -273,31 +312,27 @@ def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
 
 
 def _gripper(
-    first: Files,
-    elsewhere: GripperFile | None,
-    inside: Contents,
+    capture: Capture,
     chosen: Chosen,
     axes: AxesSection,
     scene: _Scene,
-    scale: float | None,
-    nearest: NearestMarker | None,
-) -> tuple[GripperSection, list[Finding]]:
-    """The gripping point and the clamp angle, from the same file or another one."""
-    if elsewhere is not None:
-        return section_of_file(elsewhere, axes, _root_at_rest(scene), scale, nearest)
+    arcs: Sequence[float | None],
+    findings: ImportFindings,
+) -> GripperSection:
+    """The gripping point and the clamp angle, from the file of the markers."""
+    inside, hand = contents(capture), chosen.gripper
     if inside.has_gripper_sensor:
-        return sensor_section(first.capture, inside, axes, _root_at_rest(scene), {})
-    hand = chosen.gripper
+        root = _root_at_rest(scene, arcs)
+        return sensor_section(capture, inside, axes, root, {}, findings)
     if hand is None:
-        return GripperSection(angle=AngleSection()), []
-    root = _root(scene)
+        return GripperSection(angle=AngleSection())
     second = None
     if chosen.second is not None:
-        rest = _shape(_detected(first.capture, (hand, chosen.second), chosen))
+        rest = _shape(_detected(capture, (hand, chosen.second), chosen))
         line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
         second = chosen.second, angle_of(line)
-    angle, findings = clamp_angle(first.capture, inside, axes, root, second, hand.name)
-    return GripperSection(columns=list(hand.columns), angle=angle), findings
+    angle = clamp_angle(capture, inside, axes, _root(scene), findings, hand.name, second)
+    return GripperSection(columns=list(hand.columns), angle=angle)
 
 
 def _nearest(
@@ -327,37 +362,49 @@ def _with_origin(
     scene: _Scene,
     arcs: Sequence[float | None],
     scale: float | None,
-) -> tuple[GripperSection, list[Finding]]:
+    findings: ImportFindings,
+) -> GripperSection:
     """The section with the origin of the gripper's places, where that is not the markers'.
 
     At rest the curve through the markers goes on to the gripping point.
     """
-    known = [a for a in arcs if a is not None]
-    unknown = hand.columns is None or apart.initial is None or scale is None
-    if unknown or len(known) < _A_CURVE or len(known) != len(scene.shape):
-        return hand, []
-    begins_m = CubicSpline(known, scene.shape)(0.0)
-    own, unit = hand.axes or axes, hand.metres_per_unit or scale or 1.0
-    assert apart.initial is not None
+    curve = _curve_from_gripper(scene, arcs)
+    if hand.columns is None or apart.initial is None or scale is None or curve is None:
+        return hand
+    begins_m, length_m = curve(0.0), float(curve.x[-1])
+    own, unit = hand.axes or axes, hand.metres_per_unit or scale
     hand_m = np.array([own.right, own.up]) @ apart.initial * unit
     origin_m = begins_m - hand_m
-    if float(np.hypot(*origin_m)) < _SAME_FRAME * known[-1]:
-        return hand, []
+    if float(np.hypot(*origin_m)) < _SAME_FRAME * length_m:
+        return hand
     x_m, y_m = (round(float(v), 5) for v in origin_m)
-    sentence = (
+    findings.guessed(
+        "hand.origin_m",
         f"the gripper's places have another origin: [{x_m:g}, {y_m:g}] m are added, so that the "
-        "curve through the markers at rest begins at the gripper; measure hand.origin_m"
+        "curve through the markers at rest begins at the gripper; measure hand.origin_m",
     )
-    return hand.model_copy(update={"origin_m": (x_m, y_m)}), [
-        Finding("hand.origin_m", sentence, Sure.GUESSED)
-    ]
+    return hand.model_copy(update={"origin_m": (x_m, y_m)})
 
 
-def _root_at_rest(scene: _Scene) -> Root:
-    """The clamp angle as the markers show it at rest, where they have no rows in common with it."""
+def _root_at_rest(scene: _Scene, arcs: Sequence[float | None]) -> Root:
+    """The clamp angle as the markers show it at rest, where they have no rows in common with it.
+
+    Where the first marker is away from the gripper, the curve goes on to it.
+    """
     shape = scene.shape
     angle = angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
+    if (curve := _curve_from_gripper(scene, arcs)) is not None:
+        angle = angle_of(curve(0.0, 1))
     return Root(np.full(1, np.nan), angle, len(shape) <= _A_LINE)
+
+
+def _curve_from_gripper(scene: _Scene, arcs: Sequence[float | None]) -> CubicSpline | None:
+    """(2,) place against arc length, where the first marker is not at the gripper; None if it is,
+    or too few markers show how the curve goes on."""
+    known = [a for a in arcs if a is not None]
+    if scene.from_gripper or len(known) < _A_CURVE or len(known) != len(scene.shape):
+        return None
+    return CubicSpline(known, scene.shape)
 
 
 def _root(scene: _Scene) -> Root:
@@ -370,35 +417,38 @@ def _root(scene: _Scene) -> Root:
     return Root(angle, angle_of(root_direction(scene.shape)), len(scene.shape) <= _A_LINE)
 
 
-def _missing_entries(mapping: Mapping) -> list[Finding]:
-    """What a file of places cannot tell of a cable."""
-    found = []
-    if mapping.cable.line_density_kg_per_m is None:
-        sentence = "give cable.line_density_kg_per_m: the mass of a piece divided by its length"
-        found.append(Finding("cable.line_density_kg_per_m", sentence, Sure.WANTED))
-    across = mapping.cable.width_m is None or mapping.cable.thickness_m is None
-    if across and mapping.cable.diameter_m is None:
-        sentence = "give cable.width_m and thickness_m of a flat cable, diameter_m of a round one"
-        found.append(Finding("cable", sentence, Sure.WANTED))
-    return found
+def _tell_missing(mapping: Mapping, findings: ImportFindings) -> None:
+    """Add what a file of places cannot tell of a cable."""
+    cable = mapping.cable
+    if cable.line_density_kg_per_m is None:
+        sentence = (
+            "give cable.line_density_kg_per_m, or --line-density: the mass of a piece divided "
+        )
+        sentence += "by its length"
+        findings.wanted("cable.line_density_kg_per_m", sentence)
+    if cable.diameter_m is None and None in (cable.width_m, cable.thickness_m):
+        sentence = (
+            "give cable.width_m and thickness_m of a flat cable, diameter_m of a round one, or "
+        )
+        sentence += "--width and --thickness, or --diameter"
+        findings.wanted("cable", sentence)
 
 
-def _unused(
-    inside: Contents, chosen: Chosen, hand: GripperSection, capture: Capture
-) -> list[Finding]:
-    """Columns that nothing is made of."""
-    used = {n for p in chosen.markers for n in p.columns}
-    points = [
-        *([chosen.gripper] if chosen.gripper else []),
-        *([chosen.second] if chosen.second else []),
-    ]
-    used |= {n for p in points for n in p.columns}
+def _tell_unused(
+    inside: Contents,
+    chosen: Chosen,
+    hand: GripperSection,
+    capture: Capture,
+    findings: ImportFindings,
+) -> None:
+    """Add columns that nothing is made of."""
+    points = [p for p in (*chosen.markers, chosen.gripper, chosen.second) if p is not None]
+    used = {n for p in points for n in p.columns}
     rest = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
     rest += [n for n, _ in inside.angles if n != hand.angle.column]
     if not rest:
-        return []
-    more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
-    sentence = f"not used of {capture.path.name}: columns {', '.join(rest[:8])}{more}"
+        return
+    sentence = f"not used of {capture.path.name}: columns {first_of(rest, 8)}"
     if any(is_of_wrench(name) for name in rest):
         sentence += "; a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}"
-    return [Finding("unused", sentence, Sure.SEEN)]
+    findings.seen("unused", sentence)

@@ -16,6 +16,7 @@ from cell.files.atomic import write_all
 from cell.files.input_error import InputError
 from cell.files.yaml_document import yaml_text
 from cell.study.data import Study, Trial
+from cell.study.entries import CableSection
 from cell.study.folder import read_study, thinned, write_study
 from cell.study.hand_drift import HandDriftSection
 from cell.study.imports.capture import Finding, Sure
@@ -29,7 +30,6 @@ from cell.study.imports.gripper_section import (
 from cell.study.imports.mapping import (
     FILE,
     FORMAT,
-    CableSection,
     Mapping,
     MarkerEntry,
     TrialEntry,

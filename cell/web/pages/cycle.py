@@ -18,57 +18,74 @@ from cell.records.recording.retention import recording_room, remove_recording
 from cell.run.machine import CellState
 from cell.settings import load_settings
 from cell.settings.translate import picture_size
-from cell.web.cycle_view import CycleView, cycle_folder, cycle_view, tip_chart
-from cell.web.theme import BLUE, LOOKS, N_, chart, confirmed, heading, table
-from cell.web.views import step_word
+from cell.web.cycle_view import (
+    CycleView,
+    cycle_folder,
+    cycle_view,
+    decision_chart,
+    error_chart,
+    tip_chart,
+)
+from cell.web.jobs import OPEN, JobState
+from cell.web.lab_tasks import LabTasks, Subject
+from cell.web.theme import (
+    BLUE,
+    LOOKS,
+    N_,
+    asset,
+    chart,
+    confirmed,
+    heading,
+    notify_refusal,
+    table,
+)
+from cell.web.views import PICTURES, step_word
 from cell.web.visit import Visit, do
 
 #: The film is played so much slower than reality.
 _SLOWER = 10
-#: What the slider and the button do, in the browser alone: `film` is made below.
-_SCRIPT = """
-<script>
-window.film = {
-  times: [], base: '', at: 0, timer: null,
-  show(k) {
-    this.at = Math.max(0, Math.min(this.times.length - 1, k));
-    document.getElementById('film-frame').src = `${this.base}/${this.at}.jpg`;
-    document.getElementById('film-slider').value = this.at;
-    document.getElementById('film-time').textContent =
-      `${this.times[this.at].toFixed(3)} s · ${this.at + 1}/${this.times.length}`;
-  },
-  stop() { clearInterval(this.timer); this.timer = null; },
-  play() {
-    if (this.timer) { this.stop(); return; }
-    if (this.at >= this.times.length - 1) this.show(0);
-    const from = this.times[this.at], begun = performance.now();
-    this.timer = setInterval(() => {
-      if (!document.getElementById('film-frame').complete) return;
-      const t = from + (performance.now() - begun) / 1000 / SLOWER;
-      let k = this.at;
-      while (k < this.times.length - 1 && this.times[k + 1] <= t) k++;
-      if (k !== this.at) this.show(k);
-      if (k >= this.times.length - 1) this.stop();
-    }, 60);
-  },
-};
-</script>
-""".replace("SLOWER", str(_SLOWER))
-_LINES = {"seen": N_("seen"), "predicted": N_("predicted"), "destination": N_("destination")}
+#: Words of the charts.
+_NAMES = {
+    "seen": N_("seen"),
+    "predicted": N_("predicted"),
+    "destination": N_("destination"),
+    "above": N_("seen above predicted"),
+    "right": N_("seen to the right of predicted"),
+    "limit": N_("three standard deviations"),
+    "time": N_("time since the beginning of the motion, s"),
+    "error": N_("seen − predicted, mm"),
+    "inside": N_("in the destination"),
+    "correction": N_("correction"),
+    "offset": N_("offset, mm"),
+    "probability": N_("probability of passing, %"),
+    "margin": N_("margin, mm"),
+    "chosen": N_("executed"),
+}
+#: Tabs of the lab that begin with this cycle's study, and what each answers.
+_TO_LAB = {
+    "compare": N_("Compare with the model"),
+    "diagnose": N_("What does the model lack?"),
+}
+#: The state of a replay is looked up so often, s.
+_EVERY_S = 0.5
 
 
 def build(visit: Visit, name: str) -> None:
     """Fill the page; what takes its time follows."""
-    ui.add_body_html(_SCRIPT)
+    script = asset("film.js", SLOWER=str(_SLOWER))
+    ui.add_body_html(f"<script>{script}</script>")
     with ui.column().classes("w-full max-w-7xl mx-auto p-2 gap-4"):
         with ui.row().classes("items-center gap-6"):
             ui.link(visit.t("Back to the history"), "/history")
             ui.link(visit.t("Report for printing"), f"/cycles/{name}/report", new_tab=True)
+            page = _CyclePage(visit, name)
             if visit.has_role(Role.engineer):
-                asked = f"/lab?study={name}&tab=diagnose"
-                link = ui.link(visit.t("What does the model lack?"), asked)
-                link.props("data-test=to-diagnosis")
-        page = _CyclePage(visit, name)
+                for tab, words in _TO_LAB.items():
+                    link = ui.link(visit.t(words), f"/lab?study={name}&tab={tab}")
+                    link.props(f"data-test=to-{tab}")
+                button = ui.button(visit.t("Replay"), icon="replay", on_click=page.replay)
+                button.props("outline dense data-test=replay")
+        page.place()
         ui.timer(0.01, page.fill, once=True)
 
 
@@ -78,7 +95,40 @@ class _CyclePage:
     def __init__(self, visit: Visit, name: str) -> None:
         self._visit, self._t, self._name = visit, visit.t, name
         self._hours: float | None = None
+        self._replaying = 0
+
+    def place(self) -> None:
+        """Make the places that are filled later."""
+        self._replayed = ui.label().classes("w-full whitespace-pre-line break-words")
+        self._replayed.props("role=status data-test=replayed").set_visibility(False)
         self._place = ui.column().classes("w-full gap-4")
+        ui.timer(_EVERY_S, self._show_replay)
+
+    def replay(self) -> None:
+        """Compute the cycle again from its recording, in a process of its own."""
+        jobs, room = self._visit.room.lab.jobs, self._visit.room
+        folder = cycle_folder(room.runs, self._name)
+        if folder is None:
+            ui.navigate.to("/history")
+            return
+        task = LabTasks(room.lab.workspace, room.config).replay(Subject(self._name, folder, True))
+        refused = self._visit.do(
+            "replay", Role.engineer, lambda: jobs.submit(task, self._visit.name), task.typed
+        )
+        notify_refusal(refused, self._t)
+        if not refused:
+            self._replaying = jobs.listed()[0].number
+
+    def _show_replay(self) -> None:
+        jobs = self._visit.room.lab.jobs.listed() if self._replaying else ()
+        job = next((j for j in jobs if j.number == self._replaying), None)
+        if job is None:
+            return
+        said = (*job.printed, *(job.output if job.state is JobState.FAILED else ()))
+        under_way = f"{self._t('Replay')}: {self._t('at work')} …"
+        self._replayed.text = under_way if job.state in OPEN else "\n".join(map(self._t, said))
+        self._replayed.set_visibility(True)
+        self._replaying = self._replaying if job.state in OPEN else 0
 
     async def fill(self) -> None:
         """Show the cycle as it is now."""
@@ -100,11 +150,11 @@ class _CyclePage:
             self._heading(view)
             with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-2 gap-4"):
                 self._film(view, times)
-                self._tip(view)
+                self._charts(view)
                 self._table(self._t("Result"), view.numbers)
                 self._table(self._t("Parameters of the cable"), view.parameters)
                 self._spent(view)
-            self._pictures(view)
+                self._pictures(view)
 
     def _heading(self, view: CycleView) -> None:
         t = self._t
@@ -192,15 +242,17 @@ class _CyclePage:
 
         await do(self._visit, what, Role.engineer, act, self._name)
 
-    def _tip(self, view: CycleView) -> None:
-        t = self._t
-        if not view.tip:
-            return
-        with ui.card().classes("w-full"):
-            heading(t("Path of the tip"))
-            names = {key: t(word) for key, word in _LINES.items()}
-            path = chart(tip_chart(view.tip, names), "h-96")
-            path.props(f'role=img aria-label="{t("Path of the tip")}"')
+    def _charts(self, view: CycleView) -> None:
+        t, names = self._t, {key: self._t(word) for key, word in _NAMES.items()}
+        for title, option in (
+            (N_("Path of the tip"), tip_chart(view.flight, names)),
+            (N_("Error of the forecast"), error_chart(view.flight, view.corrections, names)),
+            (N_("Decision"), decision_chart(*view.decision, names)),
+        ):
+            if option:
+                with ui.card().classes("w-full"):
+                    heading(t(title))
+                    chart(option, "h-96").props(f'role=img aria-label="{t(title)}"')
 
     def _table(self, title: str, data: TableData | None) -> None:
         if data is None or not data.rows:
@@ -229,12 +281,12 @@ class _CyclePage:
 
     def _pictures(self, view: CycleView) -> None:
         for picture in view.pictures:
-            with ui.element("figure").classes("w-full max-w-4xl"):
+            title = self._t(PICTURES.get(Path(picture).stem, Path(picture).stem))
+            with ui.card().classes("w-full"):
+                heading(title)
                 image = ui.element("img").classes("w-full")
                 image.props(f'src="/cycles/{self._name}/pictures/{picture}" loading=lazy')
-                image.props(f'alt="{Path(picture).stem}"')
-                with ui.element("figcaption"):
-                    ui.label(Path(picture).stem).classes("text-sm")
+                image.props(f'alt="{title}"')
 
 
 def _word(t: Callable[[str], str], kind: str, name: str) -> str:

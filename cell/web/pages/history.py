@@ -8,8 +8,8 @@ from nicegui import run, ui
 
 from cell.plant.users import Role
 from cell.records.chart import signals
+from cell.records.folder import UNFINISHED
 from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
-from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 from cell.settings.model import Settings
 from cell.settings.provenance import line_name

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Awaitable, Callable
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 from nicegui import run, ui
@@ -19,7 +20,7 @@ from cell.run.machine import MachineEvent
 from cell.settings.loading import products_of
 from cell.web.cycle_view import cycle_folder, newest_picture
 from cell.web.heartbeat import on_press
-from cell.web.theme import AMBER, AWAY, BLUE, N_, NORMAL, chart, notify_refusal, show_option
+from cell.web.theme import AMBER, AWAY, BLUE, N_, NORMAL, asset, chart, notify_refusal, show_option
 from cell.web.views import (
     OUTCOME_MARKS,
     SHIFT_DEFINITIONS,
@@ -34,6 +35,7 @@ from cell.web.views import (
     why_disabled,
 )
 from cell.web.visit import Visit
+from cell.web.wording import Translate
 
 #: The page is brought up to date so often, s.
 _EVERY_S = 0.4
@@ -44,59 +46,6 @@ _BUTTONS = (
     (MachineEvent.UNHOLD, N_("Continue"), "play_arrow"),
     (MachineEvent.STOP, N_("Stop"), "stop"),
 )
-_CSS = """
-.page:has(.live) { max-width: none; padding: 0; }
-.live { display: flex; flex-direction: column; gap: 0.5rem; width: 100%; }
-.live-state, .live-person, .live-outcome { border-radius: 4px; padding: 0.25rem 0.75rem; }
-.live-state .q-linear-progress { color: inherit; opacity: 0.6; }
-.live-cut { display: -webkit-box; -webkit-box-orient: vertical; -webkit-line-clamp: 2;
-  overflow: hidden; overflow-wrap: anywhere; }
-.live-picture { display: flex; flex-direction: column; align-items: center; }
-.live-picture img { width: 100%; object-fit: contain; }
-.live-person { border: 3px solid #b3261e; display: grid; gap: 0 1rem; }
-.live-person .big-button { min-height: 3.5rem; font-size: 1.1rem; }
-.live-side { display: flex; flex-direction: column; gap: 0.25rem; }
-.live-outcome { font-size: 2.5rem; font-weight: 700; line-height: 1.2; }
-.live-outcome:empty { display: none; }
-.live-strip { display: grid; grid-template-columns: repeat(20, minmax(0, 1fr)); gap: 2px; }
-.live-strip a { text-align: center; line-height: 2rem; height: 2rem; border-radius: 2px; }
-.live-strip a.normal { color: inherit; }
-.live-strip a.waits { color: #000000; }
-.live-strip a.alarm { color: #ffffff; }
-.live-side .trend { width: 100%; height: 7rem; }
-.live-bar { display: flex; flex-direction: column; gap: 0.25rem; }
-.live-bar .big-button { flex: 1 1 auto; min-width: 0; border: 2px solid #8a94a3; padding: 0 0.25rem;
-  font-size: clamp(1rem, 1.3vw, 1.35rem); }
-.live-bar .big-button { background: #ffffff; color: #1d232b; }
-.live-bar .big-button[data-test=stop] { background: #1d232b; color: #ffffff; }
-.live-bar .big-button[data-test]:disabled { background: transparent; border-style: dashed;
-  color: inherit; filter: none; opacity: 0.6 !important; }
-.live-bar .big-button .q-btn__content { flex-direction: column; line-height: 1.2; }
-.live-bar .big-button .q-icon { margin: 0; }
-.live-column { display: contents; }
-.live-buttons { display: flex; gap: 0.5rem; width: 100%; }
-@media (max-width: 899px) {
-  .live { padding-bottom: 5.5rem; }
-  .live-buttons { position: fixed; left: 0; bottom: 0; z-index: 5; padding: 0.5rem;
-    background: #ffffff; }
-  .body--dark .live-buttons { background: #121212; }
-  .live-state { order: -3; } .live-person { order: -2; } .live-bar { order: -1; }
-}
-@media (min-width: 900px) and (min-height: 640px) {
-  .q-page:has(.live) { position: relative; }
-  .nicegui-content:has(.live) { position: absolute; inset: 0; padding: 0.5rem; gap: 0.5rem;
-    flex-wrap: nowrap; }
-  .page:has(.live), .live { flex: 1; min-height: 0; }
-  .live { flex-direction: row; }
-  .live-column { display: flex; flex-direction: column; gap: 0.5rem; min-width: 0; }
-  .live-column:first-child { flex: 1; }
-  .live-column:last-child { width: clamp(20rem, 34vw, 40rem); }
-  .live-picture, .live-side { flex: 1; min-height: 0; }
-  .live-picture img { flex: 1 1 0; min-height: 0; }
-  .live-side .trend { flex: 1 1 0; height: auto; min-height: 3.5rem; max-height: 16rem; }
-}
-@media (min-width: 1200px) { .live-person { grid-template-columns: 1fr 1fr; } }
-"""
 
 
 def build(visit: Visit) -> None:
@@ -113,14 +62,14 @@ class _Live:
 
     def build(self) -> None:
         """Make the elements, and keep them up to date."""
-        ui.add_css(_CSS)
+        ui.add_css(asset("live.css"))
         heading = ui.label(self._t("Live")).classes("unseen")
         heading.props("role=heading aria-level=1")
         with ui.element("div").classes("live"):
             with ui.element("div").classes("live-column"):
                 self._state()
-                self._picture()
                 self._person()
+                self._picture()
             with ui.element("div").classes("live-column"):
                 self._cables()
                 if self._visit.has_role(Role.operate):
@@ -173,32 +122,23 @@ class _Live:
         return f"{t('Waits for')} {waits}" if waits else t(view.note)
 
     def _picture(self) -> None:
-        """The camera's newest picture while it comes, else the newest cable's."""
+        """The camera's newest picture while it comes, else that of the newest cable with one."""
         t, room = self._t, self._visit.room
         with ui.element("div").classes("live-picture"):
             picture = ui.element("img").props("data-test=camera")
             caption = ui.label().classes("quiet").props("data-test=age")
             unrecorded = ui.label(t("This cycle is not recorded.")).classes("quiet")
             unrecorded.props("data-test=unrecorded")
-        former: dict[str, str] = {}  # the newest cycle's folder → address of its picture
         shown = [""]
 
         def update(view: LiveView) -> None:
-            if view.folder not in former:
-                former.clear()
-                folder = cycle_folder(room.runs, view.folder)
-                there = folder is not None and newest_picture(folder) is not None
-                former[view.folder] = f"/cycles/{view.folder}/newest" if there else ""
-            source, words = former[view.folder], N_("Newest picture")
-            newest = room.camera.ask() if view.step else None
+            source, caption.text = _newest_picture(room.runs, view, t)
+            words, newest = N_("Newest picture"), room.camera.ask() if view.step else None
             unrecorded.set_visibility(bool(view.step) and room.camera.unrecorded)
-            caption.text = t(words) if source else ""
             if newest is not None:
                 seconds = max(0.0, time.time() - newest.taken_s)
-                source, words = (
-                    f"/live/{newest.number}.jpg",
-                    N_("Camera picture of the cycle under way"),
-                )
+                words = N_("Camera picture of the cycle under way")
+                source = f"/live/{newest.number}.jpg"
                 caption.text = f"{t('Picture as recorded, two a second; its age:')} {seconds:.0f} s"
             picture.set_visibility(bool(source))
             if source != shown[0]:
@@ -380,6 +320,17 @@ class _Live:
             self._update()
 
         return give
+
+
+def _newest_picture(runs: Path, view: LiveView, t: Translate) -> tuple[str, str]:
+    """Address and caption of the picture of the newest cable that has one; empty = none has."""
+    older = {cycle.folder.name: cycle.cycle for cycle in reversed(view.newest)}
+    for name in (view.folder, *older):
+        folder = cycle_folder(runs, name)
+        if folder is not None and newest_picture(folder) is not None:
+            of_which = "" if name == view.folder else f" · {t('Cable')} {older[name]}"
+            return f"/cycles/{name}/newest", t("Newest picture") + of_which
+    return "", ""
 
 
 def _joined(t: Callable[[str], str], figures: Any) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from datetime import time as time_of_day
 
@@ -11,21 +13,100 @@ from nicegui import run, ui
 
 from cell.files.input_error import InputError
 from cell.plant.users import Role
-from cell.records.ledger.candidate_forecasts import CandidateForecasts, read_forecasts
 from cell.records.ledger.effectiveness import shift_start
 from cell.records.ledger.ledger import Ledger, LedgerQuery
-from cell.records.ledger.losses import ShiftLosses, shift_losses
+from cell.records.ledger.losses import (
+    CandidateForecasts,
+    ShiftLosses,
+    merged,
+    minutes_in,
+    read_forecasts,
+    shift_losses,
+)
 from cell.settings.provenance import line_name
 from cell.settings.records import LedgerSettings
-from cell.web.loss_views import LossRow, loss_rows, time_text, waits_now
-from cell.web.theme import heading
+from cell.web.theme import heading, table_head
 from cell.web.visit import Visit
-from cell.web.watching import read_ledger
+from cell.web.watching import WatchedState, read_ledger
+from cell.web.wording import Translate
 from cell.web.workspace import Workspace
 
 #: Candidates of the lab that are looked at, the newest.
 _CANDIDATES = 5
 _HEADS = 7
+#: Cycles of a cause that are linked, the newest.
+MOST_LINKS = 50
+
+
+@dataclass(frozen=True)
+class LossRow:
+    """One cause, as texts.
+
+    width   of its bar, as a share of the largest
+    so_far  share of all lost time of this cause and those above it
+    links   name of a cycle's folder, and its words; the newest first
+    """
+
+    cause: str
+    minutes: str
+    share: str
+    so_far: str
+    width: float
+    evidence: str
+    cycles: int
+    links: tuple[tuple[str, str], ...]
+
+
+def loss_rows(shifts: Sequence[ShiftLosses], t: Translate) -> list[LossRow]:
+    """A row for each cause, the longest first, in a language."""
+    losses = merged(shifts)
+    lost_min = sum(minutes_in(loss.lasted) for loss in losses)
+    rows: list[LossRow] = []
+    so_far_min = 0.0
+    for loss in losses:
+        minutes = minutes_in(loss.lasted)
+        so_far_min += minutes
+        links = tuple(
+            (c.folder.name, f"{c.started:%m-%d %H:%M:%S} · {c.cycle}")
+            for c in reversed(loss.cycles[-MOST_LINKS:])
+        )
+        rows.append(
+            LossRow(
+                t(loss.text),
+                t(f"{minutes:.1f}"),
+                t(f"{100.0 * minutes / lost_min:.0f}"),
+                t(f"{100.0 * so_far_min / lost_min:.0f}"),
+                minutes / minutes_in(losses[0].lasted),
+                "; ".join(t(text) for text in (loss.evidence, loss.physics) if text),
+                len(loss.cycles),
+                links,
+            )
+        )
+    return rows
+
+
+def time_text(shifts: Sequence[ShiftLosses], t: Translate) -> str:
+    """Where the planned time went, in a language."""
+    if not shifts:
+        return t("The cell has not run.")
+    planned = sum(minutes_in(s.planned) for s in shifts)
+    good = sum(minutes_in(s.productive) for s in shifts)
+    cables = sum(s.inserted for s in shifts)
+    return t(
+        f"{planned:.1f} min planned = {good:.1f} min of inserted cables ({cables}) + "
+        f"{planned - good:.1f} min lost"
+    )
+
+
+def waits_now(seen: WatchedState, now_s: float) -> dict[str, float]:
+    """What the cell waits for now, and for how long, s: not in the ledger yet.
+
+    now_s  Unix time
+    """
+    status = seen.status
+    if status is None or not seen.connected:
+        return {}
+    return dict.fromkeys(status.waiting_for[:1], now_s - status.since_s)
 
 
 class LostTime:
@@ -58,21 +139,14 @@ class LostTime:
         shifts, error = found
         self._said.text = self._t(error) if error else time_text(shifts, self._t)
         self._table.clear()
-        rows = loss_rows(shifts, self._t)
+        rows, t = loss_rows(shifts, self._t), self._t
+        heads = [t("Cause"), "", t("Minutes"), "%", t("Cumulative %"), t("Evidence"), t("Cycles")]
         self._table.set_visibility(bool(rows))
         with self._table:
-            self._head()
+            table_head(heads, (2, 3, 4))
             with ui.element("tbody"):
                 for row in rows:
                     self._row(row)
-
-    def _head(self) -> None:
-        t = self._t
-        heads = (t("Cause"), "", t("Minutes"), "%", t("Cumulative %"), t("Evidence"), t("Cycles"))
-        with ui.element("thead"), ui.element("tr"):
-            for number, head in enumerate(heads):
-                with ui.element("th").classes("text-right" if number in (2, 3, 4) else ""):
-                    ui.label(head)
 
     def _row(self, row: LossRow) -> None:
         with ui.element("tr").props("data-test=loss"):

@@ -108,7 +108,7 @@ class EntryRows:
         """Whether an entry is of the section, or, if something is searched, has all its words."""
         words = (self._search.value or "").lower().split()
         if words:
-            said = f"{entry.name} {entry.explained} {entry.unit}".lower()
+            said = f"{entry.name} {self._t(entry.explained)} {entry.unit}".lower()
             return all(w in said for w in words)
         there = entry.given or entry.key in self._draft.changes or entry.key[-1] == "kind"
         section = self._section.value
@@ -132,7 +132,7 @@ class EntryRows:
                 field.props["suffix"] = entry.unit
             field.classes("w-full").props(f'data-test="{entry.name}" hide-bottom-space')
             with ui.element("div").classes("flex flex-col"):
-                ui.label(entry.explained)
+                ui.label(t(entry.explained))
                 ui.label(self._limits(entry)).classes("text-sm quiet")
                 said = ui.label().classes("break-words wrong").props("aria-live=polite")
                 said.props(f'data-test="{entry.name}:said"')

@@ -14,12 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import cell
 from cell.cable.effects import library
-from cell.cli import app
 from cell.files.input_error import InputError
+from tests.command import run_cell
 
 #: Public functions as users call them: a change here is a change of version.
 SIGNATURES = {
@@ -114,8 +113,7 @@ def test_a_diagnosis_is_that_of_the_command(
     folder: Path, diagnosed: cell.DiagnoseResult, tmp_path: Path
 ) -> None:
     out = tmp_path / "diagnosis.json"
-    done = CliRunner().invoke(app, ["diagnose", str(folder), "-o", str(out)])
-    assert done.exit_code == 0, done.output
+    run_cell("diagnose", folder, "-o", out)
     assert diagnosed.to_json() == json.loads(out.read_text())
     assert "tip mass" in repr(diagnosed)
     assert "missing" in diagnosed._repr_html_()
@@ -169,8 +167,7 @@ def test_one_alone_is_one_of_several(folder: Path) -> None:
 def test_power_is_told_as_by_the_command(folder: Path) -> None:
     told = cell.power(folder, ["air_drag=0.3"], known=["tip_mass"])
     words = ["power", str(folder), "--try", "air_drag=0.3", "--with", "tip_mass", "--json"]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
+    done = run_cell(*words)
     assert told.to_json() == json.loads(done.stdout)
     frame = told.to_frame()
     assert (frame.effect[0], frame["size"][0], frame.unit[0]) == ("air_drag", 0.3, "1")
@@ -183,8 +180,7 @@ def test_residuals_are_arrays_and_tables(folder: Path, tmp_path: Path) -> None:
     cell.fit(folder).write(model)
     left = tmp_path / "left"
     asked = ["compare", str(folder), "--model", str(model), "--residuals", str(left)]
-    done = CliRunner().invoke(app, asked)
-    assert done.exit_code == 0, done.output
+    run_cell(*asked)
     residuals = cell.compare(folder, [model]).residuals_m()
     for name, left_m in residuals.items():
         with (left / "model" / f"{name}.csv").open() as file:
@@ -204,8 +200,7 @@ def test_a_full_disk_costs_no_comparison_and_leaves_no_empty_folder(
     cell.fit(folder).write(model)
     monkeypatch.setattr("cell.api.results.write_atomic", full)
     asked = ["compare", str(folder), "--model", str(model), "--residuals", str(left)]
-    done = CliRunner().invoke(app, asked)
-    assert done.exit_code == 1
+    done = run_cell(*asked, code=1)
     assert "mm" in done.stdout, "the comparison was lost"
     assert "left: cannot be written: No space left on device; make room there" in done.stderr
     assert not left.exists()

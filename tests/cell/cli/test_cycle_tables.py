@@ -16,7 +16,7 @@ from cell.cli.cycle_tables import (
     seconds_table,
     troubles,
 )
-from cell.cli.printing import show
+from cell.cli.output import show
 from cell.files.table import TableData
 from cell.records.result import Fault, Outcome, Result
 from cell.wiring.replay import ReplayDifference, Replayed

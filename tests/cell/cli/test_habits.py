@@ -157,8 +157,8 @@ def test_a_folder_without_cycles_is_said_to_have_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("free_length_m: 0.1 ", 'free_length_m: "0,1" ', "; write a decimal point, 0.1"),
-        ("free_length_m: 0.1 ", "free_length_m: .nan ", "must be a finite number (got nan)"),
+        ("free_length_m: 0.1\n", 'free_length_m: "0,1"\n', "; write a decimal point, 0.1"),
+        ("free_length_m: 0.1\n", "free_length_m: .nan\n", "must be a finite number (got nan)"),
         (
             "effects: {}",
             "effects: {air_drag: {drag_coefficient: -5}}",

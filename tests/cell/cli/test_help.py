@@ -10,7 +10,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from cell.cli import OLD_OPTIONS, PANELS, app
-from cell.cli import help as documentation
+from cell.cli import settings as documentation
 
 
 def test_every_command_is_in_one_panel_and_help_lists_them_in_that_order() -> None:

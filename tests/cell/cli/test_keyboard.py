@@ -67,7 +67,7 @@ def test_keys_that_waited_while_the_process_was_halted_are_dropped(
     times_s = [0.0, 1.5]  # before the wait for the first key, and after it
     clock = SimpleNamespace(monotonic=lambda: times_s.pop(0) if times_s else 2.0)
     monkeypatch.setattr("cell.cli.keyboard.time", clock)
-    monkeypatch.setattr(Keyboard, "_is_ours", lambda self: True)
+    monkeypatch.setattr("cell.cli.keyboard.is_in_foreground", lambda descriptor: True)
     with open(slave, closefd=False) as stream:  # a descriptor, not a path
         monkeypatch.setattr(sys, "stdin", stream)
         tty.setcbreak(slave)

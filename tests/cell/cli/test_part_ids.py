@@ -7,7 +7,7 @@ from itertools import islice
 
 import pytest
 
-from cell.cli.part_ids import LONGEST, part_ids
+from cell.cli.arguments import LONGEST_ID, part_ids
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def test_the_last_digits_count_on(said: str | None, ids: list[str | None]) -> No
     assert list(islice(part_ids(said), 3)) == ids
 
 
-@pytest.mark.parametrize("said", ["", "  ", "a\nb", "x" * (LONGEST + 1)])
+@pytest.mark.parametrize("said", ["", "  ", "a\nb", "x" * (LONGEST_ID + 1)])
 def test_what_is_no_id_is_refused(said: str) -> None:
     with pytest.raises(ValueError, match="is no id"):
         part_ids(said)

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from cell.cable.effects import library
-from cell.cli.printing import show
+from cell.cli.output import show
 from cell.files.table import TableData
 from cell.lab.report.model_tables import effects_table
 

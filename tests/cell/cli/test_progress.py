@@ -1,13 +1,15 @@
 """What is said of work under way: pieces, time so far, time left; off a terminal too."""
 
 import io
+import json
 
 import pytest
 from rich.console import Console
 
 from cell.cli import progress
-from cell.cli.progress import ProgressLine, Ticker
-from cell.computer.watched import PROGRESS_VARIABLE
+from cell.cli.progress import MOST_BARS, ProgressLine, Ticker, error_sparkline
+from cell.computer.watched import FIT_ERROR, PROGRESS_VARIABLE
+from cell.lab.data.work import ModelError
 
 
 def line_of(console_is_terminal: bool = False):
@@ -105,3 +107,26 @@ def test_a_line_off_a_terminal_names_command_and_piece(capsys) -> None:
     with line:
         line("fitting", 1, 3)
     assert capsys.readouterr().err == "", "work of less than ten seconds is not spoken of"
+
+
+def test_the_error_falls_behind_the_line_of_a_terminal():
+    errors = [
+        ModelError((), 1e-3, 1e-4),
+        ModelError(("a",), 3e-4, 1e-4),
+        ModelError(("b",), 1e-4, 1e-4),
+    ]
+    assert error_sparkline(errors) == "█▄▁"
+    assert len(error_sparkline(errors * 20)) == MOST_BARS
+    shown = ProgressLine("diagnose", Console(file=io.StringIO(), force_terminal=True))
+    for error in errors:
+        shown.watch(error)
+    assert shown.line().endswith("  █▄▁")
+
+
+def test_the_error_goes_to_whoever_asked_for_lines(monkeypatch, capsys):
+    monkeypatch.setenv(PROGRESS_VARIABLE, "5")
+    with ProgressLine("diagnose", Console(file=io.StringIO())) as shown:
+        shown.watch(ModelError(("a",), 3e-4, 1e-4))
+    (line,) = capsys.readouterr().err.splitlines()
+    said = {"effects": ["a"], "rms_m": 3e-4, "noise_m": 1e-4}
+    assert line.startswith(FIT_ERROR) and json.loads(line.removeprefix(FIT_ERROR)) == said

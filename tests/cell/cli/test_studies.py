@@ -16,13 +16,14 @@ from cell.lab.report.look_page import courses, film_strip, swing_figure
 from cell.study.data import Markers, Study, Trial, Wrench
 from cell.study.facts import trial_facts
 from cell.study.folder import write_study
-from tests.cell.study.imports.made import ARCS_M, made
+from tests.cell.study.imports.corpus.swing import ARCS_M
+from tests.cell.study.imports.made import made
 
 
 @pytest.fixture
 def study() -> Study:
     m = made()
-    grip = Motion(m.t_s, *(np.ascontiguousarray(v) for v in m.hand_m.T), m.angle_rad)
+    grip = Motion(m.t_s, *(np.ascontiguousarray(v) for v in m.gripper_m.T), m.angle_rad)
     trials = [
         Trial(name, "fit", "equilibrium", grip, Markers(m.t_s, made(seed).markers_m[:, ::-1]))
         for seed, name in enumerate(("one", "two"))

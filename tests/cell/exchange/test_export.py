@@ -9,12 +9,19 @@ import pytest
 from cell.cable.effects import Effect, Parameter, library, unscreened
 from cell.cable.effects.air import AIR_DENSITY_KG_PER_M3
 from cell.cable.geometry import Connector
-from cell.exchange.chain import chain_of, expressible, resting_bends, unseen
+from cell.exchange.chain import (
+    TIP_ERROR_M,
+    chain_of,
+    expressible,
+    law,
+    resting_bends,
+    springs_for,
+    unseen,
+)
 from cell.exchange.description import description
 from cell.exchange.export import SHARE, export_parts, export_to_mujoco
 from cell.exchange.mjcf import HAND, mjcf
 from cell.exchange.peer import BAR_M, Reference, compare, difference, engine_tip, stroke
-from cell.exchange.springs import TIP_ERROR_M, law, springs_for
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -9,13 +9,10 @@ import pytest
 from cell.cable.dynamics import simulate
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
-from cell.cable.solver import Solver
 from cell.plan.paths import MotionLimits, identification_path
 from cell.study.data import Markers, Trial
 from drivers.interfaces import Pose
-
-FLAT_CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
-WORLD = Solver(segments=60, step_s=5e-4)
+from tools.worlds.made_studies import CABLE, WORLD, coloured, logged
 
 
 @dataclass(frozen=True)
@@ -32,7 +29,7 @@ Measure = Callable[..., World]
 
 @pytest.fixture(scope="session")
 def flat_cable() -> Cable:
-    return FLAT_CABLE
+    return CABLE
 
 
 @pytest.fixture(scope="session")
@@ -58,12 +55,8 @@ def measure(hold_motion: Motion) -> Measure:
         t_s = np.arange(0.001, motion.t_s[-1], 0.005)
         arcs = node_arc_lengths(model.cable.length_m)
         clean = simulate(model, motion, t_s, arcs, solver=WORLD)[0]
-        error = rng.normal(0.0, 1.0, clean.shape)
-        for i in range(1, len(error)):
-            error[i] = ar1 * error[i - 1] + np.sqrt(1.0 - ar1**2) * error[i]
-        logged = [v + rng.normal(0.0, log_noise_m, len(v)) for v in (motion.x_m, motion.y_m)]
-        grip = Motion(motion.t_s, *logged, motion.angle_rad)
-        markers = Markers(t_s, clean + noise_m * error)
+        markers = Markers(t_s, clean + noise_m * coloured(rng, clean.shape, ar1))
+        grip = logged(rng, motion, log_noise_m)
         return World(model, Trial("identify", "fit", "equilibrium", grip, markers), clean)
 
     return world

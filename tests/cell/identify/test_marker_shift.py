@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import simulate
-from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.identify.marker_shift import carried_m, derivative_along
 from cell.identify.noise import Noise
 from cell.identify.whitener import Whitener
 from cell.study.data import Markers, Trial
 from cell.study.hand_drift import HandDrift
+from tools.worlds.made_studies import CABLE, moved
 
-CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
 ARCS_M = np.array([0.095, 0.07, 0.04, 0.0])
 STD_M = 5e-4
 
@@ -23,8 +22,7 @@ STD_M = 5e-4
 def trial() -> Trial:
     """A swing without noise."""
     t = np.arange(0.0, 0.8, 0.002)
-    u = np.clip((t - 0.1) / 0.25, 0.0, 1.0)
-    hand = Motion(t, 0.0 * t, -0.05 * u**3 * (10 - 15 * u + 6 * u**2), np.full_like(t, 0.2))
+    hand = moved(t, (0.0, -0.05), 0.25, begin_s=0.1, angle_rad=0.2)
     t_s = np.arange(0.0, 0.8, 0.01)
     points = simulate(MODEL, hand, t_s, ARCS_M)[0]
     return Trial("swing", "fit", "equilibrium", hand, Markers(t_s, points))

@@ -6,15 +6,13 @@ import pytest
 from cell.cable.geometry import Motion
 from cell.identify.noise import Noise, across, estimate_noise, still_frames
 from cell.identify.whitener import Sensors, Whitener
+from tools.worlds.made_studies import coloured
 
 BASE_M = np.stack([np.linspace(-0.1, 0.0, 11), np.linspace(-0.03, 0.0, 11)], axis=-1)
 
 
 def ar1(rng: np.random.Generator, colour: float, frames: int) -> np.ndarray:
-    error = rng.normal(size=(frames, 11, 2))
-    for t in range(1, frames):
-        error[t] = colour * error[t - 1] + np.sqrt(1.0 - colour**2) * error[t]
-    return error
+    return coloured(rng, (frames, 11, 2), colour)
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.4, 0.8])

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,78 +10,51 @@ import pytest
 
 from cell.cable.dynamics import simulate_each
 from cell.cable.effects import ActiveEffect, Effect, library
-from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.geometry import node_arc_lengths
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data import named_effects, prepared, work
+from cell.lab.data.work import Progress, no_progress
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Markers, Study, Trial
-from tools.worlds.made_studies import Step
+from tools.worlds.made_studies import CABLE, WORLD, Step, Stroke, coloured, moved
 
 PRACTICE = Path(__file__).parents[4] / "shared" / "data" / "practice"
 REAL = Path(__file__).parents[4] / "shared" / "data" / "real"
 
-CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
-WORLD = Solver(segments=60, step_s=5e-4)
-
 #: A line's solver, for half of what the lab's own costs: its error is small in these studies.
 COARSE = Solver(segments=24, step_s=1.5e-3)
-#: After the gripper has stopped.
-HOLD = {"s": 0.4}
+#: After the gripper has stopped, s.
+HOLD_S = 0.25
 
 MakeStudy = Callable[..., Study]
 
 
 @contextmanager
-def small_studies() -> Iterator[None]:
-    """Studies are short, and fitted on a coarse mesh but where a test asks for `own_mesh`."""
+def coarse_mesh() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prepared, "SOLVER", COARSE)
-        patch.setitem(HOLD, "s", 0.25)
         yield
 
 
-@pytest.fixture(scope="module")
-def small() -> Iterator[None]:
-    with small_studies():
+@pytest.fixture(scope="module", autouse=True)
+def coarse() -> Iterator[None]:
+    """Studies are fitted on a coarse mesh but where a test asks for `own_mesh`."""
+    with coarse_mesh():
         yield
-
-
-@dataclass(frozen=True)
-class Stroke:
-    name: str
-    role: str
-    angle_rad: float
-    dx_m: float
-    dy_m: float
-    duration_s: float
 
 
 STROKES = (
-    Stroke("identify", "fit", 0.0, 0.0, -0.05, 0.3),
-    Stroke("up", "fit", -0.9, 0.0, -0.05, 0.3),
-    Stroke("left", "validate", 0.0, -0.05, 0.0, 0.25),
-    Stroke("deep", "validate", 0.0, 0.0, -0.08, 0.35),
+    Stroke("identify", "fit", 0.0, (0.0, -0.05), 0.3),
+    Stroke("up", "fit", -0.9, (0.0, -0.05), 0.3),
+    Stroke("left", "validate", 0.0, (-0.05, 0.0), 0.25),
+    Stroke("deep", "validate", 0.0, (0.0, -0.08), 0.35),
 )
 
 #: What nearly every test needs; the others name `LONG`.
 FEW_STROKES = (STROKES[0], STROKES[1], STROKES[3])
 LONG: dict[str, Any] = {"strokes": STROKES, "hold_s": 0.5}
-
-
-def coloured(rng: np.random.Generator, shape: tuple[int, ...], ar1: float) -> np.ndarray:
-    """AR(1) noise of variance 1 along the first axis."""
-    noise = rng.normal(size=shape)
-    for i in range(1, len(noise)):
-        noise[i] = ar1 * noise[i - 1] + np.sqrt(1 - ar1**2) * noise[i]
-    return noise
-
-
-def with_markers(study: Study, change: Callable[[Trial], np.ndarray]) -> Study:
-    """The study with the markers (times, markers, 2), m, that a function makes of each trial."""
-    trials = [replace(t, markers=replace(t.markers, xy_m=change(t))) for t in study.trials]
-    return replace(study, trials=tuple(trials))
 
 
 def rounded(study: Study, step_m: float, origin_m: float = 0.0) -> Study:
@@ -91,7 +63,7 @@ def rounded(study: Study, step_m: float, origin_m: float = 0.0) -> Study:
     def on_grid(trial: Trial) -> np.ndarray:
         return origin_m + step_m * np.round((trial.markers.xy_m - origin_m) / step_m)
 
-    return with_markers(study, on_grid)
+    return study.with_places(on_grid)
 
 
 @pytest.fixture(scope="session")
@@ -103,7 +75,7 @@ def make_study() -> MakeStudy:
         noise_m: float = 1e-4,
         ar1: float = 0.3,
         strokes: Sequence[Stroke] = FEW_STROKES,
-        hold_s: float | None = None,
+        hold_s: float = HOLD_S,
         step: tuple[float, float] | None = None,
     ) -> Study:
         """step: EI is so many times as large beyond a share of the free length."""
@@ -115,12 +87,8 @@ def make_study() -> MakeStudy:
         arcs = node_arc_lengths(0.1)
         motions, times_s = [], []
         for stroke in strokes:
-            t = np.arange(0.0, 0.2 + stroke.duration_s + (hold_s or HOLD["s"]), 0.002)
-            u = np.clip((t - 0.2) / stroke.duration_s, 0.0, 1.0)
-            s = u**3 * (10 - 15 * u + 6 * u**2)
-            motions.append(
-                Motion(t, stroke.dx_m * s, stroke.dy_m * s, np.full_like(t, stroke.angle_rad))
-            )
+            t = np.arange(0.0, 0.2 + stroke.seconds + hold_s, 0.002)
+            motions.append(moved(t, stroke.way_m, stroke.seconds, angle_rad=stroke.angle_rad))
             times_s.append(np.arange(0.002, t[-1], 0.005))
         trials = []
         made = simulate_each(model, motions, times_s, arcs, solver=WORLD)  # as fast as a single one
@@ -134,15 +102,24 @@ def make_study() -> MakeStudy:
     return make
 
 
-def fits_of(study: Study, effects: Iterable[str | type[Effect]] = (), **options: Any) -> FitCache:
+def fits_of(
+    study: Study,
+    effects: Iterable[str | type[Effect]] = (),
+    known: Iterable[str | type[Effect]] = (),
+    progress: Progress = no_progress,
+    **options: Any,
+) -> FitCache:
     """The baseline of a study, fitted; a search may add these effects, named or given.
 
+    known    effects that are in the baseline
     options  of `PreparedStudy.of`
     """
-    chosen = [library()[e] if isinstance(e, str) else e for e in effects]
+    present, chosen = (
+        [library()[e] if isinstance(e, str) else e for e in some] for some in (known, effects)
+    )
     ready = prepared.PreparedStudy.of(study, **options)
-    space = ParameterSpace.of(study.cable)
-    return FitCache.of(SearchSetup(ready, space, {e.name: e for e in chosen}))
+    space = ParameterSpace.of(study.cable, effects=present, gravity_m_per_s2=study.gravity_m_per_s2)
+    return FitCache.of(SearchSetup(ready, space, {e.name: e for e in chosen}, progress))
 
 
 #: Alike, unlike and not smooth.

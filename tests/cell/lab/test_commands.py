@@ -16,6 +16,7 @@ from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.data.opened_study import open_study
 from cell.study.folder import read_study, write_study
+from tests.command import run_cell
 
 run = CliRunner().invoke
 
@@ -30,14 +31,12 @@ def folder(make_study, tmp_path_factory):
 
 def test_fit_with_an_effect_then_compare_and_report(folder, tmp_path):
     model, page, out = tmp_path / "model.json", tmp_path / "page.html", tmp_path / "c.json"
-    done = run(app, ["fit", str(folder), "--with", "tip_mass", "-o", str(model)])
-    assert done.exit_code == 0, done.output
+    run_cell("fit", folder, "--with", "tip_mass", "-o", model)
     found = {p["name"]: p for p in json.loads(model.read_text())["parameters"]}
     assert found["tip_mass.mass_kg"]["value"] == pytest.approx(2.5e-5, rel=0.05)
 
     given = ["compare", str(folder), "--model", str(model)]
-    done = run(app, [*given, "--json", str(out), "--report", str(page)])
-    assert done.exit_code == 0, done.output
+    run_cell(*given, "--json", out, "--report", page)
     comparison = json.loads(out.read_text())
     assert comparison["heldout_rms_m"] == pytest.approx(1e-4, rel=0.05)
     text = page.read_text()
@@ -47,8 +46,7 @@ def test_fit_with_an_effect_then_compare_and_report(folder, tmp_path):
 
 def test_on_a_full_disk_a_fit_is_printed_and_leaves_nothing(folder, tmp_path, full_disk):
     files = ["-o", str(tmp_path / "model.json")]
-    done = run(app, ["fit", str(folder), *files])
-    assert done.exit_code == 1
+    done = run_cell("fit", folder, *files, code=1)
     assert "viscosity" in done.stdout
     assert "model.json: cannot be written: File too large" in done.stderr
     assert list(tmp_path.iterdir()) == []
@@ -62,15 +60,13 @@ def test_results_that_would_replace_each_other_are_refused(folder, tmp_path):
 
 
 def test_a_name_that_no_file_can_have_is_wrong_input(tmp_path):
-    done = run(app, ["fit", "a" * 300])
-    assert done.exit_code == 2
+    done = run_cell("fit", "a" * 300, code=2)
     assert "File name too long; check the name" in done.stderr
 
 
 def test_effects_are_listed_with_units(tmp_path):
     out = tmp_path / "effects.json"
-    done = run(app, ["effects", "--json", str(out)])
-    assert done.exit_code == 0
+    run_cell("effects", "--json", out)
     listed = {e["effect"]: e for e in json.loads(out.read_text())["effects"]}
     assert set(listed) == set(library())
     assert listed["tip_mass"]["parameters"][0]["unit"] == "kg"
@@ -80,8 +76,7 @@ def test_study_gathers_cycles_and_counts_a_recording_once(folder, tmp_path):
     cycle = tmp_path / "cycle"
     shutil.copytree(folder, cycle / "study")
     out = tmp_path / "gathered"
-    done = run(app, ["study", str(cycle), str(folder), "-o", str(out)])
-    assert done.exit_code == 0, done.output
+    done = run_cell("study", cycle, folder, "-o", out)
     trials = read_study(out).trials
     assert [t.role for t in trials] == [t.role for t in read_study(folder).trials]
     assert done.output.count("are one recording") == 3
@@ -135,8 +130,7 @@ def test_bad_studies_are_refused_and_nothing_is_written(folder, tmp_path, comman
     given = {"compare": ["--model", "none.json"], "discover": ["-o", str(out / "x.py")]}
     given |= {"suggest": ["-o", str(out / "x.yaml")]}
     study = str(broken(folder, tmp_path, change))
-    done = run(app, [command, study, "--json", str(out / "x.json"), *given.get(command, [])])
-    assert done.exit_code == 2
+    done = run_cell(command, study, "--json", out / "x.json", *given.get(command, []), code=2)
     assert says in done.output
     assert list(out.iterdir()) == []
 
@@ -184,16 +178,14 @@ def test_wrong_values_of_markers_are_told_with_their_place_and_size(folder, tmp_
 
 def test_a_prior_of_another_cable_is_refused(folder, tmp_path):
     model = tmp_path / "model.json"
-    assert run(app, ["fit", str(folder), "-o", str(model)]).exit_code == 0
+    run_cell("fit", folder, "-o", model)
     other = broken(folder, tmp_path, lambda p: edit_header(p, line_density_kg_per_m=0.01))
-    done = run(app, ["diagnose", str(other), "--prior", str(model)])
-    assert done.exit_code == 2
+    done = run_cell("diagnose", other, "--prior", model, code=2)
     assert "another cable" in done.output
 
 
 def test_unknown_effects_are_refused_with_a_guess(folder):
-    done = run(app, ["fit", str(folder), "--with", "air_darg"])
-    assert done.exit_code == 2
+    done = run_cell("fit", folder, "--with", "air_darg", code=2)
     assert "air_drag" in done.output
 
 
@@ -204,8 +196,7 @@ def test_all_nan_markers_are_refused(folder, tmp_path):
         empty = [",".join([r.split(",")[0]] + ["nan"] * head.count(",")) for r in rows]
         file.write_text("\n".join([head, *empty]) + "\n")
 
-    done = run(app, ["fit", str(broken(folder, tmp_path, blind))])
-    assert done.exit_code == 2
+    done = run_cell("fit", broken(folder, tmp_path, blind), code=2)
     assert "no marker is seen" in done.output
 
 
@@ -213,15 +204,13 @@ def test_all_nan_markers_are_refused(folder, tmp_path):
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(folder, tmp_path, option):
     (tmp_path / "file").write_text("")
     for place, says in ((tmp_path, "is a folder"), (tmp_path / "file" / "x.json", "no folder")):
-        done = run(app, ["fit", "/no/such/study", option, str(place)])
-        assert done.exit_code == 2
+        done = run_cell("fit", "/no/such/study", option, place, code=2)
         assert says in done.output
 
 
 def test_a_config_or_effect_that_is_missing_is_named(folder, tmp_path):
     out = tmp_path / "motion.yaml"
-    done = run(app, ["suggest", str(folder), "--config", "nowhere.yaml", "-o", str(out)])
-    assert done.exit_code == 2
+    done = run_cell("suggest", folder, "--config", "nowhere.yaml", "-o", out, code=2)
     assert "nowhere.yaml:1" in done.output
     assert not out.exists()
 

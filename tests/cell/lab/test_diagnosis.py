@@ -10,22 +10,19 @@ import numpy as np
 import pytest
 
 from cell.cable.effects import library
-from cell.identify.parameters import ParameterSpace
 from cell.lab import diagnosis
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.data.work import STAGES, UNLIMITED, Budget, SpentError, Work, no_progress
+from cell.lab.data.work import STAGES, Budget, SpentError, Work
 from cell.lab.diagnosis import diagnose, with_agreement, with_limits
 from cell.lab.report.tables import nearest_table
 from cell.lab.search import effect_search
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.screen import screen
 from cell.lab.verdict import ties
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.ties import with_ties
 from cell.study.folder import read_study
-from tests.cell.lab.conftest import LONG
+from tests.cell.lab.conftest import LONG, fits_of
 
 SCHEMA = {
     "type": "object",
@@ -33,7 +30,7 @@ SCHEMA = {
     "required": [
         "format", "noise_m", "baseline", "verdict", "missing", "ranking", "left", "partial",
         "nearest", "warnings", "limits", "agreement", "noise_is_stated", "checks",
-        "independence", "knots",
+        "independence", "knots", "fit_errors",
     ],
     "properties": {
         "format": {"const": "cable-diagnosis/1"},
@@ -56,6 +53,7 @@ SCHEMA = {
             "required": ["effective_trials", "recordings", "motions", "held_out"],
         },
         "knots": {"type": "integer"},
+        "fit_errors": {"items": {"required": ["effects", "rms_m", "noise_m"]}},
         "limits": {
             "items": {"required": ["effect", "parameter", "unit", "low", "high", "tip_m"]},
         },
@@ -95,19 +93,7 @@ SCHEMA = {
 
 
 #: Enough of the library to confuse, few enough to be quick.
-@pytest.fixture(scope="module", autouse=True)
-def small_studies(small: None) -> None:
-    """Before the studies are made."""
-
-
 RIVALS = ("air_drag", "linear_air_drag", "tip_mass", "grip_angle", "natural_curvature")
-
-
-def explore(study, names=RIVALS, budget=UNLIMITED, progress=no_progress):
-    known = library()
-    space = ParameterSpace.of(study.cable, gravity_m_per_s2=study.gravity_m_per_s2)
-    prepared = PreparedStudy.of(study, work=Work(budget))
-    return FitCache.of(SearchSetup(prepared, space, {n: known[n] for n in names}, progress))
 
 
 def test_an_effect_that_was_refitted_is_weighed_however_much_that_took(make_study, monkeypatch):
@@ -122,7 +108,7 @@ def test_an_effect_that_was_refitted_is_weighed_however_much_that_took(make_stud
         return accepted(fits, *given)
 
     monkeypatch.setattr(effect_search, "_accepted", begun)
-    found = diagnose(explore(make_study([drag], seed=6), ("air_drag", "tip_mass"))).diagnosis
+    found = diagnose(fits_of(make_study([drag], seed=6), ("air_drag", "tip_mass"))).diagnosis
     assert [f.effect for f in found.missing] == ["air_drag"]
 
 
@@ -138,9 +124,11 @@ def test_a_second_search_is_not_cut_short_by_the_work_of_the_first(make_study, m
         return found
 
     monkeypatch.setattr(diagnosis, "search_effects", noted)
-    diagnose(explore(study, names))
+    diagnose(fits_of(study, names))
     first_s, _ = ends_s
-    found = diagnose(explore(study, names, Budget(simulated_s=first_s / STAGES["search"])))
+    found = diagnose(
+        fits_of(study, names, work=Work(Budget(simulated_s=first_s / STAGES["search"])))
+    )
     assert [f.effect for f in found.diagnosis.missing] == ["air_drag"]
     assert ends_s[-1] > first_s
 
@@ -149,22 +137,22 @@ def test_whatever_its_budget_a_diagnosis_ends_and_claims_no_more(make_study):
     """Two studies of real rigs gave no answer in 400 s."""
     drag = library()["air_drag"].active(drag_coefficient=2.0)
     study, names = make_study([drag], seed=6), ("air_drag", "tip_mass", "grip_angle")
-    fits = explore(study, names)
+    fits = fits_of(study, names)
     right, all_s = diagnose(fits).diagnosis, fits.work.simulated_s
     assert right.verdict == "missing"
     for share in (0.25, 0.5):
-        fits = explore(study, names, Budget(simulated_s=share * all_s))
+        fits = fits_of(study, names, work=Work(Budget(simulated_s=share * all_s)))
         found = with_agreement(with_limits(diagnose(fits))).diagnosis
         assert fits.work.simulated_s < 1.2 * share * all_s
         assert found.verdict == right.verdict or "cut_short" in found.codes
         assert {f.effect for f in found.missing} <= {"air_drag"}
         jsonschema.validate(json.loads(json.dumps(to_json(found), allow_nan=False)), SCHEMA)
     with pytest.raises(SpentError):
-        diagnose(explore(study, names, Budget(simulated_s=0.01 * all_s)))
+        diagnose(fits_of(study, names, work=Work(Budget(simulated_s=0.01 * all_s))))
 
 
 def test_a_complete_model_is_called_complete(make_study):
-    examination = diagnose(explore(make_study(seed=5)))
+    examination = diagnose(fits_of(make_study(seed=5), RIVALS))
     found = examination.diagnosis
     assert found.verdict == "complete"
     assert found.missing == ()
@@ -175,7 +163,9 @@ def test_a_complete_model_is_called_complete(make_study):
 def test_a_hidden_effect_is_named_measured_and_removed(make_study):
     drag = library()["air_drag"].active(drag_coefficient=2.0)
     said: list[str] = []
-    fits = explore(make_study([drag], seed=6, **LONG), progress=lambda text, *_: said.append(text))
+    fits = fits_of(
+        make_study([drag], seed=6, **LONG), RIVALS, progress=lambda text, *_: said.append(text)
+    )
     found = with_agreement(diagnose(fits)).diagnosis
     assert found.verdict == "missing"
     falls = [re.search(r"error (\S+) → (\S+) mm \(noise 0.1", text) for text in said]
@@ -196,7 +186,7 @@ def test_a_hidden_effect_is_named_measured_and_removed(make_study):
 def test_two_effects_are_both_found(make_study):
     known = library()
     hidden = [known["tip_mass"].active(mass_kg=2.5e-5), known["grip_angle"].active(angle_rad=0.03)]
-    found = diagnose(explore(make_study(hidden, seed=7))).diagnosis
+    found = diagnose(fits_of(make_study(hidden, seed=7), RIVALS)).diagnosis
     assert found.verdict == "missing"
     assert {f.effect for f in found.missing} == {"tip_mass", "grip_angle"}
     assert found.missing[-1].errors.heldout_rms_m < 1.03e-4
@@ -215,7 +205,7 @@ def test_three_effects_are_all_found_though_two_of_them_leave_much(make_study):
         "air_drag": {"drag_coefficient": 6.0},
     }
     hidden = [known[name].active(**values) for name, values in strengths.items()]
-    found = diagnose(explore(make_study(hidden, seed=7))).diagnosis
+    found = diagnose(fits_of(make_study(hidden, seed=7), RIVALS)).diagnosis
     assert found.verdict == "missing"
     assert {f.effect for f in found.missing} == set(strengths)
 
@@ -224,8 +214,8 @@ def test_nothing_is_claimed_below_the_noise_that_the_study_states(make_study):
     slip = library()["grip_slip"].active(length_m=2e-5)
     study = make_study([slip], seed=4, noise_m=1e-5, ar1=0.0)
     names = ("grip_slip", "tip_mass")
-    assert diagnose(explore(study, names)).diagnosis.verdict == "missing"
-    found = diagnose(explore(replace(study, noise_std_m=2e-5), names)).diagnosis
+    assert diagnose(fits_of(study, names)).diagnosis.verdict == "missing"
+    found = diagnose(fits_of(replace(study, noise_std_m=2e-5), names)).diagnosis
     assert found.verdict == "complete"
 
 
@@ -234,15 +224,15 @@ def test_beside_a_true_effect_too_nothing_is_claimed_below_the_stated_noise(make
     hidden = [known["tip_mass"].active(mass_kg=3e-5), known["grip_slip"].active(length_m=2e-5)]
     study = make_study(hidden, seed=4, noise_m=1e-5, ar1=0.0)
     names = ("grip_slip", "tip_mass")
-    found = diagnose(explore(study, names)).diagnosis
+    found = diagnose(fits_of(study, names)).diagnosis
     assert {f.effect for f in found.missing} == set(names)
-    found = diagnose(explore(replace(study, noise_std_m=2.2e-5), names)).diagnosis
+    found = diagnose(fits_of(replace(study, noise_std_m=2.2e-5), names)).diagnosis
     assert [f.effect for f in found.missing] == ["tip_mass"]
 
 
 def test_an_effect_outside_the_library_is_unexplained(make_study):
     mass = library()["tip_mass"].active(mass_kg=3e-5)
-    found = diagnose(explore(make_study([mass], seed=8), ("air_drag", "linear_air_drag")))
+    found = diagnose(fits_of(make_study([mass], seed=8), ("air_drag", "linear_air_drag")))
     assert found.diagnosis.verdict == "unexplained"
     assert found.diagnosis.missing == ()
 
@@ -252,21 +242,21 @@ def test_a_wrong_effect_that_leaves_what_looks_like_noise_is_not_claimed(make_st
     mass = library()["tip_mass"].active(mass_kg=1.2e-5)
     study = make_study([mass], seed=8, noise_m=2e-4)
     rivals = ("added_mass", "grip_angle")
-    assert diagnose(explore(study, rivals)).diagnosis.verdict == "unexplained"
-    found = diagnose(explore(study, (*rivals, "tip_mass"))).diagnosis
+    assert diagnose(fits_of(study, rivals)).diagnosis.verdict == "unexplained"
+    found = diagnose(fits_of(study, (*rivals, "tip_mass"))).diagnosis
     assert found.missing[0].effect == "tip_mass"
 
 
 def test_without_held_out_trials_nothing_is_claimed(make_study):
     study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=9)
     study = replace(study, trials=study.role("fit"))
-    found = diagnose(explore(study, ("tip_mass", "air_drag"))).diagnosis
+    found = diagnose(fits_of(study, ("tip_mass", "air_drag"))).diagnosis
     assert found.verdict == "cannot_tell"
     assert to_json(found)["baseline"]["heldout_rms_m"] is None
 
 
 def test_screening_a_cable_that_its_typical_nudges_would_break(make_study):
-    fits = explore(make_study(), ("grip_compliance",))
+    fits = fits_of(make_study(), ("grip_compliance",))
     stiff = replace(fits.base.fit, q=fits.base.fit.q.copy())
     (found,) = screen(fits.prepared, stiff, [library()["grip_compliance"]])
     assert np.isfinite(found.score.statistic)
@@ -275,9 +265,8 @@ def test_screening_a_cable_that_its_typical_nudges_would_break(make_study):
 @pytest.mark.parametrize("name", ["bending_hysteresis", "added_mass"])
 def test_practice_studies(practice, name):
     study = read_study(practice / name)
-    known = library()
     names = ("bending_hysteresis", "added_mass", "natural_curvature", "draught", "tip_mass")
-    found = diagnose(explore(study, [n for n in names if n in known])).diagnosis
+    found = diagnose(fits_of(study, names)).diagnosis
     assert found.verdict == "missing"
     assert name in (found.missing[0].effect, *found.missing[0].tied_with)
     assert len(found.missing) == 1
@@ -294,14 +283,15 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     fits = SimpleNamespace(
         base=None,
         library={},
+        rules=DEFAULT_RULES,
         added=lambda found: found.effects,
         fit_reduced=lambda found, effect: {second: alone}.get(effect),
     )
     tied = {first: (), second: ("a", "b", "c", "d", "e", "f", "g")}
-    monkeypatch.setattr(ties, "_tied", lambda _, found, effect, rules: tied[effect])
+    monkeypatch.setattr(ties, "_tied", lambda _, found, effect: tied[effect])
     enough = [True]
     monkeypatch.setattr(ties, "explains", lambda *args: enough[0])
-    given = Evidence(fits, pair, DEFAULT_RULES)
+    given = Evidence(fits, pair)
     found = with_ties(given)
     assert (found.final, found.tied) == (alone, {first.name: ()})
     enough[0] = False
@@ -309,7 +299,7 @@ def test_what_any_of_many_effects_does_beside_one_is_none_of_them(monkeypatch):
     enough[0], tied[second] = True, ("a",)
     assert with_ties(given).final is pair
     tied[first] = tied[second] = ("a", "b", "c")
-    assert with_ties(Evidence(fits, alone, DEFAULT_RULES)).final is alone
+    assert with_ties(Evidence(fits, alone)).final is alone
 
 
 def test_a_right_model_is_complete_though_a_trial_held_out_is_noisier(make_study):
@@ -320,7 +310,7 @@ def test_a_right_model_is_complete_though_a_trial_held_out_is_noisier(make_study
         std_m = 2e-4 if trial.role == "validate" else 1e-4
         xy_m = trial.markers.xy_m + rng.normal(0.0, std_m, trial.markers.xy_m.shape)
         trials.append(replace(trial, markers=replace(trial.markers, xy_m=xy_m)))
-    found = diagnose(explore(replace(study, trials=tuple(trials)))).diagnosis
+    found = diagnose(fits_of(replace(study, trials=tuple(trials)), RIVALS)).diagnosis
     assert found.verdict == "complete"
     assert found.noise_m == pytest.approx(np.sqrt((1.0 + 1.0 + 4.0) / 3.0) * 1e-4, rel=0.15)
 
@@ -329,7 +319,7 @@ def test_an_effect_that_is_stronger_than_its_bound_says_so(make_study):
     """Pictures that come 0.15 s late, of which the library believes 0.1 s."""
     study = make_study()
     late = [replace(t, markers=replace(t.markers, t_s=t.markers.t_s + 0.15)) for t in study.trials]
-    fits = explore(replace(study, trials=tuple(late)), ("camera_latency", "tip_mass"))
+    fits = fits_of(replace(study, trials=tuple(late)), ("camera_latency", "tip_mass"))
     found = diagnose(fits).diagnosis
     assert found.verdict == "unexplained"
     (latency,) = (n for n in found.nearest if n.effect == "camera_latency")

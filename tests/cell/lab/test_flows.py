@@ -5,16 +5,13 @@ import shlex
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from cell.cable.effects import load_effect
-from cell.cli import app
 from cell.lab.data import named_effects
 from cell.lab.next import discover
 from cell.lab.next.terms import admissible
 from cell.study.folder import write_study
-
-run = CliRunner().invoke
+from tests.command import run_cell
 
 NOISE_M = 1e-4
 PULL_N_M = (0.012, 0.004)
@@ -65,8 +62,7 @@ def few_rivals(monkeypatch, tmp_path):
 
 
 def cell(*arguments):
-    done = run(app, [str(a) for a in arguments])
-    assert done.exit_code == 0, done.output
+    done = run_cell(*[str(a) for a in arguments])
     return done.stdout
 
 
@@ -118,15 +114,13 @@ def test_own_effect_diagnose_fit_compare(folder, fan):
 
 def test_on_a_complete_model_discover_refuses_and_writes_nothing(make_study, tmp_path):
     write_study(make_study(seed=5), tmp_path / "complete")
-    done = run(app, ["discover", str(tmp_path / "complete"), "-o", str(tmp_path / "law.py")])
-    assert done.exit_code == 2
+    done = run_cell("discover", tmp_path / "complete", "-o", tmp_path / "law.py", code=2)
     assert "the model is complete" in done.output
     assert sorted(p.name for p in tmp_path.iterdir()) == ["complete"]
 
 
 @pytest.mark.parametrize("name", ["air_drag.py", "a-law.py", "law.txt", "law"])
 def test_a_law_that_could_not_be_used_under_its_name_is_refused_at_once(folder, tmp_path, name):
-    done = run(app, ["discover", str(folder), "-o", name])
-    assert done.exit_code == 2
+    done = run_cell("discover", folder, "-o", name, code=2)
     assert name in done.output
     assert list(tmp_path.iterdir()) == []

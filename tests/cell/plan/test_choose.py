@@ -23,6 +23,7 @@ from cell.plan.choose import (
 from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, insertion_path
 from drivers.interfaces import Pose
+from tools.worlds.made_studies import moved
 
 OFFSETS_M = np.array([0.0, 0.01, 0.02])
 SPACE = ParameterSpace.of(Cable(0.1, 0.0074, 0.016, 0.0001))
@@ -130,9 +131,7 @@ def test_what_was_before_the_paths_is_simulated_once(monkeypatch: pytest.MonkeyP
     """The history of the hold counts once, not once per offset."""
     paths = [insertion_path(Pose(0, -0.05), o, 0.05, MotionLimits(), 500.0) for o in OFFSETS_M]
     before_s = np.arange(-1.5, -0.3, 0.002)
-    down = np.clip((before_s + 1.4) / 0.3, 0.0, 1.0)
-    lowered_m = -0.05 * down**3 * (10 - 15 * down + 6 * down**2)
-    history = Motion(before_s, 0 * before_s, lowered_m, 0 * before_s)
+    history = moved(before_s, (0.0, -0.05), 0.3, begin_s=-1.4)
     motions = [executed_motion(p, 0.03, settle_s=0.1, history=history) for p in paths]
     lanes_before = []
 

@@ -17,6 +17,7 @@ from cell.plan.destination import Destination
 from cell.plan.paths import MotionLimits, executed_motion, insertion_path
 from cell.plan.response import Response, deviation, simulate_response, time_to_rest_s
 from drivers.interfaces import Pose, Trajectory
+from tools.worlds.made_studies import moved
 
 SPACE = ParameterSpace.of(Cable(0.1, 0.0074, 0.016, 0.0001))
 MEAN = SPACE.start(3e-5)
@@ -170,9 +171,7 @@ def cable(damping: float = 1.0) -> Identified:
 
 @pytest.fixture
 def jerked() -> Motion:
-    t_s = np.arange(0.0, 0.8, 0.002)
-    u = np.clip((t_s - 0.2) / 0.3, 0.0, 1.0)
-    return Motion(t_s, 0 * t_s, -0.05 * u**3 * (10 - 15 * u + 6 * u**2), 0 * t_s)
+    return moved(np.arange(0.0, 0.8, 0.002), (0.0, -0.05), 0.3)
 
 
 def test_a_swing_decays_exponentially(jerked: Motion) -> None:

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from cell.plant import children
-from cell.plant.child import NICE
-from cell.plant.children import Adapters
+from cell.plant.children import NICE, Adapters
 from tests.waiting import free_port, is_alive, wait_until
 
 Told = list[tuple[str, str]]
@@ -105,7 +104,7 @@ def test_one_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_child_computes_after_others_and_dies_with_its_parent(tmp_path: Path) -> None:
     program = (
         "import subprocess, sys, os, time\n"
-        "child = [sys.executable, '-m', 'cell.plant.child', str(os.getpid())]\n"
+        "child = [sys.executable, '-m', 'cell.plant.children', str(os.getpid())]\n"
         "at = subprocess.Popen([*child, 'handshake', '--config', sys.argv[1]])\n"
         "print(at.pid, flush=True)\n"
         "time.sleep(60)\n"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import socket
 import subprocess
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -158,21 +160,15 @@ def test_a_client_waits_for_the_next_run_and_is_told_of_the_loss(runs: Path) -> 
     client.close()
 
 
-def test_who_asks_often_keeps_a_connection_as_long_as_the_cell_runs(runs: Path) -> None:
-    client = Client(runs, often=True)
+def test_who_asks_again_is_answered_by_the_cell_that_runs_then(runs: Path) -> None:
+    client = Client(runs)
     for _ in range(2):
         with Link(runs, BEGUN, obeys) as link:
             for _ in range(3):
                 assert client.status().run == link.run
-            [connected] = client._open
-            assert client.status().run == link.run
-            assert client._open == {connected}
+            assert client._open == set()
     with pytest.raises(NoCellError):
         client.status()
-    with Link(runs, BEGUN, obeys):
-        client.status()
-        client.close()
-        assert client._open == set()
 
 
 def test_a_request_is_answered(link: Link, client: Client) -> None:
@@ -373,23 +369,34 @@ def test_programs_that_do_not_read_are_disconnected_and_the_others_lose_nothing(
     assert Client(runs).status().sequence == 3000
 
 
-def test_a_program_is_not_taken_for_lagging_while_a_notice_is_put_into_the_journal() -> None:
+def test_a_program_that_is_told_nothing_more_sees_the_cell_as_away(
+    link: Link, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> bool:
+        raise RuntimeError("broken")
+
+    monkeypatch.setattr(CommandServer, "_tell_news", broken)
+    with follower(runs) as raw:
+        raw.settimeout(20.0)
+        while raw.recv(1 << 16):
+            pass
+    monkeypatch.undo()
+    Client(runs).connect()
+
+
+def test_a_notice_is_in_the_journal_before_it_is_looked_for() -> None:
     """Two threads meet there: one adds a notice while the other sends what there is."""
-    here, there = socket.socketpair()
-    with here, there:
-        program, journal = server.CellConnection(here), server.Journal()
-        program.told = 0
+    journal = server.Journal()
 
-        class Lines(dict[int, bytes]):
-            def __setitem__(self, sequence: int, line: bytes) -> None:
-                program.write(journal)  # the other thread gets its turn now
-                super().__setitem__(sequence, line)
+    class Lines(dict[int, bytes]):
+        def __setitem__(self, sequence: int, line: bytes) -> None:
+            assert journal.newest < sequence  # the other thread gets its turn now
+            super().__setitem__(sequence, line)
 
-        journal._lines = Lines()
-        for line in (b"1\n", b"2\n"):
-            journal.add(line)
-        program.write(journal)
-        assert there.recv(100) == b"1\n2\n"
+    journal._lines = Lines()
+    for line in (b"1\n", b"2\n"):
+        journal.add(line)
+    assert [journal.after(told) for told in range(journal.newest)] == [b"1\n", b"2\n"]
 
 
 def test_a_program_that_asks_without_reading_is_disconnected(link: Link, runs: Path) -> None:
@@ -399,3 +406,33 @@ def test_a_program_that_asks_without_reading_is_disconnected(link: Link, runs: P
             for _ in range(100_000):
                 raw.sendall(line_of("status", None) * 10)
     Client(runs).connect()
+
+
+def test_no_connection_is_left_open_at_the_end(runs: Path) -> None:
+    """Of programs that follow and read nothing, that were refused, that connect at the end."""
+    gc.collect()
+    programs: list[socket.socket] = []
+
+    def connected() -> socket.socket:
+        programs.append(socket.socket(socket.AF_UNIX))
+        programs[-1].connect(str(socket_of(runs)))
+        return programs[-1]
+
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for _ in range(5):
+            with Link(runs, BEGUN, obeys) as link:
+                follower, refused = connected(), connected()
+                follower.sendall(line_of("greeting", {"protocol": PROTOCOL}))
+                follower.sendall(line_of("follow", {"run": None, "sequence": None}))
+                for number in range(3000):
+                    link.publish(MessageKind.STEP, {"step": "x" * 200, "cycle": number})
+                wait_until(lambda link=link: link.status().sequence == 3000)
+                refused.sendall(b"no line\n")
+                connected()
+            gc.collect()
+        for program in programs:
+            program.close()
+    said = [str(w.message) for w in told]
+    assert [m for m in said if "unclosed" in m and str(socket_of(runs)) in m] == []
+    assert not [t for t in threading.enumerate() if t.name == "link socket"]

@@ -12,9 +12,8 @@ from typing import Any, cast
 
 import pytest
 
-from cell.plant.messages import MessageKind, Request
+from cell.plant.messages import MessageKind, Request, possible_in
 from cell.plant.reporter import Reporter, latch
-from cell.plant.status_reducer import possible_in
 from cell.plant.systemd import Notifier, unit_of
 from cell.run.commands import Commands
 from cell.run.machine import CellState, Machine, MachineEvent

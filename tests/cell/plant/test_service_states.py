@@ -19,10 +19,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_as_test
 
-from cell.plant.messages import COMMANDS, MessageKind, Request
+from cell.plant.messages import COMMANDS, MessageKind, Request, possible_in
 from cell.plant.reporter import Reporter
 from cell.plant.service import Service
-from cell.plant.status_reducer import possible_in
 from cell.records.result import Outcome
 from cell.run.cycle import Cell
 from cell.run.findings import Findings

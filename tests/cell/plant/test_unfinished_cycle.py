@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from cell.plant.unfinished_cycle import EarlierCycles, earlier_cycles
-from cell.records.folder import Record, acknowledge_record
-from cell.records.past_cycles import history, newest
+from cell.plant.service import EarlierCycles, earlier_cycles
+from cell.records.folder import Record, acknowledge_record, history, newest
 from cell.records.result import Fault, Outcome, Result
 
 NOON = datetime(2026, 11, 22, 12, tzinfo=UTC)

@@ -11,10 +11,10 @@ import pytest
 
 from cell.cli.cell_factory import Products
 from cell.cli.run import another_model, changes
-from cell.records.changed_model import worsenings
 from cell.records.folder import Record
 from cell.records.ledger.entry import entry_of_folder
 from cell.records.ledger.ledger import Ledger
+from cell.records.model_errors import worsenings
 from cell.records.result import Outcome, Result
 from cell.settings import load_settings
 from cell.settings.promotion import promote, read_candidate

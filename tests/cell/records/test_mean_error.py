@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cell.records.mean_error import CONFIDENCE, FEWEST, MOST, REPEATABILITY_M, mean_error
+from cell.records.model_errors import CONFIDENCE, FEWEST, MOST_MEAN, REPEATABILITY_M, mean_error
 from cell.records.result import Outcome, Result
 
 
@@ -66,5 +66,5 @@ def test_few_or_unexecuted_cables_tell_nothing() -> None:
 
 
 def test_only_the_newest_count() -> None:
-    old_and_new = np.concatenate([np.full(100, 2e-3), 1e-6 * np.arange(MOST)])
+    old_and_new = np.concatenate([np.full(100, 2e-3), 1e-6 * np.arange(MOST_MEAN)])
     assert mean_error(cycles(old_and_new)) is None

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from cell.files.input_error import InputError
-from cell.records.folder import Record
-from cell.records.past_cycles import history, newest
+from cell.records.folder import Record, history, newest
 from cell.records.result import Outcome, Result
 
 

@@ -10,6 +10,7 @@ import pytest
 from cell.run.commands import Commands
 from cell.run.watch import SafetyWatch
 from drivers.interfaces import ArmMode, DeviceError, DeviceLostError, GripError, StoppedError
+from tests.waiting import wait_until
 
 
 class Device:
@@ -77,10 +78,7 @@ def it():
 
 
 def failure(it: SimpleNamespace) -> DeviceError:
-    until_s = time.monotonic() + 2.0
-    while not it.arm.stopped:
-        assert time.monotonic() < until_s, "the arm was not stopped"
-        time.sleep(0.002)
+    wait_until(lambda: it.arm.stopped, 2.0, lambda: "the arm was not stopped")
     with pytest.raises(DeviceError) as caught:
         it.commands.check()
     return caught.value

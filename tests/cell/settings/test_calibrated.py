@@ -122,6 +122,16 @@ def test_a_calibration_that_is_none_is_found_before_anything_moves(made):
     done = CliRunner().invoke(app, ["check", "--config", str(config)])
     assert done.exit_code == 0, done.stderr
     assert "time.yaml: No such file" in done.stderr
+    assert "at best (the error of the camera's map, known after calibration" in done.stdout
+
+
+def test_a_check_of_a_calibrated_cell_knows_the_error_of_its_map(made):
+    config, settings = made
+    for kind, stored in files_for(settings).items():
+        now = replace(stored, made=datetime.now(UTC))
+        save(settings.calibration.folder / f"{kind}.yaml", now)
+    done = CliRunner().invoke(app, ["check", "--config", str(config)])
+    assert "serves openings of ±0.17 mm at best; " in done.stdout  # ±0.16 mm by the tip alone
 
 
 def test_one_missing_is_named(made):

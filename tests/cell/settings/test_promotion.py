@@ -34,14 +34,23 @@ CONFIG = Path(__file__).parents[3] / "config" / "fake.yaml"
 DRAG = {"effects": [{"effect": "air_drag", "parameters": {"drag_coefficient": {"fixed": 1.9}}}]}
 
 
-def candidate(tmp_path: Path, config: Path, model: dict, *, passed: bool = True) -> Path:
-    path = tmp_path / "candidate.yaml"
+def candidate(
+    tmp_path: Path,
+    config: Path,
+    model: dict = DRAG,
+    *,
+    passed: bool = True,
+    product: str | None = None,
+) -> Path:
+    settings = load_product(config, product)
+    path = tmp_path / f"{product or 'candidate'}.yaml"
     content = {
         "format": "cell-candidate/1",
-        "beside": model_hash(load_settings(config).model),
+        "product": product,
+        "beside": model_hash(settings.model),
         "model": model,
         "gates": [{"gate": "forecasts unseen cables better", "passed": passed, "found": "so"}],
-        "lines": [line_identity(load_settings(config))],
+        "lines": [line_identity(settings)],
     }
     path.write_text(yaml_text(content), encoding="utf-8")
     return path
@@ -54,7 +63,7 @@ def config(tmp_path: Path) -> Path:
 
 def test_all_other_lines_stay_as_they_were(tmp_path: Path, config: Path) -> None:
     before = config.read_bytes()
-    entry = promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    entry = promote(read_candidate(candidate(tmp_path, config)), config)
     after = config.read_bytes()
     assert after.startswith(before)
     assert load_settings(config).model.effects[0].effect == "air_drag"
@@ -70,7 +79,7 @@ def test_a_second_promotion_replaces_the_first_between_its_neighbours(
     section = "model:              # learned in May\n  effects:\n  - effect: tip_mass  # glue\n\n"
     config.write_text(text.replace("limits:", f"{section}# the box\nlimits:"), encoding="utf-8")
     before = config.read_text(encoding="utf-8")
-    promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    promote(read_candidate(candidate(tmp_path, config)), config)
     after = config.read_text(encoding="utf-8")
     assert "# the box\nlimits:" in after and "tip_mass" not in after
     head, tail = before.split(section.rstrip("\n"))
@@ -85,7 +94,7 @@ def test_a_second_promotion_replaces_the_first_between_its_neighbours(
 
 def test_line_ends_are_kept(tmp_path: Path, config: Path) -> None:
     config.write_bytes(config.read_bytes().replace(b"\n", b"\r\n"))
-    promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    promote(read_candidate(candidate(tmp_path, config)), config)
     after = config.read_bytes()
     assert after.count(b"\n") == after.count(b"\r\n")
     assert load_settings(config).model.effects
@@ -95,10 +104,10 @@ def test_what_failed_a_gate_or_was_learned_beside_another_model_is_refused(
     tmp_path: Path, config: Path
 ) -> None:
     before = config.read_bytes()
-    failed = read_candidate(candidate(tmp_path, config, DRAG, passed=False))
+    failed = read_candidate(candidate(tmp_path, config, passed=False))
     with pytest.raises(InputError, match=r"'forecasts unseen cables better': not passed"):
         promote(failed, config)
-    good = read_candidate(candidate(tmp_path, config, DRAG))
+    good = read_candidate(candidate(tmp_path, config))
     promote(good, config)
     with pytest.raises(InputError, match="was learned with the model"):
         promote(good, config)
@@ -111,7 +120,7 @@ def test_what_was_learned_on_another_line_is_refused_unless_it_is_meant(
 ) -> None:
     """A tip mass of one line went into the settings of another, with a draught, without a word."""
     before = config.read_text("utf-8")
-    chosen = read_candidate(candidate(tmp_path, config, DRAG))
+    chosen = read_candidate(candidate(tmp_path, config))
     assert chosen.lines == (line_identity(load_settings(config)),), "as it was before it was a file"
     for old, new, says in (
         ("width_m: 0.016", "width_m: 0.018", "cable.width_m 0.016, here 0.018"),
@@ -147,7 +156,7 @@ def test_how_finely_a_world_is_simulated_makes_no_other_line(config: Path) -> No
 
 
 def test_a_gate_without_its_outcome_is_refused(tmp_path: Path, config: Path) -> None:
-    path = candidate(tmp_path, config, DRAG)
+    path = candidate(tmp_path, config)
     path.write_text(path.read_text().replace("passed: true", "assed: true"))
     with pytest.raises(InputError, match="needs gate, passed and found; learn it again"):
         read_candidate(path)
@@ -157,7 +166,7 @@ def test_a_former_model_that_cannot_be_used_any_more_is_not_written(
     tmp_path: Path, config: Path
 ) -> None:
     """Its effect was removed meanwhile: the settings were wrong, and no cell began with them."""
-    entry = promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    entry = promote(read_candidate(candidate(tmp_path, config)), config)
     former, promoted = entry.read_text("utf-8"), config.read_bytes()
     entry.write_text(f"{former}\nmodel:\n  effects: [{{effect: removed}}]\n", "utf-8")
     with pytest.raises(InputError, match="'removed': unknown effect"):
@@ -167,7 +176,7 @@ def test_a_former_model_that_cannot_be_used_any_more_is_not_written(
 
 def test_a_model_is_taken_back_only_for_the_one_that_is_meant(tmp_path: Path, config: Path) -> None:
     first = model_hash(load_settings(config).model)
-    promote(read_candidate(candidate(tmp_path, config, DRAG)), config)
+    promote(read_candidate(candidate(tmp_path, config)), config)
     second, promoted = model_hash(load_settings(config).model), config.read_bytes()
     with pytest.raises(InputError, match=f"has the model {second} by now, not {first}"):
         undo(config, meant=(first, second))
@@ -192,7 +201,7 @@ def test_killed_between_any_two_writes_the_settings_are_old_or_new(
     tmp_path: Path, config: Path, monkeypatch: pytest.MonkeyPatch, survives: int
 ) -> None:
     old = config.read_bytes()
-    chosen = read_candidate(candidate(tmp_path, config, DRAG))
+    chosen = read_candidate(candidate(tmp_path, config))
     writes = 0
 
     class KilledError(BaseException):
@@ -230,7 +239,7 @@ def test_a_file_in_braces_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_candidate_may_be_learned_again_over_the_one_before(tmp_path: Path, config: Path) -> None:
-    check_output(candidate(tmp_path, config, DRAG))
+    check_output(candidate(tmp_path, config))
     with pytest.raises(ValueError, match="was not written by this program"):
         check_output(config)
 
@@ -260,27 +269,14 @@ def with_products(config: Path) -> Path:
 OF_STIFF = {"    model:             # learned in May", "      - effect: tip_mass"}
 
 
-def of_product(tmp_path: Path, config: Path, product: str) -> Path:
-    settings = load_product(config, product)
-    path = tmp_path / f"{product}.yaml"
-    content = {
-        "format": "cell-candidate/1",
-        "product": product,
-        "beside": model_hash(settings.model),
-        "model": DRAG,
-        "gates": [],
-        "lines": [line_identity(settings)],
-    }
-    path.write_text(yaml_text(content), encoding="utf-8")
-    return path
-
-
 @pytest.mark.parametrize("product", ["soft", "stiff"])
 def test_a_promotion_touches_one_product_and_can_be_undone(
     tmp_path: Path, with_products: Path, product: str
 ) -> None:
     before, text = load_settings(with_products), with_products.read_text("utf-8")
-    entry = promote(read_candidate(of_product(tmp_path, with_products, product)), with_products)
+    entry = promote(
+        read_candidate(candidate(tmp_path, with_products, product=product)), with_products
+    )
     after = load_settings(with_products)
     made = for_product(after, product)
     assert [e.effect for e in made.model.effects] == ["air_drag"]
@@ -299,7 +295,7 @@ def test_undoing_one_product_leaves_what_was_promoted_for_another(
     tmp_path: Path, with_products: Path
 ) -> None:
     for product in ("soft", "stiff"):
-        promote(read_candidate(of_product(tmp_path, with_products, product)), with_products)
+        promote(read_candidate(candidate(tmp_path, with_products, product=product)), with_products)
     undo(with_products, "soft")
     settings = load_settings(with_products)
     assert for_product(settings, "soft").model == settings.model
@@ -310,7 +306,7 @@ def test_undoing_one_product_leaves_what_was_promoted_for_another(
 
 def test_a_candidate_is_of_a_product_of_these_settings(tmp_path: Path, with_products: Path) -> None:
     text = with_products.read_text("utf-8")
-    stiff = read_candidate(of_product(tmp_path, with_products, "stiff"))
+    stiff = read_candidate(candidate(tmp_path, with_products, product="stiff"))
     for other, says in (
         (replace(stiff, product=None), "is missing, but the settings have products"),
         (replace(stiff, product="short"), "'short' is no product of these settings"),
@@ -318,7 +314,7 @@ def test_a_candidate_is_of_a_product_of_these_settings(tmp_path: Path, with_prod
     ):
         with pytest.raises(InputError, match=says):
             promote(other, with_products)
-    empty = read_candidate(of_product(tmp_path, with_products, "empty"))
+    empty = read_candidate(candidate(tmp_path, with_products, product="empty"))
     with pytest.raises(InputError, match="is not one key a line in this section"):
         promote(empty, with_products)
     assert with_products.read_text("utf-8") == text

@@ -373,6 +373,7 @@ def test_a_start_is_free_unless_told_otherwise_and_a_check_says_so(tmp_path: Pat
     said = freedoms(load_settings(path), 0.0)
     assert said.startswith("starts at once, with one of the offsets; holds 1 s; feedback auto; ")
     assert said.endswith("serves openings of ±1.16 mm at best")  # half a step, 1.64 × 0.1 mm
+    assert "the error of the camera's map" in freedoms(load_settings(path), None)
     for start in ("", "  start: auto\n", "  start: {window_s: 0.25, paces: [1.2, 1.3]}\n"):
         path.write_text(FAKE.replace("motion:\n", f"motion:\n{start}  hold: {{}}\n"))
         settings = load_settings(path)

@@ -3,9 +3,19 @@
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from cell.cli import app
 from cell.settings import Settings, load_settings
-from cell.settings.starting import STARTING, answered, commented, default, questions
+from cell.settings.starting import (
+    MEASURED,
+    STARTING,
+    answered,
+    commented,
+    default,
+    questions,
+    unmeasured,
+)
 
 CONFIG = Path(__file__).parents[3] / "config"
 
@@ -26,7 +36,9 @@ def test_the_file_loads_as_the_settings_and_explains_what_is_described(kind, tmp
     path.write_text(text)
     assert load_settings(path) == settings
     assert max(len(line) for line in text.splitlines()) <= 130
-    assert "Film of the swing, with the gripper held still; > 0, ≤ 30; default 1.0" in text
+    assert (
+        "Duration of filming the swing, with the gripper held still; > 0, ≤ 30; default 1.0" in text
+    )
     assert ("world:" in text) == (kind == "simulated")
 
 
@@ -39,3 +51,23 @@ def test_answers_take_the_place_of_defaults_and_leave_these_alone() -> None:
     assert made["arm"]["host"] == "10.0.0.5" and made["cable"]["free_length_m"] == 0.12
     assert default("real", ("arm", "host")) == "192.168.3.10"
     assert default("simulated", ("cable", "free_length_m")) == 0.1
+
+
+def test_what_is_still_the_example_of_another_cell_is_named() -> None:
+    """`cell check` called a real cell's file right in which nothing was measured."""
+    example = Settings.model_validate(STARTING["real"])
+    assert unmeasured(example) == tuple(".".join(map(str, key)) for key in MEASURED)
+    answers = {("arm", "host"): "10.0.0.5", ("arm", "tcp"): [0.0, 0.0, 0.17, 0.0, 0.0, 0.0]}
+    measured = Settings.model_validate(answered("real", answers))
+    assert set(unmeasured(example)) - set(unmeasured(measured)) == {"arm.host", "arm.tcp"}
+    for kind in ("simulated", "emulated"):
+        assert unmeasured(Settings.model_validate(STARTING[kind])) == ()
+
+
+def test_check_names_them() -> None:
+    done = CliRunner().invoke(app, ["check", "--config", str(CONFIG / "line3.yaml")])
+    assert done.exit_code == 0
+    assert "line3.yaml: as in the example of `cell init --real`, so not yet of your cell: " in (
+        done.stderr
+    )
+    assert "arm.plane_origin_m, camera.view; measure them (`cell help commission`)" in done.stderr

@@ -94,7 +94,8 @@ CHANGES = {
     "exchanged": swapped,
     "frozen_marker": lost,
     "reversed_arcs": lambda xy_m: xy_m[:, :1] + (xy_m - xy_m[:, :1]) * [-1.0, 1.0] + [0.1, 0.0],
-    "too_far": lambda xy_m: xy_m - [0.02, 0.0],
+    "too_far": lambda xy_m: xy_m - [0.0, 0.09],
+    "beyond_arc": lambda xy_m: xy_m - [0.02, 0.0],
     "wrong_side": lambda xy_m: xy_m * [-1.0, 1.0],
     "rises": lambda xy_m: xy_m + (ARCS_M > 0.09)[:, None] * np.array([0.0, 0.014]),
 }

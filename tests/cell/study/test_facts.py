@@ -19,12 +19,13 @@ from cell.study.facts import (
 from cell.study.hand_drift import HandDrift
 from cell.study.record_checks import oddities, stated_oddly
 from cell.study.wrench import wrench_facts
-from tests.cell.study.imports.made import ARCS_M, RATE_HZ, made
+from tests.cell.study.imports.corpus.swing import ARCS_M, RATE_HZ
+from tests.cell.study.imports.made import made
 
 
 def a_trial(noise: float = 5e-5) -> Trial:
     m = made(noise_m=noise)
-    grip = Motion(m.t_s, *(np.ascontiguousarray(v) for v in m.hand_m.T), m.angle_rad)
+    grip = Motion(m.t_s, *(np.ascontiguousarray(v) for v in m.gripper_m.T), m.angle_rad)
     return Trial("swing", "fit", "equilibrium", grip, Markers(m.t_s, m.markers_m[:, ::-1]))
 
 

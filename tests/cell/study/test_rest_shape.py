@@ -100,7 +100,7 @@ FAULTS: dict[str, tuple[Callable[[Trial], Trial], str]] = {
     "time ×3": (clock(3.0), "units of time"),
     "time ÷3": (clock(1 / 3.0), "units of time"),
     "markers ×1.04": (markers(lambda xy: xy * 1.04), "check its arc length"),
-    "markers ×10": (markers(lambda xy: xy * 10.0), "(1.5 free lengths) from the gripping point"),
+    "markers ×10": (markers(lambda xy: xy * 10.0), "(2.5 free lengths) from the gripping point"),
     "markers 4 mm higher": (markers(lambda xy: xy + np.array([0.0, 4e-3])), "gripping point"),
     "markers 20 mm aside": (markers(lambda xy: xy + np.array([2e-2, 0.0])), "gripping point"),
     "markers turned by 25°": (turned(25.0), "from its angle"),

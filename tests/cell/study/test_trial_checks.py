@@ -99,7 +99,7 @@ def refusal(study: Study, folder: Path) -> str:
     ("change", "says"),
     [
         (reversed_markers, "turn markers.arc_length_m round"),
-        (only(0, lambda s: with_trial(s, xy_m=s.trials[0].markers.xy_m - 0.03)), "farther than"),
+        (only(0, lambda s: with_trial(s, xy_m=s.trials[0].markers.xy_m - 0.2)), "lies more than"),
         (mirrored, "change the sign of x_m in both files"),
         (only(0, mirrored), "change the sign of x_m in both files"),
         (slower(1000.0), "give seconds, not milliseconds"),
@@ -142,7 +142,7 @@ def test_a_marker_that_is_too_far_from_a_line_on_is_told_with_that_line(
     swung: Study, tmp_path: Path
 ) -> None:
     def away(xy_m: np.ndarray) -> None:
-        xy_m[79:, 5] -= [0.03, 0.0]
+        xy_m[79:, 5] -= [0.14, 0.0]
 
     said = refusal(changed(swung, away), tmp_path)
     assert "a/markers.csv:81: the marker at arc length 0 m is" in said

@@ -43,6 +43,14 @@ def changed(folder, line, column, value):
     table(folder).write_text("\n".join(",".join(r) for r in rows) + "\n")
 
 
+def with_first(study, change=lambda values: None, late_s=0.0):
+    """The study whose first trial has another wrench: values (T, 3) are changed in place."""
+    first, *rest = study.trials
+    wrench = Wrench(first.wrench.t_s + late_s, first.wrench.values.copy())
+    change(wrench.values)
+    return replace(study, trials=(replace(first, wrench=wrench), *rest))
+
+
 def test_a_wrench_is_read_back_to_the_last_bit(made, tmp_path):
     trials = list(made.trials)
     values = trials[1].wrench.values.copy()
@@ -94,11 +102,10 @@ def test_a_file_without_any_column_of_a_wrench_is_refused(made, tmp_path):
 
 
 def test_a_sensor_that_shows_no_noise_is_refused(made, tmp_path):
-    first, *rest = made.trials
-    values = first.wrench.values.copy()
-    values[:, 2] = 0.25
-    stuck = replace(first, wrench=replace(first.wrench, values=values))
-    write_study(replace(made, trials=(stuck, *rest)), tmp_path)
+    def stuck(values):
+        values[:, 2] = 0.25
+
+    write_study(with_first(made, stuck), tmp_path)
     problem = refused(tmp_path)
     assert (problem.line, problem.key) == (2, "moment_nm")
     assert "is 0.25 in all of" in problem.message
@@ -106,9 +113,7 @@ def test_a_sensor_that_shows_no_noise_is_refused(made, tmp_path):
 
 
 def test_another_clock_is_refused(made, tmp_path):
-    first, *rest = made.trials
-    late = replace(first, wrench=replace(first.wrench, t_s=first.wrench.t_s + 100.0))
-    write_study(replace(made, trials=(late, *rest)), tmp_path)
+    write_study(with_first(made, late_s=100.0), tmp_path)
     assert "put both on one clock" in refused(tmp_path).message
 
 
@@ -173,11 +178,10 @@ def test_a_tool_that_is_not_stated_is_told(made, tmp_path):
 
 
 def test_a_single_wrong_row_is_left_out_and_told(made, tmp_path):
-    first, *rest = made.trials
-    values = first.wrench.values.copy()
-    values[100, 1] += 0.5
-    write_study(replace(made, trials=(replace(first, wrench=replace(first.wrench, values=values)),
-                                      *rest)), tmp_path)  # fmt: skip
+    def wrong(values):
+        values[100, 1] += 0.5
+
+    write_study(with_first(made, wrong), tmp_path)
     opened = open_study(tmp_path)
     (note,) = (n for n in opened.notes if "wrench.csv" in n)
     assert "line 102, force_y_n by +0.5 N; left out" in note
@@ -186,11 +190,10 @@ def test_a_single_wrong_row_is_left_out_and_told(made, tmp_path):
 
 
 def test_a_sensor_that_slips_often_is_refused(made, tmp_path):
-    first, *rest = made.trials
-    values = first.wrench.values.copy()
-    values[20::30, 2] += 0.05
-    write_study(replace(made, trials=(replace(first, wrench=replace(first.wrench, values=values)),
-                                      *rest)), tmp_path)  # fmt: skip
+    def slips(values):
+        values[20::30, 2] += 0.05
+
+    write_study(with_first(made, slips), tmp_path)
     with pytest.raises(InputError, match=r"wrench.csv:22: moment_nm: .*limit 2%"):
         open_study(tmp_path)
 

@@ -21,7 +21,6 @@ PLACES = (
     *(
         "cell/plant/client.py",
         "cell/plant/service.py",
-        "cell/plant/unfinished_cycle.py",
         "cell/plant/children.py",
     ),
     *("cell/calibration", "cell/wiring/filmed.py"),

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 import uvicorn
 
-from cell.cli.users import typed_password
+from cell.cli.serve import typed_password
 from cell.computer.peers import user_of_peer
 from cell.plant.client import Client
 from cell.plant.messages import CommandReply, Request
@@ -27,10 +27,8 @@ from cell.records.ledger.ledger import Ledger
 from cell.run.machine import CellState, MachineEvent
 from cell.settings import load_settings
 from cell.web.audit import Audit, audit_file
-from cell.web.camera import Films, LiveCamera
 from cell.web.cycle_view import cycle_folder
 from cell.web.guard import MOST_BYTES, Guard, TimedHttp
-from cell.web.guided import Guided
 from cell.web.jobs import Jobs, JobTask
 from cell.web.serve import may_be_served
 from cell.web.sessions import (
@@ -405,9 +403,8 @@ class Asked(Client):
 def visit(runs: Path, session: LoginSession, sessions: Sessions | None) -> Visit:
     settings, client = load_settings(CONFIG), Asked(runs)
     client.requests = []
-    watch, audit = CellWatch(client, settings, runs), Audit(audit_file(runs))
-    seen = (Films(), LiveCamera(runs), Guided())
-    room = PagesContext(CONFIG, settings, runs, client, watch, Control(), audit, *seen, sessions)
+    watch = CellWatch(client, settings, runs)
+    room = PagesContext(CONFIG, settings, runs, client, watch, sessions)
     return Visit(room, session, "page 1", "en", str)
 
 

@@ -22,12 +22,9 @@ from cell.records.recording.writer import RecordingWriter
 from cell.records.result import Outcome, Result
 from cell.run.machine import CellState, MachineEvent
 from cell.settings import load_settings
-from cell.web.audit import Audit, audit_file
-from cell.web.camera import Films, LiveCamera
 from cell.web.guard import COOKIE, Guard, TimedHttp
-from cell.web.guided import Guided
 from cell.web.serve import application, serve
-from cell.web.sessions import IDLE_S, MOST_WRONG, Control, Sessions
+from cell.web.sessions import IDLE_S, MOST_WRONG, Sessions
 from cell.web.visit import PagesContext, Visit
 from cell.web.watching import CellWatch, WatchedState
 
@@ -60,9 +57,8 @@ class Served:
         settings, client = load_settings(CONFIG), Client(runs)
         self.clock, self.cycle = Clock(), film(runs)
         self.sessions = Sessions(USERS.get, self.clock)
-        of_cell = (client, CellWatch(client, settings, runs), Control(), Audit(audit_file(runs)))
-        seen = (Films(), LiveCamera(runs), Guided())
-        self.room = PagesContext(CONFIG, settings, runs, *of_cell, *seen, self.sessions)
+        watch = CellWatch(client, settings, runs)
+        self.room = PagesContext(CONFIG, settings, runs, client, watch, self.sessions)
         app = application(self.room, Users(folder / "users.json"), False)
         self.web = TestClient(Guard(app, self.sessions, False), AT, follow_redirects=False)
 

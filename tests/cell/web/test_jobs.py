@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from cell.computer.watched import FIT_ERROR
 from cell.web.jobs import (
     LONGEST_LINE,
     MOST_LINES,
@@ -82,6 +84,15 @@ def test_progress_is_what_the_command_says(jobs: Jobs) -> None:
     assert jobs.cancel(job.number) == ""
     wait_until(lambda: newest(jobs).state is JobState.CANCELLED)
     assert "ended" in jobs.cancel(job.number)
+
+
+def test_errors_of_fits_are_apart_from_what_is_said(jobs: Jobs) -> None:
+    said = ({"effects": [], "rms_m": 9e-4}, {"effects": ["a"], "rms_m": 1e-4})
+    text = "".join(f"{FIT_ERROR}{json.dumps(error)}\n" for error in said)
+    assert jobs.submit(task(f"print({text!r}, end='', file=sys.stderr)"), "ada") == ""
+    wait_until(lambda: jobs.listed()[0].state is JobState.DONE)
+    assert jobs.listed()[0].errors == said
+    assert jobs.listed()[0].output == ()
 
 
 def test_what_is_cancelled_may_say_what_it_knows(jobs: Jobs, tmp_path: Path) -> None:

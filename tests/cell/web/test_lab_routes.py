@@ -18,12 +18,9 @@ from cell.plant.client import Client
 from cell.plant.users import Role, User
 from cell.settings import load_settings
 from cell.web import guard, workspace
-from cell.web.audit import Audit, audit_file
-from cell.web.camera import Films, LiveCamera
 from cell.web.guard import COOKIE, MOST_BYTES, Guard
-from cell.web.guided import Guided
 from cell.web.serve import lab_routes
-from cell.web.sessions import Control, Sessions
+from cell.web.sessions import Sessions
 from cell.web.visit import PagesContext
 from cell.web.watching import CellWatch
 
@@ -38,10 +35,8 @@ class Served:
     def __init__(self, runs: Path) -> None:
         settings, client = load_settings(CONFIG), Client(runs)
         self.sessions = Sessions(USERS.get)
-        watch, audit = CellWatch(client, settings, runs), Audit(audit_file(runs))
-        seen = (Films(), LiveCamera(runs), Guided())
-        of_cell = (client, watch, Control(), audit)
-        self.room = PagesContext(CONFIG, settings, runs, *of_cell, *seen, self.sessions)
+        watch = CellWatch(client, settings, runs)
+        self.room = PagesContext(CONFIG, settings, runs, client, watch, self.sessions)
         app = FastAPI(openapi_url=None)
         lab_routes(app, self.room)
         self._app = Guard(app, self.sessions, False)

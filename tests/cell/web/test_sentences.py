@@ -17,6 +17,7 @@ import cell.web
 from cell.cable.solver import DivergedError
 from cell.identify.individual import CableRejectedError, Reason
 from cell.run.plans import INSERTING
+from cell.settings import Settings
 from cell.vision.sighting import Unseen
 from cell.web.wording import (
     LONGEST,
@@ -255,6 +256,22 @@ def messages() -> set[str]:
 def test_a_catalogue_has_every_message_of_the_source(language: str) -> None:
     known = catalogue(language)
     assert messages() - {m for m, said in known.items() if said} == set()
+
+
+def explanations(node: object) -> Iterator[str]:
+    """First paragraphs of all descriptions in a JSON schema."""
+    inside = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+    if isinstance(node, dict) and isinstance(node.get("description"), str):
+        yield " ".join(node["description"].split("\n\n")[0].split())
+    for each in inside:
+        yield from explanations(each)
+
+
+@pytest.mark.parametrize("language", languages()[1:])
+def test_a_catalogue_explains_every_setting(language: str) -> None:
+    say = translation(language)
+    untranslated = [e for e in explanations(Settings.model_json_schema()) if say(e) == e]
+    assert untranslated == []
 
 
 def test_a_catalogue_is_read_with_long_and_quoted_messages() -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from cell.plant.messages import FaultNotice, MessageKind, Notice, Status
+from cell.records.folder import UNFINISHED
 from cell.records.ledger.effectiveness import Shift, shift_start
 from cell.records.ledger.ledger import Ledger, ListedCycle
-from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Result
 from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING
@@ -202,6 +202,8 @@ def test_counts_have_one_order_and_a_cycle_under_way_is_no_killed_one() -> None:
     seen = replace(state_after(WatchedState(), status), figures=figures)
     expected = [("inserted", 5), ("failed", 1), ("under way", 1), ("broken off", 1)]
     assert list(live_view(seen, 0.0).counts.items()) == expected
+    held = replace(seen, status=replace(status, state=CellState.HELD, step=None))
+    assert list(live_view(held, 0.0).counts.items()) == expected
     idle = replace(seen, status=IDLE)
     assert list(live_view(idle, 0.0).counts.items())[2:] == [("broken off", 2)]
 

@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
+from cell.study.imports.read import KINDS
 from cell.web import workspace
 from cell.web.workspace import UploadError, Workspace, is_name, placed, plain
 
@@ -61,6 +62,11 @@ def test_tables_are_kept_for_the_import(lab: Workspace) -> None:
     assert (lab.uploads / "day_1" / "b.trc").read_bytes() == b"2"
     assert lab.uploaded("day_1") == ["a.csv", "b.trc"]
     assert lab.uploaded("../uploads/day_1") == lab.uploaded("none") == []
+
+
+def test_every_kind_of_file_that_an_import_reads_is_taken(lab: Workspace) -> None:
+    files = {f"a{kind}": b"1" for kind in KINDS}
+    assert set(lab.take(loose(files)).files) == set(files)
 
 
 @pytest.mark.parametrize(

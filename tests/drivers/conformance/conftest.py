@@ -18,7 +18,7 @@ import pytest
 
 from drivers.clock import RealClock
 from drivers.emulators.camera import StreamFaults
-from drivers.emulators.robotiq import EmulatedGripper, Jaws
+from drivers.emulators.robotiq import EmulatedGripper, Jaws, RobotiqFaults
 from drivers.emulators.urcap import EmulatedUrcap
 from drivers.files import FilesCamera, write_frames
 from drivers.guard import (
@@ -80,29 +80,29 @@ class GripperBench:
     force_n: float = 20.0
 
 
+def faulty(emulator: Any, faults: Callable[[], object]) -> Act:
+    """Gives an emulator faults as they are then."""
+    return lambda: setattr(emulator, "faults", faults())
+
+
+def pulled_out(jaws: Jaws) -> Act:
+    """Takes out what is between the jaws."""
+    return lambda: setattr(jaws, "object_count", None)
+
+
 @contextlib.contextmanager
 def sim_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
     cell = request.getfixturevalue("cell")
-    arm = cell.arm
+    arm, now_s = cell.arm, cell.clock.now_s
     arm.close()
-
-    def break_it(**faults: float | bool) -> Act:
-        def act() -> None:
-            at_once = {
-                k: cell.clock.now_s() if k.endswith("_at_s") else v for k, v in faults.items()
-            }
-            arm.faults = ArmFaults(**at_once)
-
-        return act
-
     yield ArmBench(
         arm,
         cell.clock,
         request.getfixturevalue("line"),
-        lose=break_it(lost_at_s=0.0),
-        controller_stop=break_it(protective_stop_at_s=0.0),
+        lose=faulty(arm, lambda: ArmFaults(lost_at_s=now_s())),
+        controller_stop=faulty(arm, lambda: ArmFaults(protective_stop_at_s=now_s())),
         person_clears=arm.acknowledge,
-        refuse=break_it(refuses_to_connect=True),
+        refuse=faulty(arm, lambda: ArmFaults(refuses_to_connect=True)),
     )
 
 
@@ -132,15 +132,11 @@ def ur_arm(request: pytest.FixtureRequest) -> Iterator[ArmBench]:
 @contextlib.contextmanager
 def sim_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
     cell = request.getfixturevalue("cell")
-    cell.camera.close()
-
-    def lose() -> None:
-        cell.camera.faults = CameraFaults(lost_at_s=cell.clock.now_s())
-
-    def refuse() -> None:
-        cell.camera.faults = CameraFaults(refuses_to_connect=True)
-
-    yield CameraBench(cell.camera, cell.clock, lose, refuse)
+    camera, clock = cell.camera, cell.clock
+    camera.close()
+    lose = faulty(camera, lambda: CameraFaults(lost_at_s=clock.now_s()))
+    refuse = faulty(camera, lambda: CameraFaults(refuses_to_connect=True))
+    yield CameraBench(camera, clock, lose, refuse)
 
 
 @contextlib.contextmanager
@@ -168,38 +164,28 @@ def opencv_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
     stream = request.getfixturevalue("emulated_camera")
     clock = RealClock()
     options = OpenCvOptions(stream.url, 160, 120, 200.0, exposure_s=None)
-
-    def break_it(**faults: bool) -> Act:
-        def act() -> None:
-            stream.faults = StreamFaults(**faults)
-
-        return act
-
-    yield CameraBench(
-        OpenCvCamera(options, clock), clock, break_it(silent=True), break_it(refuses=True)
-    )
+    lose = faulty(stream, lambda: StreamFaults(silent=True))
+    refuse = faulty(stream, lambda: StreamFaults(refuses=True))
+    yield CameraBench(OpenCvCamera(options, clock), clock, lose, refuse)
 
 
 @contextlib.contextmanager
 def sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
     cell = request.getfixturevalue("cell")
-    cell.gripper.close()
-
-    def break_it(fault: str) -> Act:
-        def act() -> None:
-            cell.gripper.faults = GripperFaults(**{fault: cell.clock.now_s()})
-
-        return act
-
-    def refuse() -> None:
-        cell.gripper.faults = GripperFaults(refuses_to_connect=True)
+    gripper, now_s = cell.gripper, cell.clock.now_s
+    gripper.close()
 
     def take_away() -> None:
         cell.world.take()
         cell.world.drop()
 
     yield GripperBench(
-        cell.gripper, cell.clock, take_away, break_it("slips_at_s"), break_it("lost_at_s"), refuse
+        gripper,
+        cell.clock,
+        take_away,
+        slip=faulty(gripper, lambda: GripperFaults(slips_at_s=now_s())),
+        lose=faulty(gripper, lambda: GripperFaults(lost_at_s=now_s())),
+        refuse=faulty(gripper, lambda: GripperFaults(refuses_to_connect=True)),
     )
 
 
@@ -214,32 +200,17 @@ def guarded_sim_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench
 def serial_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
     with EmulatedGripper() as emulator:
         options = SerialGripperOptions(emulator.port, reply_s=GRIPPER_REPLY_S)
-        jaws, faults = emulator.jaws, emulator.jaws.faults
-        clock = RealClock()
-
-        def pull_out() -> None:
-            jaws.object_count = None
-
-        def fall_silent() -> None:
-            faults.silent = True
-
-        yield GripperBench(
-            SerialGripper(options, clock), clock, pull_out, pull_out, fall_silent, fall_silent
-        )
+        clock, silent = RealClock(), faulty(emulator.jaws, lambda: RobotiqFaults(silent=True))
+        gone = pulled_out(emulator.jaws)
+        yield GripperBench(SerialGripper(options, clock), clock, gone, gone, silent, silent)
 
 
 @contextlib.contextmanager
 def urcap_gripper(request: pytest.FixtureRequest) -> Iterator[GripperBench]:
     with EmulatedUrcap(Jaws(object_count=200.0)) as urcap:
         options = UrcapGripperOptions(urcap.host, urcap.port, reply_s=2.0 * GRIPPER_REPLY_S)
-        clock = RealClock()
-
-        def pull_out() -> None:
-            urcap.jaws.object_count = None
-
-        yield GripperBench(
-            UrcapGripper(options, clock), clock, pull_out, pull_out, urcap.unplug, urcap.unplug
-        )
+        clock, gone, unplug = RealClock(), pulled_out(urcap.jaws), urcap.unplug
+        yield GripperBench(UrcapGripper(options, clock), clock, gone, gone, unplug, unplug)
 
 
 @pytest.fixture

@@ -160,7 +160,7 @@ def test_works_again_after_reset(bench) -> None:
 
 def test_refuses_a_second_path_while_moving(bench) -> None:
     bench.arm.follow(bench.make_path(dy_m=-0.05, duration_s=0.6, start=here(bench)))
-    with pytest.raises(LimitError):
+    with pytest.raises(LimitError, match="still moving"):
         bench.arm.follow(bench.make_path(dx_m=-0.05, start=here(bench)))
 
 

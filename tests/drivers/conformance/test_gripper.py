@@ -33,7 +33,7 @@ def test_nothing_to_grip_is_an_error(bench) -> None:
     if bench.take_away is None:
         pytest.skip("this bench cannot empty the jaws")
     bench.take_away()
-    with pytest.raises(GripError) as error:
+    with pytest.raises(GripError, match="nothing between the jaws") as error:
         bench.gripper.grip(bench.force_n)
     assert error.value.device == bench.gripper.name and error.value.remedy
     assert not bench.gripper.state().holding

@@ -24,6 +24,7 @@ from drivers.emulators.camera import (
     _Server,
 )
 from drivers.emulators.launch import EmulatorError
+from tests.waiting import wait_until
 
 SIZE = CameraEmulatorOptions(width_px=160, height_px=120)
 
@@ -111,17 +112,15 @@ def test_whoever_is_refused_may_come_again_afterwards(emulated_camera) -> None:
     socket.create_connection(("127.0.0.1", port(emulated_camera)), 1.0).close()
 
 
-def test_a_reader_that_does_not_read_loses_pictures_not_time(
-    emulated_camera, reader, eventually
-) -> None:
+def test_a_reader_that_does_not_read_loses_pictures_not_time(emulated_camera, reader) -> None:
     before = emulated_camera.counts()
-    eventually(lambda: emulated_camera.counts().dropped > before.dropped)
+    wait_until(lambda: emulated_camera.counts().dropped > before.dropped)
     waited = emulated_camera.counts().sent - before.sent  # in the queues between us
     _, stamps_s = pictures(reader, waited + 60)
     assert np.diff(stamps_s).max() > 0.009
 
 
-def test_the_newest_reader_is_served(emulated_camera, eventually) -> None:
+def test_the_newest_reader_is_served(emulated_camera) -> None:
     forgotten = socket.create_connection(("127.0.0.1", port(emulated_camera)), 1.0)
     forgotten.recv(64)
     with socket.create_connection(("127.0.0.1", port(emulated_camera)), 1.0) as newest:
@@ -156,7 +155,7 @@ if __name__ == "__main__":
 """
 
 
-def test_it_ends_with_its_parent(tmp_path, eventually) -> None:
+def test_it_ends_with_its_parent(tmp_path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(PARENT)
     parent = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
@@ -164,7 +163,7 @@ def test_it_ends_with_its_parent(tmp_path, eventually) -> None:
     pid = int(parent.stdout.readline())
     parent.kill()
     parent.communicate(timeout=30)
-    eventually(lambda: not _runs(pid))
+    wait_until(lambda: not _runs(pid))
 
 
 def _runs(pid: int) -> bool:

@@ -13,6 +13,7 @@ from drivers.emulators.launch import EmulatorError
 from drivers.emulators.robotiq import RobotiqFaults
 from drivers.interfaces import DeviceLostError, GripError
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
+from tests.waiting import wait_until
 
 from ..conftest import GRIPPER_REPLY_S
 
@@ -45,10 +46,10 @@ def test_what_happens_at_the_terminal_is_its_parents_affair(emulator, gripper, n
     assert emulator.alive and emulator.observe().held
 
 
-def test_a_cable_that_is_taken_away_is_missed(emulator, gripper, eventually) -> None:
+def test_a_cable_that_is_taken_away_is_missed(emulator, gripper) -> None:
     gripper.grip(20.0)
     emulator.lay_out(False)
-    eventually(lambda: not gripper.state().holding)
+    wait_until(lambda: not gripper.state().holding)
     gripper.release()
     with pytest.raises(GripError, match="nothing between the jaws"):
         gripper.grip(20.0)

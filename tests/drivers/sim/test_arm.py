@@ -9,7 +9,6 @@ from drivers.interfaces import (
     ArmMode,
     ConnectError,
     DeviceLostError,
-    LimitError,
     StoppedError,
 )
 from drivers.sim.arm import ArmFaults, ArmTwinOptions, SimArm
@@ -111,13 +110,6 @@ def test_a_slowed_motion_is_broken_off_and_stays_so(cell, line) -> None:
     assert cell.arm.state().mode is ArmMode.STOPPED
     cell.arm.reset()
     assert cell.arm.state().mode is ArmMode.READY
-
-
-def test_a_second_path_must_wait_for_the_first(cell, line) -> None:
-    cell.arm.follow(line(dy_m=-0.05))
-    cell.clock.sleep_s(0.1)
-    with pytest.raises(LimitError, match="still moving"):
-        cell.arm.follow(line())
 
 
 def test_a_stop_may_be_planned_on_the_clock(cell, line) -> None:

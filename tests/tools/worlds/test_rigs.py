@@ -9,13 +9,11 @@ import pytest
 
 from cell.cable.effects import library
 from cell.cable.geometry import Cable
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.report.tables import sentence
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.verdict.checks import CHECKS
 from cell.study.folder import read_study, write_study
+from tests.cell.lab.conftest import fits_of
 from tools.worlds import made_studies, rigs
 from tools.worlds.rig_kinds import KINDS
 
@@ -58,25 +56,18 @@ def test_a_complete_model_of_a_rig_with_erring_shapes_is_called_complete(seed):
     rig = rigs.Rig.drawn(seed, name)
     rig = replace(rig, known=(*rig.known, *rig.unsaid), unsaid=())
     study = rigs.rig_study(rig, known[name].active())
-    space = ParameterSpace.of(study.cable, effects=tuple(a.effect for a in rig.known))
-    tried = {
-        n: known[n]
-        for n in ("air_drag", "natural_curvature")
-        if n not in {e.name for e in space.effects}
-    }
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), space, tried))
-    assert diagnose(fits).diagnosis.verdict == "complete"
+    present = [a.effect.name for a in rig.known]
+    tried = {"air_drag", "natural_curvature"}.difference(present)
+    assert diagnose(fits_of(study, sorted(tried), present)).diagnosis.verdict == "complete"
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("accelerometer", 1), ("encoder", 10)])
 def test_a_complete_model_of_a_rig_whose_hand_is_sensed_is_called_complete(kind, seed):
     """Drift of an integrated place and counts at rest were misfit where nothing stated them."""
     study = rigs.rig_study(KINDS[kind](seed), None)
-    tried = {n: library()[n] for n in ("air_drag", "natural_curvature")}
     unsaid = tuple(replace(t, hand_drift=None) for t in study.trials)
     for trials, verdict in ((study.trials, "complete"), (unsaid, "unexplained")):
-        prepared = PreparedStudy.of(replace(study, trials=trials))
-        fits = FitCache.of(SearchSetup(prepared, ParameterSpace.of(study.cable), tried))
+        fits = fits_of(replace(study, trials=trials), ("air_drag", "natural_curvature"))
         assert diagnose(fits).diagnosis.verdict == verdict
 
 
@@ -89,12 +80,8 @@ def test_a_complete_model_of_a_rig_whose_hand_is_sensed_is_called_complete(kind,
 )
 def test_a_model_whose_trials_ask_for_an_effect_is_not_called_complete(seed, name, values):
     """The held-out trials were not likelier enough with it, and that was that."""
-    known = library()
-    rig = rigs.Rig.drawn(seed, name)
-    study = rigs.rig_study(rig, known[name].active(**values))
-    tried = {n: known[n] for n in (name, "air_drag", "camera_roll")}
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), tried))
-    found = diagnose(fits).diagnosis
+    study = rigs.rig_study(rigs.Rig.drawn(seed, name), library()[name].active(**values))
+    found = diagnose(fits_of(study, (name, "air_drag", "camera_roll"))).diagnosis
     assert found.verdict == "cannot_tell"
     assert [w.code for w in found.warnings] == ["possibly_omitted"]
     assert f"show {name}" in found.warnings[0].message
@@ -107,7 +94,5 @@ def test_a_known_ringing_is_fitted_at_its_own_frequency_by_a_slow_camera():
     ringing = library()["robot_ringing"]
     rig = rigs.Rig.drawn(64, "robot_ringing")
     hidden = ringing.active(amplitude_m=-4.01e-4, frequency_hz=10.21)
-    study = rigs.rig_study(rig, hidden)
-    space = ParameterSpace.of(study.cable, effects=(ringing,))
-    fit = FitCache.of(SearchSetup(PreparedStudy.of(study), space, {})).base.fit
+    fit = fits_of(rigs.rig_study(rig, hidden), known=[ringing]).base.fit
     assert fit.model.effects[0].named["frequency_hz"] == pytest.approx(10.21, abs=0.3)

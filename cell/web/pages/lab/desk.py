@@ -175,7 +175,7 @@ class NeedsStudy:
             button.set_enabled(is_ready)
 
 
-def frame(desk: Desk, page: str, title: str, path: Path) -> None:
+def frame(desk: Desk, page: str, title: str, path: Path, *, opened: bool = False) -> None:
     """A page that a command wrote, in a frame that may run nothing of this page's."""
     subject = desk.subject
     if subject is None or not path.is_file():
@@ -183,7 +183,7 @@ def frame(desk: Desk, page: str, title: str, path: Path) -> None:
     if page == PREVIEW and subject.is_cycle:
         return
     address = f"/lab/results/{subject.name}/{page}?v={path.stat().st_mtime_ns}"
-    with ui.expansion(title, icon="insights").classes("w-full") as opened:
+    with ui.expansion(title, icon="insights", value=opened).classes("w-full") as expansion:
         place = ui.element("div").classes("w-full")
 
     def show(opened_now: bool) -> None:
@@ -194,7 +194,8 @@ def frame(desk: Desk, page: str, title: str, path: Path) -> None:
                 shown.props(f'title="{title}"').classes("w-full bg-white")
                 shown.style("height: 80vh; border: 0")
 
-    opened.on_value_change(lambda event: show(bool(event.value)))
+    show(opened)
+    expansion.on_value_change(lambda event: show(bool(event.value)))
 
 
 def output(title: str, log: Path | None) -> None:
@@ -210,11 +211,11 @@ def printed(log: Path | None) -> None:
     text.classes("whitespace-pre font-mono text-xs overflow-x-auto w-full")
 
 
-def first_lines(log: Path | None, most: int = 6) -> list[str]:
+def first_lines(log: Path | None) -> list[str]:
     """The sentences with which a command's output begins, before its first table."""
     lines = _lines(log)
     told: list[str] = []
-    for line in lines[:most]:
+    for line in lines[:6]:
         if not line.strip() or line.startswith("   "):
             break
         told.append(line)

@@ -39,6 +39,14 @@ _PASSED = """
 """
 
 
+#: A check's question as a link to its entry in the manual.
+_LINKED = """
+<q-td :props="props">
+  <a :href="'ENTRY#' + props.row.name" target="_blank" class="underline">{{ props.value }}</a>
+</q-td>
+"""
+
+
 class DiagnosePanel:
     """Panel of the diagnosis: checks, effects, and the next motion."""
 
@@ -150,6 +158,8 @@ class DiagnosePanel:
         table = ui.table(columns=heads, rows=check_rows(data, t), row_key="name")
         table.classes("w-full").props("dense flat wrap-cells data-test=checks")
         table.add_slot("body-cell-result", _PASSED)
+        if entry := manual_page("reference/checks.html"):
+            table.add_slot("body-cell-question", _LINKED.replace("ENTRY", entry))
 
     def _motion(self, motion: Path) -> None:
         """The motion suggested, and the command that measures a cable with it."""

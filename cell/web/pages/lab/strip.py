@@ -8,8 +8,9 @@ from nicegui import ui
 
 from cell.plant.users import Role
 from cell.web.jobs import OPEN, Job, JobState
+from cell.web.lab_views import falling_errors
 from cell.web.pages.lab.desk import Desk
-from cell.web.theme import AMBER, BLUE, GREEN, N_, RED
+from cell.web.theme import AMBER, BLUE, GREEN, N_, RED, chart, show_option
 
 _EVERY_S = 0.4
 _WORDS = {
@@ -71,6 +72,7 @@ class _StripRow:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._number = desk, 0
+        self._drawn = (0, 0)
         with ui.column().classes("w-full gap-1") as self._place:
             with ui.row().classes("w-full items-center gap-2 no-wrap"):
                 self._icon = ui.icon("sync").classes("text-2xl")
@@ -79,6 +81,7 @@ class _StripRow:
                 self._cancel = ui.button(desk.t("Cancel"), icon="stop", on_click=self._cancelled)
                 self._cancel.props("outline dense data-test=cancel")
             self._bar = ui.linear_progress(0.0, show_value=False, size="6px")
+            self._errors = chart({}, "h-56").props("data-test=fit-errors")
             self._said = ui.label().classes("whitespace-pre-line break-words text-sm")
             self._said.props("data-test=said")
             self._typed = ui.label().classes("font-mono text-xs break-all opacity-70 select-all")
@@ -101,6 +104,10 @@ class _StripRow:
         if job.share is not None:
             self._bar.props(remove="indeterminate")
             self._bar.value = round(job.share, 3)
+        self._errors.set_visibility(len(job.errors) > 1)
+        if len(job.errors) > 1 and self._drawn != (job.number, len(job.errors)):
+            self._drawn = job.number, len(job.errors)
+            show_option(self._errors, falling_errors(job.errors, t))
         self._said.text = "\n".join(job.output[-_LINES:])
         self._said.set_visibility(bool(job.output))
         self._typed.text = job.task.typed.splitlines()[min(job.step, steps - 1)]

@@ -16,82 +16,19 @@ from cell.web.cycle_view import cycle_folder
 from cell.web.guard import MOST_BYTES
 from cell.web.lab_tasks import MAPPING, PREVIEW, Subject
 from cell.web.pages.lab.desk import Desk, frame, notes_after_tables, output
-from cell.web.theme import BLUE, N_, columns, heading
+from cell.web.theme import BLUE, N_, asset, columns, heading
 from cell.web.views import history_row
 from cell.web.visit import do
 from cell.web.watching import read_ledger
 from cell.web.workspace import plain
 
-_SCRIPT = """
-(() => {
-  const zone = document.querySelector('[data-test=drop]');
-  if (!zone || zone.dataset.ready) return;
-  zone.dataset.ready = 'yes';
-  const say = text => { zone.querySelector('.drop-said').textContent = text; };
-  const send = files => {
-    const total = files.reduce((sum, f) => sum + f.file.size, 0);
-    if (!files.length) return;
-    if (total > MOST) { say(TOO_LARGE); return; }
-    const form = new FormData();
-    for (const {file, name} of files) form.append('files', file, name);
-    const request = new XMLHttpRequest();
-    request.open('POST', '/lab/upload');
-    request.upload.onprogress = e => say(Math.round(100 * e.loaded / e.total) + ' %');
-    request.onerror = () => say(BROKEN);
-    request.onload = () => {
-      let answer = {error: request.status + ' ' + request.statusText};
-      try { answer = JSON.parse(request.responseText); } catch {}
-      say('');
-      emitEvent('lab_uploaded', answer);
-    };
-    request.send(form);
-  };
-  const walk = async (entry, into) => {
-    if (entry.isFile) {
-      const file = await new Promise((good, bad) => entry.file(good, bad));
-      into.push({file, name: entry.fullPath.replace(/^\\//, '')});
-    } else {
-      const reader = entry.createReader();
-      for (;;) {
-        const some = await new Promise((good, bad) => reader.readEntries(good, bad));
-        if (!some.length) break;
-        for (const one of some) await walk(one, into);
-      }
-    }
-  };
-  zone.ondragover = e => { e.preventDefault(); zone.classList.add('drop-over'); };
-  zone.ondragleave = () => zone.classList.remove('drop-over');
-  zone.ondrop = async e => {
-    e.preventDefault();
-    zone.classList.remove('drop-over');
-    const entries = [...e.dataTransfer.items].map(i => i.webkitGetAsEntry()).filter(Boolean);
-    const found = [];
-    for (const entry of entries) await walk(entry, found);
-    send(found);
-  };
-  for (const input of zone.querySelectorAll('input')) {
-    input.onchange = () => {
-      send([...input.files].map(f => ({file: f, name: f.webkitRelativePath || f.name})));
-      input.value = '';
-    };
-  }
-})();
-"""
-_CSS = """
-.drop-zone { border: 2px dashed #8a94a3; border-radius: 8px; padding: 1.2rem; }
-.drop-over { border-color: #0b7fab; background: #0b7fab22; }
-.drop-zone label { cursor: pointer; text-decoration: underline; padding: 0.5rem; }
-.drop-zone input { position: absolute; width: 1px; height: 1px; opacity: 0; }
-.drop-zone label:focus-within { outline: 3px solid #f5b301; }
-"""
-
 
 def drop_zone(desk: Desk, uploaded: Callable[[dict[str, Any]], Awaitable[None]]) -> None:
     """Build the drop zone; `uploaded` gets the server's answer to an accepted upload."""
     t = desk.t
-    ui.add_css(_CSS)
+    ui.add_css(asset("upload.css"))
     with ui.element("div").classes("drop-zone w-full").props("data-test=drop"):
-        ui.label(t("Drop a study's folder, a .zip of it, or tables (CSV, TRC, C3D) here."))
+        ui.label(t("Drop a study's folder, a .zip of it, or tables (CSV, Excel, MAT, C3D …) here."))
         with ui.row().classes("gap-2"):
             for name, words, options in (
                 ("files", N_("Choose files"), "multiple"),
@@ -111,12 +48,41 @@ def drop_zone(desk: Desk, uploaded: Callable[[dict[str, Any]], Awaitable[None]])
             await uploaded(answer)
 
     ui.on("lab_uploaded", heard)
-    script = _SCRIPT.replace("MOST", str(MOST_BYTES - 65536))
-    script = script.replace("TOO_LARGE", json.dumps(t("Too large: upload less at once.")))
-    script = script.replace("BROKEN", json.dumps(t("The connection broke: try again.")))
+    script = asset(
+        "upload.js",
+        MOST=str(MOST_BYTES - 65536),
+        TOO_LARGE=json.dumps(t("Too large: upload less at once.")),
+        BROKEN=json.dumps(t("The connection broke: try again.")),
+    )
     ui.timer(0.1, lambda: ui.run_javascript(script), once=True)
 
 
+#: Name of the example's study.
+_EXAMPLE = "example"
+#: Ways to begin without a study: name, title, what it takes, word and icon of the button.
+_WAYS = (
+    (
+        "cycles",
+        N_("Recorded cycles"),
+        N_("A recorded cycle is a study. Several cycles of one cable can be gathered."),
+        N_("Show cycles"),
+        "history",
+    ),
+    (
+        "files",
+        N_("My measurements"),
+        N_("Upload tables, check what each column was taken for: a few minutes."),
+        N_("Choose files"),
+        "upload_file",
+    ),
+    (
+        "example",
+        N_("The example"),
+        N_("Tables of a simulated cable whose model lacks an effect: ten seconds."),
+        N_("Make the example"),
+        "science",
+    ),
+)
 #: The newest cycles are offered, so many.
 _MOST_CYCLES = 200
 #: How the line ends that names the page of pictures, which is shown.
@@ -158,18 +124,43 @@ class StudyPanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
+        self._cycles = _Cycles(desk)
 
     def build(self) -> None:
         """Make the elements."""
+        with ui.card().classes("w-full") as self._card:
+            self._shown = ui.column().classes("w-full")
+        with ui.card().classes("w-full") as self._begin:
+            self._ways()
         with ui.card().classes("w-full"):
             heading(self._t("Upload"))
             drop_zone(self._desk, self._uploaded)
             self._form = _ImportForm(self._desk)
         with ui.card().classes("w-full"):
-            _Cycles(self._desk).build()
-        with ui.card().classes("w-full") as self._card:
-            self._shown = ui.column().classes("w-full")
+            self._cycles.build()
         self._desk.listen(self._refresh)
+
+    def _ways(self) -> None:
+        """What one can begin with while there is no study, and what each takes."""
+        t = self._t
+        heading(t("Begin with"))
+        with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-3 gap-4"):
+            for name, title, takes, word, icon in _WAYS:
+                with ui.column().classes("gap-2"):
+                    ui.label(t(title)).classes("font-bold")
+                    ui.label(t(takes)).classes("grow")
+                    button = ui.button(t(word), icon=icon).props(f"outline data-test=way-{name}")
+                if name == "cycles":
+                    button.on_click(self._cycles.open)
+                elif name == "files":
+                    choose = "() => document.querySelector('[data-test=upload-files]').click()"
+                    button.on("click", js_handler=choose)
+                else:
+                    button.on_click(self._make_example)
+
+    def _make_example(self) -> None:
+        if self._desk.ask(self._desk.tasks.make_example(_EXAMPLE)):
+            self._desk.choose_when_made(_EXAMPLE)
 
     async def _uploaded(self, answer: dict[str, Any]) -> None:
         name = str(answer["name"])  # as a browser says: only what is there counts
@@ -181,6 +172,7 @@ class StudyPanel:
     async def _refresh(self) -> None:
         desk, subject = self._desk, self._desk.subject
         self._card.set_visibility(subject is not None)
+        self._begin.set_visibility(subject is None)
         self._shown.clear()
         if subject is None:
             return
@@ -197,7 +189,7 @@ class StudyPanel:
             output(self._t("As the command prints it"), log)
             page = desk.result("look.html")
             if page is not None:
-                frame(desk, "look.html", self._t("Pictures of every trial"), page)
+                frame(desk, "look.html", self._t("Pictures of every trial"), page, opened=True)
             look = ui.button(self._t("Look at it"), icon="visibility")
             look.on_click(lambda: desk.ask(desk.tasks.show_study(subject)))
             look.props("outline data-test=look")
@@ -281,8 +273,8 @@ class _Cycles:
     def build(self) -> None:
         """Make the elements; the cycles are read when they are asked for."""
         t = self._t
-        with ui.expansion(t("Recorded cycles"), icon="history").classes("w-full") as opened:
-            opened.props("data-test=cycles-open")
+        self._place = ui.expansion(t("Recorded cycles"), icon="history").classes("w-full")
+        with self._place.props("data-test=cycles-open"):
             self._said = ui.label()
             heads = columns(
                 ("started", t("Begun")),
@@ -301,7 +293,12 @@ class _Cycles:
                 gather = ui.button(t("Gather into one study"), icon="merge", on_click=self._gather)
                 gather.props("outline data-test=gather")
             ui.label(t("Gather cycles of one cable: the first is fitted to, the others held out."))
-        opened.on_value_change(self._opened)
+        self._place.on_value_change(self._opened)
+
+    def open(self) -> None:
+        """Show the cycles."""
+        self._place.open()
+        self._place.run_method("$el.scrollIntoView")
 
     async def _opened(self, event: Any) -> None:
         if not event.value:

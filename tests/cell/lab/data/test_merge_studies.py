@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.data.merge_studies import merge_studies
 from cell.lab.data.opened_study import open_study
 from cell.study.data import Markers, Wrench
 from cell.study.folder import write_study
+from tests.command import run_cell
 
 FAKE = Path(__file__).parents[4] / "config" / "fake.yaml"
 
@@ -168,13 +167,11 @@ def test_a_cycle_that_was_killed_before_it_measured_is_left_out_and_said(record,
         (killed / "study" / "identify").mkdir(parents=True)
         (killed / leaves).write_text("{}")
     runs = [str(folder) for folder in (good, without_study, without_state)]
-    found = CliRunner().invoke(app, ["study", *runs, "-o", str(tmp_path / "together")])
-    assert found.exit_code == 0, found.output
+    found = run_cell("study", *runs, "-o", tmp_path / "together")
     assert "3 trials of 1 cycle" in found.stdout
     for killed in (without_study, without_state):
         assert f"left out: {killed}: nothing was measured" in found.stderr
-    none = CliRunner().invoke(app, ["study", *runs[1:], "-o", str(tmp_path / "nothing")])
-    assert none.exit_code == 2
+    none = run_cell("study", *runs[1:], "-o", tmp_path / "nothing", code=2)
     assert "no cycle here has measurements" in none.output
     assert not (tmp_path / "nothing").exists()
 

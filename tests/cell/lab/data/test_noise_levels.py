@@ -8,7 +8,7 @@ import pytest
 from cell.lab.data.noise_model import noise_model_of, with_level_in, with_levels
 from cell.lab.data.prepared import PreparedStudy
 from cell.study.data import Markers
-from tests.cell.lab.conftest import rounded, with_markers
+from tests.cell.lab.conftest import rounded
 
 
 def noisier(study, factors, seed=0, std_m=1e-4, draw=np.random.Generator.standard_normal):
@@ -19,7 +19,7 @@ def noisier(study, factors, seed=0, std_m=1e-4, draw=np.random.Generator.standar
         noise = draw(rng, size=trial.markers.xy_m.shape) * std_m * next(each)[:, None]
         return trial.markers.xy_m + noise
 
-    return with_markers(study, noisy)
+    return study.with_places(noisy)
 
 
 def heavy_tailed(rng, size):
@@ -69,7 +69,7 @@ def test_stated_noise_and_noise_hidden_by_rounding_have_one_level(make_study):
     noisy = noisier(study, factors)
     stated = replace(noisy, noise_std_m=1e-4)
     assert not with_levels(stated, noise_model_of(stated)).levels
-    coarse = with_markers(noisy, lambda trial: np.round(trial.markers.xy_m, 2))
+    coarse = noisy.with_places(lambda trial: np.round(trial.markers.xy_m, 2))
     assert not with_levels(coarse, noise_model_of(coarse)).levels
 
 

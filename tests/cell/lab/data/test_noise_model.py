@@ -16,7 +16,7 @@ from cell.lab.data.noise_model import (
     noise_model_of_residuals,
 )
 from cell.study.data import Markers
-from tests.cell.lab.conftest import coloured, rounded, with_markers
+from tests.cell.lab.conftest import coloured, rounded
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.5, 0.9])
@@ -32,7 +32,7 @@ def test_a_settling_cable_does_not_count_as_noise(make_study):
     def settling(trial):
         return trial.markers.xy_m + 2e-3 * np.exp(-trial.markers.t_s / 0.15)[:, None, None]
 
-    found = noise_model_of(with_markers(make_study(ar1=0.0), settling)).noise
+    found = noise_model_of(make_study(ar1=0.0).with_places(settling)).noise
     assert found.std_m == pytest.approx(1e-4, rel=0.1)
     assert found.ar1 < 0.2
 
@@ -48,7 +48,7 @@ def test_lost_frames_and_markers_cost_no_more_than_themselves(make_study):
             xy_m[8 + marker % 3, marker] = np.nan
         return xy_m
 
-    noise_model, whole = noise_model_of(with_markers(study, gappy)), noise_model_of(study)
+    noise_model, whole = noise_model_of(study.with_places(gappy)), noise_model_of(study)
     assert noise_model.noise.std_m == pytest.approx(2e-4, rel=0.05)
     assert noise_model.noise.ar1 == pytest.approx(0.5, abs=0.1)
     assert 0.5 * whole.dof < noise_model.dof < whole.dof

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.cable.dynamics import simulate
 from cell.cable.effects import library
-from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.geometry import node_arc_lengths
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.cli import app
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.noise_model import noise_model_of
@@ -19,10 +19,8 @@ from cell.lab.search.setup import fit_cache_of
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import write_study
 from tests.cell.lab.conftest import coloured
+from tools.worlds.made_studies import CABLE, filmed, moved
 
-pytestmark = pytest.mark.usefixtures("small")
-
-CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
 ARCS_M = node_arc_lengths(0.1)[::5]
 NOISE_M = 1e-4
 #: Of the first mode, in free lengths and free lengths a second: some millimetres of the tip.
@@ -34,19 +32,19 @@ def noise_m(shape, ar1, seed):
 
 
 @pytest.fixture(scope="module")
-def swinging(small):
+def swinging():
     """The gripper waits for 0.2 s and moves down; the cable has never come to rest."""
     t = np.arange(0.0, 0.8, 0.002)
-    u = np.clip((t - 0.2) / 0.25, 0.0, 1.0)
-    motion = Motion(t, 0.0 * t, -0.05 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2), 0.0 * t)
+    motion = moved(t, (0.0, -0.05), 0.25)
     t_s = np.arange(0.002, t[-1], 0.005)
     model, trials = CableModel(CABLE, np.full(4, 2.5e-5), 1.05, 1e-7), []
     for seed, (name, (place, velocity)) in enumerate(SWINGS.items()):
         modes = np.zeros((2, 4))
         modes[:, 0] = place, velocity
-        seen = simulate(model, motion, t_s, ARCS_M, start="moving", bent=[modes])[0]
-        markers = Markers(t_s, seen + noise_m(seen.shape, 0.3, seed))
-        trials.append(Trial(name, "fit", "equilibrium", motion, markers))
+        how = {"solver": Solver(), "start": "moving", "bent": [modes]}
+        rng = np.random.default_rng(seed)
+        seen = filmed(rng, model, motion, t_s, ARCS_M, noise_m=NOISE_M, colour=0.3, **how)
+        trials.append(Trial(name, "fit", "equilibrium", motion, seen))
     trials[1] = replace(trials[1], role="validate")
     return Study("swinging", CABLE, ARCS_M, tuple(trials))
 

@@ -136,3 +136,14 @@ def test_the_time_of_forks_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     with side_by_side(work, [job], (), 4) as beside:
         beside.map(job, range(4), lambda _: 0)
     assert work.cpu_s - before_s >= 4 * 0.03
+
+
+def test_errors_of_fits_are_seen_as_they_come_and_kept_in_one_order():
+    """Which fit ends first depends on the computer; a result must not."""
+    seen = []
+    work = Work(watcher=seen.append)
+    for names, rms_m in ((("b", "a"), 3.0), ((), 9.0), (("b",), 5.0), (("a",), 7.0), (("b",), 4.0)):
+        work.note_fit(names, rms_m, 1.0)
+    assert [e.rms_m for e in seen] == [3.0, 9.0, 5.0, 7.0, 4.0]
+    assert [e.effects for e in work.fit_errors] == [(), ("a",), ("b",), ("a", "b")]
+    assert pickle.loads(pickle.dumps(work)).fit_errors == work.fit_errors  # for a worker

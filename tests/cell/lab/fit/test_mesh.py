@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library
-from cell.cable.geometry import Cable, Motion
+from cell.cable.geometry import Cable
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.lab.data.prepared import PreparedStudy
@@ -17,8 +18,11 @@ from cell.lab.fit.systematic_error import systematic_error
 from cell.lab.verdict.check_statistics import of_effects
 from cell.study.data import Markers, Study, Trial
 from tests.cell.lab.conftest import fits_of
+from tools.worlds.made_studies import moved
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study
+
+pytestmark = pytest.mark.usefixtures("own_mesh")
 
 #: Soft and long, so that 32 segments err by a third of what the camera does.
 CABLE = Cable(1.0, 0.02, 0.012, 0.001)
@@ -34,9 +38,7 @@ def study(noise_m, frames_hz=60.0):
         ("aslant", "validate", (-0.4, -0.3)),
     ):
         t = np.arange(0.0, 4.3, 0.005)
-        u = np.clip((t - 1.0) / 0.95, 0.0, 1.0)
-        done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-        hand = Motion(t, way[0] * done, way[1] * done, 0.0 * t)
+        hand = moved(t, way, 0.95, begin_s=1.0)
         seen_s = np.arange(0.0, 4.3, 1.0 / frames_hz)
         coarse, fine = (
             simulate(model, hand, seen_s, arcs, solver=Solver(n, 0.1 / n))[0] for n in (80, 160)

@@ -5,15 +5,20 @@ import pytest
 from scipy import stats
 
 from cell.cable.effects import library
-from cell.lab.fit.score_test import Nuisance, boundary_p_value, holm, score_test
+from cell.lab.fit.projection import Projection
+from cell.lab.fit.score_test import boundary_p_value, holm, score_test
 from cell.lab.search.fitted_model import bic_penalty
+
+
+def nuisance(residual, derivatives):
+    return Projection.of(residual, derivatives, independent=1e-9)
 
 
 def test_statistic_and_amplitude_equal_those_of_least_squares():
     rng = np.random.default_rng(1)
     baseline, effect = rng.normal(size=(200, 3)), rng.normal(size=200)
     y = baseline @ [1.0, -2.0, 0.5] + 0.7 * effect + rng.normal(size=200)
-    score = score_test(Nuisance.of(y, baseline), effect[None, None], one_sided=False)
+    score = score_test(nuisance(y, baseline), effect[None, None], one_sided=False)
     both = np.column_stack([baseline, effect])
     solution, square = np.linalg.lstsq(both, y, rcond=None)[:2]
     without = np.linalg.lstsq(baseline, y, rcond=None)[1]
@@ -28,7 +33,7 @@ def test_p_values_are_uniform_under_noise(shapes, one_sided):
     baseline = rng.normal(size=(60, 2))
     rows = rng.normal(size=(1, 1, 60)) + 0.7 * rng.normal(size=(shapes, 1, 60))
     p = [
-        score_test(Nuisance.of(rng.normal(size=60), baseline), rows, one_sided=one_sided).p_value
+        score_test(nuisance(rng.normal(size=60), baseline), rows, one_sided=one_sided).p_value
         for _ in range(400)
     ]
     for level in (0.05, 0.2):
@@ -39,7 +44,7 @@ def test_an_effect_that_the_baseline_imitates_explains_nothing():
     rng = np.random.default_rng(3)
     baseline = rng.normal(size=(50, 2))
     imitated = (baseline @ [1.0, 2.0])[None, None]
-    score = score_test(Nuisance.of(rng.normal(size=50), baseline), imitated, one_sided=False)
+    score = score_test(nuisance(rng.normal(size=50), baseline), imitated, one_sided=False)
     assert (score.statistic, score.p_value) == (0.0, 1.0)
 
 
@@ -48,7 +53,7 @@ def test_several_shapes_are_offered_as_starts_unless_nearly_the_same():
     one, other = rng.normal(size=(2, 300))
     rows = np.array([one, one + 1e-3 * other, other])[:, None]
     y = 5.0 * one + 3.0 * other
-    score = score_test(Nuisance.of(y, np.zeros((300, 0))), rows, one_sided=False)
+    score = score_test(nuisance(y, np.zeros((300, 0))), rows, one_sided=False)
     assert score.shape in (0, 1)
     assert [shape for shape, _ in score.others] == [2]
 

@@ -26,6 +26,7 @@ from cell.lab.line.recordings import (
 )
 from cell.study.folder import write_study
 from cell.workers.here import LocalCores, OneAfterAnother
+from tests.command import run_cell
 
 
 @pytest.fixture(scope="module")
@@ -209,8 +210,7 @@ def test_the_command_tells_counts_and_ends_with_1_where_one_is_not_identified(
 ):
     table.write_bytes(expected)
     command = ["identify", "--all", str(runs), "--csv", str(table)]
-    done = CliRunner().invoke(app, command)
-    assert done.exit_code == 1, done.output
+    done = run_cell(*command, code=1)
     assert "3 of 3 recordings (3 known from before): 1 failed, 2 identified" in done.output
     assert "Not identified" in done.output
     done = CliRunner().invoke(app, [*command, "--json"])
@@ -235,15 +235,13 @@ def test_interrupted_the_command_says_how_to_go_on(runs, table, expected, monkey
     assert done.exit_code == 128 + signal.SIGINT
     assert f"recordings are left; the same command goes on with {table}" in done.output
     assert "1 of 3 recordings" in done.output
-    assert CliRunner().invoke(app, command).exit_code == 1  # one cannot be read
+    run_cell(*command, code=1)
     assert table.read_bytes() == expected
 
 
 def test_workers_that_are_none_are_refused(runs, table):
     command = ["identify", "--all", str(runs), "--csv", str(table), "--workers", "here"]
-    done = CliRunner().invoke(app, command)
-    assert done.exit_code == 2
+    done = run_cell(*command, code=2)
     assert "--workers here: is neither a number of cores" in done.output
-    done = CliRunner().invoke(app, ["identify", str(next(runs.iterdir())), "--workers", "2"])
-    assert done.exit_code == 2
+    done = run_cell("identify", next(runs.iterdir()), "--workers", "2", code=2)
     assert "--workers is of --all" in done.output

@@ -28,13 +28,14 @@ from cell.identify.individual import (
 )
 from cell.lab.data.cycles import RecordedCycle, read_cycles
 from cell.lab.data.named_effects import select_effects
+from cell.lab.data.prepared import all_fitted
 from cell.lab.fit.shared import (
     BIAS_M,
     along_end,
     fit_shared,
     prepared_cycle,
 )
-from cell.lab.line.cables_space import ALL_PASSES, CablesSpace, library_first, on_all
+from cell.lab.line.cables_space import ALL_PASSES, CablesSpace
 from cell.lab.line.candidate import (
     Judgement,
     best_judged,
@@ -43,9 +44,9 @@ from cell.lab.line.candidate import (
     section,
     write_candidate,
 )
-from cell.lab.line.effect_fit import TIE, EffectFit, LearningBudget
+from cell.lab.line.effect_fit import TIE, EffectFit, LearningBudget, library_first
 from cell.lab.line.forecasts import ForecastPair, TipForecast, forecasts
-from cell.lab.line.learn import LearningSpace, learn, negligible
+from cell.lab.line.learn import learn, negligible
 from cell.lab.line.learning_checks import (
     LineEvidence,
     gate_outcomes,
@@ -121,20 +122,19 @@ def learned(cycles, tried=TRIED, **given):
 def made_ready(cycles):
     """The present model's parameters of one cable, and the cycles prepared for shared fits."""
     base = TASK.identification.kind.space(TASK.cable, cycles[0].study.gravity_m_per_s2)
-    return base, [prepared_cycle(c.whole) for c in cycles]
+    return base, [prepared_cycle(all_fitted(c.study)) for c in cycles]
+
+
+def space_of(prepared, base, q, others=()):
+    effects = [library()[name] for name in others]
+    return CablesSpace((), tuple(prepared), base, q, effects, LearningBudget(), lambda _: None)
 
 
 def cycles_in(effects, count, seed, *, sharp=False):
-    found = []
-    errors = SEEN if sharp else Errors()
-    for number in range(1, count + 1):
-        c = fast_cycle(with_world(SETTINGS, effects), seed, number, task=TASK, errors=errors)
-        trials = [c.held, *([c.executed] if c.executed else [])]
-        study = Study(f"c{number}", TASK.cable, TASK.arc_length_m, tuple(trials))
-        found.append(
-            RecordedCycle(f"c{number}", Path(f"c{number}"), study, c.held, c.executed, None)
-        )
-    return found
+    settings, errors = with_world(SETTINGS, effects), SEEN if sharp else Errors()
+    numbers = range(1, count + 1)
+    made = (fast_cycle(settings, seed, n, task=TASK, errors=errors) for n in numbers)
+    return [recorded_cycle(TASK, n, cycle) for n, cycle in zip(numbers, made, strict=True)]
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +153,7 @@ def test_the_effect_that_all_cables_share_is_named_with_its_size(result):
     assert result.best.fit.theta[0] == pytest.approx(2.0, abs=0.1)
     assert result.tied == ()
     assert all(v.fall > 100.0 for v in result.cycle_evidence)
-    assert result.best.fit.rms_m < 1.05 * result.noise_m < result.baseline.rms_m
+    assert result.best.fit.rms_m < 1.05 * result.baseline.noise_m < result.baseline.rms_m
     said = next(line for line in learning_lines(result) if line.startswith("missing: air_drag"))
     assert re.search(r"\(drag_coefficient (1\.9|2|2\.0)\d*\), p", said), "a ratio has no unit"
 
@@ -209,9 +209,9 @@ def test_an_effect_with_which_not_all_cables_can_be_simulated_is_not_the_cause(m
             raise UnsimulatedError("cable 5")
         return tried[0].name
 
-    monkeypatch.setattr(LearningSpace, "fitted_to_all", fitted)
+    monkeypatch.setattr(CablesSpace, "fitted_to_all", fitted)
     said = []
-    space = LearningSpace(SimpleNamespace(progress=said.append), (), (), np.empty(0), ())
+    space = CablesSpace((), (), None, np.empty(0), (), LearningBudget(), said.append)
     none = SimpleNamespace(best=None)
     tried = [SimpleNamespace(name=n, p_value=0.0) for n in ("first", "second")]
     assert space.kept(none, tried) == ["second"]
@@ -300,7 +300,7 @@ def test_the_lab_starts_from_the_lines_model(result, tmp_path):
         for given in (None, config)
     ]
     assert rms_m[1] < 0.8 * rms_m[0]
-    assert rms_m[1] < 1.2 * result.noise_m  # seen too far along the cable, too
+    assert rms_m[1] < 1.2 * result.baseline.noise_m  # seen too far along the cable, too
 
 
 SAME = [pair(i, 2e-4, 2e-4) for i in range(6)]
@@ -463,7 +463,9 @@ def test_two_effects_that_all_cables_share_are_found_one_after_the_other(monkeyp
     hidden = {"air_drag": {"drag_coefficient": 2.0}, "bending_hysteresis": {"moment_n_m": 8e-6}}
     result = learned(cycles_in(hidden, 2, 5), hidden)
     assert {e.name for e in result.best.effects} == set(hidden)
-    assert result.best.fit.rms_m < 1.05 * result.noise_m < 0.8 * result.simpler.best.fit.rms_m
+    assert (
+        result.best.fit.rms_m < 1.05 * result.baseline.noise_m < 0.8 * result.simpler.best.fit.rms_m
+    )
     values = dict(zip(result.best.names, result.best.fit.theta, strict=True))
     assert values["air_drag.drag_coefficient"] == pytest.approx(2.0, rel=0.1)
     model = section(result, ModelSettings())
@@ -478,13 +480,12 @@ def test_a_second_effect_that_explains_all_does_not_keep_the_first(result):
     """
     base, prepared = made_ready(result.cycles[:2])
     q = result.baseline.q[:2]
-    search = CablesSpace(tuple(prepared), base, q, 2, LearningBudget(), lambda _: None)
-    alone = [fit_shared([p], base, own[None]) for p, own in zip(prepared, q, strict=True)]
+    search = space_of(prepared, base, q, TRIED)
 
     def last_alone(first, last, *values):
         both, begin = (library()[first], library()[last]), result.best.fit.q[:2]
         fit = fit_shared(prepared, base, begin, both, np.array(values), options=ALL_PASSES)
-        return search.last_alone(alone, EffectFit(both, fit, 1e4, 1e-9))
+        return search.last_alone(EffectFit(both, fit, 1e4, 1e-9))
 
     single = last_alone("tip_mass", "air_drag", 1e-6, 2.0)
     assert single.name == "air_drag"
@@ -507,7 +508,7 @@ def test_cables_that_cannot_be_simulated_as_their_holds_show_them_begin_elsewher
 
     monkeypatch.setattr("cell.lab.line.cables_space.fit_shared", fit_if_stiff)
     two = replace(result.best, fit=replace(result.best.fit, q=result.best.fit.q[:2]))
-    again = on_all(prepared, base, limp, result.baseline, two, LearningBudget())
+    again = space_of(prepared, base, limp).on_all(result.baseline, two)
     assert begun == [limp[-1, 0], result.baseline.q[-1, 0]]
     assert again.fit.chi2 == pytest.approx(result.best.fit.chi2, rel=1e-3)
 
@@ -524,7 +525,7 @@ def test_a_fit_to_all_cables_that_runs_out_of_passes_goes_on(result, monkeypatch
     )
     assert begun.solution.promised > 0.2 * begun.chi2
     far = replace(result.best, fit=begun)
-    again = on_all(prepared, base, q, result.baseline, far, LearningBudget())
+    again = space_of(prepared, base, q).on_all(result.baseline, far)
     assert again.fit.solution.promised < 0.1 * again.fit.chi2
     assert again.fit.theta == pytest.approx(best.theta, rel=0.02)
 

@@ -1,6 +1,6 @@
 """The tables of checks of what many cables teach: every row can be read, and fails as it says."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,30 +8,16 @@ import numpy as np
 import pytest
 
 from cell.identify.individual import CableRejectedError, IdentifyOptions, Reason
-from cell.lab.data.check import Check
-from cell.lab.line.effect_fit import LearningBudget
-from cell.lab.line.learn import FITTED_TO, LearningResult, identified_cables, learned_from
+from cell.lab.line.effect_fit import LearningBudget, LearningResult
+from cell.lab.line.learn import FITTED_TO, identified_cables, learned_from
 from cell.lab.line.learning_checks import (
-    GATES,
     LEARNING,
-    LineEvidence,
-    LineRules,
     learning_outcomes,
     learning_verdict,
 )
 from cell.lab.report.line_tables import learning_lines, learning_parts
 from cell.lab.verdict.checks import CHECKS
 from cell.workers.here import OneAfterAnother
-
-
-@pytest.mark.parametrize("check", [*LEARNING, *GATES], ids=lambda c: c.name)
-def test_a_row_has_a_question_a_limit_a_sentence_and_a_reason(check: Check[LineEvidence]) -> None:
-    assert check.question.endswith("?") and len(check.question) <= 60
-    assert check.unit
-    assert check.failed.endswith(".") and check.failed[0].isupper()
-    assert check.reason
-    assert check.limit in {f.name for f in fields(LineRules)}
-    assert (check.failing == "refused") == (check in GATES)
 
 
 def test_what_a_diagnosis_asks_too_has_the_same_name_and_means_the_same() -> None:

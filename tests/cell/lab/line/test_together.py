@@ -20,9 +20,11 @@ from cell.files.input_error import InputError
 from cell.lab.data import named_effects
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.thresholds import DEFAULT_RULES
-from cell.lab.line.together import Examined, Hypothesis, StudyPart, joint_verdict, together
+from cell.lab.line.together import Hypothesis, StudyPart, joint_verdict, together
+from cell.lab.verdict.conclusion import Examination
 from cell.study.data import Markers, Study
 from cell.study.folder import write_study
+from tests.command import run_cell
 
 GRAMS = library()["tip_mass"].active(mass_kg=2.5e-5)
 #: What is hidden and one that is unlike it: what one study tells is tested elsewhere.
@@ -32,10 +34,10 @@ TRIED = {n: library()[n] for n in ("tip_mass", "air_drag")}
 FEW = EffectSelection((), TRIED)
 
 
-def alone(study: Study) -> Examined:
+def alone(study: Study) -> Examination:
     """As `cell.diagnose_together` examines it first, with few effects tried."""
-    found = Examined(study.name, examined(set_up_opened(study, FEW)))
-    found.examination.fits.work.renew()
+    found = examined(set_up_opened(study, FEW))
+    found.fits.work.renew()
     return found
 
 
@@ -49,7 +51,7 @@ def batch(make_study):
 
 
 @pytest.fixture(scope="module")
-def four(batch) -> list[Examined]:
+def four(batch) -> list[Examination]:
     """Four cables, each diagnosed alone: two with a load, two without."""
     return [alone(study) for study in batch([[GRAMS], [], [GRAMS], []])]
 
@@ -64,8 +66,7 @@ def test_cables_that_are_alike_give_one_effect_and_its_mean(
         write_study(study, folder)
     out, page = tmp_path / "together.json", tmp_path / "together.html"
     asked = ["diagnose", *map(str, folders), "-o", str(out), "--report", str(page)]
-    done = CliRunner().invoke(app, asked)
-    assert done.exit_code == 0, done.output
+    done = run_cell(*asked)
     found = json.loads(out.read_text())
     assert (found["format"], found["verdict"], found["effects"]) == (
         "cable-together/1",
@@ -139,8 +140,7 @@ def test_bad_input_is_refused(batch, tmp_path: Path) -> None:
     one = str(tmp_path / "one")
     done = CliRunner().invoke(app, ["diagnose", one, one])
     assert (done.exit_code, "is given twice; give each study once" in done.stderr) == (2, True)
-    done = CliRunner().invoke(app, ["diagnose", one, str(tmp_path / "none")])
-    assert done.exit_code == 2
+    done = run_cell("diagnose", one, tmp_path / "none", code=2)
     done = CliRunner().invoke(app, ["diagnose", one, one, "--prior", "model.json"])
     assert "--prior is of one cable" in done.stderr
     with pytest.raises(ValueError, match="several studies of different names"):

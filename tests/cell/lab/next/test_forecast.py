@@ -16,9 +16,7 @@ def test_half_of_an_effect_is_looked_for_with_its_shape_free(fitted, linear):
     asked = AskedEffect(effect, effect.parameters[0], SIZE_RAD_PER_N_M)
     found = SizeSearch(fitted, asked, linear).tests(SIZE_RAD_PER_N_M)
     assert found is not None
-    plain, beside = (
-        look.scores.stop - look.scores.start for look in found[0].detectable_at_half_size
-    )
+    plain, beside = (some.stop - some.start for some, _ in found[0].detectable_at_half_size)
     assert beside == plain + len(effect.parameters) * len(fitted.prepared.study.trials)
 
 

@@ -11,7 +11,8 @@ from cell.cable.effects import library
 from cell.lab.data.prepared import PreparedStudy, pooled, with_noise_model
 from cell.lab.fit.fitting import fit_model, fit_trials
 from cell.lab.fit.heldout import heldout
-from cell.lab.fit.sensitivity import changes, nuisance_of, sensitivities
+from cell.lab.fit.projection import nuisance_of
+from cell.lab.fit.sensitivity import changes, sensitivities
 from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.next.linear_study import own_sensitivities, rivals_of
 from cell.lab.search.fitted_model import POLISH

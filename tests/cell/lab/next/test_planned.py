@@ -7,15 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.cable.effects import library
 from cell.cable.solver import Solver
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.asked import select_asked
 from cell.lab.next.planned import with_motions
 from cell.lab.next.study_power import power_of
 from cell.lab.next.suggestion import Stroke
-from cell.lab.search.fit_cache import FitCache, SearchSetup
+from tests.cell.lab.conftest import fits_of
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study
 
@@ -30,11 +27,7 @@ def study():
 
 
 def of(study):
-    effects = {name: library()[name] for name in ("tip_mass", "air_drag")}
-    prepared = PreparedStudy.of(study, solver=COARSE)
-    return with_motions(
-        FitCache.of(SearchSetup(prepared, ParameterSpace.of(study.cable), effects)), [MOTION]
-    )
+    return with_motions(fits_of(study, ("tip_mass", "air_drag"), solver=COARSE), [MOTION])
 
 
 def test_the_wrench_of_a_motion_to_come_counts(study):
@@ -49,7 +42,7 @@ def test_the_wrench_of_a_motion_to_come_counts(study):
     assert np.std(planned.wrench.values[still, 1]) == pytest.approx(noise_n, rel=0.4)
     asked = select_asked(["tip_mass=0.001"], [])[0]
     bare = replace(study, trials=tuple(replace(t, wrench=None) for t in study.trials))
-    with_it, without = (power_of(f, asked).effects[0].forecast for f in (fits, of(bare)))
+    with_it, without = (power_of(f, asked).effects[0] for f in (fits, of(bare)))
     assert with_it.noncentrality > 1.2 * without.noncentrality
 
 

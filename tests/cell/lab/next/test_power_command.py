@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from cell.cli import app
 from cell.lab.data.prepared import all_fitted
 from cell.study.folder import write_study
+from tests.command import run_cell
 
 pytestmark = pytest.mark.usefixtures("few_effects")
 
@@ -25,11 +26,7 @@ def folder(make_study, tmp_path_factory):
 
 def test_size_and_smallest_size_are_told_and_written(folder, tmp_path):
     out = tmp_path / "power.json"
-    done = run(
-        app,
-        ["power", str(folder), "--try", "air_drag=0.3", "--try", "tip_mass", "-o", str(out)],
-    )
-    assert done.exit_code == 0, done.output
+    done = run_cell("power", folder, "--try", "air_drag=0.3", "--try", "tip_mass", "-o", out)
     data = json.loads(out.read_text())
     drag, mass = data["effects"]
     assert (drag["parameter"], drag["size"], drag["recovery"]) == ("drag_coefficient", 0.3, None)
@@ -39,8 +36,7 @@ def test_size_and_smallest_size_are_told_and_written(folder, tmp_path):
 
 
 def test_copies_are_diagnosed_beside_the_forecast(folder):
-    done = run(app, ["power", str(folder), "--try", "air_drag=1.5", "--verify", "1", "--json"])
-    assert done.exit_code == 0, done.output
+    done = run_cell("power", folder, "--try", "air_drag=1.5", "--verify", "1", "--json")
     (drag,) = json.loads(done.stdout)["effects"]
     assert drag["recovery"]["copies"] == drag["recovery"]["found"] == 1
     assert drag["forecast"]["found"] > 0.99
@@ -79,8 +75,7 @@ def test_a_motion_counts_as_if_it_had_been_recorded_and_held_out(make_study, tmp
     before = json.loads(run(app, asked).stdout)
     assert before["effects"][0]["forecast"]["found"] == 0.0
     assert [w["code"] for w in before["warnings"]] == ["confirmation"]
-    done = run(app, [*asked, "--motion", str(tmp_path / "deeper.yaml")])
-    assert done.exit_code == 0, done.output
+    done = run_cell(*asked, "--motion", tmp_path / "deeper.yaml")
     after = json.loads(done.stdout)
     assert after["warnings"] == []
     assert after["effects"][0]["forecast"]["found"] > 0.9
@@ -97,14 +92,12 @@ def test_a_motion_counts_as_if_it_had_been_recorded_and_held_out(make_study, tmp
 def test_a_motion_that_cannot_be_meant_is_refused(folder, tmp_path, name, text, says):
     (tmp_path / name).write_text(text)
     given = ["power", str(folder), "--try", "air_drag", "--motion", str(tmp_path / name)]
-    done = run(app, given)
-    assert done.exit_code == 2
+    done = run_cell(*given, code=2)
     assert says in done.stderr
 
 
 def test_a_study_that_no_model_fits_is_refused(folder, monkeypatch):
     """As if this error were larger than the motion of the markers."""
     monkeypatch.setattr("cell.lab.fit.plausibility.NO_MODEL", 0.0)
-    done = run(app, ["power", str(folder), "--try", "air_drag"])
-    assert done.exit_code == 2
+    done = run_cell("power", folder, "--try", "air_drag", code=2)
     assert "is not a model of this cable; correct the study first" in done.stderr

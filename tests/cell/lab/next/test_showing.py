@@ -6,9 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from typer.testing import CliRunner
 
-from cell.cli import app
 from cell.lab.next.asked import select_asked
 from cell.lab.next.forecast import forecast
 from cell.lab.next.linear_study import LinearStudy
@@ -20,6 +18,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study
 from tests.cell.lab.conftest import fits_of
+from tests.command import run_cell
 
 FAKE = Path(__file__).parents[4] / "config" / "fake.yaml"
 NAMES = ("draught", "grip_angle", "tip_mass")
@@ -83,7 +82,6 @@ def test_the_command_writes_the_motion_for_the_cell(fits: FitCache, tmp_path: Pa
     config.write_text(text.replace("angle_rad: [-0.6, 1.1]", "angle_rad: [-0.1, 0.1]"), "utf-8")
     command = ["suggest", str(tmp_path / "study"), "--try", "draught", "-o", str(out)]
     command += ["--config", str(config)]
-    done = CliRunner().invoke(app, command)
-    assert done.exit_code == 0, done.output
+    done = run_cell(*command)
     assert yaml.safe_load(out.read_text())["purpose"].startswith("tell baseline from draught")
     assert "draught (wind_x_m_per_s" in done.stdout

@@ -12,8 +12,8 @@ from cell.lab.data.prepared import all_fitted
 from cell.lab.data.results import Diagnosis, Errors, MissingEffect
 from cell.lab.next import study_power
 from cell.lab.next.asked import select_asked
-from cell.lab.next.forecast import POWER, forecast
-from cell.lab.next.study_power import CopyOutcome, Recovery, judged, power_of, recover
+from cell.lab.next.forecast import POWER, CopyOutcome, Recovery, forecast
+from cell.lab.next.study_power import judged, power_of, recover
 from cell.lab.report.model_tables import power_sentences, power_table, recovery_table
 from tests.cell.lab.conftest import fits_of
 
@@ -49,7 +49,7 @@ def test_a_larger_effect_is_likelier_found_and_hardly_any_is_not(fitted, linear,
 def test_with_less_noise_a_smaller_one_is_found(fitted, linear, smallest, make_study):
     quiet = fits_of(make_study(seed=21, noise_m=3e-5), fitted.library)
     (effect,) = power_of(quiet, [asked("air_drag")]).effects
-    assert effect.forecast.smallest == pytest.approx(0.3 * smallest, rel=0.25)
+    assert effect.smallest == pytest.approx(0.3 * smallest, rel=0.25)
 
 
 def test_copies_bear_out_what_is_surely_found_and_what_is_surely_missed(fitted, linear, smallest):
@@ -120,8 +120,8 @@ def test_the_result_is_json_and_tables_of_it_tell_the_same(fitted, smallest):
 def test_without_a_held_out_trial_nothing_is_found_and_why_is_said(fitted):
     fits = fits_of(all_fitted(fitted.prepared.study), fitted.library)
     found = power_of(fits, [asked("air_drag=0.5")])
-    assert found.effects[0].forecast.chances.found == 0.0
-    assert found.effects[0].forecast.smallest is None
+    assert found.effects[0].chances.found == 0.0
+    assert found.effects[0].smallest is None
     assert [w.code for w in found.warnings] == ["confirmation"]
     assert "`role: validate`" in found.warnings[0].message
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell.cable.effects import library
-from cell.files.figure_style import least_px
+from cell.files.figure_style import ADDED, least_px
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.results import (
     Diagnosis,
@@ -16,8 +16,17 @@ from cell.lab.data.results import (
     RankedEffect,
     RemainingError,
 )
+from cell.lab.data.work import ModelError
 from cell.lab.report.cable_overlay import BELOW, HEIGHT, overlay
-from cell.lab.report.figures import by_trial, history, profile_curves, profiles, ranking, waterfall
+from cell.lab.report.figures import (
+    by_trial,
+    fit_history,
+    history,
+    profile_curves,
+    profiles,
+    ranking,
+    waterfall,
+)
 from cell.lab.report.report import comparison_page, series_of
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.profiles import ParameterProfile
@@ -150,3 +159,18 @@ def test_profiles_say_what_rises():
     figure = profile_curves([of] * 4)
     titles = [axis.title.text for axis in figure.select_yaxes()]
     assert [t for t in titles if t] == ["rise of −2 ln L"] * 2
+
+
+def test_the_search_is_shown_from_the_baseline_to_the_least_error():
+    fits = [
+        ModelError((), 9e-4, 1e-4),
+        ModelError(("air_drag",), 7e-4, 1e-4),
+        ModelError(("tip_mass",), 2e-4, 1e-4),
+        ModelError(("air_drag", "tip_mass"), 2.5e-4, 1e-4),
+    ]
+    figure = fit_history(diagnosis(effect("tip_mass", 2e-4), fit_errors=tuple(fits)))
+    each, least = named(figure, "each model"), named(figure, "least so far")
+    assert list(each.text) == ["baseline", "air_drag", "tip_mass", "air_drag + tip_mass"]
+    assert list(least.y) == [0.9, 0.7, 0.2, 0.2]
+    assert [c == ADDED for c in each.marker.color] == [False, False, True, False]
+    assert [len(frame.data[1].y) for frame in figure.frames] == [1, 2, 3, 4]

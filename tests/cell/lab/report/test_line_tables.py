@@ -6,7 +6,7 @@ import numpy as np
 
 from cell.lab.line.forecasts import ForecastPair, TipForecast
 from cell.lab.report.line_tables import common_error_line
-from cell.records.mean_error import FEWEST
+from cell.records.model_errors import FEWEST
 
 
 def pairs(present_mm: float, candidate_mm: float, count: int = 6) -> list[ForecastPair]:

@@ -10,16 +10,15 @@ import pytest
 from cell.cable.effects import library
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.check import Reading
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.next.advice import advice
 from cell.lab.report.report import comparison_page, diagnosis_page
 from cell.lab.report.wording import catalogue_entry
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.compare import compare_model
 from cell.lab.strength.kept_model import identified
 from cell.lab.verdict.doubts import omitted_doubts
 from cell.study.data import Markers
+from tests.cell.lab.conftest import fits_of
 
 
 class Page(HTMLParser):
@@ -55,13 +54,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def diagnosed(make_study):
     study = make_study([library()["tip_mass"].active(mass_kg=3e-5)], seed=12)
-    fits = FitCache.of(
-        SearchSetup(
-            PreparedStudy.of(study),
-            ParameterSpace.of(study.cable),
-            {n: library()[n] for n in ("tip_mass", "linear_air_drag")},
-        )
-    )
+    fits = fits_of(study, ("tip_mass", "linear_air_drag"))
     examination = diagnose(fits)
     comparisons = [compare_model(study, c.fit.model) for c in examination.path]
     model = identified(fits.prepared, examination.path[-1].fit)
@@ -143,7 +136,9 @@ def test_the_first_words_say_what_is_missing(diagnosed):
 
 def test_waterfall_and_ranking_show_the_diagnosis(diagnosed):
     _, diagnosis, _, text = diagnosed
-    waterfall, ranking = Page(text).figures[:2]
+    waterfall, fitted, ranking = Page(text).figures[:3]
+    each = shown(fitted, "each model")
+    assert "tip_mass" in each["text"] and each["y"][0] == max(each["y"])
     bars = shown(waterfall, "on motions it was not fitted to")
     assert bars["x"] == ["model", "+ tip_mass"]
     held = [diagnosis.baseline.heldout_rms_m, diagnosis.missing[0].errors.heldout_rms_m]

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from cell.cable.effects import library
-from cell.identify.parameters import ParameterSpace
 from cell.lab.data.check import CheckOutcome, Reading
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt, Errors, MissingEffect
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.discover import Discovery
@@ -23,10 +21,10 @@ from cell.lab.report.tables import (
     verdict_line,
 )
 from cell.lab.report.wording import apart, left_in_words, mm, noise_in_words
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.compare import Comparison, compare_model
 from cell.lab.verdict.checks import CHECKS
 from cell.study.hand_drift import HandDrift
+from tests.cell.lab.conftest import fits_of
 
 
 def diagnosis(verdict, *names, tied=(), noise_m=1e-4, after_m=1e-4):
@@ -112,8 +110,7 @@ def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_b
     mass = library()["tip_mass"].active(mass_kg=2e-6)
     study = make_study([mass], seed=4, noise_m=2e-6, ar1=0.0)
     study = replace(study, noise_std_m=2e-5)
-    fits = FitCache.of(SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), {}))
-    shown = compare_model(study, fits.base.fit.model)
+    shown = compare_model(study, fits_of(study).base.fit.model)
     assert shown.patterns() > 0
     assert shown.noise_at_rest_m == pytest.approx(2e-6, rel=0.1)
     small = Errors(shown.fit_rms_m, shown.heldout_rms_m)

@@ -13,17 +13,12 @@ from cell.lab.fit.fitting import space_with
 from cell.lab.search import partial, rivals
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.partial import largest_step
-from cell.lab.search.residual_summary import ResidualSummary, log_variance_ratio
+from cell.lab.search.residual_summary import ResidualSummary, log_variance_ratio, removed_share
 from cell.lab.verdict import conclusion, ties
 from cell.lab.verdict.ties import tied_so_far
 from tests.cell.lab.conftest import fits_of
 
 KNOWN = library()
-
-
-@pytest.fixture(scope="module", autouse=True)
-def small_studies(small: None) -> None:
-    """Before the studies are made."""
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +48,14 @@ def test_an_answer_that_a_bound_gave_explains_nothing(partly):
     """The first step is taken as it is, and not with its effect at the parameter's bound."""
     base, first, *_ = partly.partial
     space = first.fit.space
-    fits = FitCache.of(SearchSetup(partly.final_prepared, space_with(space, ()), {}))
-    assert largest_step(fits, base, [first], 1, DEFAULT_RULES) is first
+    (effect,) = first.effects
+    setup = SearchSetup(partly.final_prepared, space_with(space, ()), {effect.name: effect})
+    fits = FitCache.of(setup)
+    assert largest_step(fits, base, [first]) is first
     q = first.fit.q.copy()
     q[-1] = space.high[-1]
     limited = replace(first, fit=replace(first.fit, q=q))
-    assert largest_step(fits, base, [limited], 1, DEFAULT_RULES) is None
+    assert largest_step(fits, base, [limited]) is None
 
 
 def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missing(monkeypatch):
@@ -84,6 +81,7 @@ def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missin
         known=lambda: tuple(models.values()),
         base=None,
         prepared=SimpleNamespace(noise_model=noise),
+        rules=DEFAULT_RULES,
     )
     monkeypatch.setattr(ties, "_as_good", lambda *args: [])
     monkeypatch.setattr(ties, "any_at_bound", lambda *args: False)
@@ -94,10 +92,10 @@ def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missin
             lambda _, c: ResidualSummary((1e-3 * left_mm[tuple(sorted(c.names))]) ** 2, 80.0),
         )
     found = models[("added_mass",)]
-    named = tied_so_far(fits, found, KNOWN["added_mass"], DEFAULT_RULES)
+    named = tied_so_far(fits, found, KNOWN["added_mass"])
     assert named == ("tip_mass",)  # draught does not; air drag is not among the nearest
     noise.noise = SimpleNamespace(std_m=3e-4)  # nothing beyond noise is left
-    assert tied_so_far(fits, found, KNOWN["added_mass"], DEFAULT_RULES) == ()
+    assert tied_so_far(fits, found, KNOWN["added_mass"]) == ()
 
 
 def single(name, left_mm, ahead=0.0, at_bound=False):
@@ -120,7 +118,7 @@ def test_ties_are_what_models_that_are_all_wrong_cannot_tell(monkeypatch):
     of hysteresis (0.32), and an added mass at its bound was one.
     """
     base, final = single("", 0.54), single("bending_hysteresis", 0.32)
-    rivals = [
+    others = [
         single("tip_mass", 0.39, ahead=1.1),
         single("natural_curvature", 0.39, ahead=2.5),
         single("added_mass", 0.31, at_bound=True),
@@ -128,25 +126,28 @@ def test_ties_are_what_models_that_are_all_wrong_cannot_tell(monkeypatch):
         single("stress_relaxation", 0.33, ahead=9.0),  # hardly more at all
     ]
     fits = SimpleNamespace(
-        known=lambda: (base, final, *rivals),
+        known=lambda: (base, final, *others),
         base=base,
         library=KNOWN,
+        rules=DEFAULT_RULES,
+        removed_share=lambda before, after: removed_share(3e-5, before.left, after.left),
         prepared=SimpleNamespace(noise_model=SimpleNamespace(noise=SimpleNamespace(std_m=3e-5))),
     )
     monkeypatch.setattr(ties, "near_singles", lambda *args: [])
     monkeypatch.setattr(ties, "is_at_bound", lambda small, large: large.at_bound)
-    monkeypatch.setattr(ties, "residual_summary", lambda _, c: c.left)
+    for module in (ties, rivals):
+        monkeypatch.setattr(module, "residual_summary", lambda _, c: c.left)
     monkeypatch.setattr(ties, "vuong_z", lambda _, better, worse: worse.ahead)
     monkeypatch.setattr(
         ties,
         "close_rivals",
         lambda *args: [
             c
-            for c in rivals
+            for c in others
             if log_variance_ratio(final.left, c.left) < DEFAULT_RULES.tie_delta_chi2
         ],
     )
-    named = tied_so_far(fits, final, KNOWN["bending_hysteresis"], DEFAULT_RULES)
+    named = tied_so_far(fits, final, KNOWN["bending_hysteresis"])
     assert named == ("stress_relaxation", "tip_mass")
 
 
@@ -177,12 +178,12 @@ def test_of_effects_put_in_order_each_must_be_worth_something_beside_those_befor
     second.names = frozenset({"natural_curvature", "tip_mass"})
     chances = {(base.names, first.names): 1e-9, (first.names, second.names): 0.2}
     monkeypatch.setattr(
-        partial, "p_value_of", lambda _, small, large, n: chances[small.names, large.names]
+        partial, "p_value_of", lambda _, small, large: chances[small.names, large.names]
     )
-    steps = [base, first, second]
-    assert partial._significant_steps(None, steps, 17, DEFAULT_RULES) == [base, first]
+    steps, fits = [base, first, second], SimpleNamespace(rules=DEFAULT_RULES)
+    assert partial._significant_steps(fits, steps) == [base, first]
     chances[first.names, second.names] = 1e-3
-    assert partial._significant_steps(None, steps, 17, DEFAULT_RULES) == steps
+    assert partial._significant_steps(fits, steps) == steps
 
 
 def test_what_was_not_fitted_to_the_fit_trials_alone_has_no_error_of_them(partly):
@@ -193,7 +194,7 @@ def test_what_was_not_fitted_to_the_fit_trials_alone_has_no_error_of_them(partly
         tuple(c for c in partly.partial if len(c.names) == 1),
         partly.partial,
     )
-    (near,) = conclusion.nearest(whole, (), DEFAULT_RULES)
+    (near,) = conclusion.nearest(whole, ())
     assert near.left_rms_m > 0.0
     assert near.errors == conclusion.NOT_FITTED
     assert found.errors.heldout_rms_m > 0.0

@@ -8,34 +8,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import simulate
-from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
+from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.named_effects import EffectSelection, select_effects
 from cell.lab.search.setup import fit_cache_of, without_outliers
 from cell.study import left_out
-from cell.study.data import Markers, Study, Trial
-
-CABLE = Cable(0.1, 0.0074, 0.016, 1e-4)
+from cell.study.data import Study, Trial
+from tools.worlds.made_studies import CABLE, filmed, moved
 
 
 @pytest.fixture(scope="module")
 def study() -> Study:
     """A tip alone, in 40 frames a second, of a cable that swings by centimetres between two."""
     t_s = np.arange(0.0, 1.7, 0.005)
-    u = np.clip((t_s - 0.4) / 0.2, 0.0, 1.0)
-    grip = Motion(t_s, 0 * t_s, -0.05 * u**3 * (10 - 15 * u + 6 * u**2), 0 * t_s)
-    frames = np.arange(0.0, 1.7, 0.025)
+    grip, tip = moved(t_s, (0.0, -0.05), 0.2, begin_s=0.4), np.array([0.1])
     model = CableModel.uniform(CABLE, 3e-5, viscosity_n_m2_s=1e-7)
-    xy_m = simulate(model, grip, frames, np.array([0.1]))[0]
-    xy_m += np.random.default_rng(2).normal(0.0, 1e-4, xy_m.shape)
-    trial = Trial("a", "fit", "equilibrium", grip, Markers(frames, xy_m))
-    return Study("s", CABLE, np.array([0.1]), (trial,))
+    frames = np.arange(0.0, 1.7, 0.025)
+    seen = filmed(np.random.default_rng(2), model, grip, frames, tip, solver=Solver())
+    trial = Trial("a", "fit", "equilibrium", grip, seen)
+    return Study("s", CABLE, tip, (trial,))
 
 
+@pytest.mark.usefixtures("own_mesh")
 def test_an_outlier_is_left_out_and_told(study):
     trial = study.trials[0]
     xy_m = trial.markers.xy_m.copy()

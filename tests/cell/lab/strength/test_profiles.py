@@ -3,14 +3,11 @@
 import json
 
 import pytest
-from typer.testing import CliRunner
 
-from cell.cli import app
 from cell.lab.fit.individual_model import read_model
 from cell.study.folder import write_study
 from tests.cell.lab.conftest import STROKES
-
-run = CliRunner().invoke
+from tests.command import run_cell
 
 
 @pytest.fixture(scope="module")
@@ -18,9 +15,9 @@ def profiled(make_study, tmp_path_factory):
     folder = tmp_path_factory.mktemp("profiled")
     write_study(make_study(seed=2, strokes=(STROKES[0], STROKES[3])), folder / "study")
     model, page = folder / "model.json", folder / "page.html"
-    done = run(app, ["fit", str(folder / "study"), "--with", "bending_hysteresis",
-                     "-o", str(model), "--profile", str(page)])  # fmt: skip
-    assert done.exit_code == 0, done.output
+    done = run_cell(
+        "fit", folder / "study", "--with", "bending_hysteresis", "-o", model, "--profile", page
+    )
     return json.loads(model.read_text()), page.read_text(), model, done.output
 
 

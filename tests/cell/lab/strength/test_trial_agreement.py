@@ -9,23 +9,19 @@ from typer.testing import CliRunner
 
 from cell.cable.effects import library
 from cell.cli import app
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.report.tables import agreement_table
 from cell.lab.report.wording import agreement_sentence
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.strength.trial_agreement import agreement
 from cell.study.data import Markers
 from cell.study.folder import write_study
-from tests.cell.lab.conftest import LONG
+from tests.cell.lab.conftest import LONG, fits_of
 
 LATENCY = library()["camera_latency"]
 
 
 def agreement_of(study):
-    prepared = PreparedStudy.of(study)
-    space = ParameterSpace.of(study.cable, effects=(LATENCY,))
-    return agreement(prepared, FitCache.of(SearchSetup(prepared, space, {})).base.fit)
+    fits = fits_of(study, known=["camera_latency"])
+    return agreement(fits.prepared, fits.base.fit)
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,9 @@ def test_the_spectrum_of_noise_is_the_noise_floor():
     found = spectrum(np.arange(1200) * 0.005, 1e-4 * series, noise)
     low, high = found.frequency_hz < 10.0, found.frequency_hz > 80.0
     for part in (low, high):
-        assert found.residual[part].mean() == pytest.approx(found.noise[part].mean(), rel=0.1)
+        assert found.residual_m2_per_hz[part].mean() == pytest.approx(
+            found.noise_m2_per_hz[part].mean(), rel=0.1
+        )
 
 
 def test_a_late_error_at_the_tip_is_placed(make_study):

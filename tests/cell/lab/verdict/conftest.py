@@ -1,15 +1,10 @@
-"""Studies of this room are small; diagnoses that several modules need are made once."""
+"""Diagnoses that several modules need are made once."""
 
 import pytest
 
 from cell.cable.effects import library
 from cell.lab.diagnosis import diagnose
-from tests.cell.lab.conftest import fits_of, small_studies
-
-
-@pytest.fixture(scope="module", autouse=True)
-def small_studies_in_module(small: None) -> None:
-    """In all modules, before their own fixtures."""
+from tests.cell.lab.conftest import coarse_mesh, fits_of
 
 
 @pytest.fixture(scope="session")
@@ -19,12 +14,11 @@ def curved_and_loaded(make_study):
         known["natural_curvature"].active(curvature_1_per_m=3.0, gradient_1_per_m2=-30.0),
         known["tip_mass"].active(mass_kg=3e-5),
     ]
-    with small_studies():
-        return make_study(hidden, seed=12)
+    return make_study(hidden, seed=12)
 
 
 @pytest.fixture(scope="session")
 def partly_explained(curved_and_loaded):
     """The load is not in the library, the curvature is."""
-    with small_studies():
+    with coarse_mesh():
         return diagnose(fits_of(curved_and_loaded, ("natural_curvature", "air_drag", "grip_slip")))

@@ -5,25 +5,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from cell.api.lab import fit_study
-from cell.cable.dynamics import simulate
 from cell.cable.effects import library
-from cell.cable.geometry import Cable, Motion, node_arc_lengths
+from cell.cable.geometry import Motion, node_arc_lengths
 from cell.cable.model import CableModel
-from cell.cable.solver import Solver
 from cell.cable.swing import mode_curvature
-from cell.cli import app
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.diagnosis import diagnose
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.compare import compare_model
 from cell.study.data import Markers, Study, Trial
 from cell.study.folder import read_study, write_study
+from tests.command import run_cell
+from tools.worlds.made_studies import CABLE, filmed, moved
 
-CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
-WORLD = Solver(segments=60, step_s=5e-4)
 ARCS_M = node_arc_lengths(0.1)[::2]
 NOISE_M = 1e-4
 ANGLES_RAD = (0.0, -0.9, 0.3)
@@ -51,12 +47,9 @@ def held(*effects):
         bent = [np.stack([places, 0.0 * places])]
         t_s = np.arange(0.002, t[-1], 0.005)
         late_s = RELEASE_S + (0.003, -0.002, 0.004)[number]
-        seen = simulate(
-            truth(*effects), still, t_s, ARCS_M,
-            solver=WORLD, start="held", release_s=late_s, bent=bent,
-        )[0]  # fmt: skip
-        markers = Markers(t_s, seen + NOISE_M * rng.normal(size=seen.shape))
-        trials.append(Trial(f"trial_{number}", role, "held", still, markers, RELEASE_S))
+        how = {"start": "held", "release_s": late_s, "bent": bent}
+        seen = filmed(rng, truth(*effects), still, t_s, ARCS_M, noise_m=NOISE_M, **how)
+        trials.append(Trial(f"trial_{number}", role, "held", still, seen, RELEASE_S))
     return Study("held", CABLE, ARCS_M, tuple(trials))
 
 
@@ -66,14 +59,11 @@ def moving(*effects):
     rng, trials = np.random.default_rng(5), []
     t = np.arange(0.0, 1.4, 0.002)
     for number, (angle, role) in enumerate(zip(ANGLES_RAD, ROLES, strict=True)):
-        u = np.clip((t - 0.1) / 0.25, 0.0, 1.0)
-        down_m = -0.05 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-        motion = Motion(t, 0.3 * down_m, down_m, np.full_like(t, angle))
+        motion = moved(t, (-0.015, -0.05), 0.25, begin_s=0.1, angle_rad=angle)
         t_s = np.arange(0.002, t[-1], 0.005)
-        seen = simulate(truth(*effects), motion, t_s, ARCS_M, solver=WORLD)[0]
-        seen += NOISE_M * rng.normal(size=seen.shape)
+        seen = filmed(rng, truth(*effects), motion, t_s, ARCS_M, noise_m=NOISE_M)
         later = t_s > (0.28, 0.4, 0.45)[number]
-        markers = Markers(t_s[later], seen[later])
+        markers = Markers(t_s[later], seen.xy_m[later])
         trials.append(Trial(f"trial_{number}", role, "moving", motion, markers))
     return Study("moving", CABLE, ARCS_M, tuple(trials), noise_std_m=NOISE_M)
 
@@ -99,9 +89,9 @@ def test_a_release_noted_30_ms_early_is_found():
     t = np.arange(0.0, 1.2, 0.002)
     still = Motion(t, 0.0 * t, 0.0 * t, 0.0 * t)
     t_s = np.arange(0.002, t[-1], 0.01)
-    seen = simulate(truth(), still, t_s, ARCS_M, solver=WORLD, start="straight", release_s=0.13)[0]
-    seen = seen + NOISE_M * np.random.default_rng(6).normal(size=seen.shape)
-    trial = Trial("let_go", "fit", "straight", still, Markers(t_s, seen), 0.1)
+    rng, how = np.random.default_rng(6), {"start": "straight", "release_s": 0.13}
+    seen = filmed(rng, truth(), still, t_s, ARCS_M, noise_m=NOISE_M, **how)
+    trial = Trial("let_go", "fit", "straight", still, seen, 0.1)
     fit = fit_cache_of(Study("s", CABLE, ARCS_M, (trial,)), EffectSelection((), {})).base.fit
     assert fit.initial_states["let_go"][0] == pytest.approx(0.03, abs=5e-4)
     assert fit.rms_m == pytest.approx(NOISE_M, rel=0.05)
@@ -150,12 +140,10 @@ def test_taken_for_a_start_at_rest_it_is_told_what_to_write(begun, tmp_path):
 def test_a_study_without_rests_asks_for_its_noise(tmp_path):
     study = moving()
     write_study(replace(study, noise_std_m=None), tmp_path / "unknown")
-    refused = CliRunner().invoke(app, ["fit", str(tmp_path / "unknown"), "-o", "model.json"])
-    assert refused.exit_code == 2
+    refused = run_cell("fit", tmp_path / "unknown", "-o", "model.json", code=2)
     assert "give noise_std_m" in refused.output.replace("\n", " ")
     write_study(study, tmp_path / "known")
     assert [t.start for t in read_study(tmp_path / "known").trials] == ["moving"] * 3
     model = tmp_path / "model.json"
-    done = CliRunner().invoke(app, ["fit", str(tmp_path / "known"), "-o", str(model)])
-    assert done.exit_code == 0, done.output
+    run_cell("fit", tmp_path / "known", "-o", model)
     assert json.loads(model.read_text())["residual_rms_m"] == pytest.approx(NOISE_M, rel=0.03)

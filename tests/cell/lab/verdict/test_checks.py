@@ -8,6 +8,7 @@ import pytest
 
 from cell.lab.data.check import Check, CheckOutcome, Reading, worst_verdict
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
+from cell.lab.line.learning_checks import GATES, LEARNING, LineRules
 from cell.lab.verdict import check_statistics
 from cell.lab.verdict.checks import CHECKS, LEAVES_NOISE, MAY_BE_CLAIMED, evaluate, explains
 from cell.lab.verdict.evidence import Evidence
@@ -21,14 +22,16 @@ def by_name(name: str) -> Check:
     return next(c for c in CHECKS if c.name == name)
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=NAMES)
+@pytest.mark.parametrize("check", [*CHECKS, *LEARNING, *GATES], ids=lambda c: c.name)
 def test_a_row_has_a_question_a_limit_a_sentence_and_a_reason(check):
+    """Those of what many cables teach, too."""
     assert check.question.endswith("?") and len(check.question) <= 60
     assert check.unit
     assert check.failed.endswith(".") and check.failed[0].isupper()
     assert check.reason
-    assert check.limit in {f.name for f in fields(Rules)}
-    assert (check.failing == "unexplained") == (check in LEAVES_NOISE)
+    assert check.limit in {f.name for f in fields(Rules if check in CHECKS else LineRules)}
+    assert (check.failing == "refused") == (check in GATES)
+    assert check not in CHECKS or (check.failing == "unexplained") == (check in LEAVES_NOISE)
 
 
 def test_names_are_unique():
@@ -83,7 +86,12 @@ def fake(**given):
     )
     exact = SimpleNamespace(square=lambda _: 0.0, residual_square=lambda *_: 0.0)
     fits = SimpleNamespace(
-        prepared=prepared, added=lambda m: m.effects, prior_q=None, gripper_log_error=lambda: exact
+        prepared=prepared,
+        added=lambda m: m.effects,
+        prior_q=None,
+        gripper_log_error=lambda: exact,
+        rules=DEFAULT_RULES,
+        is_below_stated=lambda _: False,
     )
 
     def candidate(rms_m: float, chi2: float, effects=()):
@@ -93,7 +101,7 @@ def fake(**given):
 
     fits.base = candidate(2e-4, 4000.0)
     final = candidate(*given.pop("final", (1e-4, 1000.0)))
-    return Evidence(fits, final, DEFAULT_RULES, given.pop("tied", {}))
+    return Evidence(fits, final, given.pop("tied", {}))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from cell.cable.effects import library
-from cell.cli.printing import show
+from cell.cli.output import show
 from cell.identify.gauss_newton import Options
 from cell.lab.data.prepared import all_fitted
 from cell.lab.data.results import RankedEffect, to_json
@@ -24,7 +24,7 @@ from cell.lab.search import partial
 from cell.lab.search.fit_cache import with_lower_baseline
 from cell.lab.search.fitted_model import model_of_fit
 from cell.lab.strength.compare import compare_model
-from tests.cell.lab.conftest import fits_of, with_markers
+from tests.cell.lab.conftest import fits_of
 
 from .contradictions import contradictions
 
@@ -59,7 +59,7 @@ def shaken(make_study):
         xy_m = trial.markers.xy_m
         return xy_m[:1] + 0.5 * (xy_m[:, -1:] - xy_m[:1, -1:])
 
-    return with_markers(make_study(seed=2), following)
+    return make_study(seed=2).with_places(following)
 
 
 def test_a_complete_study_is_described_without_contradiction(make_study):
@@ -102,9 +102,9 @@ def test_an_effect_explains_only_what_the_model_without_it_does_not(make_study, 
     stuck = model_of_fit(whole.prepared, base.effects, stuck)
     assert stuck.fit.rms_m > 1.2 * base.fit.rms_m
     monkeypatch.setitem(whole._memory.models, base.names, stuck)
-    whole, singles = partial._singles(whole, 2, DEFAULT_RULES)
+    whole, singles = partial._singles(whole)
     assert whole.base.fit.rms_m == pytest.approx(base.fit.rms_m, rel=0.01)
-    assert partial.largest_step(whole, whole.base, singles, 2, DEFAULT_RULES) is None
+    assert partial.largest_step(whole, whole.base, singles) is None
     assert with_lower_baseline(whole, whole.base.fit.q, DEFAULT_RULES.tie_delta_chi2) is whole
 
 

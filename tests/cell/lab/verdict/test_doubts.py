@@ -6,11 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
-from cell.cli import app
 from cell.identify.gauss_newton import Options, UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
@@ -20,9 +18,8 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.doubts import fit_doubts
 from cell.study.data import Markers
 from cell.study.folder import write_study
-from tests.cell.lab.conftest import fits_of, with_markers
-
-run = CliRunner().invoke
+from tests.cell.lab.conftest import fits_of
+from tests.command import run_cell
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +34,7 @@ def loaded_fits(loaded):
 
 def fitted(folder, tmp_path, *more):
     out = tmp_path / "model.json"
-    done = run(app, ["fit", str(folder), "-o", str(out), *more])
-    assert done.exit_code == 0, done.output
+    done = run_cell("fit", folder, "-o", out, *more)
     return json.loads(out.read_text()), done.output
 
 
@@ -190,7 +186,7 @@ def test_of_a_baseline_that_cannot_fit_a_second_start_is_looked_at(make_study):
 def test_a_prior_and_an_effect_that_it_lacks_go_together(loaded, tmp_path):
     write_study(loaded, tmp_path / "loaded")
     prior = tmp_path / "prior.json"
-    assert run(app, ["fit", str(tmp_path / "loaded"), "-o", str(prior)]).exit_code == 0
+    run_cell("fit", tmp_path / "loaded", "-o", prior)
     more = ["--prior", str(prior), "--with", "tip_mass"]
     model, _ = fitted(tmp_path / "loaded", tmp_path, *more)
     found = {p["name"]: p for p in model["parameters"]}["tip_mass.mass_kg"]
@@ -212,14 +208,13 @@ def test_a_held_out_trial_that_diverges_is_a_finding_not_an_end(loaded, tmp_path
     assert "diverges" in {w["code"] for w in model["warnings"]}, said
     out, page = tmp_path / "c.json", tmp_path / "c.html"
     given = ["compare", str(tmp_path / "shaken"), "--model", str(tmp_path / "model.json")]
-    done = run(app, [*given, "--json", str(out), "--report", str(page)])
-    assert done.exit_code == 0, done.output
+    run_cell(*given, "--json", out, "--report", page)
     assert json.loads(out.read_text())["heldout_rms_m"] is None
 
 
 def test_beside_what_is_no_model_of_the_cable_nothing_is_looked_for(make_study, monkeypatch):
     """Seen upside down: a minute went into effects that might make up for it."""
-    flipped = with_markers(make_study(seed=2), lambda trial: trial.markers.xy_m * [1.0, -1.0])
+    flipped = make_study(seed=2).with_places(lambda trial: trial.markers.xy_m * [1.0, -1.0])
     fits = fits_of(flipped, ("tip_mass",))
     monkeypatch.setattr(FitCache, "fit_extended", None)
     found = diagnose(fits).diagnosis

@@ -17,7 +17,7 @@ from cell.lab.report.tables import knots_lines
 from cell.lab.search.fit_cache import FitCache
 from tests.cell.lab.conftest import FEW_EFFECTS, fits_of
 
-pytestmark = pytest.mark.usefixtures("small", "few_effects")
+pytestmark = pytest.mark.usefixtures("few_effects")
 
 #: EI beyond a share of the length, over that before it.
 STEP = (0.5, 0.45)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from cell.cable.dynamics import simulate
-from cell.cable.geometry import Cable, Motion
+from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.lab.diagnosis import diagnose
-from cell.study.folder import read_study
 from tests.cell.lab.conftest import fits_of
+from tools.worlds.made_studies import CABLE, STROKES
 
 pytest.importorskip("mujoco")
 pytestmark = pytest.mark.usefixtures("own_mesh")
@@ -27,30 +27,29 @@ def peer():
 
 
 @pytest.fixture
-def explored(peer, tmp_path):
+def explored(peer):
     def explore(**hidden):
         cable = peer.Specimen(hidden=peer.Hidden(**hidden))
-        strokes = [s for s in peer.STROKES if s.name in ("identify", "probe_up", "deep", "aslant")]
-        folder = tmp_path / "peer"
+        strokes = [s for s in STROKES if s.name in ("identify", "probe_up", "deep")]
         # twice the tables' step: it moves the markers by less than a thousandth of the noise
-        peer.write_study(folder, cable, seed=1, strokes=tuple(strokes), step_s=2.0 * peer.STEP_S)
-        return diagnose(fits_of(read_study(folder), RIVALS)).diagnosis
+        study = peer.study_of(cable, seed=1, strokes=strokes, step_s=2.0 * peer.STEP_S)
+        return diagnose(fits_of(study, RIVALS)).diagnosis
 
     return explore
 
 
 def test_both_engines_move_the_same_cable_alike(peer):
-    cable, stroke = peer.Specimen(), peer.STROKES[0]
+    cable, stroke = peer.Specimen(), STROKES[0]
     t_s = np.arange(0.0, 1.0, 0.01)
     theirs = peer.seen(cable, stroke, t_s)
     log = np.arange(0.0, 1.1, 0.002)
-    x, y = peer.Hand(stroke).place(log).T
+    x, y = stroke.place_m(log).T
     model = CableModel(
-        Cable(peer.LENGTH_M, peer.DENSITY_KG_PER_M, peer.WIDTH_M, peer.THICKNESS_M),
+        CABLE,
         cable.rigidity(np.linspace(0.0, 1.0, 15)),
         viscosity_n_m2_s=cable.viscosity_n_m2_s,
     )
-    ours = simulate(model, Motion(log, x, y, 0 * log), t_s, np.linspace(0.1, 0.0, peer.MARKERS))[0]
+    ours = simulate(model, Motion(log, x, y, 0 * log), t_s, peer.NODES_M)[0]
     assert np.sqrt(np.mean((ours - theirs) ** 2)) < 1e-5
     assert np.abs(theirs[:, 0] - theirs[0, 0]).max() > 0.05  # it does swing
 

@@ -5,14 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from cell.cable.effects import library
-from cell.cli import app
 from cell.study.data import Markers
 from cell.study.folder import write_study
-
-run = CliRunner().invoke
+from tests.command import run_cell
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +30,11 @@ def heights(make_study, tmp_path_factory):
 
 def test_one_coordinate_is_fitted_compared_and_shown(heights, tmp_path):
     model, out, page = (tmp_path / n for n in ("model.json", "c.json", "page.html"))
-    done = run(app, ["fit", str(heights), "--with", "camera_latency", "-o", str(model)])
-    assert done.exit_code == 0, done.output
+    run_cell("fit", heights, "--with", "camera_latency", "-o", model)
     found = {p["name"]: p for p in json.loads(model.read_text())["parameters"]}
     delay = found["camera_latency.delay_s"]
     assert delay["low"] < 0.006 < delay["high"]
     assert delay["high"] - delay["low"] < 0.003
     given = ["compare", str(heights), "--model", str(model)]
-    done = run(app, [*given, "--json", str(out), "--report", str(page)])
-    assert done.exit_code == 0, done.output
+    run_cell(*given, "--json", out, "--report", page)
     assert json.loads(out.read_text())["heldout_rms_m"] == pytest.approx(1e-4, rel=0.1)

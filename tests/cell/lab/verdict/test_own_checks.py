@@ -7,16 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from cell.cable.effects import library
-from cell.cli import app
 from cell.lab.data.check import read_own_checks
 from cell.lab.data.named_effects import candidates_in, select_effects
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict.evidence import p_values
 from cell.study.folder import write_study
-from tests.cell.lab.conftest import with_markers
+from tests.command import run_cell
 
 #: One marker errs more than the others: no effect explains that, and no check of the lab asks.
 MARKERS = '''"""Is every marker as noisy as the others?"""
@@ -79,12 +77,11 @@ def test_what_only_a_user_asks_makes_a_study_unexplained(
         xy_m[:, 4] += rng.normal(0.0, 5e-5, xy_m[:, 4].shape)
         return xy_m
 
-    write_study(with_markers(make_study(seed=7), one_noisier), tmp_path / "study")
+    write_study(make_study(seed=7).with_places(one_noisier), tmp_path / "study")
     verdicts = []
     for more in ([], ["--check", str(checks[0])]):
         out = tmp_path / "diagnosis.json"
-        done = CliRunner().invoke(app, ["diagnose", str(tmp_path / "study"), "-o", str(out), *more])
-        assert done.exit_code == 0, done.output
+        done = run_cell("diagnose", tmp_path / "study", "-o", out, *more)
         verdicts.append(json.loads(out.read_text()))
     assert [v["verdict"] for v in verdicts] == ["complete", "unexplained"]
     row = next(c for c in verdicts[1]["checks"] if c["name"] == "markers")

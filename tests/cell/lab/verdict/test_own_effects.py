@@ -11,6 +11,7 @@ from cell.cable.effects import load_effect
 from cell.cli import app
 from cell.lab.data import named_effects
 from cell.study.folder import write_study
+from tests.command import run_cell
 
 run = CliRunner().invoke
 
@@ -48,8 +49,7 @@ def folder(make_study, effect_file, tmp_path_factory):
 
 
 def fit(folder, model, *options):
-    done = run(app, ["fit", str(folder), "-o", str(model), *map(str, options)])
-    assert done.exit_code == 0, done.output
+    run_cell("fit", folder, "-o", model, *options)
     return json.loads(model.read_text())
 
 
@@ -115,8 +115,7 @@ def test_a_changed_file_of_a_models_effect_is_refused_with_both_hashes(
         assert done.exit_code == 2
         for part in (str(mine_model), str(mine), before, after, "fit the model again"):
             assert part in done.output
-    done = run(app, ["fit", str(folder), "--prior", str(mine_model), "-o", str(out)])
-    assert done.exit_code == 2
+    run_cell("fit", folder, "--prior", mine_model, "-o", out, code=2)
     assert not out.exists()
 
 
@@ -168,13 +167,11 @@ def test_a_diagnosis_finds_an_own_effect_and_takes_a_known_one_as_given(
 ):
     out = tmp_path / "d.json"
     given = ["diagnose", str(folder), "--json", str(out)]
-    done = run(app, [*given, "--try", str(effect_file)])
-    assert done.exit_code == 0, done.output
+    run_cell(*given, "--try", effect_file)
     found = json.loads(out.read_text())
     assert found["verdict"] == "missing"
     assert [f["effect"] for f in found["missing"]] == ["side_pull"]
-    done = run(app, [*given, "--with", str(effect_file)])
-    assert done.exit_code == 0, done.output
+    run_cell(*given, "--with", effect_file)
     found = json.loads(out.read_text())
     assert found["verdict"] == "complete"
     assert found["baseline"]["heldout_rms_m"] < 1.03 * NOISE_M
@@ -182,8 +179,7 @@ def test_a_diagnosis_finds_an_own_effect_and_takes_a_known_one_as_given(
 
 
 def test_a_cable_is_identified_again_with_an_own_effect(folder, effect_file):
-    done = run(app, ["identify", str(folder), "--json", "--with", str(effect_file)])
-    assert done.exit_code == 0, done.output
+    done = run_cell("identify", folder, "--json", "--with", effect_file)
     found = {p["name"]: p for p in json.loads(done.stdout)["parameters"]}
     pull = found["side_pull.pull_n_m"]
     assert pull["low"] < STRENGTH_N_M < pull["high"]
@@ -200,9 +196,7 @@ def test_two_effects_of_one_name_are_refused(folder, effect_file, tmp_path, comm
         str(folder),
         *(["-o", str(tmp_path / "x.py")] if command == "discover" else []),
     ]
-    done = run(app, [*given, option, str(effect_file), option, str(twin)])
-    assert done.exit_code == 2
+    done = run_cell(*given, option, effect_file, option, twin, code=2)
     assert "side_pull" in done.output
-    done = run(app, [*given, option, str(shadow)])
-    assert done.exit_code == 2
+    done = run_cell(*given, option, shadow, code=2)
     assert "air_drag" in done.output

@@ -34,7 +34,7 @@ def model(make_study):
 def asked(study, model, effect):
     fits = fit_cache_of(study, FEW, (Path("model.json"), model))
     (final,) = fits.fit_extended(fits.base, [KNOWN[effect]])
-    return prior_driven_effects(Evidence(fits, final, DEFAULT_RULES), explains)
+    return prior_driven_effects(Evidence(fits, final), explains)
 
 
 def test_an_effect_that_only_another_cables_model_asks_for_is_told(make_study, model):
@@ -65,7 +65,7 @@ def test_of_several_effects_a_prior_may_ask_for_one_alone(monkeypatch, named, no
     monkeypatch.setattr(prior_check, "unconfirmed_without_prior", lambda *_: not_borne)
     final = SimpleNamespace(effects=tuple(KNOWN[n] for n in named))
     fits = SimpleNamespace(prior_q=[0.0], added=lambda found: found.effects, base=None)
-    assert prior_driven_effects(Evidence(fits, final, DEFAULT_RULES), explains) == told
+    assert prior_driven_effects(Evidence(fits, final), explains) == told
 
 
 def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_told(monkeypatch):
@@ -89,18 +89,17 @@ def test_an_effect_in_whose_place_another_explains_more_without_the_prior_is_tol
         prepared=prepared,
         base=base,
         fit_reduced=lambda *_: base,
-        shortlist=lambda *_: [KNOWN[n] for n in ("grip_angle", "camera_roll")],
-        fit_extended=lambda _, effects: [grip] if len(effects) == 1 else [grip, angle, roll],
+        extended=lambda _: [grip, angle, roll],
+        fit_extended=lambda *_: [grip],
+        rules=DEFAULT_RULES,
     )
 
     def explained(evidence):
         return evidence.final is not base
 
     named = [KNOWN["grip_compliance"]]
-    assert unconfirmed_without_prior(alone, named, {}, DEFAULT_RULES, explained) == (
-        "grip_compliance",
-    )
+    assert unconfirmed_without_prior(alone, named, {}, explained) == ("grip_compliance",)
     ties = {"grip_compliance": ("grip_angle",)}
-    assert unconfirmed_without_prior(alone, named, ties, DEFAULT_RULES, explained) == ()
+    assert unconfirmed_without_prior(alone, named, ties, explained) == ()
     angle.chi2 = 13250.0  # no tie
-    assert unconfirmed_without_prior(alone, named, {}, DEFAULT_RULES, explained) == ()
+    assert unconfirmed_without_prior(alone, named, {}, explained) == ()

@@ -24,7 +24,7 @@ from cell.lab.verdict.smooth_part import (
     of_a_finer_model,
     smooth_part,
 )
-from tests.cell.lab.conftest import LONG, coloured, fits_of, with_markers
+from tests.cell.lab.conftest import LONG, coloured, fits_of
 from tools.worlds.breadth_world import World, hypercube
 
 
@@ -47,7 +47,7 @@ def test_a_right_models_smooth_residual_is_noise(make_study, seed, colour, lost)
         seen = rng.uniform(size=trial.markers.xy_m.shape[:2]) >= lost
         return np.where(seen[..., None], trial.markers.xy_m, np.nan)
 
-    part = smooth_part(*fitted(with_markers(study, with_gaps)))
+    part = smooth_part(*fitted(study.with_places(with_gaps)))
     level = 0.0 if colour == 0.0 else 0.15  # as well as the colour is known
     assert abs(part.excess) < 4.0 * np.sqrt(2.0 / part.count) + level
 

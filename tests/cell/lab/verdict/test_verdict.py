@@ -9,13 +9,10 @@ from scipy import signal
 
 from cell.cable.effects import library, unscreened
 from cell.identify.noise import Noise
-from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import to_json
 from cell.lab.diagnosis import diagnose
 from cell.lab.next.advice import advice
 from cell.lab.report.tables import sentence, steps_text
-from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.lab.search.residual_summary import (
     ResidualSummary,
     independent_values,
@@ -141,8 +138,7 @@ def test_drag_of_a_power_between_is_not_claimed_as_two_laws_together(make_study)
     assert found.verdict == "unexplained"
     assert {f.effect for f in found.partial} == {"air_drag", "linear_air_drag"}
     assert any("--with power_drag" in w.message for w in found.warnings if w.code == "wider_law")
-    space = ParameterSpace.of(study.cable, effects=[drag])
-    known = FitCache.of(SearchSetup(PreparedStudy.of(study), space, {}))
+    known = fits_of(study, known=[drag])
     right = diagnose(known)
     assert right.diagnosis.verdict == "complete"
     power = estimate(known.prepared, right.final.fit).intervals(drag)["power"]

@@ -15,13 +15,13 @@ from cell.plant.handshake.adapter import HandshakeAdapter
 from cell.plant.handshake.carrier import (
     UNKNOWN,
     Carrier,
+    ControllerCarrier,
     Inputs,
     LatestBits,
     Outputs,
     bits_of,
     inputs_of,
 )
-from cell.plant.handshake.controller import ControllerCarrier
 from cell.plant.handshake.modbus import ModbusCarrier
 from cell.plant.link import Link
 from cell.plant.messages import CommandReply, FaultNotice, MessageKind, Request, Status

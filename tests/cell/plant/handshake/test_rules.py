@@ -17,8 +17,7 @@ from cell.plant.handshake.rules import (
     not_obeyed,
     obeyed,
 )
-from cell.plant.messages import FaultNotice, Status
-from cell.plant.status_reducer import possible_in
+from cell.plant.messages import FaultNotice, Status, possible_in
 from cell.run.machine import CellState, MachineEvent
 
 FAULT = FaultNotice(1, "grip", "no cable", 0.0)

@@ -56,9 +56,12 @@ class Broker:
 
     def _answers(self) -> bool:
         assert self._process is not None
-        assert self._process.poll() is None, (self._folder / "log").read_text()
+        assert self._process.poll() is None, self.log()
         with socket.socket() as tried:
             return tried.connect_ex(("127.0.0.1", self.port)) == 0
+
+    def log(self) -> str:
+        return (self._folder / "log").read_text()
 
     def kill(self) -> None:
         if self._process is not None:
@@ -87,6 +90,7 @@ class Receiver:
     """A program of the plant with a session that the broker keeps; it goes on trying."""
 
     def __init__(self, broker: Broker, topics: str) -> None:
+        self._broker = broker
         self.heard: list[paho.MQTTMessage] = []
         self.subscribed = 0
         self._client = paho.Client(
@@ -108,6 +112,14 @@ class Receiver:
 
     def of(self, part: str) -> list[paho.MQTTMessage]:
         return [message for message in list(self.heard) if part in message.topic]
+
+    def wait_for(self, part: str, count: int) -> None:
+        """Until so many have come; each may take long, as each is written to a slow disk thrice."""
+        for number in range(len(self.of(part)) + 1, count + 1):
+            wait_until(
+                lambda number=number: len(self.of(part)) >= number,
+                why=lambda: f"{len(self.of(part))} of {count} came; {self._broker.log()}",
+            )
 
     def close(self) -> None:
         self._client.disconnect()

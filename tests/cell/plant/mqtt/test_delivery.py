@@ -34,7 +34,7 @@ def cycles(receiver: Receiver) -> list[int]:
 
 def wait_for(receiver: Receiver, count: int) -> None:
     """Until so many results have arrived."""
-    wait_until(lambda: len(receiver.of("/result")) >= count)  # cheap: nothing is parsed
+    receiver.wait_for("/result", count)  # cheap: nothing is parsed
     wait_until(lambda: len(cycles(receiver)) >= count)
 
 

@@ -87,7 +87,7 @@ def test_an_edge_node_is_born_sends_data_is_reborn_and_dies(
     def results() -> list[int]:
         return told("Result/cycle", 11, "/NDATA/")
 
-    wait_until(lambda: len(heard.of("/NDATA/")) >= 3 * CYCLES)
+    heard.wait_for("/NDATA/", 3 * CYCLES)
     wait_until(lambda: len(results()) >= CYCLES)
     assert results() == list(range(1, CYCLES + 1))
     birth = heard.of("/NBIRTH/")[0]

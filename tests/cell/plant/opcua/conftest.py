@@ -64,7 +64,9 @@ class FakeCell:
         self.machine.send(event)
         while self.machine.state is not CellState.EXECUTE and self.machine.can(MachineEvent.DONE):
             if self.machine.state is CellState.COMPLETING:
-                self.link.publish(MessageKind.RESULT, {"cycle": self.cycle, "outcome": "inserted"})
+                result = {"outcome": "inserted", "measured_miss_m": -0.0012}
+                cable = {"cycle": self.cycle, "part": f"A-{self.cycle}"}
+                self.link.publish(MessageKind.RESULT, cable | result)
             self.machine.send(MachineEvent.DONE)
         if event is MachineEvent.START:
             self.cycle += 1
@@ -197,13 +199,13 @@ def site(folder: Path, listen: str) -> Iterator[Site]:
         yield Site(cell, port, folder / "opcua", runs, loop)
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="session")
 def loopback(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     with site(tmp_path_factory.mktemp("loopback"), "127.0.0.1") as opened:
         yield opened
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="session")
 def beyond(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Listens at all addresses of this computer."""
     with site(tmp_path_factory.mktemp("beyond"), "0.0.0.0") as opened:

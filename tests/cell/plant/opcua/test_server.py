@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import threading
 import time
 from pathlib import Path
@@ -17,9 +18,9 @@ from cell.plant.opcua.commands import COMMANDS
 from cell.plant.opcua.server import _ViewPublisher
 from cell.plant.opcua.unit import tags_of
 from cell.run.machine import CellState, MachineEvent
-from tests.waiting import free_port
+from tests.waiting import free_port, wait_until
 
-from .conftest import Seen, Site, served, settings_with
+from .conftest import NAME, Seen, Site, served, settings_with
 
 EXECUTE = "BaseStateMachine.MachineState.ExecuteState"
 MACHINE = "BaseStateMachine.MachineState"
@@ -40,6 +41,29 @@ class Changes:
 
     def event_notification(self, event: Any) -> None:
         self.events.append(event)
+
+
+def test_the_client_of_the_manual_starts_a_cycle_and_reads_outcome_and_miss(
+    stopped: Site, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[4] / "docs" / "howto" / "opcua.md").read_text(encoding="utf-8")
+    [program] = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    cell = stopped.cell
+    cell.send(MachineEvent.RESET)
+    cable = f"A-{cell.cycle + 1}"
+    for said, here in (("4840", str(stopped.port)), ("Line3", NAME), ("A-0001", cable)):
+        assert said in program
+        program = program.replace(said, here)
+
+    def finish() -> None:
+        wait_until(lambda: cell.machine.state is CellState.EXECUTE)
+        cell.send(MachineEvent.DONE)
+
+    thread = threading.Thread(target=finish)
+    thread.start()
+    exec(compile(program, "opcua.md", "exec"), {})
+    thread.join()
+    assert capsys.readouterr().out.splitlines() == ["Outcome inserted", "Miss -0.0012"]
 
 
 def test_three_cycles_are_started_held_and_stopped_and_every_transition_is_seen(

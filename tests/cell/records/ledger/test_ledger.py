@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from cell.records.folder import UNFINISHED
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry
 from cell.records.ledger.ledger import Ledger, LedgerQuery
-from cell.records.past_cycles import UNFINISHED
 from cell.records.result import Outcome
 
 from .conftest import BEGUN, begun, ended, stopped

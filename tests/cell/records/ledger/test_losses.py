@@ -14,10 +14,17 @@ import yaml
 from scipy.stats import binomtest
 
 from cell.files.input_error import InputError
-from cell.records.ledger.candidate_forecasts import PassingShare, read_forecasts
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry
 from cell.records.ledger.ledger import Ledger, LedgerQuery
-from cell.records.ledger.losses import ShiftLosses, merged, shift_losses
+from cell.records.ledger.losses import (
+    FailureTimes,
+    PassingShare,
+    ShiftLosses,
+    failure_times,
+    merged,
+    read_forecasts,
+    shift_losses,
+)
 from cell.records.result import Fault, Outcome, Result
 from cell.settings import load_settings
 
@@ -119,6 +126,11 @@ def test_each_minute_has_the_cause_that_a_calculation_by_hand_gives_it(ledger: L
     assert said["missed"].physics == "with a learned model: cannot tell"
     assert "identify" in said["slower"].evidence
     assert said["not running"].cycles == ()
+    operating = timedelta(minutes=70 - 10.5 - 1.0 - 36.5)
+    assert failure_times([shift]) == [
+        FailureTimes("arm.limit", 1, operating, timedelta(minutes=10.5)),
+        FailureTimes("unfinished", 1, operating, timedelta(minutes=1)),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cell.study.entries import MAX_ARC_STD_FRACTION
-from cell.study.imports.capture import Capture, CapturedColumn
+from cell.study.imports.capture import Capture, CapturedColumn, ImportFindings
 from cell.study.imports.choosing import choose
 from cell.study.imports.contents import contents
 from cell.study.imports.scales import arc_length_stds
@@ -27,11 +27,11 @@ def a_file(places_mm: np.ndarray) -> Capture:
 def places() -> np.ndarray:
     """A gripper that rests at the origin, exactly, and the markers of its cable, mm."""
     m = made()
-    return np.concatenate([m.hand_m[:, None], m.markers_m], axis=1) * 1e3
+    return np.concatenate([m.gripper_m[:, None], m.markers_m], axis=1) * 1e3
 
 
 def lost(*captures: Capture) -> tuple[float, ...]:
-    return choose(captures[0], contents(captures[0]), False, captures[1:])[0].lost
+    return choose(captures[0], contents(captures[0]), False, ImportFindings(), captures[1:]).lost
 
 
 @pytest.mark.parametrize("rows", [1, 3, 6, 20])

@@ -16,17 +16,18 @@ from cell.study.imports.gripper_section import AxesSection, TurnsSection
 from cell.study.imports.mapping import Mapping, ReadMapping
 from cell.study.imports.places import angle_towards, clamp_angle_rad, continuous, places_m
 from cell.study.imports.understand import Files, Stated, Understanding, understand
-from tests.cell.study.imports.made import ARCS_M, LENGTH_M, NAMES, Made, swinging
+from tests.cell.study.imports.corpus.swing import ARCS_M, LENGTH_M, Swing, stroke, swing
+from tests.cell.study.imports.corpus.swing import MARKERS as NAMES
+from tests.cell.study.imports.made import NOISE_M
 
 T_S = np.arange(0.0, 1.2, 0.005)
 AT_REST = (T_S < 0.4).sum()
 SIDES = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
 
 
-def trial(angle_rad: np.ndarray) -> Made:
-    s = np.clip((T_S - 0.4) / 0.3, 0.0, 1.0)
-    hand = np.outer(s**3 * (10 - 15 * s + 6 * s**2), [0.01, -0.05])
-    return swinging(T_S, hand, angle_rad)
+def trial(angle_rad: np.ndarray) -> Swing:
+    hand = np.outer(stroke(T_S), [0.01, -0.05])
+    return swing("a", hand, angle_rad, 1, T_S, NOISE_M)
 
 
 def captured(name: str, **columns: np.ndarray) -> Capture:
@@ -35,7 +36,7 @@ def captured(name: str, **columns: np.ndarray) -> Capture:
     return Capture(Path(name), named, values, np.arange(len(values)) + 2)
 
 
-def markers_of(m: Made, count: int = 5, scale: float = 1e3) -> dict[str, np.ndarray]:
+def markers_of(m: Swing, count: int = 5, scale: float = 1e3) -> dict[str, np.ndarray]:
     return {
         f"{n} {a}": m.markers_m[:, i, k] * scale
         for i, n in enumerate(NAMES[:count])
@@ -43,8 +44,8 @@ def markers_of(m: Made, count: int = 5, scale: float = 1e3) -> dict[str, np.ndar
     }
 
 
-def hand_of(m: Made) -> dict[str, np.ndarray]:
-    return {f"hand {a}": m.hand_m[:, k] * 1e3 for k, a in enumerate("xy")}
+def hand_of(m: Swing) -> dict[str, np.ndarray]:
+    return {f"hand {a}": m.gripper_m[:, k] * 1e3 for k, a in enumerate("xy")}
 
 
 def understood(capture: Capture, hand: Capture | None = None) -> Understanding:
@@ -94,7 +95,9 @@ def test_two_points_on_the_hand_make_its_angle_whatever_their_noise(
     """With a level clamp it was a matter of the first row's noise whether it was 2π too large."""
     m = trial(np.full(len(T_S), angle_rad))
     leaves = np.array([np.cos(angle_rad), np.sin(angle_rad)])
-    behind_mm = (m.hand_m + 0.03 * leaves) * 1e3 + np.column_stack([noise(seed), noise(seed + 9)])
+    behind_mm = (m.gripper_m + 0.03 * leaves) * 1e3 + np.column_stack(
+        [noise(seed), noise(seed + 9)]
+    )
     points = {f"gripper {a}": behind_mm[:, k] for k, a in enumerate("xy")}
     capture = captured("a.csv", **hand_of(m), **points, **markers_of(m))
     mapping: Mapping = understood(capture).mapping
@@ -113,8 +116,8 @@ def test_what_is_no_count_of_a_turn_stays_as_it_is() -> None:
     np.testing.assert_allclose(continuous(np.array([6.28, 0.01, np.nan, 0.02]))[3], 0.02)
 
 
-def of_hand_file(m: Made, unit: str = " [mm]", at: tuple[float, float] = (0.0, 0.0)) -> Capture:
-    places = {f"tcp {a}{unit}": (m.hand_m[:, k] + at[k]) * 1e3 for k, a in enumerate("xy")}
+def of_hand_file(m: Swing, unit: str = " [mm]", at: tuple[float, float] = (0.0, 0.0)) -> Capture:
+    places = {f"tcp {a}{unit}": (m.gripper_m[:, k] + at[k]) * 1e3 for k, a in enumerate("xy")}
     return captured("hand.csv", **places)
 
 

@@ -15,16 +15,17 @@ from cell.study.data import Study
 from cell.study.imports.capture import Sure
 from cell.study.imports.convert import read_captures, study_of
 from cell.study.imports.mapping import FILE, read_mapping
-from cell.study.imports.read import read_capture
-from cell.study.imports.trials import Files, trial_names
-from cell.study.imports.understand import Stated, understand
+from cell.study.imports.stated import Stated
+from cell.study.imports.trial_files import read_trials
+from cell.study.imports.understand import understand
 from cell.study.imports.write import mapping_text
 
 from .corpus.entries import CORPUS, Entry
 from .corpus.swing import ARCS_M, LENGTH_M, Swing
+from .made import ANGLE_RAD, check_same
 
-#: Of places, angles and times beyond what a file's digits leave open: m, rad, s.
-PLACE_M, ANGLE_RAD, TIME_S = 1e-6, 1e-5, 2e-5
+#: Of places beyond what a file's digits leave open, m.
+PLACE_M = 1e-6
 #: Arc lengths are proposed from shapes whose noise is 0.1 mm.
 ARC_M = 2e-4
 #: Exports that are not read rightly yet, and why.
@@ -41,17 +42,7 @@ def study_from(
 
     raises  InputError: the files or the mapping are refused
     """
-    names = trial_names([file for file, _ in written])
-    files = [
-        Files(
-            name,
-            str(file),
-            read_capture(file),
-            None if gripper is None else str(gripper),
-            None if gripper is None else read_capture(gripper),
-        )
-        for name, (file, gripper) in zip(names, written, strict=True)
-    ]
+    files = read_trials([f for f, _ in written], [g for _, g in written], str)
     stated = Stated("s", LENGTH_M, 0.0074, 0.016, 0.0001, **options)
     understood = understand(files, stated)
     out.mkdir(exist_ok=True)
@@ -73,27 +64,10 @@ def study_from(
 
 
 def assert_same(study: Study, truth: list[Swing], entry: Entry) -> None:
-    """Places of markers and gripper from its first one on, clamp angles and times are the truth."""
-    place_m, angle_rad = PLACE_M + entry.rounding_m, ANGLE_RAD + entry.rounding_rad
+    """Arc lengths, and what `check_same` compares, are the truth."""
     np.testing.assert_allclose(study.arc_length_m, ARCS_M[::-1], atol=ARC_M)
-    assert len(study.trials) == len(truth)
-    for trial, s in zip(study.trials, truth, strict=True):
-        grip, markers = trial.grip, trial.markers
-        origin_m = np.array([grip.x_m[0], grip.y_m[0]]) - s.gripper_m[0]
-        assert trial.start == "equilibrium"
-        np.testing.assert_allclose(markers.t_s - markers.t_s[0], s.t_s, atol=TIME_S)
-        np.testing.assert_allclose(
-            markers.xy_m - origin_m, s.markers_m[:, ::-1], rtol=0.0, atol=place_m
-        )
-        at_s = grip.t_s - markers.t_s[0]
-        if len(at_s) == len(s.t_s):
-            np.testing.assert_allclose(at_s, s.t_s, atol=TIME_S)
-            path = np.column_stack([grip.x_m, grip.y_m, grip.angle_rad])
-        else:
-            each = (grip.x_m, grip.y_m, grip.angle_rad)
-            path = np.column_stack([np.interp(s.t_s, at_s, v) for v in each])
-        np.testing.assert_allclose(path[:, :2] - origin_m, s.gripper_m, rtol=0.0, atol=place_m)
-        np.testing.assert_allclose(path[:, 2], s.angle_rad, rtol=0.0, atol=angle_rad)
+    place_m, angle_rad = PLACE_M + entry.rounding_m, ANGLE_RAD + entry.rounding_rad
+    check_same(study, *truth, place_m=place_m, angle_rad=angle_rad)
 
 
 def pair(written: Path | tuple[Path, Path]) -> tuple[Path, Path | None]:

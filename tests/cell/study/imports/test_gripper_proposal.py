@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,35 +14,38 @@ from ruamel.yaml import YAML
 
 from cell.study.data import Study
 from cell.study.folder import read_study
-from tests.cell.study.imports.made import CABLE, NAMES, RATE_HZ, Made, digits, run, swinging, text
+from tests.cell.study.imports.corpus.swing import BEGINS_S, ENDS_S, RATE_HZ, Swing, stroke, swing
+from tests.cell.study.imports.corpus.swing import MARKERS as NAMES
+from tests.cell.study.imports.corpus.text import saved
+from tests.cell.study.imports.made import CABLE, NOISE_M, digits, run, text
 
 AXLE_M, RADIUS_M, COUNTS = (0.05, 0.1), 0.12, 65536
-MOVED_S, BEGINS_S = 0.3, 0.4
+MOVED_S = ENDS_S - BEGINS_S
 SENSOR = "hand.acceleration"
 
 
-def on_arm() -> tuple[Made, np.ndarray]:
+def on_arm() -> tuple[Swing, np.ndarray]:
     """The cable on an arm that turns down by 0.4 rad, the clamp 0.1 rad steeper; its turn."""
     t = np.arange(0.0, 1.8, 1.0 / RATE_HZ)
-    u = np.clip((t - BEGINS_S) / MOVED_S, 0.0, 1.0)
-    turn = 0.1 + 0.4 * u**3 * (10 - 15 * u + 6 * u**2)
+    turn = 0.1 + 0.4 * stroke(t)
     hand = np.array(AXLE_M) - RADIUS_M * np.column_stack([np.cos(turn), np.sin(turn)])
-    return swinging(t, hand, turn + 0.1), turn
+    return swing("arm", hand, turn + 0.1, 1, t, NOISE_M), turn
 
 
-def straight(rate_hz: float = 1000.0) -> tuple[Made, np.ndarray, np.ndarray, np.ndarray]:
+def straight(rate_hz: float = 1000.0) -> tuple[Swing, np.ndarray, np.ndarray, np.ndarray]:
     """The cable on a gripper that goes down and turns; its fine times, acceleration and angle."""
     t = np.arange(0.0, 1.8, 1.0 / rate_hz)
     u = np.clip((t - BEGINS_S) / MOVED_S, 0.0, 1.0)
-    done = u**3 * (10 - 15 * u + 6 * u**2)
+    done = stroke(t)
     bent = (60 * u - 180 * u**2 + 120 * u**3) / MOVED_S**2
     every = slice(None, None, round(rate_hz / RATE_HZ))
     way_m = np.array([0.01, -0.05])
-    m = swinging(t[every], done[every, None] * way_m, 0.2 + 0.15 * done[every])
-    return m, t, bent[:, None] * way_m, 0.2 + 0.15 * done
+    hand, angle = done[:, None] * way_m, 0.2 + 0.15 * done
+    m = swing("down", hand[every], angle[every], 1, t[every], NOISE_M)
+    return m, t, bent[:, None] * way_m, angle
 
 
-def wide(m: Made, columns: dict[str, np.ndarray], file: Path) -> Path:
+def wide(m: Swing, columns: dict[str, np.ndarray], file: Path) -> Path:
     """A table of markers in mm, with other columns in place of the gripper's."""
     names = ["t_s", *columns, *(f"{n}_{a}_mm" for n in NAMES for a in "xy")]
     markers = m.markers_m.reshape(len(m.t_s), -1) * 1e3
@@ -59,10 +63,8 @@ def sensor_file(
     shown = np.column_stack([c * x + s * y, c * y - s * x])
     shown += np.array([0.1, -0.1]) + 0.02 * np.random.default_rng(5).normal(size=shown.shape)
     values = np.column_stack([t, shown / (9.80665 if unit == "g" else 1.0), np.degrees(angle)])
-    file = folder / "sensor.csv"
     names = ["time [s]", f"acc_x [{unit}]", f"acc_y [{unit}]", "clamp_angle [deg]"]
-    file.write_text(text([names, *digits(values, 9)]))
-    return file
+    return saved(folder / "sensor.csv", text([names, *digits(values, 9)]))
 
 
 def filled(mapping: Path, entries: dict[str, Any]) -> None:
@@ -89,7 +91,7 @@ def test_an_encoder_of_an_axle_is_proposed_and_imported(tmp_path: Path) -> None:
     counts = (np.round((turn + 2.0) * COUNTS / (2 * np.pi)) + COUNTS - 22000) % COUNTS
     assert counts[-1] < counts[0], "it begins anew as it turns"
     file, folder = wide(m, {"arm_encoder": counts}, tmp_path / "trial.csv"), tmp_path / "s"
-    said = run(str(file), "-o", str(folder), *CABLE)
+    said = run(str(file), "-o", str(folder), *CABLE, code=1)
     assert "'arm_encoder' tells how its arm turns" in said
     assert "give hand.turns.axle_m" in said
     mapping = folder / "import.yaml"
@@ -104,7 +106,7 @@ def test_an_encoder_of_an_axle_is_proposed_and_imported(tmp_path: Path) -> None:
     t_s, xy_m, angle_rad = hand_of(read_study(folder))
     np.testing.assert_allclose(t_s, m.t_s, atol=1e-9)
     count_rad = 2.0 * np.pi / COUNTS  # half by the encoder, half by its dither
-    np.testing.assert_allclose(xy_m, m.hand_m, atol=RADIUS_M * count_rad)
+    np.testing.assert_allclose(xy_m, m.gripper_m, atol=RADIUS_M * count_rad)
     np.testing.assert_allclose(angle_rad, m.angle_rad, atol=count_rad)
     drift = read_study(folder).trials[0].hand_drift
     assert drift is not None
@@ -116,7 +118,7 @@ def test_an_encoder_of_an_axle_is_proposed_and_imported(tmp_path: Path) -> None:
 def test_too_few_counts_are_refused(tmp_path: Path) -> None:
     m, turn = on_arm()
     file = wide(m, {"encoder": np.round(turn * 200 / (2 * np.pi))}, tmp_path / "trial.csv")
-    run(str(file), "-o", str(tmp_path / "s"), *CABLE)
+    run(str(file), "-o", str(tmp_path / "s"), *CABLE, code=1)
     turns = {"axle_m": list(AXLE_M), "radius_m": RADIUS_M, "radians_per_unit": 2 * np.pi / 200}
     filled(tmp_path / "s" / "import.yaml", {f"hand.turns.{k}": v for k, v in turns.items()})
     said = run(str(tmp_path / "s" / "import.yaml"), code=2)
@@ -125,9 +127,10 @@ def test_too_few_counts_are_refused(tmp_path: Path) -> None:
 
 def test_a_clamp_on_its_axle_stays_there_and_turns(tmp_path: Path) -> None:
     m, turn = on_arm()
-    still = Made(m.t_s, 0.0 * m.hand_m, turn, m.markers_m - m.hand_m[:, None])
+    places_m = m.markers_m - m.gripper_m[:, None]
+    still = replace(m, gripper_m=0.0 * m.gripper_m, angle_rad=turn, markers_m=places_m)
     file = wide(still, {"encoder_deg": -np.degrees(turn)}, tmp_path / "trial.csv")
-    run(str(file), "-o", str(tmp_path / "s"), *CABLE)
+    run(str(file), "-o", str(tmp_path / "s"), *CABLE, code=1)
     mapping = tmp_path / "s" / "import.yaml"
     turns = {"axle_m": [0, 0], "radius_m": 0, "radians_per_unit": -np.pi / 180}
     filled(mapping, {f"hand.turns.{k}": v for k, v in turns.items()})
@@ -144,7 +147,7 @@ def proposal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("proposal")
     m, t, acceleration, angle = straight()
     markers, log = wide(m, {}, folder / "film.csv"), sensor_file(folder, t, acceleration, angle)
-    said = run(str(markers), "--hand", str(log), "-o", str(folder / "s"), *CABLE)
+    said = run(str(markers), "--hand", str(log), "-o", str(folder / "s"), *CABLE, code=1)
     assert "it is integrated from acceleration" in said
     assert "give hand.acceleration.starts_at_m" in said
     assert "starts_at_m: is not known" in run(str(folder / "s" / "import.yaml"), code=2)
@@ -168,8 +171,7 @@ def test_an_accelerometer_is_proposed_and_integrated(mapping: Path, tmp_path: Pa
     study = read_study(tmp_path / "s")
     t_s, xy_m, angle_rad = hand_of(study)
     np.testing.assert_allclose(angle_rad, np.interp(t_s, t, angle), atol=1e-6)
-    u = np.clip((t_s - BEGINS_S) / MOVED_S, 0.0, 1.0)
-    path_m = (u**3 * (10 - 15 * u + 6 * u**2))[:, None] * [0.01, -0.05]
+    path_m = stroke(t_s)[:, None] * [0.01, -0.05]
     limit_m = 4e-3 * float(stated[1])
     assert 2e-5 < limit_m < 4e-4
     np.testing.assert_allclose(xy_m, path_m, atol=limit_m)
@@ -264,7 +266,7 @@ def test_sensors_of_other_things_are_no_hand_s(tmp_path: Path) -> None:
     encoder."""
     m, _ = on_arm()
     still = np.zeros_like(m.t_s)
-    hand = {"hand_x_mm": 1e3 * m.hand_m[:, 0], "hand_y_mm": 1e3 * m.hand_m[:, 1]}
+    hand = {"hand_x_mm": 1e3 * m.gripper_m[:, 0], "hand_y_mm": 1e3 * m.gripper_m[:, 1]}
     for columns, told in (
         ({"tip_acc_x": still, "tip_acc_y": still}, "'m1', the end of the chain that rests first"),
         (
@@ -282,7 +284,7 @@ def test_without_a_hand_its_sensors_are_asked_for(tmp_path: Path) -> None:
     log.write_text(text([["time_s", "voltage"], *digits(np.column_stack([m.t_s, turn]))]))
     file = wide(m, {}, tmp_path / "film.csv")
     study = tmp_path / "s"
-    said = run(str(file), "--hand", str(log), "-o", str(study), *CABLE)
+    said = run(str(file), "--hand", str(log), "-o", str(study), *CABLE, code=1)
     assert "accelerometer on it in hand.acceleration" in said
     assert "columns of robot.csv: time_s, voltage" in said
     refused = run(str(study / "import.yaml"), code=2)  # it is there, to be filled in

@@ -71,7 +71,18 @@ def renamed(old: str, new: str) -> Callable[[Lines], Lines]:
 #: Columns: t_s, hand_x_m, hand_y_m, hand_angle_rad, tip_x_m, tip_y_m, m4_x_m …
 MALFORMED: list[tuple[str, Callable[[Lines], Lines], str, str]] = [
     ("back in time", lambda x: [*x[:50], x[60], *x[50:]], "trial.csv:52", "times must rise"),
-    ("a row twice", lambda x: [*x[:50], x[49], *x[50:]], "trial.csv:51", "remove what is there"),
+    (
+        "two rows of one time",
+        lambda x: [*x[:50], x[49].replace(",0", ",1", 1), *x[50:]],
+        "trial.csv:51",
+        "remove what is there",
+    ),
+    (
+        "a recording again",
+        lambda x: [*x, *x[1:]],
+        "trial.csv:362",
+        "another recording begins here: save each in a file of its own",
+    ),
     ("a word", cell(40, 5, "abc"), "trial.csv:40", "'abc' is not a number"),
     ("a unit in a cell", cell(40, 5, "12 mm"), "trial.csv:40", "its unit in the column's name"),
     ("a decimal comma", cell(40, 5, "0,05"), "trial.csv:40", "no separator within a number"),
@@ -170,7 +181,7 @@ def test_a_preview_is_there_of_what_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "remedy"),
     [
-        ("trial.ods", b"PK", "give .csv"),
+        ("trial.ods", b"PK\x03\x04\x14\0", "give .csv"),
         ("trial.xlsx", b"PK", "save it again"),
         ("trial.c3d", b"\x02\x50" + b"\0" * 600, "export it again"),
         ("trial.mcap", b"\x89MCAP0\r\nxx", "record it again"),
@@ -191,7 +202,8 @@ def test_a_long_table_with_a_marker_twice_at_one_time_is_refused(tmp_path: Path)
     (name,) = long_table(made(), tmp_path)
     file = Path(name)
     lines = file.read_text().splitlines()
-    file.write_text("\n".join([*lines[:40], lines[39], *lines[40:]]) + "\n")
+    other = lines[39].replace(",-", ",")  # once more, with other places
+    file.write_text("\n".join([*lines[:40], other, *lines[40:]]) + "\n")
     said = refused(file)
     assert "long.csv:41" in said
     assert "first in line 40" in said
@@ -238,7 +250,7 @@ def test_a_mapping_that_is_wrong_or_contradicts_the_file_is_refused(
 
 def test_what_only_a_person_knows_is_asked_for_at_its_place(tmp_path: Path) -> None:
     (name,) = wide_metres(made(), tmp_path)
-    assert "To be filled in:" in run(name, "-o", tmp_path / "s")
+    assert "To be filled in:" in run(name, "-o", tmp_path / "s", code=1)
     said = run(tmp_path / "s" / "import.yaml", code=2)
     assert re.search(r"import\.yaml:\d+:\d+: cable\.line_density_kg_per_m: .*weigh a piece", said)
     assert re.search(r"import\.yaml:\d+:\d+: cable: .*diameter_m of a round one", said)

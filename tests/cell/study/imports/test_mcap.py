@@ -14,15 +14,16 @@ from scipy.spatial.transform import Rotation
 
 from cell.files.input_error import InputError
 from cell.study.imports.mcap_file import read_mcap
-from tests.cell.study.imports.made import Made, imported, made
+from tests.cell.study.imports.corpus.swing import Swing
+from tests.cell.study.imports.made import imported, made
 
 
-def _turns(m: Made) -> np.ndarray:
+def _turns(m: Swing) -> np.ndarray:
     """A gripper whose +x is where the cable leaves, in a plane of x and z: about −y."""
     return Rotation.from_rotvec((np.pi + m.angle_rad)[:, None] * [0.0, -1.0, 0.0]).as_quat()
 
 
-def protobuf(m: Made, file: Path) -> None:
+def protobuf(m: Swing, file: Path) -> None:
     """A pose of the gripper, and all markers in one message."""
     turns = _turns(m)
     with file.open("wb") as stream, ProtobufWriter(stream) as writer:
@@ -31,7 +32,7 @@ def protobuf(m: Made, file: Path) -> None:
             hand, cable = PoseInFrame(), PosesInFrame()
             for message in (hand, cable):
                 message.timestamp.FromNanoseconds(nanoseconds)
-            x, z = m.hand_m[k]
+            x, z = m.gripper_m[k]
             hand.pose.position.x, hand.pose.position.y, hand.pose.position.z = x, 0.3, z
             for axis, value in zip("xyzw", turns[k], strict=True):
                 setattr(hand.pose.orientation, axis, value)

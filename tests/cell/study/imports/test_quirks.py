@@ -10,39 +10,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cell.study.data import Study
 from cell.study.imports.capture import number
+from tests.cell.study.imports.corpus.swing import MARKERS as NAMES
+from tests.cell.study.imports.corpus.swing import Swing, swing
+from tests.cell.study.imports.corpus.text import saved
 from tests.cell.study.imports.made import (
     CABLE,
-    NAMES,
-    Made,
+    NOISE_M,
+    check_same,
     digits,
     german,
     imported,
     made,
     run,
-    swinging,
     text,
     two_files,
     wide_metres,
 )
 
-#: What a file's own numbers are rounded to, m.
-ROUNDED_M = 1e-7
 
-
-def said(arguments: list[str], folder: Path) -> str:
+def said(arguments: list[str], folder: Path, code: int = 0) -> str:
     """What the proposal says, in one line."""
-    return run(*arguments, "-o", folder, *CABLE)
-
-
-def check_same(study: Study, m: Made) -> None:
-    (trial,) = study.trials
-    origin = [trial.grip.x_m[0], trial.grip.y_m[0]]
-    np.testing.assert_allclose(trial.markers.t_s, m.t_s, atol=2e-6)
-    there = m.markers_m[:, ::-1] - m.hand_m[0]
-    np.testing.assert_allclose(trial.markers.xy_m - origin, there, atol=ROUNDED_M)
-    np.testing.assert_allclose(trial.grip.angle_rad, m.angle_rad, atol=2e-6)
+    return run(*arguments, "-o", folder, *CABLE, code=code)
 
 
 # --- numbers of spreadsheets ----------------------------------------------------------------------
@@ -86,15 +75,13 @@ def test_grouped_numbers_are_read_in_both_conventions(value: float) -> None:
 # --- clocks and units -----------------------------------------------------------------------------
 
 
-def ticking(m: Made, folder: Path, second: float) -> list[str]:
+def ticking(m: Swing, folder: Path, second: float) -> list[str]:
     """Counts of a clock in a column that says no unit."""
-    values = np.column_stack([1e6 + m.t_s * second, m.hand_m, m.angle_rad,
+    values = np.column_stack([1e6 + m.t_s * second, m.gripper_m, m.angle_rad,
                               m.markers_m.reshape(len(m.t_s), -1)])  # fmt: skip
     names = ["timestamp", "hand_x_m", "hand_y_m", "hand_angle_rad"]
     names += [f"{n}_{a}_m" for n in NAMES for a in "xy"]
-    file = folder / "ticks.csv"
-    file.write_text(text([names, *digits(values, 9)]))
-    return [str(file)]
+    return [str(saved(folder / "ticks.csv", text([names, *digits(values, 9)])))]
 
 
 def test_a_stated_rate_decides_what_a_tick_is(tmp_path: Path) -> None:
@@ -117,25 +104,25 @@ def test_days_of_a_spreadsheet_are_days(tmp_path: Path) -> None:
 
 def test_a_rate_that_the_file_contradicts_is_refused_with_both_numbers(tmp_path: Path) -> None:
     (name,) = german(made(), tmp_path)
-    told = said([name, "--rate", "100"], tmp_path / "s")
+    told = said([name, "--rate", "100"], tmp_path / "s", code=1)
     assert "the file says ms, which makes 200 rows a second, yet --rate says 100" in told
     assert "seconds_per_unit" in run(tmp_path / "s" / "import.yaml", code=2)
 
 
 def test_a_stated_unit_that_no_cable_has_is_refused_with_the_right_one(tmp_path: Path) -> None:
     m = made()
-    (name,) = german(replace(m, hand_m=m.hand_m / 1e3, markers_m=m.markers_m / 1e3), tmp_path)
-    told = run(name, "-o", tmp_path / "s", *CABLE[2:])
+    (name,) = german(replace(m, gripper_m=m.gripper_m / 1e3, markers_m=m.markers_m / 1e3), tmp_path)
+    told = run(name, "-o", tmp_path / "s", *CABLE[2:], code=1)
     assert "give metres_per_unit: 1 if they are m, then they span 0." in told
 
 
 def test_a_stated_unit_of_the_hand_by_which_it_would_not_move_so_is_told(tmp_path: Path) -> None:
     m = made()
     arguments = two_files(m, tmp_path)
-    poses = np.column_stack([m.t_s, m.hand_m, m.angle_rad])
+    poses = np.column_stack([m.t_s, m.gripper_m, m.angle_rad])
     names = ["t [s]", "tcp_x [mm]", "tcp_y [mm]", "tcp angle [rad]"]
     Path(arguments[2]).write_text(text([names, *digits(poses, 10)]))
-    told = said(arguments, tmp_path / "s")
+    told = said(arguments, tmp_path / "s", code=1)
     assert "it says mm, and would move by 5.1e-05 m, yet in m it moves by 0.051 m" in told
     run(tmp_path / "s" / "import.yaml", code=2)
 
@@ -143,7 +130,7 @@ def test_a_stated_unit_of_the_hand_by_which_it_would_not_move_so_is_told(tmp_pat
 # --- angles ---------------------------------------------------------------------------------------
 
 
-def _renamed(m: Made, folder: Path, name: str) -> list[str]:
+def _renamed(m: Swing, folder: Path, name: str) -> list[str]:
     (file,) = wide_metres(m, folder)
     Path(file).write_text(Path(file).read_text().replace("hand_angle_rad", name, 1))
     return [file]
@@ -162,7 +149,9 @@ def test_trials_that_rest_at_two_angles_have_no_one_angle(tmp_path: Path) -> Non
         folder.mkdir()
         first = made(seed=seed)
         still = np.full_like(first.t_s, angle)
-        (file,) = wide_metres(swinging(first.t_s, first.hand_m, still, seed), folder)
+        (file,) = wide_metres(
+            swing("rest", first.gripper_m, still, seed, first.t_s, NOISE_M), folder
+        )
         lines = [line.split(",") for line in Path(file).read_text().splitlines()]
         Path(file).write_text(text([[*line[:3], *line[4:]] for line in lines]))
         files.append(file)

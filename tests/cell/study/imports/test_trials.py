@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,18 @@ import pytest
 from cell.study.folder import read_study
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.mapping import read_mapping
-from tests.cell.study.imports.made import CABLE, RATE_HZ, made, run, two_files, vicon, wide_metres
+from tests.cell.study.imports.corpus.swing import RATE_HZ
+from tests.cell.study.imports.corpus.text import nexus
+from tests.cell.study.imports.made import CABLE, made, run, two_files, wide_metres
 
 
 def in_folder(folder: Path, name: str) -> Path:
     (folder / name).mkdir()
     return folder / name
+
+
+def vicon(folder: Path) -> str:
+    return str(nexus(replace(made(), name="vicon"), folder))
 
 
 def at_rate(file: str, rate_hz: float) -> str:
@@ -28,7 +35,7 @@ def at_rate(file: str, rate_hz: float) -> str:
 
 def test_each_file_goes_by_the_rate_that_it_states(tmp_path: Path) -> None:
     """A third file of 250 rows a second was read at the 200 of the first: 1.25 times as slow."""
-    files = [*vicon(made(), in_folder(tmp_path, "a")), *vicon(made(), in_folder(tmp_path, "b"))]
+    files = [vicon(in_folder(tmp_path, name)) for name in "ab"]
     at_rate(files[1], 250.0)
     said = run(*files, "-o", str(tmp_path / "s"), *CABLE)
     assert "vicon.csv: time is in column 'Frame', 0.004 s a unit (250 rows a second" in said
@@ -40,7 +47,7 @@ def test_each_file_goes_by_the_rate_that_it_states(tmp_path: Path) -> None:
 
 
 def test_a_rate_that_the_mapping_has_otherwise_is_told(tmp_path: Path) -> None:
-    (file,) = vicon(made(), tmp_path)
+    file = vicon(tmp_path)
     run(file, "-o", str(tmp_path / "s"), *CABLE)
     at_rate(file, 250.0)
     said = run(str(tmp_path / "s" / "import.yaml"))
@@ -49,11 +56,11 @@ def test_a_rate_that_the_mapping_has_otherwise_is_told(tmp_path: Path) -> None:
 
 
 def test_a_rate_is_asked_for_where_one_file_has_none(tmp_path: Path) -> None:
-    files = [*vicon(made(), in_folder(tmp_path, "a")), *vicon(made(), in_folder(tmp_path, "b"))]
+    files = [vicon(in_folder(tmp_path, name)) for name in "ab"]
     for file in files:
         lines = Path(file).read_text().splitlines()
         Path(file).write_text("\n".join(lines[2:]) + "\n")
-    run(*files, "-o", str(tmp_path / "s"), *CABLE)
+    run(*files, "-o", str(tmp_path / "s"), *CABLE, code=1)
     mapping = tmp_path / "s" / "import.yaml"
     own = mapping.read_text().replace("name: vicon,", "name: vicon, seconds_per_unit: 0.005,")
     mapping.write_text(own)

@@ -431,16 +431,8 @@ def csv_of_pandas(file: Path, s: Swing) -> Path:
     return deeplabcut(s, file.parent)
 
 
-def of_one_trial(file: Path, s: Swing) -> Path:
-    """A trial of several in a file of its own."""
-    return hdf5(s, file.parent, layout="columns")
-
-
 def hdf5(s: Swing, folder: Path, *, layout: str, ending: str = ".h5") -> Path:
-    """`columns`, `groups`, `table` (a compound data set), `trials`, or `sleap`, its analysis file.
-
-    `trials`: the file holds another trial, too.
-    """
+    """`columns`, `groups`, `table` (a compound data set), or `sleap`, its analysis file."""
     import h5py
 
     file = folder / f"{s.name}{ending}"
@@ -448,10 +440,6 @@ def hdf5(s: Swing, folder: Path, *, layout: str, ending: str = ".h5") -> Path:
         if layout == "columns":
             for name, values in _columns(s).items():
                 store[name] = values
-        elif layout == "trials":
-            for trial, shift in (("trial_1", 0.0), ("trial_2", 1e-4)):
-                for name, values in _columns(s).items():
-                    store[f"{trial}/{name}"] = values + shift
         elif layout == "table":
             columns = _columns(s)
             store["swing"] = np.rec.fromarrays(list(columns.values()), names=list(columns))

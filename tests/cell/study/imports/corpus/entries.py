@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import binary, logs, text
+from . import binary, logs, others, text
 from .swing import BACK_M, RATE_HZ, Swing, arm_study, known_study, straight_study
 
 #: A file of the markers, or with a file of the gripper.
@@ -271,10 +271,18 @@ SCRIPTS = [
           remedy=Remedy("names", mend=binary.csv_of)),
     Entry("HDF5", "columns", partial(binary.hdf5, layout="columns"), lost=True),
     Entry("HDF5", "groups", partial(binary.hdf5, layout="groups", ending=".hdf5")),
-    Entry("HDF5", "two trials in a file", partial(binary.hdf5, layout="trials"),
-          remedy=Remedy("a file of its own", mend=binary.of_one_trial)),
     Entry("HDF5", "compound table", partial(binary.hdf5, layout="table")),
 ]  # fmt: skip
+OTHERS = [
+    Entry("BTS SMART", "ending of its own", others.own_ending),
+    Entry("NOKOV", "TRC with a header in GBK", others.chinese),
+    Entry("InfluxDB", "line protocol", others.line_protocol),
+    Entry("Adams", "columns called by letters", others.legend),
+    Entry("OpenSim", "three coordinates in a cell", others.vectors),
+    Entry("Foxglove", "messages with two times", others.stamped_json),
+    Entry("ROS 2", "messages received twice", others.received_twice),
+    Entry("LabVIEW", "a comment in the first row", others.labview),
+]
 ROBOTS = [
     Entry("Universal Robots", "record", logs.ur, remedy=_BASE),
     Entry("Universal Robots", "RTDE with commas", partial(logs.ur, separator=","), remedy=_BASE),
@@ -305,5 +313,5 @@ SENSORS = [
 ]  # fmt: skip
 CORPUS = [
     *MOTIVE, *VICON, *QUALISYS, *C3D, *OPENSIM, *VIDEO, *OTHER_CAPTURE, *ROS, *EXCEL, *SCRIPTS,
-    *ROBOTS, *SENSORS,
+    *ROBOTS, *SENSORS, *OTHERS,
 ]  # fmt: skip

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from .swing import BEGINS_S, ENDS_S, MARKERS, Swing
-from .text import cells, lines, space, turns
+from .text import cells, lines, saved, space, turns
 
 Floats = NDArray[np.float64]
 #: When the measurement began; of a spreadsheet, days since the end of 1899.
@@ -142,9 +142,7 @@ def markers_file(s: Swing, folder: Path) -> Path:
     """Markers only, of a camera, in mm."""
     titles = [f"{n}_{a}_mm" for n in MARKERS for a in "xy"]
     values = np.column_stack([s.t_s, s.markers_m.reshape(len(s.t_s), -1) * 1e3])
-    file = folder / f"{s.name}.csv"
-    file.write_text(lines([["t_s", *titles], *cells(values, 6)]))
-    return file
+    return saved(folder / f"{s.name}.csv", lines([["t_s", *titles], *cells(values, 6)]))
 
 
 #: Tool of an arm that points down: its x is against the base's.
@@ -168,16 +166,16 @@ def ur(s: Swing, folder: Path, *, separator: str = " ", in_base: bool = True) ->
     titles += [f"actual_TCP_pose_{i}" for i in range(6)]
     angles = np.tile([0.1, -1.2, 1.4, -1.7, -1.5, 0.2], (len(s.t_s), 1))
     values = np.column_stack([s.t_s, angles, place, vectors])
-    file = folder / f"{s.name}_record.csv"
-    file.write_text(lines([titles, *cells(values, 9)], separator))
-    return markers_file(s, folder), file
+    return markers_file(s, folder), saved(
+        folder / f"{s.name}_record.csv", lines([titles, *cells(values, 9)], separator)
+    )
 
 
 def _robot(s: Swing, folder: Path, titles: Sequence[str], values: Floats, separator: str,
            mark: str = ".") -> tuple[Path, Path]:  # fmt: skip
-    file = folder / f"{s.name}_robot.csv"
-    file.write_text(lines([titles, *cells(values, 8, mark=mark)], separator))
-    return markers_file(s, folder), file
+    return markers_file(s, folder), saved(
+        folder / f"{s.name}_robot.csv", lines([titles, *cells(values, 8, mark=mark)], separator)
+    )
 
 
 def kuka(s: Swing, folder: Path, *, german: bool = False) -> tuple[Path, Path]:
@@ -243,9 +241,7 @@ def encoder_on_axle(s: Swing, folder: Path, *, counts: int = 0) -> tuple[Path, P
     else:
         titles = ["time_s", "encoder [deg]"]
         shown = cells(np.column_stack([s.t_s, np.degrees(s.angle_rad)]), 8)
-    file = folder / f"{s.name}_encoder.csv"
-    file.write_text(lines([titles, *shown]))
-    return markers_file(s, folder), file
+    return markers_file(s, folder), saved(folder / f"{s.name}_encoder.csv", lines([titles, *shown]))
 
 
 def encoder_of_rail(s: Swing, folder: Path) -> tuple[Path, Path]:
@@ -276,6 +272,6 @@ def accelerometer(
     values = np.column_stack([t, -np.sin(-angle) * up, np.cos(angle) * up])
     values[:, 1:] += np.random.default_rng(5).normal(0.0, 1e-3, (len(t), 2))
     values[:, 1:] /= unit
-    file = folder / f"{s.name}_sensor.csv"
-    file.write_text(lines([names, *cells(values, 9)]))
-    return markers_file(s, folder), file
+    return markers_file(s, folder), saved(
+        folder / f"{s.name}_sensor.csv", lines([names, *cells(values, 9)])
+    )

@@ -52,16 +52,24 @@ def stroke(t_s: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
 
 
-def times_s(rate_hz: float = RATE_HZ) -> NDArray[np.float64]:
+def times_s(rate_hz: float = RATE_HZ, lasts_s: float = _LASTS_S) -> NDArray[np.float64]:
     """(T,) of a trial."""
-    return np.arange(round(_LASTS_S * rate_hz)) / rate_hz
+    return np.arange(round(lasts_s * rate_hz)) / rate_hz
 
 
 def swing(
-    name: str, gripper_m: NDArray[np.float64], angle_rad: NDArray[np.float64], seed: int
+    name: str,
+    gripper_m: NDArray[np.float64],
+    angle_rad: NDArray[np.float64],
+    seed: int,
+    t_s: NDArray[np.float64] | None = None,
+    noise_m: float = _NOISE_M,
 ) -> Swing:
-    """A cable that keeps its length, hangs bent at rest and rings after the motion; with noise."""
-    t_s = times_s()
+    """A cable that keeps its length, hangs bent at rest and rings after the motion; with noise.
+
+    t_s  None = `times_s()`
+    """
+    t_s = times_s() if t_s is None else t_s
     after_s = np.clip(t_s - BEGINS_S - 0.05, 0.0, None)
     curl = 9.0 - 4.0 * np.exp(-2.0 * after_s) * np.sin(2 * np.pi * 4.0 * after_s)
     fine = np.linspace(0.0, LENGTH_M, 501)
@@ -70,7 +78,7 @@ def swing(
     middle = 0.5 * (steps[:, 1:] + steps[:, :-1]) * (fine[1] - fine[0])
     along = np.concatenate([np.zeros((len(t_s), 1, 2)), np.cumsum(middle, axis=1)], axis=1)
     at = np.searchsorted(fine, ARCS_M - 1e-9)
-    noise = np.random.default_rng(seed).normal(0.0, _NOISE_M, (len(t_s), len(ARCS_M), 2))
+    noise = np.random.default_rng(seed).normal(0.0, noise_m, (len(t_s), len(ARCS_M), 2))
     return Swing(
         name, t_s, gripper_m, angle_rad, np.round(gripper_m[:, None] + along[:, at] + noise, 8)
     )

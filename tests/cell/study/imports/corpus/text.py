@@ -31,6 +31,20 @@ def lines(rows: Sequence[Sequence[object]], separator: str = ",") -> str:
     return "\n".join(separator.join(map(str, row)) for row in rows) + "\n"
 
 
+def framed(
+    s: Swing, values: Sequence[Sequence[str]], first: int = 0, step: int = 1, decimals: int = 6
+) -> list[list[str]]:
+    """Rows behind the number of their frame and its time."""
+    each = zip(s.t_s, values, strict=True)
+    return [[str(first + k * step), f"{t:.{decimals}f}", *v] for k, (t, v) in enumerate(each)]
+
+
+def saved(file: Path, text: str, newline: str | None = None) -> Path:
+    """The file, written."""
+    file.write_text(text, newline=newline)
+    return file
+
+
 def plane(s: Swing, *, up: float = 1.0, unit_m: float = 1e-3) -> dict[str, Floats]:
     """(T, 2) of all points in a picture; up = -1: y counts downwards."""
     places = dict(
@@ -140,10 +154,7 @@ def motive(s: Swing, folder: Path, **options: Any) -> Path:
     columns = _motive_columns(s, export)
     values = cells(np.column_stack([c[5] for c in columns]), 8)
     step = round(export.capture_hz / RATE_HZ)
-    rows = [
-        [str(k * step), f"{t:.6f}", *row]
-        for k, (t, row) in enumerate(zip(s.t_s, values, strict=True))
-    ]
+    rows = framed(s, values, 0, step)
     said = f"Format Version,{export.version},Take Name,{s.name},Take Notes,,Capture Frame Rate,"
     said += f"{export.capture_hz:.6f},Export Frame Rate,{RATE_HZ:.6f},Capture Start Time,"
     said += "2026-05-04 02.11.10.123 PM,Capture Start Frame,0,Total Frames in Take,"
@@ -152,9 +163,9 @@ def motive(s: Swing, folder: Path, **options: Any) -> Path:
     head = [["", "Type", *(c[0] for c in columns)], ["", "Name", *(c[1] for c in columns)]]
     head += [["", "ID", *(c[2] for c in columns)], ["", "", *(c[3] for c in columns)]]
     head += [["Frame", "Time (Seconds)", *(c[4] for c in columns)]]
-    file = folder / f"{s.name}.csv"
-    file.write_text(said + lines([*head, *rows]) if export.header else lines(rows))
-    return file
+    return saved(
+        folder / f"{s.name}.csv", said + lines([*head, *rows]) if export.header else lines(rows)
+    )
 
 
 def _section(name: str, names: Sequence[str], axes: str, units: str, values: Floats,
@@ -188,9 +199,7 @@ def nexus(
             np.random.default_rng(4).normal(20.0, 1.0, (len(s.t_s), 3)), first),
     }  # fmt: skip
     text = "".join(made[name]() for name in sections)
-    file = folder / f"{s.name}.csv"
-    file.write_text(text.replace(",", ";") if semicolons else text)
-    return file
+    return saved(folder / f"{s.name}.csv", text.replace(",", ";") if semicolons else text)
 
 
 def vicon_tracker(s: Swing, folder: Path) -> Path:
@@ -203,9 +212,7 @@ def vicon_tracker(s: Swing, folder: Path) -> Path:
     )])  # fmt: skip
     names = ["Gripper:Gripper", *(f"{n}:{n}" for n in MARKERS)]
     text = _section("Objects", names, "RX RY RZ TX TY TZ", "deg deg deg mm mm mm", values, 1)
-    file = folder / f"{s.name}.csv"
-    file.write_text(text)
-    return file
+    return saved(folder / f"{s.name}.csv", text)
 
 
 @dataclass(frozen=True)
@@ -242,11 +249,8 @@ def qtm(s: Swing, folder: Path, shown: Sequence[str] = POINTS, **options: Any) -
     titles += [f"{n} {a}" for n in shown for a in "XYZ"]
     head += ["\t".join(titles)] if export.names else []
     values = cells(np.hstack([places[n] for n in shown]), 5, export.lost)
-    counts = [[str(k + 1), f"{t:.5f}"] if export.counted else [] for k, t in enumerate(s.t_s)]
-    text = lines([[*c, *v] for c, v in zip(counts, values, strict=True)], "\t")
-    file = folder / f"{s.name}.tsv"
-    file.write_text("\n".join(head) + "\n" + text, newline="\r\n")
-    return file
+    text = lines(framed(s, values, 1, decimals=5) if export.counted else values, "\t")
+    return saved(folder / f"{s.name}.tsv", "\n".join(head) + "\n" + text, newline="\r\n")
 
 
 def qtm_bodies(s: Swing, folder: Path) -> tuple[Path, Path]:
@@ -260,13 +264,10 @@ def qtm_bodies(s: Swing, folder: Path) -> tuple[Path, Path]:
     names = ["X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{i}]" for i in range(9))]
     head = [*_qtm_head(s, len(MARKERS)), "DATA_INCLUDED\t6D", "BODY_NAMES\tgripper"]
     head += ["\t".join(["Frame", "Time", *(f"gripper {n}" for n in names)])]
-    rows = [
-        [str(k + 1), f"{t:.5f}", *v]
-        for k, (t, v) in enumerate(zip(s.t_s, cells(values, 7), strict=True))
-    ]
-    file = folder / f"{s.name}_6D.tsv"
-    file.write_text("\n".join(head) + "\n" + lines(rows, "\t"), newline="\r\n")
-    return qtm(s, folder, MARKERS), file
+    rows = framed(s, cells(values, 7), 1, decimals=5)
+    return qtm(s, folder, MARKERS), saved(
+        folder / f"{s.name}_6D.tsv", "\n".join(head) + "\n" + lines(rows, "\t"), newline="\r\n"
+    )
 
 
 def trc(
@@ -283,15 +284,12 @@ def trc(
     head = f"PathFileType\t4\t(X/Y/Z)\t{s.name}.trc\n" + lines([names, said], "\t")
     head += "Frame#\tTime\t" + "\t\t\t".join(POINTS) + "\t\t\n"
     head += "\t\t" + "\t".join(f"{a}{i + 1}" for i in range(len(POINTS)) for a in "XYZ") + "\n\n"
-    rows = [
-        "\t".join([str(k + first), f"{t:.6f}", *row])
-        for k, (t, row) in enumerate(
-            zip(s.t_s, cells(np.hstack([places[n] for n in POINTS]), 8), strict=True)
-        )
-    ]
-    file = folder / f"{s.name}.trc"
-    file.write_text(head + "\n".join(row.rstrip("\t") if cut else row for row in rows) + "\n")
-    return file
+    values = cells(np.hstack([places[n] for n in POINTS]), 8)
+    rows = ["\t".join(row) for row in framed(s, values, first)]
+    return saved(
+        folder / f"{s.name}.trc",
+        head + "\n".join(row.rstrip("\t") if cut else row for row in rows) + "\n",
+    )
 
 
 def storage(s: Swing, folder: Path) -> Path:
@@ -302,9 +300,7 @@ def storage(s: Swing, folder: Path) -> Path:
                         np.degrees(s.angle_rad)[:, None]])  # fmt: skip
     head = f"{s.name}\nversion=1\nnRows={len(values)}\nnColumns={values.shape[1]}\ninDegrees=yes\n"
     head += "endheader\n" + "\t".join(["time", *names, "gripper_angle"]) + "\n"
-    file = folder / f"{s.name}.sto"
-    file.write_text(head + lines(cells(values, 8), "\t"))
-    return file
+    return saved(folder / f"{s.name}.sto", head + lines(cells(values, 8), "\t"))
 
 
 def kinovea(s: Swing, folder: Path, *, form: str) -> Path:
@@ -317,9 +313,7 @@ def kinovea(s: Swing, folder: Path, *, form: str) -> Path:
     if form == "csv":
         titles = ["Time", *(f"{n} {a} (cm)" for n in POINTS for a in "XY")]
     values = np.hstack([time[:, None], *(at[n] for n in POINTS)])
-    file = folder / f"{s.name}.csv"
-    file.write_text(lines([titles, *cells(values, 7, mark=mark)], separator))
-    return file
+    return saved(folder / f"{s.name}.csv", lines([titles, *cells(values, 7, mark=mark)], separator))
 
 
 def kinovea_text(s: Swing, folder: Path) -> Path:
@@ -329,9 +323,7 @@ def kinovea_text(s: Swing, folder: Path) -> Path:
         stamps = [f"0:00:{t:06.3f}" for t in s.t_s]
         rows = [[t, *row] for t, row in zip(stamps, cells(at, 6), strict=True)]
         blocks.append(f"# {name}\n" + lines(rows, " ") + "\n")
-    file = folder / f"{s.name}.txt"
-    file.write_text("\n".join(blocks))
-    return file
+    return saved(folder / f"{s.name}.txt", "\n".join(blocks))
 
 
 def tracker(s: Swing, folder: Path, *, mark: str = ".", separator: str = "\t") -> Path:
@@ -340,9 +332,7 @@ def tracker(s: Swing, folder: Path, *, mark: str = ".", separator: str = "\t") -
     values = np.hstack([s.t_s[:, None], *(at[n] for n in POINTS)])
     rows = [["" if v != v else f"{v:.9E}".replace(".", mark) for v in row] for row in values]
     head = [["", *(c for n in POINTS for c in (n, ""))], ["t", *["x", "y"] * len(POINTS)]]
-    file = folder / f"{s.name}.txt"
-    file.write_text(lines([*head, *rows], separator))
-    return file
+    return saved(folder / f"{s.name}.txt", lines([*head, *rows], separator))
 
 
 def likelihood(s: Swing) -> tuple[Floats, Floats]:
@@ -362,9 +352,7 @@ def deeplabcut(s: Swing, folder: Path) -> Path:
     head += [["coords", *["x", "y", "likelihood"] * len(POINTS)]]
     values = np.concatenate([pixels, found[:, :, None]], axis=2).reshape(len(s.t_s), -1)
     rows = [[str(k), *row] for k, row in enumerate(cells(values, 7))]
-    file = folder / f"{s.name}DLC.csv"
-    file.write_text(lines([*head, *rows]))
-    return file
+    return saved(folder / f"{s.name}DLC.csv", lines([*head, *rows]))
 
 
 def sleap(s: Swing, folder: Path, *, track: str = "") -> Path:
@@ -379,9 +367,7 @@ def sleap(s: Swing, folder: Path, *, track: str = "") -> Path:
         [track, str(k), "0.98", *row]
         for k, row in enumerate(cells(values.reshape(len(s.t_s), -1), 7))
     ]
-    file = folder / f"{s.name}.csv"
-    file.write_text(lines([head, *rows]))
-    return file
+    return saved(folder / f"{s.name}.csv", lines([head, *rows]))
 
 
 def phasespace(s: Swing, folder: Path) -> Path:
@@ -394,13 +380,8 @@ def phasespace(s: Swing, folder: Path) -> Path:
         condition = np.where(np.isnan(places[name][:, :1]), -1.0, 4.2)
         blocks += [condition, np.nan_to_num(places[name])]
     values = np.hstack(blocks)
-    rows = [
-        [str(k), f"{t:.6f}", *row]
-        for k, (t, row) in enumerate(zip(s.t_s, cells(values, 6), strict=True))
-    ]
-    file = folder / f"{s.name}.csv"
-    file.write_text(lines([titles, *rows]))
-    return file
+    rows = framed(s, cells(values, 6))
+    return saved(folder / f"{s.name}.csv", lines([titles, *rows]))
 
 
 def first_principles(s: Swing, folder: Path) -> Path:
@@ -409,9 +390,9 @@ def first_principles(s: Swing, folder: Path) -> Path:
     head = [["Number of frames:", str(len(s.t_s))], ["Frequency:", f"{RATE_HZ:.0f}"]]
     head += [["Units:", "mm"], [""], ["Frame", *(f"{n} {a}" for n in POINTS for a in "xyz")]]
     values = cells(np.hstack([places[n] for n in POINTS]), 6, "MISSING")
-    file = folder / f"{s.name}.csv"
-    file.write_text(lines([*head, *([str(k + 1), *v] for k, v in enumerate(values))]))
-    return file
+    return saved(
+        folder / f"{s.name}.csv", lines([*head, *([str(k + 1), *v] for k, v in enumerate(values))])
+    )
 
 
 def plotjuggler(s: Swing, folder: Path) -> Path:
@@ -424,6 +405,7 @@ def plotjuggler(s: Swing, folder: Path) -> Path:
             columns[f"/{name}/pose/position/{axis}"] = places[name][:, k]
     for axis, values in zip("xyzw", (x, y, z, w), strict=True):
         columns[f"/gripper/pose/orientation/{axis}"] = values
-    file = folder / f"{s.name}.csv"
-    file.write_text(lines([list(columns), *cells(np.column_stack(list(columns.values())), 9)]))
-    return file
+    return saved(
+        folder / f"{s.name}.csv",
+        lines([list(columns), *cells(np.column_stack(list(columns.values())), 9)]),
+    )

@@ -1,1 +1,0 @@
-"""One module per change, each on top of the one before."""

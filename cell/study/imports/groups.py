@@ -1,0 +1,209 @@
+"""Groups of arrays: trials within one file with their grippers, and names that texts give them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.study.imports.capture import CapturedColumn
+from cell.study.imports.column_names import ColumnKind, meaning
+from cell.study.imports.contents import HAND
+from cell.study.imports.units import unit_of
+
+#: Arrays by their path within a file, the outermost name first.
+Tree = dict[tuple[str, ...], NDArray[Any]]
+
+#: Stands between a file and the part of it that is read, and between the names of the part.
+PART, WITHIN = "#", "."
+
+
+@dataclass(frozen=True)
+class FilePart:
+    """A trial within a file.
+
+    markers, gripper  names of the parts with these; an empty gripper = it is with the markers
+    """
+
+    name: str
+    markers: str
+    gripper: str = ""
+
+
+def split_part(path: Path) -> tuple[Path, str]:
+    """A file that is there, and the part of it behind `#`; empty = all of it."""
+    whole, mark, part = path.name.partition(PART)
+    if not (mark and whole and part) or path.exists() or not path.with_name(whole).is_file():
+        return path, ""
+    return path.with_name(whole), part
+
+
+def with_part(path: Path, part: str) -> Path:
+    """The path of a part of a file."""
+    return path.with_name(f"{path.name}{PART}{part}") if part else path
+
+
+def time_groups(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:
+    """Groups that hold a series of times."""
+    found = [
+        key[:-1]
+        for key, values in tree.items()
+        if values.dtype.kind in "fiu"
+        and np.squeeze(values).ndim == 1
+        and meaning(CapturedColumn(key[-1])).kind is ColumnKind.TIME
+    ]
+    return list(dict.fromkeys(found))
+
+
+def within(tree: Tree, group: tuple[str, ...]) -> Tree:
+    """What a group holds, by its own names, with the single values and words of those around it.
+
+    Of groups within it that have their own times nothing is taken; a gripper's keeps its name.
+    """
+    groups = time_groups(tree)
+    inner = [g for g in groups if g != group and g[: len(group)] == group]
+    hand = [name for name in group[-1:] if HAND & _words((name,))]
+    own = {
+        (*hand, *key[len(group) :]): values
+        for key, values in tree.items()
+        if key[: len(group)] == group and not any(key[: len(g)] == g for g in inner)
+    }
+    common = {
+        key[-1:]: values
+        for key, values in tree.items()
+        if len(key) <= len(group) and key[:-1] == group[: len(key) - 1] and _is_remark(values)
+    }
+    return common | own
+
+
+def _is_remark(values: NDArray[Any]) -> bool:
+    """Whether an array is a single value, or words."""
+    return np.squeeze(values).ndim == 0 or values.dtype.kind in "OUS"
+
+
+def trials_in(tree: Tree, shows_points: Callable[[tuple[str, ...]], bool]) -> list[FilePart] | None:
+    """The trials of a file whose groups have several times; empty = it is one; None = it cannot
+    be told which group is what.
+
+    shows_points  whether a group holds points
+    """
+    groups = time_groups(tree)
+    if len(groups) < 2:
+        return []
+    common = frozenset.intersection(*(_words(g) for g in groups))
+    hands = [g for g in groups if HAND & (_words(g) - common)]
+    markers = [g for g in groups if g not in hands and shows_points(g)]
+    if not markers or len({_structure(tree, g) for g in markers}) > 1:
+        return None
+    grippers = _pairs(markers, hands)
+    if grippers is None:
+        return None
+    return [
+        FilePart(_name(m, markers), WITHIN.join(m), WITHIN.join(g))
+        for m, g in zip(markers, grippers, strict=True)
+    ]
+
+
+def group_of(tree: Tree, part: str) -> tuple[str, ...] | None:
+    """The group that a part names; None = there is none."""
+    return next((g for g in time_groups(tree) if WITHIN.join(g) == part), None)
+
+
+def _pairs(
+    markers: Sequence[tuple[str, ...]], hands: Sequence[tuple[str, ...]]
+) -> list[tuple[str, ...]] | None:
+    """The gripper's group of each of the markers', by the names that both have; None = they do
+    not pair."""
+    if not hands:
+        return [()] * len(markers)
+    if len(markers) == len(hands) == 1:
+        return list(hands)
+    found: list[tuple[str, ...]] = []
+    for group in markers:
+        fitting = [h for h in hands if _words(h) - HAND <= _words(group)]
+        if len(fitting) != 1 or fitting[0] in found:
+            return None
+        found += fitting
+    return found if len(found) == len(hands) else None
+
+
+def _structure(tree: Tree, group: tuple[str, ...]) -> frozenset[tuple[tuple[str, ...], int]]:
+    """Names and dimensions of a group's series."""
+    found = ((key, np.squeeze(values)) for key, values in within(tree, group).items())
+    return frozenset((key, v.ndim) for key, v in found if v.ndim and v.dtype.kind in "fiub")
+
+
+def _name(group: tuple[str, ...], groups: Sequence[tuple[str, ...]]) -> str:
+    """Names of a group that others do not have; those of all, if it is alone."""
+    if len(groups) < 2:
+        return ""
+    common = set.intersection(*(set(g) for g in groups))
+    return "_".join(name for name in group if name not in common)
+
+
+def _words(group: tuple[str, ...]) -> frozenset[str]:
+    """Words of a group's names, in small letters."""
+    return frozenset(w for name in group for w in re.split(r"[\W_]+", name.lower()) if w)
+
+
+#: Names of arrays of text that name the points of another one.
+LABELS = re.compile(r"labels?|(node|marker|point|body|column)_?names?|names?|columns|keypoints")
+_BRACKETED = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*)[\])]\s*$")
+_BETWEEN = re.compile(r"[\s,;]+")
+
+#: Texts by the path of their array within a file.
+Words = Mapping[tuple[str, ...], Sequence[str]]
+
+
+def labels(key: tuple[str, ...], shape: Sequence[int], words: Words) -> Sequence[str] | None:
+    """Names of points, or of columns, that stand in the same group as an array; None = none do."""
+    texts = {k[-1]: found for k, found in words.items() if k[:-1] == key[:-1]}
+    if (told := _described(key[-1], shape, texts)) is not None:
+        return told
+    for name, found in texts.items():
+        if not LABELS.fullmatch(name.lower()):
+            continue
+        if len(found) == 1 and len(shape) > 1 and (several := _in_one(found[0], shape[1])):
+            return several
+        if len(found) in shape or (len(found) == 1 and len(shape) > 1):
+            return found
+    return None
+
+
+def _in_one(text: str, count: int) -> list[str] | None:
+    """So many names in one text, with their units: `x y pitch [m m rad]`, `x, y [mm]`."""
+    if count < 2:
+        return None
+    units: list[str] = []
+    if bracketed := _BRACKETED.match(text):
+        units = [unit_of(word) for word in _BETWEEN.split(bracketed[2]) if word]
+    known = bool(units) and all(units) and len(units) in (1, count)
+    bare = bracketed[1] if bracketed and known else text
+    names = [word for word in _BETWEEN.split(bare) if word]
+    if len(names) != count:
+        return None
+    units = units * count if len(units) == 1 else units
+    return [f"{n} [{u}]" for n, u in zip(names, units, strict=True)] if known else names
+
+
+def _described(
+    name: str, shape: Sequence[int], texts: Mapping[str, Sequence[str]]
+) -> list[str] | None:
+    """Names of columns in a sentence such as `grip = [x y theta], theta in deg`."""
+    listed = re.compile(rf"(?<!\w){re.escape(name)}\s*[:=]\s*[\[({{]([^\])}}]*)[\])}}]")
+    for found in texts.values():
+        text = found[0] if len(found) == 1 else ""
+        if len(shape) != 2 or not (match := listed.search(text)):
+            continue
+        names = [word for word in _BETWEEN.split(match[1]) if word]
+        if len(names) != shape[1]:
+            continue
+        of_each = {n: re.search(rf"(?<!\w){re.escape(n)}\s+in\s+([^\s,;.]+)", text) for n in names}
+        units = {n: unit_of(said[1]) for n, said in of_each.items() if said}
+        return [f"{n} [{units[n]}]" if units.get(n) else n for n in names]
+    return None

@@ -1,0 +1,100 @@
+"""What remarks above a table state in their text, and units that stand in its cells."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from cell.files.input_error import InputError
+from cell.study.imports.capture import CapturedColumn, Decimal, is_number
+from cell.study.imports.text_rows import Row
+from cell.study.imports.units import METRES, RADIANS, SECONDS, unit_of
+
+_Lines = Sequence[tuple[int, tuple[str, ...]]]
+
+_VALUE = r"(\d+(?:\.\d+)?(?:e[-+]?\d+)?)"
+_RATES = (
+    re.compile(rf"\b(?:fps|frame[ _]?rate|sampl(?:e|ing)[ _]?rate)\s*[:=]\s*{_VALUE}", re.I),
+    re.compile(rf"{_VALUE}\s*(?:fps|frames?/s|frames? per second)\b", re.I),
+)
+_UNITS = re.compile(r"\b(?:length )?units?\s*[:=]\s*([^\W\d]+)", re.I)
+_LONG = r"(mm|cm|µm|um|m)"
+_PIXELS = (
+    re.compile(rf"\b{_LONG}[ _]?(?:per|/)[ _]?(?:px|pixels?)\s*[:=]\s*{_VALUE}", re.I),
+    re.compile(rf"{_VALUE}\s*{_LONG}\s*(?:per|/)\s*(?:px|pixel)\b", re.I),
+    re.compile(rf"\b1\s*(?:px|pixel)\s*=\s*{_VALUE}\s*{_LONG}\b", re.I),
+    re.compile(rf"\b(?:px|pixels?)[ _]?(?:per|/)[ _]?{_LONG}\s*[:=]\s*{_VALUE}", re.I),
+)
+
+
+def _texts(rows: _Lines) -> list[tuple[int, str]]:
+    """Lines that say something in an only cell, or `key=value`."""
+    return [(line, ", ".join(c for c in cells if c.strip())) for line, cells in rows]
+
+
+def stated_in_remarks(rows: _Lines) -> tuple[float | None, str]:
+    """Rate and unit of length within the text of remarks, if they state one each."""
+    texts = [text for _, text in _texts(rows)]
+    rates = {float(found[1]) for text in texts for form in _RATES for found in form.finditer(text)}
+    rates.discard(0.0)
+    units = {unit_of(found[1]) for text in texts for found in _UNITS.finditer(text)} & set(METRES)
+    return (rates.pop() if len(rates) == 1 else None), (units.pop() if len(units) == 1 else "")
+
+
+def stated_pixel_m(path: Path, rows: _Lines) -> float | None:
+    """Length of a pixel, m, that remarks state.  Raises InputError: they state two."""
+    sizes: dict[float, int] = {}
+    for line, text in _texts(rows):
+        for form in _PIXELS:
+            for found in form.finditer(text):
+                one, two = found[1], found[2]
+                value, unit = (two, one) if unit_of(one) else (one, two)
+                if (size := float(value)) > 0.0:
+                    size = 1.0 / size if form is _PIXELS[-1] else size
+                    sizes.setdefault(size * METRES[unit_of(unit)], line)
+    if len(sizes) > 1:
+        first, second = list(sizes)[:2]
+        message = f"a pixel is {first * 1e3:g} mm long here and {second * 1e3:g} mm in line "
+        message += f"{sizes[second]}; leave the right one"
+        raise InputError.at(path, message, line=sizes[first])
+    return next(iter(sizes), None)
+
+
+#: A number with its unit in one cell.
+_WITH_UNIT = re.compile(r"([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([^\W\d_]+|°)")
+
+
+def without_units(
+    path: Path, table: Sequence[Row], stated: Sequence[CapturedColumn], decimal: Decimal
+) -> tuple[list[Row], tuple[CapturedColumn, ...]]:
+    """Rows without units in their cells, `0.004 sec`, which become those of the columns.
+
+    raises  InputError: a cell has another unit than its column
+    """
+    columns, rows = list(stated), list(table)
+    for index, column in enumerate(columns):
+        first = _unit_behind(rows[0].cells[index], decimal)
+        if not first:
+            continue
+        told = {unit: row for row in rows[::-1]
+                if (unit := _unit_behind(row.cells[index], decimal))}  # fmt: skip
+        own = column.unit or first
+        other = next((unit for unit in told if unit != own), None)
+        if other is not None:
+            message = f"is in {other}, the column in {own}; give one unit"
+            raise InputError.at(path, message, line=told[other].line, key=column.name)
+        columns[index] = replace(column, unit=own)
+        for i, row in enumerate(rows):
+            if found := _WITH_UNIT.fullmatch(row.cells[index].strip()):
+                cells = (*row.cells[:index], found[1], *row.cells[index + 1 :])
+                rows[i] = Row(row.line, cells)
+    return rows, tuple(columns)
+
+
+def _unit_behind(cell: str, decimal: Decimal) -> str:
+    """The unit behind a number; empty = there is none."""
+    found = _WITH_UNIT.fullmatch(cell.strip())
+    unit = unit_of(found[2]) if found and is_number(found[1], decimal) else ""
+    return unit if unit in (*METRES, *SECONDS, *RADIANS) else ""

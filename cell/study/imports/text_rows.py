@@ -1,0 +1,172 @@
+"""Rows of cells of a text, without what programs write into a table that is none of its numbers."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cell.files.input_error import InputError
+from cell.study.imports.capture import NOT_SEEN, Decimal, is_number
+
+#: What begins a remark.
+REMARKS = ("#", "%", "//")
+#: Fewer rows are no table.
+_FEWEST_ROWS = 3
+#: When a serial monitor received a line, which stands before the line itself.
+_RECEIVED = re.compile(r"^\[?\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?\]? ?(?:->|>|\t) ?")
+#: Lines of a text that begin so, at least.
+_MOST_RECEIVED = 0.9
+#: A table whose rows are series has so many times more columns than rows, at least.
+_LIES = 2
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line's number, counted from 1, and its cells."""
+
+    line: int
+    cells: tuple[str, ...]
+
+    @property
+    def blank(self) -> bool:
+        """Whether nothing stands there."""
+        return not any(cell.strip() for cell in self.cells)
+
+    def is_data(self, decimal: Decimal) -> bool:
+        """Whether it holds a number, and at least as many numbers as other words."""
+        return is_data(self.cells, decimal)
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """Cells of a line; none where it is no CSV."""
+    if separator == " ":
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:
+        return []
+
+
+def split_lines(path: Path, lines: Sequence[str], separator: str) -> list[Row]:
+    """Rows of cells.  Raises InputError: a line is no CSV."""
+    if separator == " ":
+        return _between_blanks(lines)
+    reader = csv.reader(lines, delimiter=separator)
+    try:
+        return [Row(reader.line_num, tuple(cells)) for cells in reader]
+    except csv.Error as error:
+        message = f"is no table: {error}; write plain numbers between {separator!r}"
+        raise InputError.at(path, message, line=reader.line_num) from error
+
+
+def _between_blanks(lines: Sequence[str]) -> list[Row]:
+    """Rows of cells between blanks; names with single blanks stand between two at least."""
+    each = [line.split() for line in lines]
+    usual = Counter(len(cells) for cells in each if cells).most_common(1)
+    width = usual[0][0] if usual else 0
+    for i, line in enumerate(lines):
+        wide = re.split(r"\s{2,}|\t", line.strip()) if len(each[i]) > width else []
+        if len(wide) == width:
+            each[i] = wide
+    return [Row(i, tuple(cells)) for i, cells in enumerate(each, 1)]
+
+
+def is_data(cells: Sequence[str], decimal: Decimal) -> bool:
+    """As `Row.is_data`, of some cells."""
+    filled = [c for c in cells if c.strip().lower() not in NOT_SEEN]
+    return bool(filled) and 2 * sum(is_number(c, decimal) for c in filled) >= len(filled)
+
+
+def without_reception(path: Path, text: str) -> tuple[str, list[str]]:
+    """A serial monitor's text without the times of reception before its lines; and a note."""
+    lines = text.splitlines()
+    filled = [line for line in lines if line.strip()]
+    begun = sum(_RECEIVED.match(line) is not None for line in filled)
+    if not filled or begun < _MOST_RECEIVED * len(filled):
+        return text, []
+    note = f"{path}: the time at which a line was received stands before it; it is not read"
+    return "\n".join(_RECEIVED.sub("", line) for line in lines), [note]
+
+
+def upright(path: Path, rows: Sequence[Row], decimal: Decimal) -> tuple[list[Row], list[str]]:
+    """Rows of a table whose lines are series, each behind its name, as columns; and a note."""
+    filled = [row for row in rows if not row.blank]
+    widths = {len(row.cells) for row in filled}
+    lies = len(widths) == 1 and max(widths) >= _LIES * len(filled) > _LIES
+    named = lies and all(
+        row.cells[0].strip() and not is_number(row.cells[0], decimal) for row in filled
+    )
+    if not named or not all(is_data(row.cells[1:], decimal) for row in filled):
+        return list(rows), []
+    note = f"{path}: its lines are series, each behind its name; they are read as columns"
+    columns = zip(*(row.cells for row in filled), strict=True)
+    return [Row(filled[0].line, cells) for cells in columns], [note]
+
+
+def without_repeats(
+    path: Path, rows: Sequence[Row], decimal: Decimal
+) -> tuple[list[Row], list[str]]:
+    """Rows without remarks within the table, and lines that stand above it too; and a note."""
+    data = [row.is_data(decimal) for row in rows]
+    first = data.index(True) if True in data else len(rows)
+    above = {row.cells for row in rows[:first] if not row.blank}
+    kept: list[Row] = []
+    again: list[int] = []
+    for i, row in enumerate(rows):
+        within = i > first and not data[i] and not row.blank and not kept[-1].blank
+        if within and (row.cells in above or row.cells[0].lstrip().startswith(REMARKS)):
+            again.append(row.line)
+        else:
+            kept.append(row)
+    if not again:
+        return kept, []
+    lines = ", ".join(map(str, again[:5])) + (" …" if len(again) > 5 else "")
+    note = f"{path}:{again[0]}: names of columns or remarks stand within the table, in line {lines}"
+    return kept, [f"{note}; they are left out"]
+
+
+def without_summary(
+    path: Path, rows: Sequence[Row], decimal: Decimal
+) -> tuple[list[Row], list[str]]:
+    """Rows of a table without what stands below its numbers: words, or means behind a word."""
+    last = len(rows)
+    while last > 1 and not goes_on(rows[last - 1], rows[0], decimal):
+        last -= 1
+    if last == len(rows) or last < _FEWEST_ROWS:
+        return list(rows), []
+    note = f"{path}:{rows[last].line}: the table ends here, for no row of numbers follows"
+    return list(rows[:last]), [f"{note}; the rest is not read"]
+
+
+def goes_on(row: Row, first: Row, decimal: Decimal) -> bool:
+    """Whether a row is one of numbers, with a number where the first row begins with one."""
+    begins = next((i for i, c in enumerate(first.cells) if c.strip()), 0)
+    cell = row.cells[begins].strip() if begins < len(row.cells) else ""
+    word = not is_number(cell, decimal) and not re.search(r"\d", cell) and bool(cell)
+    return row.is_data(decimal) and not (word and is_number(first.cells[begins], decimal))
+
+
+def without_comments(
+    path: Path, rows: Sequence[Row], decimal: Decimal
+) -> tuple[list[Row], list[str]]:
+    """Rows without words behind the last column of numbers, which few lines have; and a note."""
+    data = [row for row in rows if row.is_data(decimal)]
+    usual = Counter(len(row.cells) for row in data).most_common(1)
+    width = usual[0][0] if usual else 0
+    longer = [row for row in data if len(row.cells) > width]
+    if width < 2 or not longer:
+        return list(rows), []
+    if any(is_number(cell, decimal) for row in longer for cell in row.cells[width:]):
+        return list(rows), []
+    widest = max(len(row.cells) for row in longer)
+    cut = [
+        Row(row.line, row.cells[:width]) if width < len(row.cells) <= widest else row
+        for row in rows
+    ]
+    shown = next((c.strip() for row in longer for c in row.cells[width:] if c.strip()), "")
+    note = f"{path}:{longer[0].line}: words behind the last number, such as {shown!r}"
+    return cut, [f"{note}, are not read"] if shown else []

@@ -1,0 +1,143 @@
+"""Several trials, or a trial and its gripper, in one file of arrays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.files.input_error import InputError
+from cell.study.data import Study
+from cell.study.imports.read import read_capture
+
+from .corpus.others import line_protocol
+from .corpus.swing import LENGTH_M, Swing, known_study
+from .made import check_same, run
+from .test_corpus import study_from
+
+PLACE_M = 1e-6
+
+
+def _study(file: Path) -> tuple[Study, str]:
+    return study_from([(file, None)], file.parent / "study", {}, {})
+
+
+def _hand_log(s: Swing, start_s: float = -0.2, rate_hz: float = 500.0) -> dict[str, Any]:
+    """A gripper on the markers' clock, at a rate of its own."""
+    t_s = start_s + np.arange(round(2.0 * rate_hz)) / rate_hz
+    x_m, y_m = (np.interp(t_s, s.t_s, v) for v in s.gripper_m.T)
+    return {"t_ms": t_s * 1e3, "x_m": x_m, "y_m": y_m,
+            "angle_rad": np.interp(t_s, s.t_s, s.angle_rad)}  # fmt: skip
+
+
+@pytest.mark.parametrize("camera, robot", [("camera", "gripper"), ("cable", "hand")])
+def test_groups_of_equal_structure_are_trials_with_their_grippers(
+    tmp_path: Path, camera: str, robot: str
+) -> None:
+    import h5py
+
+    truth = known_study()
+    file = tmp_path / "session.h5"
+    with h5py.File(file, "w") as store:
+        for number, s in enumerate(truth, 1):
+            store[f"trial_{number}/{camera}/t_ms"] = s.t_s * 1e3
+            store[f"trial_{number}/{camera}/markers"] = s.markers_m
+            store[f"trial_{number}/{camera}/markers"].attrs["unit"] = "m"
+            for name, values in _hand_log(s).items():
+                store[f"trial_{number}/{robot}/{name}"] = values
+    study, _ = _study(file)
+    assert [t.name for t in study.trials] == ["trial_1", "trial_2"]
+    check_same(study, *truth, place_m=2e-4, angle_rad=1e-3)
+
+
+def test_what_attributes_state_of_the_cable_is_taken_and_not_contradicted(tmp_path: Path) -> None:
+    import h5py
+
+    file = tmp_path / "session.h5"
+    with h5py.File(file, "w") as store:
+        store.attrs["free_length_m"] = LENGTH_M
+        store.attrs["line_density_kg_per_m"] = 0.0074
+        store.attrs["diameter_m"] = 0.004
+        for number, s in enumerate(known_study(), 1):
+            store[f"swing{number}/time_s"] = s.t_s
+            store[f"swing{number}/gripper_m"] = s.gripper_m
+            store[f"swing{number}/angle_rad"] = s.angle_rad
+            store[f"swing{number}/markers_m"] = s.markers_m
+    run(file, "-o", tmp_path / "study")
+    run(tmp_path / "study" / "import.yaml")
+    said = run(file, "-o", tmp_path / "other", "--free-length", "0.15", code=2)
+    assert "free_length_m 0.1" in said and "0.15" in said
+
+
+def test_an_array_of_structures_is_a_trial_each_and_a_sentence_names_columns(
+    tmp_path: Path,
+) -> None:
+    from scipy.io import savemat
+
+    truth = known_study()
+    kinds = [(n, object) for n in ("name", "t", "P", "grip", "unit", "note")]
+    swings = np.empty(len(truth), dtype=kinds)
+    for i, s in enumerate(truth):
+        grip = np.column_stack([s.gripper_m * 1e3, np.rad2deg(s.angle_rad)])
+        swings[i] = (s.name, s.t_s, s.markers_m * 1e3, grip, "mm",
+                     "grip = [x y theta], theta in deg; y up")  # fmt: skip
+    file = tmp_path / "swings.mat"
+    savemat(file, {"swing": swings, "fs": 200.0})
+    study, _ = _study(file)
+    assert [t.name for t in study.trials] == ["down", "turning"]
+    check_same(study, *truth, place_m=PLACE_M)
+
+
+def test_places_that_a_faster_program_holds_are_measured_once(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    s = known_study()[1]
+    held = np.repeat(s.markers_m.reshape(len(s.t_s), -1), 5, axis=0)
+    t_s = np.arange(len(held)) / 1000.0
+    hand = np.column_stack([*(np.interp(t_s, s.t_s, v) for v in (*s.gripper_m.T, s.angle_rad))])
+    names = " ".join(f"x{k} z{k}" for k in range(1, 6))
+    file = tmp_path / "simout.mat"
+    savemat(file, {
+        "cable_xz": {"time": t_s, "signals": {"values": held, "label": f"{names} [m]"}},
+        "hand": {"time": t_s, "signals": {"values": hand, "label": "x z pitch [m m rad]"}},
+    })  # fmt: skip
+    study, _ = _study(file)
+    check_same(study, s, place_m=PLACE_M)
+
+
+def test_groups_that_do_not_pair_are_refused_and_can_be_named(tmp_path: Path) -> None:
+    import h5py
+
+    s = known_study()[0]
+    file = tmp_path / "session.h5"
+    with h5py.File(file, "w") as store:
+        for name, count in (("left", 5), ("right", 4)):
+            store[f"{name}/t_s"] = s.t_s
+            store[f"{name}/gripper_m"] = s.gripper_m
+            for k in range(count):
+                store[f"{name}/m{k}_m"] = s.markers_m[:, k]
+    with pytest.raises(InputError, match=r"session\.h5#left"):
+        _study(file)
+    assert len(read_capture(tmp_path / "session.h5#left").columns) == 13
+    with pytest.raises(InputError, match="it has left, right"):
+        read_capture(tmp_path / "session.h5#middle")
+
+
+def test_runs_of_line_protocol_are_trials(tmp_path: Path) -> None:
+    truth = known_study()
+    study, _ = _study(line_protocol(truth[0], tmp_path, runs=truth))
+    assert [t.name for t in study.trials] == ["down", "turning"]
+    check_same(study, *truth, place_m=PLACE_M)
+
+
+def test_an_unknown_ending_of_no_table_asks_for_one(tmp_path: Path) -> None:
+    words = tmp_path / "notes.xyz"
+    words.write_text("nothing that is a table\nof numbers\n")
+    with pytest.raises(InputError, match="export a CSV"):
+        read_capture(words)
+    bytes_ = tmp_path / "film.xyz"
+    bytes_.write_bytes(bytes(range(256)))
+    with pytest.raises(InputError, match="no kind of file"):
+        read_capture(bytes_)

@@ -1,0 +1,296 @@
+"""Layouts that programs document: blocks, bodies, sheets, properties, bare names, other frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from openpyxl import Workbook
+from scipy.spatial.transform import Rotation
+
+from cell.study.data import Study
+from cell.study.imports.places import find_axes
+from tests.cell.study.imports.corpus.swing import MARKERS as NAMES
+from tests.cell.study.imports.corpus.swing import Swing
+from tests.cell.study.imports.corpus.text import saved
+from tests.cell.study.imports.made import CABLE, check_same, digits, imported, made, run, text
+
+POINTS = ("gripper", *NAMES)
+
+
+def places(m: Swing) -> np.ndarray:
+    """(T, 6, 2) gripping point and markers, m."""
+    return np.concatenate([m.gripper_m[:, None], m.markers_m], axis=1)
+
+
+def upright(at: np.ndarray, up: int = 2) -> np.ndarray:
+    """(…, 3) of places in the plane (…, 2), in a room whose axis `up` is the vertical."""
+    spatial = np.full((*at.shape[:-1], 3), 0.4)
+    spatial[..., 0] += at[..., 0]
+    spatial[..., up] += at[..., 1]
+    return spatial
+
+
+def check_places(study: Study, m: Swing, off_m: float = 1e-6) -> None:
+    """Markers and gripper are where and when they were; the clamp angle is not compared."""
+    check_same(study, m, place_m=off_m, angle_rad=2.0 * np.pi)
+
+
+def table(folder: Path, name: str, names: Sequence[str], values: np.ndarray) -> str:
+    return str(saved(folder / name, text([names, *digits(values, 9)])))
+
+
+def test_blocks_of_points_under_the_same_names_are_one_table(tmp_path: Path) -> None:
+    m, file = made(), tmp_path / "track.txt"
+    blocks = []
+    for k in range(len(POINTS)):
+        rows = digits(np.column_stack([m.t_s * 1e3, places(m)[:, k] * 100.0]), 7)
+        blocks.append("#Trajectory data export\n#T X Y\n" + text(rows, " "))
+    file.write_text("\n\n".join(blocks))
+    check_places(imported([str(file)], tmp_path / "study"), m)
+
+
+def test_the_sheet_with_points_is_read(tmp_path: Path) -> None:
+    m, file, book = made(), tmp_path / "take.xlsx", Workbook()
+    first = book.active
+    assert first is not None
+    first.title = "Orientation"
+    first.append(["Frame", *(f"{p} q{i}" for p in POINTS for i in range(4))])
+    second = book.create_sheet("Position")
+    second.append(["Frame", *(f"{p} {a}" for p in POINTS for a in "xyz")])
+    for k, row in enumerate(upright(places(m)).reshape(len(m.t_s), -1)):
+        first.append([k, *[1, 0, 0, 0] * len(POINTS)])
+        second.append([k, *map(float, row)])
+    book.save(file)
+    arguments = [str(file), "--rate", "200"]
+    said = run(*arguments, "-o", tmp_path / "told", *CABLE)
+    assert "sheet 'Position' is read, not 'Orientation'" in said
+    check_places(imported(arguments, tmp_path / "study"), m)
+
+
+@pytest.mark.parametrize("ends", ["xyz", ("_1", "_2", "_3")])
+def test_an_axis_at_the_end_of_a_name_is_one(tmp_path: Path, ends: Sequence[str]) -> None:
+    m = made()
+    names = ["time", *(f"{n}{a}" for n in ("grip", "knot", "band", "dot", "bead", "tip")
+                       for a in ends)]  # fmt: skip
+    values = np.column_stack([m.t_s, upright(places(m)).reshape(len(m.t_s), -1)])
+    check_places(imported([table(tmp_path, "named.csv", names, values)], tmp_path / "study"), m)
+
+
+def test_quantities_along_axes_are_no_points(tmp_path: Path) -> None:
+    m = made()
+    names = ["time", *(f"{n}_{a}" for n in POINTS for a in "xy"), "gyrox", "gyroy", "torquex",
+             "torquey"]  # fmt: skip
+    values = np.column_stack([m.t_s, places(m).reshape(len(m.t_s), -1), *[m.t_s] * 4])
+    check_places(imported([table(tmp_path, "also.csv", names, values)], tmp_path / "study"), m)
+
+
+def test_numbered_points_of_a_gripper_are_the_gripper_s(tmp_path: Path) -> None:
+    m = made()
+    back = m.gripper_m + 0.05 * np.column_stack([np.cos(m.angle_rad), np.sin(m.angle_rad)])
+    names = ["time", *(f"{n} {a}" for n in ("Grip2", "Grip1", *NAMES) for a in "xy")]
+    at = np.concatenate([back[:, None], places(m)], axis=1)
+    values = np.column_stack([m.t_s, at.reshape(len(m.t_s), -1)])
+    study = imported([table(tmp_path, "two.csv", names, values)], tmp_path / "study")
+    check_places(study, m)
+    np.testing.assert_allclose(study.trials[0].grip.angle_rad, m.angle_rad, atol=1e-6)
+
+
+def test_three_lines_of_names_that_repeat_each_other_are_read(tmp_path: Path) -> None:
+    m, file = made(), tmp_path / "spots.csv"
+    rows: list[list[object]] = [
+        ["LABEL", "TRACK_ID", "QUALITY", "POSITION_X", "POSITION_Y", "POSITION_T"],
+        ["Label", "Track ID", "Quality", "X", "Y", "T"],
+        ["Label", "Track ID", "Quality", "X", "Y", "T"],
+        ["", "", "(quality)", "(mm)", "(mm)", "(sec)"],
+    ]
+    for k in range(len(POINTS)):
+        for t, (x, y) in zip(m.t_s, places(m)[:, k] * [1e3, -1e3], strict=True):
+            rows.append([f"ID{len(rows)}", k, 41.2, f"{x:.7f}", f"{y:.7f}", f"{t:.6f}"])
+    file.write_text(text(rows))
+    check_places(imported([str(file)], tmp_path / "study"), m)
+
+
+def test_rows_of_properties_above_labview_s_table_are_none_of_it(tmp_path: Path) -> None:
+    m, file = made(), tmp_path / "take.lvm"
+    names = [f"{p} {a}" for p in POINTS for a in "xy"]
+
+    def each(word: str) -> list[str]:
+        return [word] * len(names)
+
+    head = [["LabVIEW Measurement"], ["Decimal_Separator", ","], ["***End_of_Header***", ""], [""],
+            ["Channels", len(names)], ["Samples", *each("360")], ["Date", *each("2024/02/13")],
+            ["Time", *each("14:28:33,13")], ["Y_Unit_Label", *each("mm")], ["X0", *each("0,0E+0")],
+            ["Delta_X", *each("0,005000")], ["***End_of_Header***", ""],
+            ["X_Value", *names, "Comment"]]  # fmt: skip
+    rows = digits(np.column_stack([m.t_s, places(m).reshape(len(m.t_s), -1) * 1e3]), 7)
+    rows = [[cell.replace(".", ",") for cell in row] for row in rows]
+    file.write_text(text([*head, *rows], "\t"))
+    check_places(imported([str(file)], tmp_path / "study"), m)
+
+
+@pytest.mark.parametrize("names", [(" ", "Track n°", "Slice n°"), ("PID", "TID", "slice")])
+def test_rows_of_numbered_tracks_are_points(tmp_path: Path, names: Sequence[str]) -> None:
+    m = made()
+    rows = [
+        [len(m.t_s) * k + i + 1, k + 1, i + 1, *(1e3 * places(m)[i, k])]
+        for k in range(len(POINTS))
+        for i in range(len(m.t_s))
+    ]
+    file = table(tmp_path, "tracks.csv", [*names, "X [mm]", "Y [mm]"], np.array(rows))
+    check_places(imported([file, "--rate", "200"], tmp_path / "study"), m)
+
+
+def test_a_single_point_without_a_gripper_is_refused_with_the_ways(tmp_path: Path) -> None:
+    m = made()
+    values = np.column_stack([m.t_s, m.markers_m[:, -1]])
+    file = table(tmp_path, "one.csv", ["t_s", "tip_x_m", "tip_y_m"], values)
+    said = run(file, "-o", tmp_path / "told", *CABLE, code=2)
+    assert "one.csv:2: shows one point and no gripper: give a file of the gripper" in said
+    assert "Columns: t_s, tip_x_m, tip_y_m" in said
+
+
+# --- a gripper in a file of its own ---------------------------------------------------------------
+
+
+def test_a_body_s_name_stands_over_all_its_columns(tmp_path: Path) -> None:
+    m = made()
+    at = upright(places(m)) * 1e3
+    markers = tmp_path / "points.tsv"
+    names = ["Frame", "Time", *(f"{n} {a}" for n in NAMES for a in "XYZ")]
+    rows = digits(np.column_stack([m.t_s, at[:, 1:].reshape(len(m.t_s), -1)]), 7)
+    markers.write_text(text([names, *([k + 1, *row] for k, row in enumerate(rows))], "\t"))
+    body = tmp_path / "body.tsv"
+    names = ["Gripper X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", "Rot[0]"]
+    pitch = np.degrees(m.angle_rad)
+    zero = np.zeros_like(pitch)
+    values = np.column_stack([at[:, 0], zero, -pitch, zero, zero + 0.1, np.cos(m.angle_rad)])
+    body.write_text("FREQUENCY\t200\n" + text([names, *digits(values, 7)], "\t"))
+    study = imported([str(markers), "--hand", str(body)], tmp_path / "study")
+    check_places(study, m)
+    np.testing.assert_allclose(study.trials[0].grip.angle_rad, m.angle_rad, atol=1e-6)
+
+
+def test_one_frame_in_two_units_that_nobody_states_is_seen(tmp_path: Path) -> None:
+    m = made()
+    at = upright(places(m))
+    names = ["time", *(f"{n} {a}" for n in NAMES for a in "xyz")]
+    values = np.column_stack([m.t_s, at[:, 1:].reshape(len(m.t_s), -1) * 1e3])
+    markers = table(tmp_path, "markers.csv", names, values)
+    hand = table(
+        tmp_path, "hand.csv", ["time", "tcp x", "tcp y", "tcp z"],
+        np.column_stack([m.t_s, at[:, 0]]),
+    )  # fmt: skip
+    said = run(markers, "--hand", hand, "-o", tmp_path / "told", *CABLE)
+    assert "from the gripper's place at rest on" in said
+    study = imported([markers, "--hand", hand], tmp_path / "study")
+    check_places(study, m)
+    arcs_m = np.sort(study.arc_length_m)
+    np.testing.assert_allclose(arcs_m, [0.02, 0.04, 0.06, 0.08, 0.1], atol=2e-4)
+
+
+def test_a_gripper_across_the_markers_plane_has_axes_of_its_own(tmp_path: Path) -> None:
+    m = made()
+    names = ["time", *(f"{n} {a} [mm]" for n in NAMES for a in "xyz")]
+    of_cable = upright(m.markers_m, up=1).reshape(len(m.t_s), -1) * 1e3
+    markers = table(tmp_path, "markers.csv", names, np.column_stack([m.t_s, of_cable]))
+    hand = table(
+        tmp_path, "robot.csv", ["time", "tcp x [m]", "tcp y [m]", "tcp z [m]"],
+        np.column_stack([m.t_s, upright(m.gripper_m)]),
+    )  # fmt: skip
+    study = imported([markers, "--hand", hand], tmp_path / "study")
+    grip = study.trials[0].grip
+    moved = np.column_stack([grip.x_m - grip.x_m[0], grip.y_m - grip.y_m[0]])
+    np.testing.assert_allclose(moved, m.gripper_m - m.gripper_m[0], atol=1e-6)
+
+
+def test_the_first_frame_is_time_0_of_a_log(tmp_path: Path) -> None:
+    m = made()
+    frames = np.arange(1, len(m.t_s) + 1)
+    names = ["frame", *(f"{n} {a} [mm]" for n in NAMES for a in "xy")]
+    values = np.column_stack([frames, m.markers_m.reshape(len(m.t_s), -1) * 1e3])
+    markers = table(tmp_path, "markers.csv", names, values)
+    log_s = np.arange(0.0, 1.8, 0.004)
+    at = [np.interp(log_s, m.t_s, v) for v in m.gripper_m.T]
+    hand = table(
+        tmp_path, "log.csv", ["t [s]", "tcp x [m]", "tcp y [m]"], np.column_stack([log_s, *at])
+    )
+    arguments = [markers, "--hand", hand, "--rate", "200"]
+    assert "the first is taken as time 0" in run(*arguments, "-o", tmp_path / "told", *CABLE)
+    check_places(imported(arguments, tmp_path / "study"), m, off_m=2e-5)
+
+
+def test_a_message_s_own_stamp_goes_before_its_arrival(tmp_path: Path) -> None:
+    m = made()
+    late_s = np.random.default_rng(3).uniform(0.0, 0.004, len(m.t_s))
+    names = ["%time", "field.header.stamp", *(f"{n} {a}" for n in POINTS for a in "xy")]
+    values = np.column_stack([m.t_s + late_s, m.t_s, places(m).reshape(len(m.t_s), -1)])
+    check_places(imported([table(tmp_path, "bag.csv", names, values)], tmp_path / "study"), m)
+
+
+def test_an_angle_that_a_body_is_turned_by_is_told(tmp_path: Path) -> None:
+    m = made()
+    half = 0.5 * (m.angle_rad + 0.5)
+    names = ["time", *(f"{n} {a}" for n in POINTS for a in "xy")]
+    names += [f"gripper q{a}" for a in "xyzw"]
+    values = [m.t_s, places(m).reshape(len(m.t_s), -1), 0 * half, 0 * half, np.sin(half)]
+    file = table(tmp_path, "body.csv", names, np.column_stack([*values, np.cos(half)]))
+    assert "turned by -" in run(file, "-o", tmp_path / "told", *CABLE)
+
+
+# --- images ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("size", "told"),
+    [
+        ([2600.0, 2600.0], "multiply x by its width and y by its height"),
+        ([1.1, 1.1], "if these are pixels, give metres_per_unit"),
+    ],
+)
+def test_a_unit_of_an_image_is_a_guess(tmp_path: Path, size: list[float], told: str) -> None:
+    m = made()
+    image = (places(m) * [1.0, -1.0] + [0.15, 0.05]) * 1e3 / size
+    names = ["time", *(f"{n} {a}" for n in POINTS for a in "xy")]
+    values = np.column_stack([m.t_s, image.reshape(len(m.t_s), -1)])
+    file = table(tmp_path, "image.csv", names, values)
+    said = run(file, "-o", tmp_path / "told", *CABLE)
+    assert told in said.partition("Guesses, to be checked:")[2]
+
+
+def test_units_stand_above_what_has_measured_the_columns(tmp_path: Path) -> None:
+    m = made()
+    columns = np.column_stack([m.t_s, 1e3 * places(m).reshape(len(m.t_s), -1), 20.0 + 0.0 * m.t_s])
+    named = ["Zeit", *(f"{p}_{a}" for p in POINTS for a in "xy"), "Raum"]
+    units = ["s", *["mm"] * (len(named) - 2), "°C"]
+    sensors = ["Uhr", *["Kamera"] * (len(named) - 2), "Pt100"]
+    file = saved(tmp_path / "take.txt", text([named, units, sensors, *digits(columns, 9)], "\t"))
+    check_places(imported([str(file)], tmp_path / "study"), m)
+    assert "lengths are in mm, as the file says" in run(file, "-o", tmp_path / "again", code=1)
+
+
+@pytest.mark.parametrize(("down", "up"), [([0.0, 1.0], [0.0, -1.0]), ([0.1, -1.0], [0.0, 1.0])])
+def test_a_cable_that_is_straight_at_rest_hangs(down: list[float], up: list[float]) -> None:
+    """In a picture the second coordinate points down: the study stood on its head."""
+    shape = np.linspace(0.0, 0.1, 5)[:, None] * np.array(down)
+    section, findings = find_axes(np.repeat(shape[None], 20, axis=0), shape)
+    assert section.up == up
+    assert any("straight at rest, hangs" in f.sentence for f in findings)
+
+
+def test_a_body_s_matrix_tells_more_than_one_of_its_three_angles(tmp_path: Path) -> None:
+    m = made()
+    turned = Rotation.from_euler("z", 30.0, degrees=True) * Rotation.from_euler(
+        "y", m.angle_rad[:, None]
+    )
+    spatial = upright(places(m)) @ Rotation.from_euler("z", 30.0, degrees=True).as_matrix().T
+    angles = np.degrees(turned.as_euler("xyz"))
+    matrix = turned.as_matrix().transpose(0, 2, 1).reshape(len(m.t_s), 9)
+    named = ["Time (s)", *(f"{p} {a} (mm)" for p in POINTS for a in "XYZ")]
+    named += [f"gripper {a}" for a in ("Roll", "Pitch", "Yaw")]
+    named += [f"gripper Rot[{k}]" for k in range(9)]
+    values = np.column_stack([m.t_s, 1e3 * spatial.reshape(len(m.t_s), -1), angles, matrix])
+    said = run(table(tmp_path, "body.csv", named, values), "-o", tmp_path / "study", *CABLE)
+    assert "the gripper turns as 'gripper quaternion x'" in said
