@@ -25,7 +25,7 @@ MOTIONS = {
     "where the clamp turns in addition": "down and turn",
     "where a second, upward stroke follows": "down_up",
     "on a stroke to the left": "left",
-    "on a stroke to the left alone": "left",
+    "if all strokes go left": "left",
 }
 _PARAMETER = re.compile(
     r"^- `([^`]+)`: (?:\$[^$]+\$ )?from (\S+) to ([^\s,]+)(?: ([^\s,]+))?, .+[.]$", re.MULTILINE
