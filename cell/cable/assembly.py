@@ -44,7 +44,7 @@ class ParameterBlock:
     own: tuple[type[Effect], ...]
 
     def go_on_from(self, trunk: Sequence[ParameterBlock]) -> None:
-        """Take the state that the same models have come to, of which there are fewer lanes.
+        """Copy the state of the same models from blocks with fewer lanes.
 
         trunk  blocks whose lanes are models; lane i of this batch has model i modulo their number
         """
@@ -57,7 +57,7 @@ class ParameterBlock:
 
     @property
     def _memory(self) -> FloatArray:
-        """What the effects remember; lanes innermost."""
+        """Memory variables of the effects; lanes innermost."""
         memory: FloatArray = self.effects[4]
         return memory
 
@@ -82,7 +82,7 @@ def assemble(
 
 
 def _kind(model: CableModel) -> object:
-    """Equal for models that may share a block: alike in each step, and seen at alike times."""
+    """Key that is equal for models that may share a block: same steps, same kind of image times."""
     at_times = any(a.effect.camera_time is not None for a in model.effects)
     return at_times, tuple(a.effect for a in in_steps(model.effects))
 
@@ -260,13 +260,13 @@ def _sum(model: CableModel, hook: str) -> float:
 
 def _point_masses(model: CableModel) -> list[tuple[float, float]]:
     """Mass, kg, and arc length, m, of every point mass that is not at the tip."""
-    found = []
+    masses = []
     for active in model.effects:
         if active.effect.point_mass is not None:
             mass, arc_m = active.effect.point_mass(cable_data(model), parameters(active))
             if mass != 0.0:
-                found.append((float(mass), float(max(arc_m, 0.0))))
-    return found
+                masses.append((float(mass), float(max(arc_m, 0.0))))
+    return masses
 
 
 def _grip(model: CableModel) -> tuple[float, float]:
@@ -325,8 +325,8 @@ def marker_weights(
     """
     lengths = {(m.cable.free_length_m, m.cable.length_m) for m in models}
     if len(lengths) != 1:
-        told = sorted({length for _, length in lengths})
-        raise ValueError(f"the models' cables have different lengths {told} m")
+        distinct = sorted({length for _, length in lengths})
+        raise ValueError(f"the models' cables have different lengths {distinct} m")
     ((length, to_tip),) = lengths
     s = np.atleast_1d(np.asarray(arc_length_m, dtype=np.float64))
     bad = ~((s >= 0.0) & (s <= to_tip * (1.0 + 1e-9)))

@@ -52,7 +52,7 @@ def simulate_branches(
     steps = _steps_alike(models, motions, begin_s + solver.step_s * np.arange(steps + 1.0))
     steps -= camera.earlier_steps(models, solver.step_s)
     if camera.shifts_time(models):
-        steps -= steps % camera.EVERY  # scenes are kept at the same times as without branches
+        steps -= steps % camera.EVERY  # scenes are stored at the same times as without branches
     shape = (len(motions), len(models), times.size, np.size(arc_length_m), 2)
     if steps < 1:
         return simulate(batch, paths, times, arc_length_m, solver=solver).reshape(shape)

@@ -15,13 +15,13 @@ from cell.cable.model import CableModel
 #: A camera's clock may be ahead by this much, s.
 LOOK_AHEAD_S = 0.12
 
-#: Steps between the times at which a scene is kept for interpolation, and largest time between them
-#: where steps are long, s.
+#: Steps between the times at which a scene is stored for interpolation, and largest interval, s,
+#: where steps are long.
 EVERY, _LONGEST_S = 2, 2e-3
 #: A point's time depends on its place, which depends on its time: shutter speeds are far below
 #: the picture's height per millisecond, so this many rounds reach rounding error.
 _ROUNDS = 4
-#: Of a cable in motion the past is told from positions this far apart, s.
+#: The past of a moving cable is extrapolated from positions at this interval, s.
 _PAST_S = 4e-3
 
 
@@ -33,7 +33,7 @@ def shifts_time(models: Sequence[CableModel]) -> bool:
 def earlier_steps(models: Sequence[CableModel], step_s: float) -> int:
     """Number of steps before an image at which its scene may begin; a multiple of the spacing.
 
-    Two spacings more than the clock's, which `scene_times` adds, and one for rounding.
+    The clock's `LOOK_AHEAD_S`, two spacings that `scene_times` adds, and one for rounding.
     """
     if not shifts_time(models):
         return 0
@@ -47,15 +47,15 @@ def scene_times(
     if not shifts_time([model]):
         return times_s
     spacing = min(EVERY * step_s, _LONGEST_S)
-    # Counted from the beginning: where a grid lies must not depend on which lanes share a block, or
-    # what interpolation errs by would differ between lanes, and spoil differences of them.
+    # Counted from the beginning: the grid must not depend on which lanes share a block, or the
+    # interpolation error would differ between lanes, and spoil finite differences between them.
     before = (float(times_s[0]) - LOOK_AHEAD_S - begin_s) / spacing - 2.0
     first = begin_s + spacing * max(0, int(before))
     count = int((end_s - first) / spacing + 1e-9) + 1
     return np.asarray(first + spacing * np.arange(count))
 
 
-def seen(
+def image_positions(
     model: CableModel,
     times_s: FloatArray,
     scene_s: FloatArray,
@@ -103,9 +103,9 @@ def _shown(
 
 
 def _before(scene_s: FloatArray, xy: FloatArray, t: FloatArray) -> FloatArray:
-    """(times, markers, 2) where the points were a little before the scene begins, by parabolas.
+    """(times, markers, 2) positions a little before the scene begins, extrapolated by parabolas.
 
-    nan where that is nowhere: of a cable whose simulation has run away.
+    nan where a simulation has diverged.
     """
     apart = max(1, min(round(_PAST_S / (scene_s[1] - scene_s[0])), (len(scene_s) - 1) // 2))
     u = ((t - scene_s[0]) / (scene_s[apart] - scene_s[0]))[..., None]

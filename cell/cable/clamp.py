@@ -15,7 +15,7 @@ from cell.cable.effects.compiled import parameters
 from cell.cable.geometry import Motion, MotionSplines, SmoothedMotion
 from cell.cable.splines import Steps, spread_steps
 
-#: Axes of a pose.  Of an axis' three fields each is so many behind the one before: see `layout`.
+#: Axes of a pose; also the distance between the three fields of an axis: see `layout`.
 _AXES = 3
 #: The only lane there is.
 ONLY = np.zeros(1, dtype=np.int64)
@@ -24,7 +24,7 @@ ONLY = np.zeros(1, dtype=np.int64)
 def motions_like(motion: Motion, values: FloatArray) -> list[Motion]:
     """Motions logged at the same times with other values (motions, 3, T): x, y, angle.
 
-    As much is taken for noise in them as in `motion`.
+    They are smoothed with the noise level of `motion`.
     """
     by_axis = [splines.refit(spline, values[:, axis]) for axis, spline in enumerate(motion.splines)]
     return [
@@ -35,10 +35,10 @@ def motions_like(motion: Motion, values: FloatArray) -> list[Motion]:
 
 @dataclass(frozen=True)
 class _Logged:
-    """Pose against time as logged; equal for equal splines, so that what follows can be kept.
+    """Pose against time as logged; equal for equal splines, so that results can be cached.
 
-    instants  at which several effects will ask for it
-    known     the pose there, once it was asked for
+    instants  times at which several effects evaluate it
+    known     cached pose at `instants`: empty, or one entry
     """
 
     splines: MotionSplines
@@ -58,7 +58,7 @@ class _Logged:
 class Instants:
     """Times at which the steps need the gripper's pose, with two before and two after.
 
-    What the logs say there is found once.
+    Each log is evaluated there once.
     """
 
     def __init__(self, steps: Steps) -> None:
@@ -78,7 +78,7 @@ def pose_of(
 ) -> HandMotion:
     """Pose of the gripping point against time, after the effects on the gripper in their order.
 
-    logged  of the motion, with what is known of it
+    logged  the motion's log with its cached poses
     """
     logged = _Logged(motion.splines) if logged is None else logged
     begin, end = float(motion.t_s[0]), float(motion.t_s[-1])

@@ -114,9 +114,9 @@ def _lanes(
     batch = [models] if isinstance(models, CableModel) else list(models)
     paths = [motions] if isinstance(motions, Motion) else list(motions)
     lanes = max(len(batch), len(paths))
-    for name, given in (("models", batch), ("motions", paths)):
-        if len(given) not in (1, lanes) or not given:
-            raise ValueError(f"{len(given)} {name} for {lanes} lanes: give one, or one per lane")
+    for name, items in (("models", batch), ("motions", paths)):
+        if len(items) not in (1, lanes) or not items:
+            raise ValueError(f"{len(items)} {name} for {lanes} lanes: give one, or one per lane")
     return batch * (lanes // len(batch)), paths * (lanes // len(paths))
 
 
@@ -138,26 +138,26 @@ def _simulate(
 ) -> None:
     """Write (times, markers, 2) of each lane to `out`.
 
-    spared  lanes that can be simulated, by those that cannot: these are nan instead of raising
+    spared  lanes that cannot be simulated become nan instead of raising
     """
     first = [float(t[0]) for t in swing.times_s if t.size]
     if not first:
         return
     begin_s, rests = how.time_s(first, swing.paths), how.start != "straight"
-    left = list(range(len(swing.models)))
+    todo = list(range(len(swing.models)))
     if spared:
-        for lane in [i for i in left if slipped_out(swing.models[i])]:
+        for lane in [i for i in todo if slipped_out(swing.models[i])]:
             out[lane][:] = np.nan
-            left.remove(lane)
-    while left:
-        part, places = swing.of(left), [out[i] for i in left]
+            todo.remove(lane)
+    while todo:
+        part, places = swing.of(todo), [out[i] for i in todo]
         failed = _moved(part, begin_s, rests, arc_length_m, out if part is swing else places)
         for _, error in failed:
             if not spared:
                 raise error
             for lane in error.lanes:
                 places[lane][:] = np.nan
-        left = [left[i] for block, error in failed for i in block.lanes if i not in error.lanes]
+        todo = [todo[i] for block, error in failed for i in block.lanes if i not in error.lanes]
 
 
 def _moved(
@@ -167,7 +167,7 @@ def _moved(
     arc_length_m: FloatArray,
     out: Sequence[FloatArray] | FloatArray,
 ) -> list[tuple[ParameterBlock, LanesError]]:
-    """Write (times, markers, 2) of each lane to `out`; blocks with lanes that cannot be."""
+    """Write (times, markers, 2) of each lane to `out`; returns the blocks that failed."""
     solver, times_s, models = swing.solver, swing.times_s, swing.models
     workers = threads() if solver.threads is None else solver.threads
     blocks = assemble(models, solver.segments, begin_s, workers)

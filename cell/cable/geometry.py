@@ -84,13 +84,13 @@ class Cable:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All that is stated, by its key in a study's description; a connector's are 0 without."""
-        found = {
+        """All numbers by their keys in a study's description; 0 for a missing connector's."""
+        numbers = {
             f.name: float(getattr(self, f.name)) for f in fields(self) if f.name != "connector"
         }
         for f in fields(Connector):
-            found[f"connector.{f.name}"] = float(getattr(self.connector, f.name, 0.0))
-        return found
+            numbers[f"connector.{f.name}"] = float(getattr(self.connector, f.name, 0.0))
+        return numbers
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; `from_dict` reads it back."""
@@ -100,9 +100,9 @@ class Cable:
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Cable:
         """Back from `to_dict`.  Raises TypeError, ValueError: an entry is missing, or no number."""
-        given = dict(data)
-        connector = given.pop("connector", None)
-        return Cable(**given, connector=None if connector is None else Connector(**connector))
+        entries = dict(data)
+        connector = entries.pop("connector", None)
+        return Cable(**entries, connector=None if connector is None else Connector(**connector))
 
     def implausible(self) -> str | None:
         """Why these numbers together cannot be a cable's, mostly a mistaken unit; None if they can.
@@ -154,19 +154,19 @@ class Motion:
         return x, y, angle
 
     def later(self, delay_s: float) -> Motion:
-        """The same poses a delay later, or earlier if it is negative; splines are fitted anew."""
+        """The same poses a delay later, or earlier if it is negative; splines are fitted again."""
         return Motion(self.t_s + delay_s, self.x_m, self.y_m, self.angle_rad)
 
 
 @dataclass(frozen=True)
 class SmoothedMotion(Motion):
-    """A motion with given splines, whose noise level is known from another motion."""
+    """A motion with known splines, whose noise level comes from another motion."""
 
     smoothed: MotionSplines = field(kw_only=True, repr=False, compare=False)
 
     @cached_property
     def splines(self) -> MotionSplines:
-        """The splines that were given."""
+        """The splines that it was made with."""
         return self.smoothed
 
 

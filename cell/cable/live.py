@@ -21,7 +21,7 @@ from cell.cable.stepping import integrate, nodes, sample_times
 #: Poses that must follow before the gripper's acceleration at a pose is known: each new one changes
 #: a spline's second derivative by 0.27 times what the one after it did.
 _LATER = 6
-#: Poses kept; far more than a spline feels.
+#: Poses stored; far more than affect a spline's end.
 _KEPT = 64
 #: The motion's number for each of the lanes, of which all are the same cable.
 _ALL_LANES = (0,) * at.LANES
@@ -35,8 +35,8 @@ def shown_live(effect: type[Effect]) -> bool:
 class SwingingCable:
     """A simulated cable that starts in equilibrium at the first pose and keeps its state.
 
-    What was swung through is final up to a few poses before the last; the rest is computed again
-    when more is known, so that the result does not depend on the portions.
+    The motion is final up to a few poses before the last; the rest is recomputed when later poses
+    are known, so that the result does not depend on the portions.
 
     arc_length_m  (markers,) from the gripping point
     raises        ValueError: an effect of the model needs more than the present
@@ -115,7 +115,7 @@ class SwingingCable:
         state: FloatArray,
         keep: bool,
     ) -> FloatArray:
-        """(times, segments + 1, LANES) bends; the state moves on only if it is to be kept."""
+        """(times, segments + 1, LANES) bends; the block's state is advanced only with `keep`."""
         block, solver = self._block, self._solver
         bends = np.empty((len(times_s), block.segments + 1, at.LANES))
         steps = int(np.ceil((end_s - begin_s) / solver.step_s - 1e-9))
@@ -163,5 +163,5 @@ class SwingingCable:
             *self._markers,
             out,
         )
-        shown: FloatArray = camera.seen(self._model, t_s, t_s, out[0])
+        shown: FloatArray = camera.image_positions(self._model, t_s, t_s, out[0])
         return shown

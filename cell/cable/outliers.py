@@ -12,47 +12,47 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.cable.compiling import compiled, inline
 
-#: A value of the log that lies apart by more standard deviations of its noise than this is wrong;
-#: it is compared with so many neighbours on either side.
-GLITCH, _BESIDE = 4.5, 3
-#: More of them in a row are none: the curve turns sharply there, and is smoothed too much.
+#: An outlier differs from its neighbours by more standard deviations of the noise than this;
+#: number of neighbours on either side that a value is compared with.
+GLITCH, _REACH = 4.5, 3
+#: Longer runs are no outliers: the curve turns sharply there and is smoothed too much.
 ADJACENT = 3
-#: Values that a line at an end goes along.
+#: Values that the line through an end is fitted to.
 _ON_LINE = 4
-#: A single value is wrong, however little noise there is, if with it made up from those beside it
-#: no more is left than this share of the fourth differences' squares around it (of a corner in the
-#: curve 4.7 % would be), and if it lies apart by more than this, m or rad, and so many standard
-#: deviations of the noise: a smoothing follows these.
+#: A single value is an outlier, also without noise, if interpolating it leaves at most this share
+#: of the sum of squared fourth differences around it (at a corner of the curve 4.7 % remain), and
+#: if it deviates by more than this distance, m or rad, and this many standard deviations of the
+#: noise: a smoothing spline would follow such an outlier.
 _ROUGH, _LEAST_APART, _ALONE = 0.03, 1e-5, 12.0
-#: Fourth differences looked at for single wrong values: the largest of the log.
+#: Number of the largest fourth differences that are examined for single outliers.
 _MOST_WRONG = 50
 
 
-def wrong_alone(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
+def isolated_outliers(t: FloatArray, y: FloatArray, noise: float) -> tuple[int, ...]:
     """Indices of single outliers, the largest first, also if the other values are exact.
 
-    A smoothing that follows the noise closely follows a wrong value too.
+    A spline that follows the noise closely follows an outlier too.
     """
-    found: tuple[int, ...] = ()
-    mended, rough = y, fourth_differences(t, y)
-    size, looked = np.abs(rough), np.zeros(len(rough), dtype=bool)
+    outliers: tuple[int, ...] = ()
+    interpolated, differences = y, fourth_differences(t, y)
+    size, examined = np.abs(differences), np.zeros(len(differences), dtype=bool)
     for _ in range(_MOST_WRONG):
-        i = int(np.argmax(np.where(looked, 0.0, size)))
-        number = _alone(t, rough, i, noise)
-        if number < 0 or number in found or _as_ends_are(t, y, number, noise):
-            looked[i] = True
+        i = int(np.argmax(np.where(examined, 0.0, size)))
+        index = _alone(t, differences, i, noise)
+        if index < 0 or index in outliers or _as_ends_are(t, y, index, noise):
+            examined[i] = True
             continue
-        found = (*found, number)
-        mended = made_up(t, y, found)
-        rough = fourth_differences(t, mended)
-        size = np.abs(rough)
-    return found
+        outliers = (*outliers, index)
+        interpolated = interpolate_outliers(t, y, outliers)
+        differences = fourth_differences(t, interpolated)
+        size = np.abs(differences)
+    return outliers
 
 
 def _as_ends_are(t: FloatArray, y: FloatArray, number: int, noise: float) -> bool:
-    """Whether a value is the first or last, and rests or goes on as those next to it do.
+    """Whether a value is the first or last, and at rest or on the line of its neighbours.
 
-    Fourth differences cannot tell a sharp start from a wrong first value.
+    Fourth differences cannot distinguish a sharp start from a wrong first value.
     """
     if 0 < number < t.size - 1:
         return False
@@ -62,33 +62,33 @@ def _as_ends_are(t: FloatArray, y: FloatArray, number: int, noise: float) -> boo
 
 @compiled
 def _alone(t: FloatArray, rough: FloatArray, i: int, noise: float) -> int:
-    """The value among those of fourth difference i that is wrong, if one alone is; else −1."""
+    """Index of the single outlier among the values of fourth difference i; −1 if there is none."""
     least, best = np.inf, -1
-    for number in range(i, i + 5):
-        first, end = max(0, number - 6), min(t.size, number + 7)
+    for index in range(i, i + 5):
+        first, end = max(0, index - 6), min(t.size, index + 7)
         unit = np.zeros(end - first)
-        unit[number - first] = 1.0
-        shape, seen = _fourth_differences(t[first:end], unit), rough[first : end - 4]
+        unit[index - first] = 1.0
+        shape, observed = _fourth_differences(t[first:end], unit), rough[first : end - 4]
         square, along, total = 0.0, 0.0, 0.0
         for k in range(shape.size):
             square += shape[k] * shape[k]
-            along += shape[k] * seen[k]
-            total += seen[k] * seen[k]
+            along += shape[k] * observed[k]
+            total += observed[k] * observed[k]
         size, apart = math.sqrt(square), along / square
-        left = 0.0
+        residual = 0.0
         for k in range(shape.size):
-            left += (seen[k] - apart * shape[k]) ** 2
+            residual += (observed[k] - apart * shape[k]) ** 2
         most = _ROUGH * total
         sure = abs(apart) > max(_LEAST_APART, _ALONE * noise, GLITCH * noise / size)
-        at_end = size < 0.2  # first or last: no corner can be told from it, nor its neighbour
-        if at_end and sure and left < max(most, 4.0 * seen.size * noise**2):
-            return number
-        if sure and left < min(most, least):
-            least, best = left, number
+        at_end = size < 0.2  # first or last: not to be distinguished from a corner or its neighbour
+        if at_end and sure and residual < max(most, 4.0 * observed.size * noise**2):
+            return index
+        if sure and residual < min(most, least):
+            least, best = residual, index
     return best
 
 
-def made_up(t: FloatArray, y: FloatArray, wrong: Sequence[int]) -> FloatArray:
+def interpolate_outliers(t: FloatArray, y: FloatArray, wrong: Sequence[int]) -> FloatArray:
     """The values with outliers interpolated: by cubics in between, by lines at the ends."""
     if not wrong:
         return y
@@ -113,7 +113,7 @@ def bridged(t: FloatArray, y: FloatArray, wrong: NDArray[np.bool_]) -> FloatArra
 
 
 def _interpolation_at(good: NDArray[np.intp], i: int) -> Callable[..., float]:
-    """What value i is compared with: a cubic through good values, or what an end may be like."""
+    """Function for the deviation of value i: from a cubic, or at an end from a line or a rest."""
     place = int(np.searchsorted(good, i))
     inward = 1 if place < 2 else -1 if place > len(good) - 2 else 0
     return partial(_from_end, inward=inward) if inward else _from_cubic
@@ -122,10 +122,10 @@ def _interpolation_at(good: NDArray[np.intp], i: int) -> Callable[..., float]:
 def glitches(residual: FloatArray, noise: float) -> NDArray[np.bool_]:
     """Flags of values that differ from the local median by more than noise; one or two in a row.
 
-    Where a curve is smoothed too much its neighbours lie beside it as well.
+    Where a curve is smoothed too much, its neighbours have residuals of the same sign.
     """
-    around = np.pad(residual, _BESIDE, mode="reflect")
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _BESIDE + 1), axis=1)
+    around = np.pad(residual, _REACH, mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _REACH + 1), axis=1)
     return np.asarray(np.abs(residual - middle) > GLITCH * noise)
 
 
@@ -136,51 +136,51 @@ def off_curve(
     wrong: NDArray[np.bool_],
     noise: float,
 ) -> NDArray[np.bool_]:
-    """Flags of suspected values that lie farther from their neighbours' curve than these do.
+    """Flags of suspected values that deviate from the local curve by more than neighbours do.
 
-    Where rows are few for a motion, every value lies beside the curve through those around it.  At
-    an end that is a line: a cubic would make eight times as much of the noise.
+    Where samples are sparse, every value deviates from the curve through those around it.  At an
+    end the curve is a line: a cubic would amplify the noise eight times as much.
     """
     good = np.flatnonzero(~(suspected | wrong))
-    found = np.zeros_like(suspected)
+    flags = np.zeros_like(suspected)
     for i in np.flatnonzero(suspected):
-        first = int(np.clip(np.searchsorted(good, i) - _BESIDE, 0, max(0, len(good) - 2 * _BESIDE)))
-        near, told = good[first : first + 2 * _BESIDE], _interpolation_at(good, int(i))
-        others = [abs(told(t, y, int(j), good)) for j in near]
-        rough = float(np.median(others)) if others else 0.0
-        found[i] = abs(told(t, y, int(i), good)) > GLITCH * max(noise, rough)
-    return found
+        first = int(np.clip(np.searchsorted(good, i) - _REACH, 0, max(0, len(good) - 2 * _REACH)))
+        near, deviation = good[first : first + 2 * _REACH], _interpolation_at(good, int(i))
+        deviations = [abs(deviation(t, y, int(j), good)) for j in near]
+        typical = float(np.median(deviations)) if deviations else 0.0
+        flags[i] = abs(deviation(t, y, int(i), good)) > GLITCH * max(noise, typical)
+    return flags
 
 
 def _from_end(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp], inward: int) -> float:
-    """By how much a value at an end lies beside the least-squares line of the four good ones next.
+    """Deviation of a value at an end from the least-squares line of the next four good values.
 
-    Where these turn, from a rest of few rows into motion say, they lie on no line.  There the next
-    value counts if it rests: if it differs from the one after it by less than they do from a line.
+    A short rest followed by motion is not on a line.  If the two nearest neighbours differ by less
+    than the line's misfit, the deviation from the nearest is returned where it is smaller.
 
-    inward  1 = those after it, −1 = those before
-    returns  m or rad, as `y`; 0 where there are fewer than four
+    inward   1 = neighbours after it, −1 = before
+    returns  m or rad, as `y`; 0 with fewer than four neighbours
     """
-    beside = good[good > i][:_ON_LINE] if inward > 0 else good[good < i][::-1][:_ON_LINE]
-    if len(beside) < _ON_LINE:
+    neighbours = good[good > i][:_ON_LINE] if inward > 0 else good[good < i][::-1][:_ON_LINE]
+    if len(neighbours) < _ON_LINE:
         return 0.0
-    apart, values = t[beside] - t[beside].mean(), y[beside] - y[beside].mean()
-    slope = float(apart @ values / (apart @ apart))
-    turning = math.sqrt(float(np.sum((values - slope * apart) ** 2)) / (_ON_LINE - 2))
-    moving = float(y[i] - y[beside].mean() - slope * (t[i] - t[beside].mean()))
-    resting = float(y[i] - y[beside[0]])
-    rests = abs(y[beside[0]] - y[beside[1]]) < turning
+    offset, values = t[neighbours] - t[neighbours].mean(), y[neighbours] - y[neighbours].mean()
+    slope = float(offset @ values / (offset @ offset))
+    turning = math.sqrt(float(np.sum((values - slope * offset) ** 2)) / (_ON_LINE - 2))
+    moving = float(y[i] - y[neighbours].mean() - slope * (t[i] - t[neighbours].mean()))
+    resting = float(y[i] - y[neighbours[0]])
+    rests = abs(y[neighbours[0]] - y[neighbours[1]]) < turning
     return resting if rests and abs(resting) < abs(moving) else moving
 
 
 def _from_cubic(t: FloatArray, y: FloatArray, i: int, good: NDArray[np.intp]) -> float:
-    """By how much a value lies beside the cubic through two good values on either side of it."""
+    """Deviation of a value from the cubic through two good values on either side of it."""
     others = good[good != i]
     place = int(np.clip(np.searchsorted(others, i), 2, max(2, len(others) - 2)))
-    beside = others[place - 2 : place + 2]
+    neighbours = others[place - 2 : place + 2]
     total = 0.0
-    for a in beside:
-        rest = [b for b in beside if b != a]
+    for a in neighbours:
+        rest = [b for b in neighbours if b != a]
         total += y[a] * float(np.prod([(t[i] - t[b]) / (t[a] - t[b]) for b in rest]))
     return float(y[i] - total)
 

@@ -1,4 +1,4 @@
-"""A logged signal as a C² function of time: natural cubic spline, smoothing what is noise in it."""
+"""A logged signal as a C² function of time: natural cubic spline that smooths the noise."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from cell.cable.outliers import (
     bridged,
     fourth_differences,
     glitches,
+    interpolate_outliers,
+    isolated_outliers,
     longest_run,
-    made_up,
     off_curve,
-    wrong_alone,
 )
 
-#: White noise below this is left in: its spline moves a cable's tip by less than a micrometre.
+#: White noise below this is not smoothed: it moves a cable's tip by less than a micrometre.
 NEGLIGIBLE_NOISE = 1e-7
 
 #: Time over which the curve's bending is averaged to set the local penalty, s; rounds of that;
@@ -60,7 +60,7 @@ class Spline:
 
     noise_std  estimated standard deviation of the noise that was smoothed, 0 = interpolated
     root       (T,) √penalty on curvature with which it was smoothed; None = interpolated
-    wrong      numbers of the log's values that were left out, and made up from those beside them
+    wrong      indices of outliers in the log, which were interpolated from their neighbours
     """
 
     t_s: FloatArray
@@ -91,18 +91,18 @@ class Spline:
 
 
 def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
-    """Spline through `value`, or near it if white noise is found in it.
+    """Interpolating spline of `value`, or a smoothing spline if it has white noise.
 
-    checked  no value is wrong: none is looked for
+    checked  the values have no outliers: none are searched for
 
     The noise is taken from the median fourth divided difference.  The penalty on curvature is the
     one with the least expected error of the curve (Mallows' C_p), so a jerk is followed as closely
     as the noise allows; cross-validation, which does not know the noise, now and then follows all
     of it.
     The penalty is then raised where the curve bends little, so that a gripper at rest is still.
-    Values that lie apart from their neighbours are wrong, and made up from those beside them:
-    where they are the curve would seem to bend.  An axis that never moves is smoothed as a gripper
-    at rest is: it has no bend to tell rest by, and would follow a wrong value at its end.
+    Outliers are interpolated from their neighbours first: the curve would seem to bend there.  An
+    axis that never moves is smoothed as a gripper at rest is: it has no bend from which rest could
+    be detected, and would follow an outlier at its end.
     Source: Green & Silverman, Nonparametric Regression and Generalized Linear Models, 1994, ch. 2
     (Reinsch's algorithm); Pintore et al., Biometrika 93 (2006) 113, for local penalties.
     """
@@ -113,8 +113,8 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
     noise, alone = 0.0, tuple[int, ...]()
     if len(t) >= 16:
         noise = _noise(t, y)
-        alone = () if checked else wrong_alone(t, y, noise)
-        y = made_up(t, y, alone)
+        alone = () if checked else isolated_outliers(t, y, noise)
+        y = interpolate_outliers(t, y, alone)
     if noise < NEGLIGIBLE_NOISE:
         return Spline(t, y, _natural(t, y), 0.0, wrong=tuple(sorted(alone)))
     spacing = (t[-1] - t[0]) / (len(t) - 1)
@@ -165,8 +165,8 @@ def _never_moves(y: FloatArray, noise: float) -> bool:
 def refit(spline: Spline, values: FloatArray) -> list[Spline]:
     """Splines of other values (signals, T) at the same times, with settings near this spline's.
 
-    Noise and penalty are searched anew, but near those of `spline`, and where the curve bends is
-    known from it, which is far less work than `fit`.
+    Noise and penalty are re-estimated near those of `spline`, and the local penalties are taken
+    from it, which is far less work than `fit`.
     """
     t = spline.t_s
     splines = []
@@ -182,7 +182,7 @@ def refit(spline: Spline, values: FloatArray) -> list[Spline]:
 
 
 def _with_probes(y: FloatArray) -> FloatArray:
-    """(T, 1 + probes) values beside random signs."""
+    """(T, 1 + probes) values and random signs."""
     probes = np.random.default_rng(0).choice([-1.0, 1.0], (_PROBES, len(y)))
     return np.ascontiguousarray(np.vstack([y, probes]).T)
 

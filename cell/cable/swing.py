@@ -208,11 +208,11 @@ def _run(
     nodes(bends.ravel(), block.width, block.segments, block.lengths, seen_from, *markers, points)
     for lane, t, here in zip(lanes, times, points, strict=False):
         there = here[: len(t)]
-        seen = camera.seen(
+        observed = camera.image_positions(
             swing.models[lane], swing.times_s[lane], t, there, in_motion=swing.moving
         )
-        if seen is not there or not direct:
-            out[lane][:, : len(markers[0])] = seen
+        if observed is not there or not direct:
+            out[lane][:, : len(markers[0])] = observed
     if swing.gauge is not None:
         for k, lane in enumerate(lanes):
             shown = swing.gauge.measured(

@@ -14,7 +14,7 @@ from cell.cable.arrays import FloatArray
 
 #: Force x, y, and moment.
 AXES = 3
-#: Further points that a wrench is told as: its force, and its moment with a zero.
+#: Points that represent a wrench: its force, and its moment with a zero.
 AS_POINTS = 2
 #: A mean of fewer rows than this is none: its noise would be that of single rows.
 FEWEST_ROWS = 2
@@ -81,13 +81,13 @@ class RowMeans:
     """Means of a sensor's rows over time spans, the same for measured and simulated values.
 
     t_s          (R,) times of the rows
-    seen         (R, AXES) whether a row shows an axis
+    valid        (R, AXES) whether a row has a value of an axis
     among        (n,) which of a record's times the means stand at
     first, last  (n,) the rows of each: from `first` to before `last`
     """
 
     t_s: FloatArray
-    seen: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
     among: NDArray[np.intp]
     first: NDArray[np.intp]
     last: NDArray[np.intp]
@@ -95,17 +95,17 @@ class RowMeans:
     @cached_property
     def rows(self) -> NDArray[np.intp]:
         """(n, AXES) rows that a mean is of."""
-        return np.asarray(self._sums(self.seen.astype(np.intp)))
+        return np.asarray(self._sums(self.valid.astype(np.intp)))
 
     def of(self, values: FloatArray) -> FloatArray:
-        """(n, AXES) means of values (R, AXES), nan where too few rows show an axis."""
-        sums = self._sums(np.where(self.seen, values, 0.0))
+        """(n, AXES) means of values (R, AXES), nan where too few rows have a value."""
+        sums = self._sums(np.where(self.valid, values, 0.0))
         return np.where(self.rows >= FEWEST_ROWS, sums / np.maximum(self.rows, 1), np.nan)
 
     def some(self, which: NDArray[np.intp]) -> RowMeans:
         """Those of the means at some indices."""
         parts = (v[which] for v in (self.among, self.first, self.last))
-        return RowMeans(self.t_s, self.seen, *parts)
+        return RowMeans(self.t_s, self.valid, *parts)
 
     def earlier(self, delay_s: float) -> RowMeans:
         """Of rows as much earlier."""

@@ -45,8 +45,8 @@ class Parameter:
         if not self.name.isidentifier():
             raise ValueError(f"parameter {self.name!r} is not a name")
         guesses = {"starts": self.starts, "scan": self.scan}
-        given = [(label, value) for label, values in guesses.items() for value in values]
-        for label, value in (("default", self.default), *given):
+        labelled = [(label, value) for label, values in guesses.items() for value in values]
+        for label, value in (("default", self.default), *labelled):
             if not self.low <= value <= self.high:
                 raise ValueError(
                     f"parameter {self.name}: {label} {value} outside {self.low} … {self.high}"

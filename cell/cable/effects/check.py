@@ -94,8 +94,8 @@ def _check_form(effect: type[Effect], path: Path, line: int) -> None:
     name = getattr(effect, "name", None)
     if not isinstance(name, str) or not name.isidentifier():
         refuse(f"name = {name!r}: must be a string like 'air_drag'")
-    given = getattr(effect, "parameters", None)
-    if not isinstance(given, tuple) or not all(isinstance(q, Parameter) for q in given):
+    parameters = getattr(effect, "parameters", None)
+    if not isinstance(parameters, tuple) or not all(isinstance(q, Parameter) for q in parameters):
         refuse("parameters must be a tuple of Parameter; mind the comma after a single one")
     names = [q.name for q in effect.parameters]
     if len(set(names)) != len(names):

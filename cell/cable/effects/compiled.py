@@ -1,4 +1,4 @@
-"""Effects → compiled loops, kept on disk; the same for the project's own and a user's."""
+"""Effects → compiled loops, cached on disk; the same for the project's own and a user's."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ class Loops:
 
 
 _LOOPS: dict[type[Effect], Loops] = {}
-#: Whether loops are kept on disk.
-_kept = True
+#: Whether loops are cached on disk.
+_on_disk = True
 
 
 def keep_nothing() -> None:
     """From now on this process writes no loops to disk, and reads none."""
-    global _kept
-    _kept = False
+    global _on_disk
+    _on_disk = False
 
 
 def take_loops(effect: type[Effect], loops: Loops) -> None:
@@ -182,7 +182,7 @@ def hooks_of(effects: Sequence[ActiveEffect]) -> Hooks:
 
 def _module(source: str, effect: type[Effect]) -> Any:
     """Module made from `source`, in a file named after all that its machine code depends on."""
-    if not _kept:
+    if not _on_disk:
         return _run(source.replace(", cache=True", ""), effect, Path(f"{effect.name}.py"))
     defined_in = getattr(sys.modules.get(effect.__module__), "__file__", None)
     text = Path(defined_in).read_text(encoding="utf-8") if defined_in else ""

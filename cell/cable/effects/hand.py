@@ -12,13 +12,12 @@ from cell.cable.effects.base import Effect, HandMotion, Parameter
 
 #: The gripper is still below this share of the log's highest speed.
 _STILL = 0.02
-#: Shares of a motion's length that are still left where its end is extrapolated from.
+#: Remaining shares of a motion's length from which its end is extrapolated.
 _NEAR, _FAR = 1e-3, 0.03
 _LOOK_S = 1e-3
-#: A ringing whose damping is 0.05 is found from frequencies up to some 7 % off.
+#: A fit of ringing with damping 0.05 converges from frequencies up to some 7 % off.
 _FREQUENCIES_HZ = tuple(float(f"{f:.3g}") for f in np.geomspace(1.5, 60.0, 27))
-#: Looks in a row for which a gripper must be faster to have begun to move; least for an
-#: extrapolation.
+#: Consecutive samples above `_STILL` that count as a motion; fewest samples of an extrapolation.
 _LASTS, _LEAST_SAMPLES = 10, 5
 
 
@@ -100,24 +99,24 @@ def _stops(pose: HandMotion) -> list[tuple[float, float, float]]:
         after = next((b for b in begins if b > end and speed[b : b + _LASTS].min() > still), len(x))
         rest = slice(min(end + (after - end) // 2, len(x) - 1), after)
         rest_x, rest_y = float(np.median(x[rest])), float(np.median(y[rest]))
-        left = np.hypot(x[begin:end] - rest_x, y[begin:end] - rest_y)
-        if left[0] > 0.0:
-            along = (rest_x - float(x[begin])) / left[0], (rest_y - float(y[begin])) / left[0]
-            stops.append((_end_s(t[begin:end], left / left[0]), *along))
+        away = np.hypot(x[begin:end] - rest_x, y[begin:end] - rest_y)
+        if away[0] > 0.0:
+            along = (rest_x - float(x[begin])) / away[0], (rest_y - float(y[begin])) / away[0]
+            stops.append((_end_s(t[begin:end], away / away[0]), *along))
     return stops
 
 
-def _end_s(t: FloatArray, left: FloatArray) -> float:
-    """When a motion ends, of which these shares (T,) are left at times t.
+def _end_s(t: FloatArray, remaining: FloatArray) -> float:
+    """End time of a motion, extrapolated from its remaining shares (T,) at times t.
 
-    What is left falls as the cube of the time left, at first.  Extrapolated from there, because
-    where so little is left that it could be left out the log's noise would decide.
+    The remaining distance falls as the cube of the remaining time.  It is extrapolated from shares
+    above `_NEAR`, because below them the log's noise dominates.
     """
-    far = np.flatnonzero(left > _FAR)
+    far = np.flatnonzero(remaining > _FAR)
     begin = int(far[-1]) if far.size else 0
-    near = left[begin:] > _NEAR
-    root = np.cbrt(left[begin:][near])
+    near = remaining[begin:] > _NEAR
+    root = np.cbrt(remaining[begin:][near])
     if len(root) < _LEAST_SAMPLES:
         return float(t[-1])
-    # noise moves a time by itself over the speed, which falls as the square of the time left
+    # a time's error is noise / speed, which falls as the square of the remaining time
     return float(np.polyfit(root, t[begin:][near], 2, w=root**2)[-1])

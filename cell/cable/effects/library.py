@@ -125,8 +125,8 @@ class _FromSource(SourceFileLoader):
 def _loaded(file: Path, source: bytes, doing: Doing, *, alone: bool = False) -> type[Effect]:
     """Effect of a file with this source.
 
-    alone  the file needs no other beside it: a copy elsewhere has the same machine code, which is
-           found by the module's name
+    alone  the file imports no others: a copy elsewhere has the same machine code, which is cached
+           by the module's name
     """
     sha256 = hashlib.sha256(source).hexdigest()
     where = sha256 if alone else hashlib.sha256(str(file).encode()).hexdigest()
@@ -152,11 +152,11 @@ def _loaded(file: Path, source: bytes, doing: Doing, *, alone: bool = False) -> 
             trace = trace.tb_next
         cause = f"{type(error).__name__}: {error}: mend that"
         raise EffectError(file, line, cause) from error
-    found = _effects_in(module)
-    if len(found) != 1:
-        names = [e.__name__ for e in found]
+    effects = _effects_in(module)
+    if len(effects) != 1:
+        names = [e.__name__ for e in effects]
         raise EffectError(file, 1, f"must define exactly one subclass of Effect, has {names}")
-    (effect,) = found
+    (effect,) = effects
     check(effect, doing)
     ours = (library() | unscreened()).get(effect.name)
     if ours is not None:

@@ -42,8 +42,8 @@ def _caller(kinds: tuple[Any, ...]) -> Any:
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             values = [
-                context.cast(builder, builder.extract_value(args[1], i), given, kind)
-                for i, (given, kind) in enumerate(zip(signature.args[1], kinds, strict=True))
+                context.cast(builder, builder.extract_value(args[1], i), value_type, kind)
+                for i, (value_type, kind) in enumerate(zip(signature.args[1], kinds, strict=True))
             ]
             convention = context.call_conv
             function = convention.get_function_type(types.none, kinds).as_pointer()

@@ -79,10 +79,10 @@ def run_remote(name: str, own: Sequence[type[Effect]], *args: Any) -> Any:
     at = next(i for i, a in enumerate(args) if isinstance(a, tuple))
     forces, moments, *others = args[at]
     names = [symbol_of(int(a)) for a in forces], [symbol_of(int(a)) for a in moments]
-    given = [a.copy() if isinstance(a, np.ndarray) else a for a in args]
-    given[at] = (*names, *others)
+    copies = [a.copy() if isinstance(a, np.ndarray) else a for a in args]
+    copies[at] = (*names, *others)
     what = f"{own[0].name}: a compiled hook"
-    answer = _request(own, {"engine": name, "args": tuple(given)}, what)
+    answer = _request(own, {"engine": name, "args": tuple(copies)}, what)
     results = [*answer["arrays"], answer["memory"]]
     targets = [*(args[i] for i in _ENGINE_ARRAYS[name]), others[2]]
     for target, result in zip(targets, results, strict=True):
@@ -178,7 +178,7 @@ def _new(file: Path) -> Sandbox:
 
 
 def _loaded(sandbox: Sandbox, file: Path, source: bytes, *, first: bool) -> dict[str, Any]:
-    """What a sandbox says of an effect that it has loaded.  Raises EffectError."""
+    """A sandbox's description of an effect that it has loaded.  Raises EffectError."""
     now: tuple[str, int, float] = "its module", 1, PATIENCE_S
 
     def more(answer: Any) -> tuple[bool, Any]:
@@ -209,43 +209,43 @@ def _loaded(sandbox: Sandbox, file: Path, source: bytes, *, first: bool) -> dict
     raise _refusal(file, answer)
 
 
-def _text(said: object) -> str:
-    """Words of a sandbox: what a terminal does not take for a command."""
-    text = "".join(c if c.isprintable() or c == "\n" else "?" for c in str(said))
+def _text(value: object) -> str:
+    """Text from a sandbox without control characters, which a terminal might execute."""
+    text = "".join(c if c.isprintable() or c == "\n" else "?" for c in str(value))
     return text[:_LONGEST_TEXT]
 
 
-def _name(said: object) -> str:
-    if not isinstance(said, str) or not said.isidentifier() or len(said) > _LONGEST_NAME:
-        raise ValueError(f"{_text(said)!r} is not a name")
-    return said
+def _name(value: object) -> str:
+    if not isinstance(value, str) or not value.isidentifier() or len(value) > _LONGEST_NAME:
+        raise ValueError(f"{_text(value)!r} is not a name")
+    return value
 
 
-def _class_of(file: Path, source: bytes, said: dict[str, Any]) -> type[Effect]:
-    """The class of this process.  Raises EffectError: what is said of it is of no effect."""
+def _class_of(file: Path, source: bytes, data: dict[str, Any]) -> type[Effect]:
+    """This process's class of a described effect.  Raises EffectError: not an effect's."""
     sha256 = hashlib.sha256(source).hexdigest()
     try:
-        name = _name(said["name"])
+        name = _name(data["name"])
         parameters = tuple(
-            Parameter(_name(q[0]), _text(q[1])[:_LONGEST_NAME], *q[2:]) for q in said["parameters"]
+            Parameter(_name(q[0]), _text(q[1])[:_LONGEST_NAME], *q[2:]) for q in data["parameters"]
         )
         fields: dict[str, Any] = {
-            "__doc__": _text(said["law"]),
+            "__doc__": _text(data["law"]),
             "__module__": f"cable_effect_confined_{file.stem}_{sha256[:12]}",
             "name": name,
             "parameters": parameters,
-            "memory": tuple(_name(m) for m in said["memory"]),
-            "dissipative": bool(said["dissipative"]),
-            "smooth": bool(said["smooth"]),
-            "_line": int(said["line"]),
+            "memory": tuple(_name(m) for m in data["memory"]),
+            "dissipative": bool(data["dissipative"]),
+            "smooth": bool(data["smooth"]),
+            "_line": int(data["line"]),
         }
-        hooks = [h for h in said["hooks"] if h in _RESULTS or h in _COMPILED]
+        hooks = [h for h in data["hooks"] if h in _RESULTS or h in _COMPILED]
     except (ValueError, TypeError, KeyError, LookupError) as error:
         raise EffectError(file, 1, f"is no effect: {_text(error)}") from error
     effect: type[Effect] = type("Law", (Effect,), fields)
     for hook in hooks:
         call = _clamp(effect) if hook == "clamp" else _hook(effect, hook)
-        if hook == "inertia" and said.get("varies_along_cable"):
+        if hook == "inertia" and data.get("varies_along_cable"):
             call = _inertia_along(effect)
         setattr(effect, hook, staticmethod(call))
     effect.file = EffectFile(file, sha256, confined=True)
@@ -270,8 +270,8 @@ _RESULTS = {
 def _hook(effect: type[Effect], hook: str) -> Callable[..., Any]:
     def called(cable: Any, *args: Any) -> Any:
         what = f"{effect.name}.{hook}"
-        given = (tuple(map(float, cable)), *args[:-1], _values(args[-1]))
-        answer = _request((effect,), {"effect": effect.name, "hook": hook, "args": given}, what)
+        arguments = (tuple(map(float, cable)), *args[:-1], _values(args[-1]))
+        answer = _request((effect,), {"effect": effect.name, "hook": hook, "args": arguments}, what)
         value, size = answer["value"], _RESULTS.get(hook, 1)
         if size == 0:
             shape = np.shape(args[0])
@@ -294,8 +294,8 @@ def _inertia_along(effect: type[Effect]) -> Callable[..., Any]:
 
     def inertia(cable: Any, arc_length: Any, p: Any) -> Any:
         arcs = np.asarray(arc_length, dtype=np.float64)
-        given = (tuple(map(float, cable)), arcs, _values(p))
-        request = {"effect": effect.name, "hook": "inertia", "args": given}
+        arguments = (tuple(map(float, cable)), arcs, _values(p))
+        request = {"effect": effect.name, "hook": "inertia", "args": arguments}
         value = _request((effect,), request, what)["value"]
         arrays = value if isinstance(value, tuple) else ()
         shapes = [np.shape(a) for a in arrays]
@@ -315,8 +315,8 @@ def _clamp(effect: type[Effect]) -> Callable[..., Any]:
                 return False, tuple(np.asarray(v) for v in pose(np.asarray(answer["pose"])))
 
             times = np.asarray(t_s, dtype=np.float64)
-            given = (pose.start_s, pose.end_s, times, _values(p))
-            request = {"effect": effect.name, "hook": "clamp", "args": given}
+            arguments = (pose.start_s, pose.end_s, times, _values(p))
+            request = {"effect": effect.name, "hook": "clamp", "args": arguments}
             answer = _request((effect,), request, f"{effect.name}.clamp", more)
             value = answer["value"]
             arrays = value if isinstance(value, tuple) else ()

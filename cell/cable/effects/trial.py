@@ -27,7 +27,7 @@ MEMORY_BYTES = 6 * 1024**3
 
 
 def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, float], None]], None]) -> None:
-    """Run `load(file, doing)` elsewhere; `doing` is told what comes next, its line, seconds for it.
+    """Run `load(file, doing)` elsewhere; it calls `doing(next task, line, seconds allowed)`.
 
     Time in which others have the cores counts as in `cell.computer.watched`.
 
@@ -41,11 +41,11 @@ def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, float], Non
         process.start()
     sender.close()
     what, line, patience_s = "its module", 1, COMPILING_S
-    given, under_way = GrantedTime(process.pid or 0), RunningCall()
+    granted, under_way = GrantedTime(process.pid or 0), RunningCall()
     try:
         while not under_way.is_stuck(patience_s):
             if not receiver.poll(POLL_S):
-                under_way.sample(given.since_last_sample_s())
+                under_way.sample(granted.since_last_sample_s())
                 continue
             kind, text, at, patience_s = receiver.recv()
             if kind == "right":

@@ -74,14 +74,14 @@ def check_untrusted(path: Path) -> None:
     bound = Counter(name for node in ast.walk(tree) for name in _bound(node))
     of_attributes = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Attribute)}
     for node in ast.walk(tree):
-        found = _beyond(node, modules)
+        forbidden = _beyond(node, modules)
         if isinstance(node, ast.Name) and node.id in modules and id(node) not in of_attributes:
-            found = f"another name for `{node.id}`"  # whose attributes would not be looked at
+            forbidden = f"another name for `{node.id}`"  # whose attributes would not be looked at
         if isinstance(node, ast.Import | ast.ImportFrom):
             twice = [n for n in _bound(node) if bound[n] > 1]
-            found = found or (f"`{twice[0]}` with two meanings" if twice else "")
-        if found:
-            cause = f"{found} is not allowed in a file of --candidates; {_REMEDY}"
+            forbidden = forbidden or (f"`{twice[0]}` with two meanings" if twice else "")
+        if forbidden:
+            cause = f"{forbidden} is not allowed in a file of --candidates; {_REMEDY}"
             raise EffectError(path, getattr(node, "lineno", 1), cause)
 
 
@@ -97,7 +97,7 @@ def _bound(node: ast.AST) -> list[str]:
 
 
 def _imported(path: Path, node: ast.Import | ast.ImportFrom) -> dict[str, str]:
-    """What modules are called here; others are refused."""
+    """Modules by their local names; raises EffectError for others."""
     module = node.module if isinstance(node, ast.ImportFrom) else None
     called: dict[str, str] = {}
     for alias in node.names:
@@ -129,7 +129,7 @@ def _is_plain_numpy(name: str) -> bool:
 
 
 def _beyond(node: ast.AST, modules: Mapping[str, str]) -> str:
-    """What a node reaches beyond a computation; empty if it does not."""
+    """The forbidden construct in a node; empty if it only computes."""
     for name in _identifiers(node):
         if name.startswith("__"):
             return f"`{name}`"

@@ -280,7 +280,7 @@ class PreparedStudy:
 
         Where arc lengths are uncertain, relative to the likeliest ones.
         """
-        return self.whiteners[trial.name].beside_m(predicted_m)
+        return self.whiteners[trial.name].residual_m(predicted_m)
 
     def all_white(
         self,

@@ -16,7 +16,7 @@ def test_points_that_are_nowhere_are_seen_nowhere_without_a_word():
     scene_s = camera.scene_times(model, times_s, 0.0, 0.4, 1e-3)
     points = np.zeros((len(scene_s), 2, 2))
     points[len(scene_s) // 2 :, 1] = np.nan
-    seen = camera.seen(model, times_s, scene_s, points)
+    seen = camera.image_positions(model, times_s, scene_s, points)
     assert np.isfinite(seen[:, 0]).all()
     assert np.isfinite(seen[0, 1]).all()
     assert np.isnan(seen[-1, 1]).all()
@@ -28,5 +28,5 @@ def test_of_a_cable_that_has_run_away_nothing_is_seen_before_its_scene() -> None
     model = CableModel.uniform(Cable(0.1, 0.0074, 0.016, 1e-4), 3e-5, effects=(late,))
     scene_s = np.linspace(0.0, 0.1, 51)
     away = np.full((51, 1, 2), 1e308) * np.sign(np.sin(np.arange(51.0) * 2.0))[:, None, None]
-    seen = camera.seen(model, np.array([0.01, 0.09]), scene_s, away, in_motion=True)
+    seen = camera.image_positions(model, np.array([0.01, 0.09]), scene_s, away, in_motion=True)
     assert np.isnan(seen[0]).all()
