@@ -1,4 +1,4 @@
-"""Fit of a cable's parameters to trials: all frames at once, coloured noise, Gaussian prior."""
+"""Fit of a cable's parameters to trials: all frames jointly, AR(1) noise, Gaussian prior."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from cell.identify.predicted_frames import PredictedFrames
 from cell.identify.whitener import Whitener
 from cell.study.data import Markers, Trial
 
-#: Variance inflation from which a fit is repeated with frames that weigh as much less.
+#: Variance inflation from which a fit is repeated with the noise widened by it.
 _MATTERS = 1.3
-#: Where everything is predicted the last step is taken linearly if it is shorter than so many
-#: standard deviations.
+#: With predicted frames a single linear step is taken if it is shorter than `tolerance` standard
+#: deviations.
 _ONE_STEP = gauss_newton.Options(tolerance=30.0, max_iterations=1)
-#: What is tried when a fit does not converge, one after the other; then the nearest is taken.
+#: Attempts after a fit that does not converge, in this order; then its last point is the result.
 _CONTINUED, _RESTARTED = "continued", "restarted"
 
 
@@ -38,9 +38,9 @@ class FitOptions:
 
     solver           of the cable engine; its error should be well below the noise
     minimiser        see `gauss_newton`
-    gripper_errors   how far its motion may be wrong
-    first_window_s   a cold start is first fitted to this much of the swing, so that no whole
-                     period is lost between model and measurement
+    gripper_errors   uncertainty of the logged motion
+    first_window_s   a cold start is first fitted to this much of the swing, so that model and
+                     measurement do not differ by a full period
     starts           uniform cables tried for a cold start, over `start_range` in units of ρ g L³
     """
 
@@ -66,17 +66,18 @@ def fit(
     predicted: PredictedFrames | None = None,
     options: FitOptions = FitOptions(),
 ) -> Identified:
-    """Most probable parameters of a cable, given everything seen in `trials`.
+    """Most probable parameters of a cable, given all observed markers of `trials`.
+
+    A fit that does not converge is continued, then restarted, with wider noise; then its last
+    point is the result, with its error in the covariance.
 
     arc_length_m  (markers,) from the gripping point, m
-    noise         of the markers; None = size and colour estimated from the still frames
-    previous      fit of the same parameters to fewer frames of the same trials: where to start;
-                  None = start from a row of uniform cables
-    predicted      what was simulated from there already, if there is but one trial
-    A fit that does not converge is continued, then begun anew, with frames that weigh less; then
-    the nearest model found is taken, with its error.
-    raises        FitError: nothing seen, no still frames and no noise given, nothing that can be
-                  simulated
+    noise         of the markers; None = standard deviation and ar1 estimated from the still frames
+    previous      fit of the same parameters to fewer frames of the same trials: the start;
+                  None = start from a grid of uniform cables
+    predicted     frames of a single trial that were simulated at `previous` in advance
+    raises        FitError: no observed marker, neither noise nor still frames, no model that can
+                  be simulated
     """
     if not any(np.isfinite(t.markers.xy_m).any() for t in trials):
         raise FitError("no marker is seen in any frame")
@@ -89,9 +90,9 @@ def fit(
     else:
         start = previous.mean
     widened = 1.0 if previous is None else previous.inflation
-    passes, attempts = 0, [_CONTINUED, _RESTARTED]
+    iterations, attempts = 0, [_CONTINUED, _RESTARTED]
     while True:
-        # frames with errors beyond the camera's noise weigh less against prior and constant errors
+        # a model error beyond the camera's noise lowers the data's weight relative to the prior
         used = replace(noise, std_m=noise.std_m * float(np.sqrt(widened)))
         whiteners = whiteners_of(trials, used)
         residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver, predicted)
@@ -100,37 +101,37 @@ def fit(
             solution = gauss_newton.minimise(_problem(space, residuals), start, minimiser)
         except ValueError as error:
             raise FitError(str(error)) from error
-        passes += solution.iterations
+        iterations += solution.iterations
         if predicted is not None and not solution.converged:
             predicted = None
             continue
-        further = variance_inflation(solution.residual, whiteners, len(start))
+        inflation = variance_inflation(solution.residual, whiteners, len(start))
         if not solution.converged and attempts:
-            # what the model lacks makes the way rough; frames that weigh less make it smooth
-            widened *= max(further, _MATTERS)
+            # a model error makes the objective rough; wider noise makes it smooth
+            widened *= max(inflation, _MATTERS)
             if attempts.pop(0) == _CONTINUED:
                 start = solution.q
             else:
                 start = _cold_start(trials, arc_length_m, space, noise, options)
             continue
-        if further < _MATTERS or widened > 1.0:
+        if inflation < _MATTERS or widened > 1.0:
             break
-        widened, start = further, start if predicted is not None else solution.q
+        widened, start = inflation, start if predicted is not None else solution.q
     hand_covariance = _gripper_covariance(
         trials, arc_length_m, space.model(solution.q), whiteners, solution, options, predicted
     )
     return Identified(
         space=space,
         mean=solution.q,
-        covariance=solution.covariance * further + hand_covariance,
+        covariance=solution.covariance * inflation + hand_covariance,
         noise=noise,
         residual_rms_m=rms_m(solution.residual, whiteners),
         model_error_m=tip_error_m(solution.residual, whiteners, arc_length_m, noise),
         converged=solution.converged,
-        inflation=widened * further,
+        inflation=widened * inflation,
         frames_used=sum(frames_detected(t) for t in trials),
         frames_total=sum(len(t.markers.t_s) for t in trials),
-        iterations=passes,
+        iterations=iterations,
         method="map",
         gripper_covariance=hand_covariance,
     )
@@ -161,11 +162,11 @@ def _gripper_covariance(
     options: FitOptions,
     predicted: PredictedFrames | None,
 ) -> FloatArray:
-    """(p, p) what the uncertainty of the gripper's motion adds to that of the parameters.
+    """(p, p) covariance of the parameters due to the uncertainty of the gripper's motion.
 
-    The linear answer of the fit to residuals that other, as likely, motions of the gripper bring.
+    That of the fit's linear response to residuals from sampled motions of the gripper.
     """
-    answers = np.zeros((options.gripper_errors.samples, len(solution.q)))
+    responses = np.zeros((options.gripper_errors.samples, len(solution.q)))
     if options.gripper_errors.samples == 0:
         return np.zeros_like(solution.covariance)
     begin = 0
@@ -177,17 +178,16 @@ def _gripper_covariance(
         else:
             nodes_m = _with_sampled_grips(trial, arc_length_m, model, options)
         white = whitener(nodes_m)
-        answers -= (white[1:] - white[0]) @ solution.jacobian[rows]
-    answers = answers @ solution.covariance
-    covariance: FloatArray = answers.T @ answers / options.gripper_errors.samples
+        responses -= (white[1:] - white[0]) @ solution.jacobian[rows]
+    responses = responses @ solution.covariance
+    covariance: FloatArray = responses.T @ responses / options.gripper_errors.samples
     return covariance
 
 
 def _with_sampled_grips(
     trial: Trial, arc_length_m: FloatArray, model: CableModel, options: FitOptions
 ) -> FloatArray:
-    """(1 + samples, T, markers, 2) markers with the logged gripper, and as it may have moved,
-    too."""
+    """(1 + samples, T, markers, 2) markers for the logged motion of the gripper and samples."""
     try:
         return simulate(
             model,
@@ -208,7 +208,7 @@ def whiteners_of(trials: Sequence[Trial], noise: Noise) -> list[Whitener]:
 
 
 def frames_detected(trial: Trial) -> int:
-    """Number of frames in which at least one marker is seen."""
+    """Number of frames in which at least one marker is observed."""
     return int(np.count_nonzero(np.isfinite(trial.markers.xy_m).any(axis=(1, 2))))
 
 
@@ -222,9 +222,9 @@ def still_noise(
         markers = trial.markers.xy_m[still]
         if across_only and len(markers):
             axes = across(markers)
-            first = np.isfinite(markers).all(axis=-1).argmax(axis=0)  # in which each is seen
-            beside = markers - markers[first, np.arange(markers.shape[1])]
-            markers = np.sum(beside * axes, axis=-1, keepdims=True)
+            first = np.isfinite(markers).all(axis=-1).argmax(axis=0)  # first complete frame of each
+            shift = markers - markers[first, np.arange(markers.shape[1])]
+            markers = np.sum(shift * axes, axis=-1, keepdims=True)
         stills.append(markers)
     estimate = estimate_noise(stills)
     if estimate is None or estimate[0] == 0.0:
@@ -236,8 +236,8 @@ def still_noise(
 class Lane:
     """One simulation of a batch: a model on the motion of a trial, sampled at `times_s`.
 
-    modes  (2, modes) places and velocities at first, of a trial that begins bent
-    means  which values of a wrench are means of a sensor's rows, if some are
+    modes  (2, modes) initial places and velocities, of a trial that begins bent
+    means  the values of a wrench that are means of a sensor's rows; None = none
     """
 
     trial: Trial
@@ -254,11 +254,10 @@ def predict_lanes(
     impossible: float = np.inf,
     gauge: Gauge | None = None,
 ) -> list[FloatArray]:
-    """(T, markers, 2) per lane: where the markers are, m.  All lanes begin alike.
+    """(T, markers, 2) positions of the markers of each lane, m.  All lanes begin alike.
 
-    A lane that cannot be simulated does not spoil the others.
-    impossible  value of a lane that cannot be simulated
-    gauge       what measures the wrench: it is behind the markers, as in `simulate_gauged`
+    impossible  value of a lane that cannot be simulated; the others are not affected
+    gauge       sensor of the wrench, which follows the markers as in `simulate_gauged`
     """
     trial = lanes[0].trial
     models, motions = [lane.model for lane in lanes], [lane.trial.grip for lane in lanes]
@@ -266,7 +265,7 @@ def predict_lanes(
     bent = [lane.modes for lane in lanes if lane.modes is not None]
     if gauge is not None:
         begin = Beginning.of(trial.start, trial.release_s, bent, len(lanes))
-        found = simulate_gauged(
+        predicted = simulate_gauged(
             models,
             motions,
             times,
@@ -277,7 +276,7 @@ def predict_lanes(
             means=[lane.means for lane in lanes],
         )
     else:
-        found = simulate_each(
+        predicted = simulate_each(
             models,
             motions,
             times,
@@ -287,13 +286,13 @@ def predict_lanes(
             release_s=trial.release_s,
             bent=bent,
         )
-    return [np.full_like(p, impossible) if np.isnan(p).all() else p for p in found]
+    return [np.full_like(p, impossible) if np.isnan(p).all() else p for p in predicted]
 
 
 def predict(
     trial: Trial, models: Sequence[CableModel], arc_length_m: FloatArray, solver: Solver
 ) -> FloatArray:
-    """(lanes, T, markers, 2) where models put the markers of a trial, m; as `predict_lanes`."""
+    """(lanes, T, markers, 2) predicted markers of a trial, m; as `predict_lanes`."""
     lanes = [Lane(trial, model, trial.markers.t_s) for model in models]
     return np.stack(predict_lanes(lanes, arc_length_m, solver))
 
@@ -304,9 +303,9 @@ def variance_inflation(
     """Factor ≥ 1 by which the parameters' variance exceeds that of white residuals of unit size.
 
     The mean square of the residuals times their integrated autocorrelation time along the frames:
-    where the model errs it errs for many frames, and these do not count as independent.
+    a model error lasts for many frames, which do not count as independent.
     source  Sokal 1997, Monte Carlo Methods in Statistical Mechanics, sec. 3; sum up to the first
-            lag whose correlation is lost in its own noise
+            lag whose correlation is below its own standard error
     """
     count = sum(w.count for w in whiteners)
     mean_square = float(white_residual @ white_residual) / max(1, count - parameters)
@@ -319,10 +318,10 @@ def variance_inflation(
         begin += whitener.rows
     time, powers = 1.0, [float(np.sum(c * c)) for c in channels]
     for lag in range(1, max(c.shape[1] for c in channels) // 2):
-        # a short trial tells nothing of long lags; the others do
-        told = [(c, p) for c, p in zip(channels, powers, strict=True) if lag < c.shape[1] // 2]
-        power = sum(p for _, p in told)
-        product = sum(float(np.sum(c[:, lag:] * c[:, :-lag])) for c, _ in told)
+        # a short trial has no information on long lags
+        long = [(c, p) for c, p in zip(channels, powers, strict=True) if lag < c.shape[1] // 2]
+        power = sum(p for _, p in long)
+        product = sum(float(np.sum(c[:, lag:] * c[:, :-lag])) for c, _ in long)
         if power == 0.0 or product / power < 2.0 / np.sqrt(count):
             break
         time += 2.0 * product / power
@@ -369,9 +368,9 @@ def _cold_start(
     noise: Noise,
     options: FitOptions,
 ) -> FloatArray:
-    """Best of a row of uniform cables on the beginning of the first trial, then fitted to it.
+    """Best of a grid of uniform cables on the beginning of the first trial, then fitted to it.
 
-    Roughly, as if markers were known to a hundredth of the cable's length.
+    The noise is at least a hundredth of the cable's length.
     """
     beginning = [_window(trials[0], options.first_window_s)]
     rough = replace(noise, std_m=max(noise.std_m, 0.01 * space.cable.free_length_m))

@@ -1,4 +1,4 @@
-"""Bounded Gauss–Newton with Levenberg–Marquardt damping, one batch of lanes per pass."""
+"""Bounded Gauss–Newton with Levenberg–Marquardt damping, one batch of lanes per iteration."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ Residuals = Callable[[FloatArray], FloatArray]
 _FIRST_DAMPING = 1e-2
 _HOPELESS_DAMPING = 1e8
 #: Mean square of white residuals from which a model errs by more than the noise.
-_ERRS = 2.0
-#: A fit is as good as it gets if so many passes in a row, together, have not lowered the objective
-#: by the tolerance: where one standard deviation is all that is promised, and where more is, as by
-#: a rough objective again and again.
-_STUCK_PASSES, _ROUGH_PASSES = 4, 6
-#: A step is as promised if the objective fell by the promise, give or take this share of it.
+_MODEL_ERROR_RATIO = 2.0
+#: A fit ends if so many iterations in a row, together, have not lowered the objective by the
+#: tolerance: with a promised decrease of at most one standard deviation, and with a larger one,
+#: which a rough objective promises again and again.
+_STUCK_ITERATIONS, _ROUGH_ITERATIONS = 4, 6
+#: Largest relative difference between an actual and a promised decrease that confirms an update.
 _AS_PROMISED = 0.5
-#: A finite difference must not reach beyond what the data leave open, or it is no slope there: one
-#: over more than so many standard deviations is taken again, so often at most: where residuals are
-#: rough, slopes grow as fast as steps shrink, and none is ever fine enough.
+#: A finite difference over more than so many standard deviations does not approximate the
+#: derivative and is repeated with a smaller step, so often at most: the derivatives of rough
+#: residuals grow as fast as steps shrink, so that no step is ever fine enough.
 _COARSE, _MOST_FINER = 2.0, 3
 
 
@@ -38,9 +38,9 @@ class LeastSquaresProblem:
     mean, step, low, high  (p,); `step` is the largest of the finite differences, taken away from a
                            bound
     precision              (p, p) of the prior
-    jacobian               residuals that cost less and whose differences are as good, if there are
-                           any: the Jacobian is theirs
-    affordable             whether there is time for another pass; a fit ends where it is if not
+    jacobian               cheaper residuals with the same derivatives, from which the Jacobian is
+                           computed; None = from `residuals`
+    affordable             whether there is time for another iteration; a fit ends if not
     """
 
     residuals: Residuals
@@ -57,16 +57,16 @@ class LeastSquaresProblem:
 class Options:
     """Criteria for ending a minimisation.
 
-    tolerance   largest last step, in posterior standard deviations; what is left after it is of
+    tolerance   largest last step, in posterior standard deviations; the remaining error is of
                 second order
-    least_gain  share of the objective by which passes must lower it where the model errs by more
-                than the noise; after two that do not, what more of them would find is far below
-                what the answer could be wrong by
-    above       an objective, and after how many passes a fit is given up that is still above it;
-                its last Jacobian may be an updated one
-    updates     steps in a row, at most, after which the Jacobian is only updated by the residuals
-                that they led to, where these were as promised; it pays where one lane costs far
-                less than a batch.  The last Jacobian is never an updated one
+    least_gain  relative decrease of the objective that an iteration needs where the model's error
+                exceeds the noise; a fit ends after two with less, as the model's error is then far
+                larger than the remaining gain
+    above       an objective, and the number of iterations after which a fit still above it is
+                abandoned; its last Jacobian may be an updated one
+    updates     most consecutive steps with a Broyden update of the Jacobian instead of finite
+                differences, while the objective falls as promised; it pays where one lane costs
+                far less than a batch.  The last Jacobian is never an updated one
     """
 
     tolerance: float = 0.1
@@ -86,11 +86,11 @@ class Solution:
     covariance  (p, p) of q if the residuals are white noise of unit size
     free        (p,) whether a parameter is inside its bounds
     objective   |r|² plus the prior's term
-    iterations  places tried, the start included
+    iterations  points evaluated, the start included
     converged   whether the last step was within the tolerance
-    converged_or_idle  whether it was, or nothing more was gained
-    to_go       (p,) the step to the minimum if the model were linear; 0 if the last one was taken
-    promised    by which the objective would fall on that step
+    converged_or_idle  whether it was, or the objective no longer decreased
+    remaining_step  (p,) to the minimum of the linear model; 0 if the last step was taken
+    promised    decrease of the objective by that step, in the linear model
     """
 
     q: FloatArray
@@ -101,21 +101,21 @@ class Solution:
     objective: float
     iterations: int
     converged: bool
-    to_go: FloatArray
+    remaining_step: FloatArray
     promised: float = 0.0
     converged_or_idle: bool = True
 
     @property
     def unfinished(self) -> FloatArray:
-        """(p, p) covariance by the step that was not taken, as one standard deviation."""
-        return np.outer(self.to_go, self.to_go)
+        """(p, p) covariance with the remaining step as one standard deviation."""
+        return np.outer(self.remaining_step, self.remaining_step)
 
 
 class UnsimulatedError(ValueError):
     """A fit begun where its model cannot be simulated.  Scenario: a cable too soft for its load."""
 
 
-#: What a fit ends with whose model cannot be simulated, or leaves nothing to be solved for.
+#: Errors of a fit whose model cannot be simulated, or whose equations are singular.
 UNSIMULATED = (UnsimulatedError, np.linalg.LinAlgError)
 
 
@@ -127,40 +127,39 @@ def minimise(
 ) -> Solution:
     """Minimum near `start`.
 
-    Every pass simulates a point and its finite differences together, so that an accepted step
-    costs one pass; with `options.updates` some cost one lane.  Where `problem.jacobian` is known
-    only points that lie lower get their finite differences.  The last step, smaller than the
-    tolerance, is taken without another pass: residuals and derivatives are then those of the
-    linear model.
-    jacobian  (rows, p) there, if it is known
+    Every iteration simulates a point and its finite differences in one batch; with
+    `options.updates` some simulate one lane only.  With `problem.jacobian` only points that lower
+    the objective get finite differences.  The last step, smaller than the tolerance, is taken
+    without simulation: residuals and derivatives are then those of the linear model.
+    jacobian  (rows, p) at `start`, if it is known
     raises  UnsimulatedError: the residuals at `start` are not finite
     source  Madsen, Nielsen & Tingleff 2004, Methods for Non-Linear Least Squares, alg. 3.16, with
             damping relative to the diagonal and 0 at first; bounds by active set
     """
-    here = _begun(problem, np.clip(start, problem.low, problem.high), jacobian)
+    here = _start(problem, np.clip(start, problem.low, problem.high), jacobian)
     largest, stuck_at = problem.step, here.objective
-    damping, growth, passes, converged, idle, stuck, settled = 0.0, 2.0, 1, False, 0, 0, False
+    damping, growth, iterations, converged, idle, stuck, settled = 0.0, 2.0, 1, False, 0, 0, False
     while True:
         normal = here.jacobian.T @ here.jacobian + problem.precision
         slope = here.jacobian.T @ here.residual + problem.precision @ (here.q - problem.mean)
         problem = replace(problem, step=within_deviations(largest, _deviations(normal)))
-        if (finer := _finer(problem, here)) is not here:
+        if (finer := _with_finer_steps(problem, here)) is not here:
             here = finer
             continue
-        # Damping hides how far it still is along a valley, so nearness is judged without it.
-        step = to_go = _bounded_step(problem, here.q, normal, slope, 0.0)
+        # Damping hides the distance along a valley, so convergence is judged without it.
+        step = full_step = _bounded_step(problem, here.q, normal, slope, 0.0)
         square = float(here.residual @ here.residual)
         scale = max(1.0, square / max(1, int(np.count_nonzero(here.residual))))
         promised = -float(step @ (2.0 * slope + normal @ step))
         near = float(step @ normal @ step) <= options.tolerance**2 * scale
         if stuck_at - here.objective > options.tolerance * scale:
             stuck, stuck_at = 0, here.objective
-        settled = stuck >= (_STUCK_PASSES if promised <= scale else _ROUGH_PASSES)
-        if passes >= options.above[1] and here.objective > options.above[0]:
+        settled = stuck >= (_STUCK_ITERATIONS if promised <= scale else _ROUGH_ITERATIONS)
+        if iterations >= options.above[1] and here.objective > options.above[0]:
             break
-        last = passes >= options.max_iterations or not problem.affordable()
-        if near or settled or last or (idle == 2 and scale > _ERRS):
-            computed = _computed(problem, here)
+        last = iterations >= options.max_iterations or not problem.affordable()
+        if near or settled or last or (idle == 2 and scale > _MODEL_ERROR_RATIO):
+            computed = _with_computed_jacobian(problem, here)
             if computed is not here:
                 here = computed
                 continue
@@ -170,9 +169,9 @@ def minimise(
             break
         if damping > 0.0:
             step = _bounded_step(problem, here.q, normal, slope, damping)
-        passes, stuck = passes + 1, stuck + 1
+        iterations, stuck = iterations + 1, stuck + 1
         if here.updates < options.updates or problem.jacobian is not None:
-            there = _updated(problem, here, step, np.diag(normal))
+            there = _broyden_step(problem, here, step, np.diag(normal))
         else:
             there = _linearise(problem, here.q + step)
         if there.objective < here.objective and there.usable:
@@ -181,13 +180,13 @@ def minimise(
             small = fall < options.least_gain * here.objective
             too_often = there.updates > options.updates
             if too_often or (there.updates and (small or abs(gain - 1.0) > _AS_PROMISED)):
-                there = _computed(problem, there)
+                there = _with_computed_jacobian(problem, there)
             if not (small and here.updates):
                 idle = idle + 1 if small else 0
             here = there
             damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
             growth = 2.0
-        elif here.updates and (computed := _computed(problem, here)) is not here:
+        elif here.updates and (computed := _with_computed_jacobian(problem, here)) is not here:
             here = computed
         else:
             damping = max(growth * damping, _FIRST_DAMPING)
@@ -195,19 +194,19 @@ def minimise(
             if damping > _HOPELESS_DAMPING:
                 break
     free = (here.q > problem.low) & (here.q < problem.high)
-    left = (np.zeros_like(to_go), 0.0) if converged else (to_go, promised)
+    remaining = (np.zeros_like(full_step), 0.0) if converged else (full_step, promised)
     at_minimum = here.q, here.residual, here.jacobian, _covariance(normal, free), free
-    ended = _objective(problem, here.q, here.residual), passes, converged
-    return Solution(*at_minimum, *ended, *left, converged or settled)
+    ended = _objective(problem, here.q, here.residual), iterations, converged
+    return Solution(*at_minimum, *ended, *remaining, converged or settled)
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
     """Residual (rows,) and Jacobian (rows, p) at q (p,); not finite where it cannot be simulated.
 
-    updates  since the Jacobian was computed
-    step     (p,) of its differences; none if it is updated or of another problem
-    refined  so often these were taken again because they were too large
+    updates  Broyden updates since the Jacobian was computed
+    step     (p,) of its differences; None if it is updated or of another problem
+    refined  how often the differences were repeated with smaller steps
     """
 
     q: FloatArray
@@ -220,13 +219,13 @@ class _Point:
 
     @property
     def usable(self) -> bool:
-        """Whether all of it could be simulated."""
+        """Whether residual and Jacobian could be simulated."""
         return bool(np.all(np.isfinite(self.residual)) and np.all(np.isfinite(self.jacobian)))
 
 
-def _begun(problem: LeastSquaresProblem, start: FloatArray, jacobian: FloatArray | None) -> _Point:
+def _start(problem: LeastSquaresProblem, start: FloatArray, jacobian: FloatArray | None) -> _Point:
     """The start of a fit."""
-    here = _linearise(problem, start) if jacobian is None else _seen(problem, start, jacobian)
+    here = _linearise(problem, start) if jacobian is None else _point_at(problem, start, jacobian)
     if not here.usable:
         raise UnsimulatedError("the model cannot be simulated at the start of the fit")
     return here
@@ -237,7 +236,7 @@ def _linearise(
 ) -> _Point:
     """The point at q, its Jacobian by finite differences.
 
-    known  residual there, where the slopes come from elsewhere
+    known  residual there, where the derivatives are those of `problem.jacobian`
     """
     step = one_sided_steps(q, problem.step, problem.high)
     if problem.jacobian is None:
@@ -254,7 +253,7 @@ def _linearise(
     return _Point(q, residual, jacobian, _objective(problem, q, residual), step=problem.step)
 
 
-def _seen(problem: LeastSquaresProblem, q: FloatArray, jacobian: FloatArray) -> _Point:
+def _point_at(problem: LeastSquaresProblem, q: FloatArray, jacobian: FloatArray) -> _Point:
     """The point at q, its Jacobian known."""
     residual = problem.residuals(q[None])[0]
     return _Point(q, residual, jacobian, _objective(problem, q, residual))
@@ -269,16 +268,16 @@ def jacobian_at(problem: LeastSquaresProblem, q: FloatArray, covariance: FloatAr
     return _linearise(replace(problem, step=step), q).jacobian
 
 
-def _computed(problem: LeastSquaresProblem, point: _Point) -> _Point:
-    """The point with a Jacobian that is not updated, unless none can be computed there."""
+def _with_computed_jacobian(problem: LeastSquaresProblem, point: _Point) -> _Point:
+    """The point with a Jacobian by finite differences, unless they cannot be simulated."""
     if not point.updates:
         return point
     computed = _linearise(problem, point.q, point.residual)
     return computed if computed.usable else point
 
 
-def _finer(problem: LeastSquaresProblem, point: _Point) -> _Point:
-    """The point with slopes over the problem's steps, if its own are over far larger ones."""
+def _with_finer_steps(problem: LeastSquaresProblem, point: _Point) -> _Point:
+    """The point with differences over the problem's steps, if its own steps are far larger."""
     if point.step is None or point.refined == _MOST_FINER:
         return point
     if not np.any(point.step > _COARSE * problem.step):
@@ -287,10 +286,10 @@ def _finer(problem: LeastSquaresProblem, point: _Point) -> _Point:
     return replace(finer, refined=point.refined + 1) if finer.usable else point
 
 
-def _updated(
+def _broyden_step(
     problem: LeastSquaresProblem, point: _Point, step: FloatArray, weight: FloatArray
 ) -> _Point:
-    """The point a step on: the least change of the Jacobian, in units of weight^-½, explains it.
+    """The point after a step, with the least change of the Jacobian, in units of weight^-½.
 
     source  Broyden, Math. Comp. 19 (1965) 577, "good" method
     """
@@ -328,7 +327,7 @@ def _bounded_step(
     """Damped step; parameters that it would drive out of bounds go to the bound and stay there."""
     damped = normal + damping * np.diag(np.diag(normal))
     size = np.sqrt(np.diag(damped))
-    alike = damped / np.outer(size, size)  # of which the solution does not hang on units
+    alike = damped / np.outer(size, size)  # its solution does not depend on units
     step = np.zeros_like(q)
     free = np.ones(len(q), dtype=bool)
     for _ in range(len(q) + 1):

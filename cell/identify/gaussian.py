@@ -19,8 +19,8 @@ def covariance_root(covariance: FloatArray) -> FloatArray:
 def parameters_root(covariance: FloatArray) -> FloatArray:
     """(p, p) R with R Rᵀ = covariance, of parameters whose units differ.
 
-    Rounding errs by a share of the largest eigenvalue: that of a moment in N·m, or a mass in kg,
-    would be lost beside that of a logarithm.  So it is the root of the correlations.
+    Rounding errors are relative to the largest eigenvalue: a moment in N·m, or a mass in kg, would
+    be lost compared with a logarithm.  So the root is that of the correlations, scaled.
     """
     size = np.sqrt(np.diag(covariance))
     size = np.where(size > 0.0, size, 1.0)

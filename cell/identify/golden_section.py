@@ -11,15 +11,15 @@ _SHARE = 0.5 * (sqrt(5.0) - 1.0)
 def where_least(cost: Callable[[float], float], low: float, high: float, within: float) -> float:
     """Argument of a minimum between `low` and `high`, to within `within`, by golden section.
 
-    Of several minima one is found.  scipy's function for it takes 0.15 s to import.
+    One of several minima is returned.  scipy's function for it takes 0.15 s to import.
 
     source  Kiefer 1953
     """
     inner = [high - _SHARE * (high - low), low + _SHARE * (high - low)]
     costs = [cost(x) for x in inner]
     while high - low > 2.0 * within:
-        left = costs[0] < costs[1]
-        if left:
+        lower_half = costs[0] < costs[1]
+        if lower_half:
             high = inner[1]
             inner = [high - _SHARE * (high - low), inner[0]]
             costs = [cost(inner[0]), costs[0]]

@@ -19,20 +19,20 @@ def align_motion(
     """Motion shifted by constants to where the camera sees the gripping point and the clamp.
 
     t_s              (T,) times of the frames, s
-    grip_m           (T, 2) gripping point in the frames, m; nan where the jaw was not found
+    grip_m           (T, 2) gripping point in the frames, m; nan where the jaw is not detected
     clamp_angle_rad  (T,) clamp angle in the frames, rad; nan likewise
-    returns          motion plus the medians of (seen − logged); unchanged if the jaw was never seen
+    returns          motion plus the medians of (detected − logged); unchanged without detection
     """
-    seen = np.isfinite(clamp_angle_rad) & np.isfinite(grip_m).all(-1)
-    if not seen.any():
+    detected = np.isfinite(clamp_angle_rad) & np.isfinite(grip_m).all(-1)
+    if not detected.any():
         return motion
     shifted = []
     for logged, camera in (
-        (motion.x_m, grip_m[seen, 0]),
-        (motion.y_m, grip_m[seen, 1]),
-        (motion.angle_rad, clamp_angle_rad[seen]),
+        (motion.x_m, grip_m[detected, 0]),
+        (motion.y_m, grip_m[detected, 1]),
+        (motion.angle_rad, clamp_angle_rad[detected]),
     ):
-        shifted.append(logged + np.median(camera - np.interp(t_s[seen], motion.t_s, logged)))
+        shifted.append(logged + np.median(camera - np.interp(t_s[detected], motion.t_s, logged)))
     return Motion(motion.t_s, *shifted)
 
 
@@ -40,10 +40,10 @@ def align_motion(
 class GripperLogErrors:
     """Uncertainty of the gripper's motion beyond the noise estimated from its log.
 
-    samples       motions drawn to see what it does to the parameters; 0 = taken as exact
+    samples       random motions that propagate it to the parameters; 0 = the log is exact
     offset_m      standard deviation of a constant error of the gripping point along x and y
     offset_rad    likewise of the clamp angle
-    drift         error of a place that was integrated; None = it was not
+    drift         error of an integrated position; None = it was not integrated
     """
 
     samples: int = 15
@@ -59,11 +59,11 @@ class GripperLogErrors:
 def sampled_motions(motion: Motion, errors: GripperLogErrors, first: int = 0) -> list[Motion]:
     """`errors.samples` random motions that are as likely as the logged one.
 
-    The noise is the same on the same samples of a log that goes on longer.
+    A longer log has the same noise on its first samples.
 
-    first   number of the first that is drawn: other numbers, other noise
-    source  parametric bootstrap: the noise that the engine's splines find in the log and take out,
-            drawn anew, for them to take out again, as much as in the log
+    first   index of the first sample; it seeds the noise
+    source  parametric bootstrap: noise of the size that the engine's splines estimate in the log is
+            drawn again and added to the smoothed log
     """
     splines = motion.splines
     smooth = [spline(motion.t_s) for spline in splines]
@@ -83,7 +83,7 @@ def sampled_motions(motion: Motion, errors: GripperLogErrors, first: int = 0) ->
 
 
 def _drifted(motion: Motion, drift: HandDrift, rng: np.random.Generator) -> FloatArray:
-    """(3, T) an error of x, y and angle that the log does not show."""
+    """(3, T) a random drift of x, y and angle."""
     shapes_m, turns_rad = drift.shapes_m(motion.t_s, motion), drift.turns_rad(motion.t_s)
     place_m = np.einsum("k,ktc->ct", rng.normal(size=len(shapes_m)), shapes_m)
     turn = rng.normal(size=len(turns_rad)) @ turns_rad

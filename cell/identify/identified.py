@@ -31,14 +31,14 @@ class Identified:
     covariance      (p, p) of them: widened by `inflation`, gripper's errors included
     noise           of the measurement, as used
     residual_rms_m  measured − predicted, per coordinate, over all frames used, m
-    inflation       variance factor for residuals larger or more coloured than the noise; ≥ 1
-    frames_used, frames_total   frames with at least one marker seen, and all
-    iterations      batches of simulations it took
+    inflation       variance factor for residuals larger or more autocorrelated than the noise; ≥ 1
+    frames_used, frames_total   frames with at least one marker observed, and all
+    iterations      batches of simulations
     method          "map" or "paper"; "imported" if nothing was measured
-    hand_covariance (p, p) share of the gripper's errors, and of the simulation's, in `covariance`
-    model_error_m   what the model misses at the tip beyond the noise, root mean square, m
-    converged       False: the nearest model that was found, not a minimum
-    lacks           effects that would explain what it leaves: `covariance` allows for them
+    gripper_covariance  (p, p) part of `covariance` from errors of the gripper and the simulation
+    model_error_m   residual at the tip beyond the noise, root mean square, m
+    converged       False: the last model of the search, not a minimum
+    lacks           effects that would explain the residual: `covariance` allows for them
     """
 
     space: ParameterSpace
@@ -132,12 +132,12 @@ class Identified:
         }
 
     def _pull(self) -> dict[str, float]:
-        """What takes gravity's place where that is weak; nothing elsewhere."""
+        """The acceleration that replaces a weak gravity; empty without."""
         pull = self.space.pull_m_per_s2
         return {} if pull is None else {"pull_m_per_s2": pull}
 
     def _effect_files(self) -> dict[str, dict[str, dict[str, str | bool]]]:
-        """Where a user's own effects are from; nothing if there are none."""
+        """Files of a user's own effects; empty if there are none."""
         own = {e.name: e.file for e in self.space.effects if e.file is not None}
         files: dict[str, dict[str, str | bool]] = {
             n: {"path": str(f.path), "sha256": f.sha256} for n, f in own.items()

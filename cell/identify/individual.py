@@ -42,11 +42,11 @@ class CableRejectedError(Exception):
 class Acceptance:
     """Conditions on the frames of a cable that is to be identified.
 
-    min_detected      share of the frames after the gripper began to move in which it is seen
+    min_detected      least share of the frames of the swing in which the cable is detected
     least_swing_m     range of the tip's motion relative to the gripper
 
-    How well the model then fits is no condition: its error is a part of what the forecast does not
-    know, and the probability of passing decides.
+    The model's misfit is no condition: it widens the forecast, and the probability of passing
+    decides.
     """
 
     min_detected: float = 0.7
@@ -69,7 +69,7 @@ class IdentifyOptions:
 
 
 def with_effects(options: IdentifyOptions, effects: Sequence[type[Effect]]) -> IdentifyOptions:
-    """The options with effects more in the model.
+    """The options with further effects in the model.
 
     raises  ValueError: an effect is in it already, or the method knows none
     """
@@ -97,7 +97,7 @@ def hold_trial(
     grip             logged motion of the gripper, on the camera's clock
     t_s              (T,) times of the frames, s
     nodes_m          (T, nodes, 2), tip first, m; nan where unseen
-    grip_m, clamp_angle_rad   (T, 2), (T,) of the jaw in the frames; nan where not found
+    grip_m, clamp_angle_rad   (T, 2), (T,) of the jaw in the frames; nan where not detected
     """
     motion = align_motion(grip, t_s, grip_m, clamp_angle_rad)
     return Trial("identify", "fit", "equilibrium", motion, Markers(t_s, nodes_m))
@@ -124,7 +124,7 @@ def identify(
     raises  CableRejectedError
     """
     _accept_frames(trial, options.acceptance)
-    # the node at the gripping point tells of the jaw, not of the cable
+    # the node at the gripping point belongs to the jaw, not to the cable
     hangs = arc_length_m > 0.0
     markers = Markers(trial.markers.t_s, trial.markers.xy_m[:, hangs])
     free = replace(trial, markers=markers)
@@ -168,9 +168,9 @@ def predict_frames(
 ) -> PredictedFrames:
     """Predicted frames of a hold, which `identify` uses when the last frame has arrived.
 
-    trial       what was filmed so far, from which `identified` is
+    trial       the frames filmed so far, from which `identified` was estimated
     t_s         (T,) of all frames, those to come included
-    raises      what the engine raises
+    raises      as the engine
     """
     return simulate_frames(
         trial,
@@ -185,17 +185,17 @@ def predict_frames(
 
 def _accept_frames(trial: Trial, acceptance: Acceptance) -> None:
     after = trial.markers.t_s >= moves_from_s(trial.grip)
-    seen = np.asarray(np.isfinite(trial.markers.xy_m).all(axis=(1, 2)), dtype=np.bool_)
+    detected = np.asarray(np.isfinite(trial.markers.xy_m).all(axis=(1, 2)), dtype=np.bool_)
     moving = int(after.sum())
-    share = float(seen[after].mean()) if moving else 0.0
+    share = float(detected[after].mean()) if moving else 0.0
     if share < acceptance.min_detected:
         raise CableRejectedError(
             Reason.UNSEEN_FRAMES,
-            f"the cable is seen in {int(seen[after].sum())} of {moving} frames of the swing "
+            f"the cable is seen in {int(detected[after].sum())} of {moving} frames of the swing "
             f"({share:.0%}), needs {acceptance.min_detected:.0%}",
         )
-    tip = trial.markers.xy_m[after & seen, 0]
-    t_s = trial.markers.t_s[after & seen]
+    tip = trial.markers.xy_m[after & detected, 0]
+    t_s = trial.markers.t_s[after & detected]
     grip = np.column_stack([np.interp(t_s, trial.grip.t_s, v) for v in _xy(trial.grip)])
     swing_m = float(np.ptp(tip - grip, axis=0).max())
     if swing_m < acceptance.least_swing_m:

@@ -1,4 +1,4 @@
-"""Series with errors that are correlated in time, made white: their innovations."""
+"""Whitening of series with autocorrelated errors: their innovations."""
 
 from __future__ import annotations
 
@@ -9,53 +9,54 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 
 
-def frames_since(seen: NDArray[np.bool_]) -> NDArray[np.int_]:
-    """(T, series) number of a series' own frames since it was last seen; 0 = not seen before.
+def frames_since(observed: NDArray[np.bool_]) -> NDArray[np.int_]:
+    """(T, series) number of a series' own frames since its last observation; 0 = none before.
 
-    Where cameras have clocks of their own a table has a row for each of their frames, and a series
-    is seen in every second row, say: what lies between two of its frames was none of its own.  A
-    row that was lost was one.
-    seen  (T, series)
+    Where cameras have their own clocks, the table has a row for each camera's frames, and a series
+    is observed in every second row, for example.  Rows of the other camera are not counted; rows
+    in which its own marker was lost are.
+    observed  (T, series)
     """
-    frame = np.arange(len(seen))[:, None]
-    last_seen = np.maximum.accumulate(np.where(seen, frame, -1), axis=0)
-    since = np.zeros(seen.shape, dtype=np.int_)
-    since[1:] = np.where(last_seen[:-1] >= 0, frame[1:] - last_seen[:-1], 0)
-    for series in range(seen.shape[1]):
-        between = np.diff(np.flatnonzero(seen[:, series]))
+    frame = np.arange(len(observed))[:, None]
+    last = np.maximum.accumulate(np.where(observed, frame, -1), axis=0)
+    since = np.zeros(observed.shape, dtype=np.int_)
+    since[1:] = np.where(last[:-1] >= 0, frame[1:] - last[:-1], 0)
+    for series in range(observed.shape[1]):
+        between = np.diff(np.flatnonzero(observed[:, series]))
         usual = int(np.median(between)) if len(between) else 1
         if usual > 1:
-            apart = since[:, series]
-            since[:, series] = np.where(apart > 0, np.maximum(1, np.rint(apart / usual)), 0)
+            gap = since[:, series]
+            since[:, series] = np.where(gap > 0, np.maximum(1, np.rint(gap / usual)), 0)
     return since
 
 
 def innovations(
-    seen: NDArray[np.bool_], std_m: float, ar1: float, white: float
+    observed: NDArray[np.bool_], std_m: float, ar1: float, white: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(series, T) AR coefficient since the last frame, 1/std of the innovation, 1/m (0 if unseen).
+    """Coefficients that whiten series with AR(1) and white noise.
 
-    And (series, T) the share of the innovation that enters the AR state: the Kalman gain.
-    seen  (T, series)
+    observed  (T, series)
+    returns   (series, T) each: AR coefficient since the last frame; 1/std of the innovation, 1/m,
+              0 if unobserved; Kalman gain: share of the innovation that enters the AR state
     """
-    since = frames_since(seen)
-    memory = np.where(seen & (since > 0), ar1**since, 0.0)
-    gain = np.ones(seen.shape)
+    since = frames_since(observed)
+    memory = np.where(observed & (since > 0), ar1**since, 0.0)
+    gain = np.ones(observed.shape)
     variance = 1.0 - memory**2
     if white > 0.0:
-        variance = innovation_variances(seen, memory, white, gain)
-    weight = np.where(seen, 1.0 / (std_m * np.sqrt(variance)), 0.0)
+        variance = innovation_variances(observed, memory, white, gain)
+    weight = np.where(observed, 1.0 / (std_m * np.sqrt(variance)), 0.0)
     return tuple(np.ascontiguousarray(v.T) for v in (memory, weight, gain))  # type: ignore[return-value]
 
 
 @njit(cache=True)
 def innovation_variances(
-    seen: NDArray[np.bool_], memory: FloatArray, white: float, gain: FloatArray
+    observed: NDArray[np.bool_], memory: FloatArray, white: float, gain: FloatArray
 ) -> FloatArray:
     """(T, series) innovation variance of AR(1) plus white noise, for a total variance of 1.
 
-    memory  (T, series) of the last frame's AR(1) error: 0 where there is none
-    gain    (T, series) is filled with the share of it that the next frames remember
+    memory  (T, series) AR coefficient since the last frame; 0 where there is none
+    gain    (T, series) is filled with the Kalman gain
     source  Kalman 1960, of a scalar state
     """
     frames, series = memory.shape
@@ -63,7 +64,7 @@ def innovation_variances(
     for i in range(series):
         known = 0.0
         for t in range(frames):
-            if seen[t, i]:
+            if observed[t, i]:
                 fresh = memory[t, i] ** 2 * known + (1.0 - memory[t, i] ** 2) * (1.0 - white)
                 variance[t, i] = fresh + white
                 gain[t, i] = fresh / variance[t, i]
@@ -74,16 +75,16 @@ def innovation_variances(
 @njit(cache=True)
 def made_white(
     values: FloatArray,
-    seen: NDArray[np.bool_],
+    observed: NDArray[np.bool_],
     since: NDArray[np.int_],
     ar1: float,
     white: float,
     of_white: float,
 ) -> tuple[FloatArray, float]:
-    """(frames, series, columns) whitened values, scaled to the original variance; 0 where not seen.
+    """(frames, series, columns) whitened values, of the original variance; 0 where unobserved.
 
-    since     (frames, series) from the last one seen, 0 = none
-    of_white  AR(1) correlation of the white share
+    since     (frames, series) frames since the last observation, 0 = none
+    of_white  AR(1) coefficient of the white share
     returns   and ln of the determinant, of one column
     """
     frames, series, columns = values.shape
@@ -94,11 +95,11 @@ def made_white(
         known = 0.0
         slow[:], rest[:] = 0.0, 0.0
         for t in range(frames):
-            if not seen[t, i]:
+            if not observed[t, i]:
                 continue
             memory = ar1 ** since[t, i] if since[t, i] > 0 else 0.0
             other = of_white ** since[t, i] if since[t, i] > 0 else 0.0
-            # both sum up to what was seen, so that their errors are opposite, and `known` of both
+            # both states sum up to the observation: their errors are opposite, of variance `known`
             fresh = memory**2 * known + (1.0 - memory**2) * (1.0 - white)
             both = fresh - memory * other * known
             variance = both - memory * other * known + other**2 * (known - white) + white
@@ -117,7 +118,7 @@ def made_white(
 def whiten_constant(
     memory: FloatArray, weight: FloatArray, gain: FloatArray, ones: FloatArray
 ) -> None:
-    """Fill `ones` (markers, channels, T) with what a constant of 1 m looks like when white."""
+    """Fill `ones` (markers, channels, T) with a whitened constant of 1 m."""
     markers, channels, frames = memory.shape
     for marker in range(markers):
         for channel in range(channels):
@@ -141,10 +142,10 @@ def whiten(
     pull: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill `out` (lanes, markers, channels, T) with white residuals; 0 where not seen.
+    """Fill `out` (lanes, markers, channels, T) with white residuals; 0 where not observed.
 
     axes  (T, markers, channels, 2) unit vectors of the channels
-    pull  (markers, channels) share of what is along `ones` that is taken out, by their square
+    pull  (markers, channels) share of the component along `ones` that is removed, over |ones|²
     """
     lanes, markers, channels, frames = out.shape
     for lane in range(lanes):
@@ -164,8 +165,8 @@ def whiten(
                     new = error - memory[marker, channel, t] * last
                     row[t] = new * fresh[t]
                     along += row[t] * ones[marker, channel, t]
-                    kept = gain[marker, channel, t]
-                    last = error if kept == 1.0 else error - (1.0 - kept) * new
+                    share = gain[marker, channel, t]
+                    last = error if share == 1.0 else error - (1.0 - share) * new
                 along *= pull[marker, channel]
                 if along != 0.0:
                     for t in range(frames):

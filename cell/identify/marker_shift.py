@@ -10,20 +10,20 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.study.data import Trial
 
-#: Rounds in which the spline takes its own length for the markers' places; points of a quadrature.
+#: Iterations of the markers' arc lengths by the spline's own length; points of the quadrature.
 _ROUNDS, _POINTS = 3, 4
-#: Markers that show the cable's line without the gripper.
+#: Markers that determine the cable's line without the gripper.
 ENOUGH = 5
 
 
 def derivative_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
     """(T, markers, 2) derivative of measured marker positions by arc length.
 
-    Of the cubic spline through the markers of a frame, not bent at the last one, as at the end of a
-    cable.  If they are few it begins at the gripping point, and leaves it along the clamp's angle;
-    else these, which may be what is wrong, are left aside.  No cable is stretched: where both
-    coordinates are seen, markers are placed by the length that the spline has between them, over
-    all frames, for their stated arc lengths are wrong.  0 along a coordinate that is never seen.
+    It is that of the cubic spline through the markers of a frame, straight at the last one, like a
+    cable's end.  With few markers it begins at the gripping point, along the clamp angle; with
+    `ENOUGH` these are not used, as they may be wrong.  Where both coordinates are observed, markers
+    are placed by the spline's length between them, averaged over frames: a cable does not stretch,
+    and stated arc lengths are uncertain.  0 along a coordinate that is never observed.
     arc_length_m  (markers,) from the gripping point
     """
     from scipy.interpolate import CubicSpline  # half a second, for few studies
@@ -35,9 +35,9 @@ def derivative_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
     slopes = np.where(ever, leaves[:, None], 0.0)
     hand_m = np.stack([x, y], axis=-1)
     flat, both = np.zeros((len(t_s), 2)), ever[:, 0] & ever[:, 1]
-    for axes, seen in (([0], ever[:, 0]), ([1], ever[:, 1]), ([0, 1], both)):
-        order = [m for m in np.argsort(arc_length_m) if seen[m]]
-        points = [np.stack([_whole(t_s, xy_m[:, m, c]) for c in axes], axis=-1) for m in order]
+    for axes, observed in (([0], ever[:, 0]), ([1], ever[:, 1]), ([0, 1], both)):
+        order = [m for m in np.argsort(arc_length_m) if observed[m]]
+        points = [np.stack([_filled(t_s, xy_m[:, m, c]) for c in axes], axis=-1) for m in order]
         knots = arc_length_m[order]
         ends: list[Any] = ["not-a-knot", (2, flat[:, axes])]
         if len(order) < ENOUGH:
@@ -61,8 +61,8 @@ def derivative_along(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
 def carried_m(trial: Trial) -> FloatArray | None:
     """(shapes, T, markers, 2) shift of the markers by the gripper's drift; None = no drift.
 
-    The gripper carries the whole cable with it: a drift is slower than a swing.  What it makes the
-    cable swing beside that is found by simulation (`sampled_motions`).
+    The cable moves rigidly with the gripper, as a drift is slower than a swing.  The swing that it
+    excites in addition is simulated (`sampled_motions`).
     """
     drift, markers, grip = trial.hand_drift, trial.markers, trial.grip
     if drift is None:
@@ -78,7 +78,7 @@ def carried_m(trial: Trial) -> FloatArray | None:
 
 
 def _own_lengths(curve: Callable[[FloatArray, int], FloatArray], knots: FloatArray) -> FloatArray:
-    """Knots as far apart as the curve is long between them, on average over frames."""
+    """Knots at the curve's arc lengths, averaged over frames."""
     at, weights = np.polynomial.legendre.leggauss(_POINTS)
     width = np.diff(knots)
     places = knots[:-1, None] + 0.5 * (1.0 + at) * width[:, None]
@@ -87,7 +87,7 @@ def _own_lengths(curve: Callable[[FloatArray, int], FloatArray], knots: FloatArr
     return np.asarray(knots[0] + np.concatenate([[0.0], lengths_m]))
 
 
-def _whole(t_s: FloatArray, values_m: FloatArray) -> FloatArray:
-    """Values with what was not seen interpolated."""
-    seen = np.isfinite(values_m)
-    return np.interp(t_s, t_s[seen], values_m[seen])
+def _filled(t_s: FloatArray, values_m: FloatArray) -> FloatArray:
+    """Values with missing ones interpolated."""
+    observed = np.isfinite(values_m)
+    return np.interp(t_s, t_s[observed], values_m[observed])

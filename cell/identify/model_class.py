@@ -20,7 +20,7 @@ from cell.identify.parameters import ParameterSpace, Prior
 class ModelClass:
     """Effects that a kind of cable has beyond the baseline, and the prior of its parameters.
 
-    effects     beside the baseline, their parameters fitted to each cable unless stated below
+    effects     added to the baseline, their parameters fitted to each cable unless stated below
     exact       effects' parameters taken as they are: (`effect.parameter`, natural value)
     names       parameters with a Gaussian prior, as in `ParameterSpace.names`
     mean        their natural values
@@ -41,7 +41,7 @@ class ModelClass:
         gravity_m_per_s2: tuple[float, float] = GRAVITY_M_PER_S2,
         pull_m_per_s2: float | None = None,
     ) -> ParameterSpace:
-        """The parameters of one such cable, before it is seen.
+        """The parameters of one such cable, before any observation.
 
         pull_m_per_s2  see `ParameterSpace`; None = gravity
         raises  ValueError: a name is unknown or taken as exact, values outside their bounds, a

@@ -1,4 +1,4 @@
-"""Measurement noise of markers: its size and its colour."""
+"""Measurement noise of markers: its standard deviation and its autocorrelation."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from cell.cable.geometry import Motion, moves_from_s
 #: Fewest still frames of a trial from which noise is estimated.
 FEWEST_STILL_FRAMES = 8
 
-_STRONGEST_COLOUR = 0.98
+_LARGEST_AR1 = 0.98
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Error of one coordinate of one marker: coloured in time, and constant within a trial.
+    """Error of one coordinate of one marker: autocorrelated, and constant within a trial.
 
     std_m        standard deviation in one frame, m
     ar1          correlation between neighbouring frames (AR(1) coefficient), 0 … <1
-    white        share of the variance that is new in every frame beside that, 0 … <1: of values
-                 that are rounded, say
-    bias_m       standard deviation of what is constant throughout a trial, m
-    across_only  markers tell where the cable is, not how far along it they are: nodes placed at
-                 equal arc lengths on a line that was seen
+    white        share of the variance that is white noise, 0 … <1: of rounded values, for example
+    bias_m       standard deviation of an error that is constant throughout a trial, m
+    across_only  markers show the position across the cable only, not along it: nodes placed at
+                 equal arc lengths on a detected line
     """
 
     std_m: float
@@ -47,15 +46,15 @@ class Noise:
 
     @property
     def effective_fraction(self) -> float:
-        """Independent values per value, when averaging: (1 − ρ) / (1 + ρ) of what is coloured."""
+        """Independent values per value, when averaging: (1 − ρ) / (1 + ρ) for AR(1) noise."""
         slow = (1.0 + self.ar1) / (1.0 - self.ar1)
         return 1.0 / (self.white + (1.0 - self.white) * slow)
 
 
 def rms(residual_m: FloatArray) -> float:
-    """Root mean square over what is not nan; nan if nothing is."""
-    seen = residual_m[np.isfinite(residual_m)]
-    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
+    """Root mean square of the finite values; nan if there are none."""
+    finite = residual_m[np.isfinite(residual_m)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
 def still_frames(t_s: FloatArray, grip: Motion, release_s: float | None = None) -> slice:
@@ -67,12 +66,12 @@ def still_frames(t_s: FloatArray, grip: Motion, release_s: float | None = None) 
 
 
 def estimate_noise(still: Sequence[FloatArray]) -> tuple[float, float] | None:
-    """Size and colour of the noise from frames in which nothing moves.
+    """Standard deviation and autocorrelation of the noise from frames in which nothing moves.
 
-    still    per trial (T, markers, coordinates), m; nan where not seen
+    still    per trial (T, markers, coordinates), m; nan where not observed
     returns  standard deviation [m] and AR(1) coefficient, pooled over all markers and coordinates;
-             None if no marker of any trial was seen in `FEWEST_STILL_FRAMES`
-    source   moments of lag 0 and 1 about the sample mean, whose own variance is allowed for
+             None if no marker of any trial was observed in `FEWEST_STILL_FRAMES`
+    source   moments of lag 0 and 1 about the sample mean, corrected for its variance
     """
     square = product = squares = products = channel_count = 0.0
     for markers in still:
@@ -96,22 +95,22 @@ def estimate_noise(still: Sequence[FloatArray]) -> tuple[float, float] | None:
     if variance == 0.0 or products == 0.0:
         return float(np.sqrt(variance)), 0.0
     raw = product / products / variance
-    colour = float(np.clip(raw, 0.0, _STRONGEST_COLOUR))
+    ar1 = float(np.clip(raw, 0.0, _LARGEST_AR1))
     for _ in range(50):
-        of_mean, before = _variance_of_mean(colour, length), colour
-        colour = min(max(raw * (1.0 - of_mean) + of_mean, 0.0), _STRONGEST_COLOUR)
-        if colour == before:
+        of_mean, before = _variance_of_mean(ar1, length), ar1
+        ar1 = min(max(raw * (1.0 - of_mean) + of_mean, 0.0), _LARGEST_AR1)
+        if ar1 == before:
             break
-    return float(np.sqrt(variance / (1.0 - _variance_of_mean(colour, length)))), colour
+    return float(np.sqrt(variance / (1.0 - _variance_of_mean(ar1, length)))), ar1
 
 
-def _variance_of_mean(colour: float, frames: float) -> float:
+def _variance_of_mean(ar1: float, frames: float) -> float:
     """Variance of the mean of an AR(1) series of unit variance."""
-    # 1 + 2 Σ (1 − k / frames) colourᵏ over k = 1 … last, by the sums of a geometric series
+    # 1 + 2 Σ (1 − k / frames) ar1ᵏ over k = 1 … last, by the sums of a geometric series
     last = max(1, round(frames) - 1)
-    power, rest = colour**last, 1.0 - colour
-    sum_of_powers = colour * (1.0 - power) / rest
-    sum_of_lags = colour * (1.0 - (last + 1) * power + last * colour * power) / rest**2
+    power, rest = ar1**last, 1.0 - ar1
+    sum_of_powers = ar1 * (1.0 - power) / rest
+    sum_of_lags = ar1 * (1.0 - (last + 1) * power + last * ar1 * power) / rest**2
     return (1.0 + 2.0 * (sum_of_powers - sum_of_lags / frames)) / frames
 
 

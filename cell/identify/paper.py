@@ -95,7 +95,7 @@ def still_shape(
 def rigidity(shape: StillShape, exponent: float) -> FloatArray:
     """(n+1,) EI at equally spaced knots from the gripping point, given N, N·m².
 
-    The paper's K_i = moment/φ_i^N, said of the cable instead of the mesh by `CableModel`'s law.
+    The paper's K_i = moment/φ_i^N, as a property of the cable by `CableModel`'s law, not the mesh.
     Hinges that are not determined, and the tip, take the value of the next one towards the grip.
     raises  FitError: the hinge in the grip is itself not determined
     """

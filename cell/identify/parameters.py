@@ -29,8 +29,8 @@ FINEST = 1e-4
 def within_deviations(step: FloatArray, std: FloatArray) -> FloatArray:
     """(p,) steps that reach no further than the standard deviations (p,), where these are known.
 
-    Over more than the data leave open a difference may be of another sign than the slope: the start
-    of a ringing, known to 20 µs, was moved by 5 ms.
+    A difference over more than a standard deviation may have the wrong sign: a ringing's onset,
+    known to 20 µs, was moved by 5 ms.
     """
     return np.where(std > 0.0, np.clip(std, FINEST * step, step), step)
 
@@ -45,12 +45,12 @@ class Prior:
     """Knowledge of a cable before it is measured; sizes relative to its own weight.
 
     knots               of log EI(s), equally spaced
-    rigidity_log_std    std of log EI as a whole, about 0.4·ρ g L³ (a cable that droops by a fifth)
-    rigidity_log_walk   std of the change of log EI over the whole length, as a random walk
+    rigidity_log_std    std of the mean log EI, about 0.4·ρ g L³ (a cable that droops by a fifth)
+    rigidity_log_walk   std of the change of log EI over the full length, as a random walk
     exponent_std        std of N about 1
     viscosity_log_std   std of log C, about EI·0.04·√(L/g) (5 % damping in the first mode)
-    effect_std          std of an effect's parameter about its default, in units of the size it is
-                        usually started from
+    effect_std          std of an effect's parameter about its default, relative to its typical
+                        starting value
     """
 
     knots: int = 6
@@ -78,7 +78,7 @@ class ParameterSpace:
     low, high     (p,) bounds of q
     step          (p,) of finite differences
     exact         effects' parameters that are no coordinates: name → natural value
-    pull_m_per_s2  acceleration in place of gravity for the sizes that a fit supposes first; None =
+    pull_m_per_s2  acceleration in place of gravity for the prior and the start of a fit; None =
                   gravity
     """
 
@@ -99,7 +99,7 @@ class ParameterSpace:
 
     @property
     def scale_m_per_s2(self) -> float:
-        """Acceleration whose pull on the cable is as its stiffness, m/s²."""
+        """Acceleration whose load on the cable is comparable to its stiffness, m/s²."""
         if self.pull_m_per_s2 is not None:
             return self.pull_m_per_s2
         return float(np.hypot(*self.gravity_m_per_s2))
@@ -179,14 +179,14 @@ class ParameterSpace:
 
     @property
     def rigidity_is_unknown(self) -> bool:
-        """Whether nothing is known of EI(s) but that it changes little along the cable."""
+        """Whether EI(s) has only the weak prior that it changes little along the cable."""
         k, usual = self.knots, self._usual(self.knots)
         known = self.precision[:k].copy()
         known[:, :k] -= usual.precision[:k, :k]
         return not known.any() and bool(np.all(self.mean[:k] == usual.mean[:k]))
 
     def with_knots(self, knots: int) -> ParameterSpace:
-        """The same with log EI at so many knots, of which nothing is known beforehand."""
+        """The same with log EI at so many knots, with the weak prior."""
         k, usual = self.knots, self._usual(knots)
         precision = np.zeros((knots + len(self.names) - k,) * 2)
         precision[:knots, :knots] = usual.precision[:knots, :knots]
@@ -209,7 +209,7 @@ class ParameterSpace:
         )
 
     def _usual(self, knots: int) -> ParameterSpace:
-        """The space of such a cable without effects of which nothing is known."""
+        """The space of such a cable with the weak prior and without effects."""
         return ParameterSpace.of(
             self.cable,
             gravity_m_per_s2=self.gravity_m_per_s2,
@@ -266,8 +266,8 @@ class ParameterSpace:
     def start(self, rigidity_n_m2: float) -> FloatArray:
         """(p,) a cable of the prior's shape, exponent and damping, as stiff as this in the middle.
 
-        A parameter of an effect begins where its prior is if that knows it to within half the size
-        that it is usually started from, else at that size.
+        A parameter of an effect starts at its prior mean if its prior std is below half its typical
+        starting value, else at that value.
         """
         q = self.mean.copy()
         shift = np.log(rigidity_n_m2) - q[: self.knots].mean()

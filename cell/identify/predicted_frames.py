@@ -15,7 +15,7 @@ from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.identify.parameters import ParameterSpace, difference_points
 from cell.study.data import Trial
 
-#: A frame that comes further than this from its time is not the one that was predicted, s.
+#: Largest difference between a frame's time and its predicted time, s.
 MOST_OFF_S = 1e-3
 
 
@@ -27,7 +27,7 @@ class PredictedFrames:
     t_s        (T,) of the frames, those to come included
     lanes      (1 + p, p) fit coordinates: the cable, and its neighbours for finite differences
     markers_m  (1 + p, T, markers, 2)
-    others_m   (samples, T, markers, 2) of the cable, had the gripper moved as it may have, too
+    others_m   (samples, T, markers, 2) of the cable for sampled motions of the gripper
     """
 
     grip: Motion
@@ -37,10 +37,10 @@ class PredictedFrames:
     others_m: FloatArray
 
     def as_filmed(self, trial: Trial) -> PredictedFrames | None:
-        """The same at the frames' own times and with the gripper where it was seen.
+        """The same at the frames' actual times and with the gripper at its detected pose.
 
-        To first order in how much later the frames came.
-        returns  None if the hold went another way
+        To first order in the frames' delay.
+        returns  None if the actual hold differs from the predicted one
         """
         late_s = _late_s(trial.markers.t_s, self.t_s)
         if late_s is None or not _same_motion(trial.grip, self.grip):
@@ -57,9 +57,9 @@ class PredictedFrames:
 def _later(
     markers_m: FloatArray, t_s: FloatArray, late_s: FloatArray, shift_m: FloatArray
 ) -> FloatArray:
-    """(lanes, T, markers, 2) by how much is later (T,) and how far away (2,), to first order.
+    """(lanes, T, markers, 2) markers delayed by (T,) and shifted by (2,), to first order.
 
-    The last frame is waited for, and numpy's gradient took a third of what is left to do then.
+    Compiled, as numpy's gradient took a third of the time between the last frame and the result.
     """
     out = np.empty_like(markers_m)
     lanes, frames, markers, _ = markers_m.shape
@@ -127,11 +127,11 @@ def simulate_frames(
 ) -> PredictedFrames:
     """Simulate a hold to its end, the gripper staying where it is.
 
-    trial         what was filmed so far
+    trial         the frames filmed so far
     t_s           (T,) of all its frames, those to come included, increasing
     arc_length_m  (markers,) from the gripping point, m
-    mean          (p,) fit coordinates of the cable as it seems now
-    raises        what the engine raises
+    mean          (p,) current estimate of the fit coordinates
+    raises        as the engine
     """
     grip = extended_at_rest(trial.grip, float(t_s[-1]))
     lanes = difference_points(mean, space.difference_steps(mean))

@@ -17,14 +17,14 @@ from cell.cable.arrays import FloatArray
 from cell.identify.gauss_newton import UNSIMULATED, LeastSquaresProblem, Options, Solution, minimise
 
 CONFIDENCE = 0.95
-#: The first point to a side is so many standard deviations away.
+#: Distance of the first point on a side from the minimum, in standard deviations.
 FIRST = 0.5
-#: Points to a side on the way out, at most, and how far the next may lie beyond the last, in its
-#: distance from the minimum; what is not worse 3⁷ standard deviations away is flat.
+#: Most points outwards on a side, and largest ratio between the distances of consecutive points
+#: from the minimum; a profile that has not risen 3⁷ standard deviations away is flat.
 MOST_POINTS = 9
 FARTHER = 3.0
-#: The end is sought between two points until one of them is as near as this to 95 %, in standard
-#: deviations, with so many points more at most.
+#: The interval's end is searched between two points until one of them is this near to 95 %, in
+#: standard deviations, with so many further points at most.
 NEAR = 0.05
 MOST_BETWEEN = 6
 TARGET = float(normal_quantile(0.5 + 0.5 * CONFIDENCE))
@@ -38,8 +38,8 @@ class ProfilePoint:
 
     q         where it is held
     rise      of the objective above the minimum
-    at_bound  numbers of other parameters that came to a bound there: from such a point on the rise
-              is steeper or flatter than what was measured alone would say
+    at_bound  indices of other parameters that are at a bound there: beyond such a point the bound
+              changes the rise, not the data alone
     """
 
     q: float
@@ -52,7 +52,7 @@ class LikelihoodProfile:
     """Profile likelihood of one parameter: its points, their minimum, and the 95 % interval.
 
     low, high   -∞ or ∞ where no value is excluded; the parameter's bound if that ends the interval
-    better      whether a lower minimum was found on the way: the fit was not at its best
+    better      whether a lower minimum was met on the way: the fit was not at its minimum
     """
 
     points: tuple[ProfilePoint, ...]
@@ -70,9 +70,9 @@ def profile(
     solution  its minimum
     """
     best = ProfilePoint(float(solution.q[index]), 0.0)
-    left, low = _side(problem, solution, index, -1.0, options)
-    right, high = _side(problem, solution, index, 1.0, options)
-    points = (*reversed(left), best, *right)
+    lower, low = _side(problem, solution, index, -1.0, options)
+    upper, high = _side(problem, solution, index, 1.0, options)
+    points = (*reversed(lower), best, *upper)
     return LikelihoodProfile(points, low, high, any(p.rise < -(BETTER**2) for p in points))
 
 
@@ -122,7 +122,7 @@ def _bracket(
 ) -> tuple[tuple[float, float], tuple[float, float] | None]:
     """The last point inside the interval and the first outside: distance, deviation.
 
-    None if there is none before `farthest`, or on the way that is gone.
+    None if there is none before `farthest`, or among `MOST_POINTS`.
     """
     inside, reach = (0.0, 0.0), min(FIRST * std, farthest)
     for _ in range(MOST_POINTS):

@@ -14,21 +14,21 @@ from cell.cable.arrays import FloatArray
 from cell.identify.innovations import coloured, innovations, whiten, whiten_constant
 from cell.identify.noise import Noise, across
 
-#: A smooth residual changes over no fewer frames than this, and is of so many powers of the place.
+#: Smallest period of a smooth residual, frames; number of its polynomials along the cable.
 SLOW_FRAMES, ALONG = 8, 3
 
-#: What a sensor shows is the mean of so many rows.
+#: Rows of the moving mean that estimates a sensor's signal.
 SHOWN_ROWS = 5
 
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """The last points of a trial that are no markers but values of a sensor, scaled to lengths.
+    """The last points of a trial that are values of a sensor, scaled to lengths, not markers.
 
-    noises    of each of them, its bias that of a tare
-    gain_std  standard deviation of the factor by which all that it shows is too large, beside 1
+    noises    of each of these points; the bias is that of a tare
+    gain_std  standard deviation of the sensor's gain, which is 1 on average
     frames    (T,) whether a row is one of the markers', rows: whether it is one of the sensor's
-    shown_m   (T, gauges, 2) all that it shows, as a model has it; None = as measured
+    shown_m   (T, gauges, 2) the sensor's signal by a model; None = by smoothing the measurement
     """
 
     noises: tuple[Noise, ...]
@@ -42,15 +42,14 @@ class Whitener:
     """Turns predicted markers of one trial into white residuals of unit size.
 
     A channel (x or y of a marker, or its place across the cable) has an AR(1) error over the
-    frames in which it was seen, a white one beside it (then its innovations are those of a Kalman
-    filter), plus a constant of known variance, which is integrated out.  So is the place of a
-    marker along the cable, if that is uncertain, and what moves all markers of a trial together.
+    frames in which it was observed, optionally white noise as well (then its innovations are those
+    of a Kalman filter), and a constant of known variance, which is integrated out.  So are
+    uncertain arc lengths of the markers, and common shifts of all markers of a trial.
 
-    The last markers may be those of a sensor, which have a noise of their own
-    (`cell.lab.data.gauges`).  Their constant is a tare, of which nothing is known, and no error; a
-    factor that all of them share, their gain, is uncertain too.
+    The last markers may be those of a sensor with its own noise (`cell.lab.data.gauges`).  Their
+    constant is a tare with a flat prior, not an error; their common gain is uncertain too.
 
-    seen  (T, markers, channels) whether a channel was seen: a marker may show one coordinate only
+    seen  (T, markers, channels) whether a channel was observed: some markers have one coordinate
     """
 
     def __init__(
@@ -62,12 +61,12 @@ class Whitener:
         sensors: Sensors | None = None,
         levels: FloatArray | None = None,
     ) -> None:
-        """`markers_m` (T, markers, 2) as measured, nan where not seen.
+        """`markers_m` (T, markers, 2) as measured, nan where not observed.
 
-        shift_m  (T, markers, 2) by how much a standard deviation of its arc length moves a marker
-        together_m  (shapes, T, markers, 2) independent movements of all of them, of one each
-        sensors  of the last markers, if these are none; they have two axes
-        levels   (markers that are none of a sensor's,) noise over `noise`; None = 1
+        shift_m  (T, markers, 2) shift of a marker by one standard deviation of its arc length
+        together_m  (shapes, T, markers, 2) independent common shifts, one standard deviation each
+        sensors  of the last markers, if these are a sensor's; they have two axes
+        levels   (markers without the sensor's,) noise relative to `noise`; None = 1
         """
         gauges = () if sensors is None else sensors.noises
         self.noise, self._gauges, self._sensors = noise, len(gauges), sensors
@@ -89,7 +88,7 @@ class Whitener:
         self._memory, self._weight, self._gain = self._innovations(each)
         if levels is not None:
             self._weight[: len(levels)] /= levels[:, None, None]
-        # what a constant looks like when white, and which part of a residual along it is taken out
+        # whitened constant, and the factor on a residual's component along it
         self._ones = self._weight.copy()
         if any(n.white > 0.0 for n in each):
             whiten_constant(self._memory, self._weight, self._gain, self._ones)
@@ -97,7 +96,7 @@ class Whitener:
             self._ones[..., 1:] *= 1.0 - self._memory[..., 1:]
         size = np.sum(self._ones**2, axis=-1)
         bias_m = np.array([n.bias_m for n in each])[:, None]
-        self._kept = 1.0 / np.sqrt(1.0 + bias_m**2 * size)
+        self._constant_factor = 1.0 / np.sqrt(1.0 + bias_m**2 * size)
         self._size = np.where(size > 0.0, size, 1.0)
         self._shift_m, self._shift = shift_m, None
         if shift_m is not None:
@@ -109,27 +108,27 @@ class Whitener:
             self._gain_change = self._white(-change_m[None], np.zeros_like(self.measured))[0]
         self._together_m, self._together = together_m, None
         if together_m is not None and len(together_m):
-            white = self._unshifted(self._white(-together_m, np.zeros_like(self.measured)))
+            white = self._whiten_shifts(self._white(-together_m, np.zeros_like(self.measured)))
             self._together = white.reshape(len(white), self.rows)
             _, sizes, self._modes = np.linalg.svd(self._together, full_matrices=False)
             self._mode_pull = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
 
     def _shown_by(self, sensors: Sensors) -> FloatArray:
-        """(T, markers, 2) what the sensor shows, with little of its noise; 0 at places."""
+        """(T, markers, 2) the sensor's signal, with little of its noise; 0 for markers."""
         shown = np.zeros_like(self.measured)
         if sensors.shown_m is not None:
             shown[:, -self._gauges :] = sensors.shown_m
             return shown
         for marker in range(-self._gauges, 0):
             for axis in range(2):
-                seen = self.seen[:, marker, axis] & sensors.rows
-                if seen.any():
-                    values = self.measured[seen, marker, axis]
-                    shown[seen, marker, axis] = _moving_mean(values - values.mean())
+                observed = self.seen[:, marker, axis] & sensors.rows
+                if observed.any():
+                    values = self.measured[observed, marker, axis]
+                    shown[observed, marker, axis] = _moving_mean(values - values.mean())
         return shown
 
     def own_rows(self, values: NDArray[Any]) -> list[NDArray[Any]]:
-        """Parts of (markers, …, T): those of markers and of sensors, each with its rows alone."""
+        """Parts of (markers, …, T): the markers' and the sensor's, each with its own rows only."""
         if self._sensors is None:
             return [values]
         first = len(values) - self._gauges
@@ -137,7 +136,7 @@ class Whitener:
         return [values[:first][..., frames], values[first:][..., rows]]
 
     def _innovations(self, each: Sequence[Noise]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Those of `innovations`, (markers, channels, T), each series in its own rows."""
+        """Arrays of `innovations`, (markers, channels, T), each series in its own rows."""
         shape, sensors = (len(each), self.channels, self.frames), self._sensors
         if sensors is None:
             noise, series = self.noise, self.seen.reshape(self.frames, -1)
@@ -148,24 +147,24 @@ class Whitener:
         memory, weight, gain = np.zeros(shape), np.zeros(shape), np.ones(shape)
         for marker, noise in enumerate(each):
             own = sensors.frames if marker < len(each) - self._gauges else sensors.rows
-            found = innovations(self.seen[own, marker], noise.std_m, noise.ar1, noise.white)
-            for whole, part in zip((memory, weight, gain), found, strict=True):
-                whole[marker][:, own] = part
+            parts = innovations(self.seen[own, marker], noise.std_m, noise.ar1, noise.white)
+            for full, part in zip((memory, weight, gain), parts, strict=True):
+                full[marker][:, own] = part
         return memory, weight, gain
 
     def __call__(self, predicted_m: FloatArray) -> FloatArray:
         """White residuals (measured − predicted).
 
         predicted_m  (lanes, T, markers, 2), m
-        returns      (lanes, rows) ordered marker, channel, frame; 0 where not seen
+        returns      (lanes, rows) ordered marker, channel, frame; 0 where not observed
         """
         out = self._white(predicted_m, self.measured)
-        return self._uncarried(self._unshifted(out).reshape(len(predicted_m), self.rows))
+        return self._whiten_together(self._whiten_shifts(out).reshape(len(predicted_m), self.rows))
 
     def _white(self, predicted_m: FloatArray, measured_m: FloatArray) -> FloatArray:
-        """(lanes, markers, channels, T) of markers whose arc lengths are certain."""
+        """(lanes, markers, channels, T) white residuals for exact arc lengths, no common shifts."""
         out = np.empty((len(predicted_m), *self._memory.shape))
-        pull = (1.0 - self._kept) / self._size
+        pull = (1.0 - self._constant_factor) / self._size
         whiten(
             predicted_m,
             measured_m,
@@ -179,11 +178,11 @@ class Whitener:
         )
         return out
 
-    def _unshifted(self, white: FloatArray) -> FloatArray:
-        """Residuals (lanes, markers, channels, T) made white for uncertain arc lengths too.
+    def _whiten_shifts(self, white: FloatArray) -> FloatArray:
+        """Residuals (lanes, markers, channels, T) whitened also for arc lengths and gain.
 
-        Of a vector h of variance 1 beside white noise: (I + h hᵀ)^−½.  A second time it gives what
-        is left beside the likeliest arc lengths.  The same of a sensor's gain.
+        A vector h of variance 1 in addition to white noise is whitened by (I + h hᵀ)^−½.  Applied
+        twice, this gives the residual at the most probable arc lengths and gain.
         """
         if self._gain_change is not None:
             change = self._gain_change
@@ -193,24 +192,23 @@ class Whitener:
         if self._shift is None:
             return white
         along = np.einsum("lmct,mct->lm", white, self._shift)
-        kept = 1.0 / np.sqrt(1.0 + self._shift_size)
-        pull = along * (1.0 - kept) / self._shift_size
+        factor = 1.0 / np.sqrt(1.0 + self._shift_size)
+        pull = along * (1.0 - factor) / self._shift_size
         return np.asarray(white - pull[..., None, None] * self._shift)
 
-    def _uncarried(self, rows: FloatArray) -> FloatArray:
-        """Residuals (lanes, rows) made white for what moves all markers together, as above."""
+    def _whiten_together(self, rows: FloatArray) -> FloatArray:
+        """Residuals (lanes, rows) whitened also for common shifts, as above."""
         if self._together is None:
             return rows
         return np.asarray(rows - (rows @ self._modes.T * self._mode_pull) @ self._modes)
 
-    def beside_m(self, predicted_m: FloatArray) -> FloatArray:
-        """(T, markers, 2) measured − predicted, nan where not seen, m.
+    def residual_m(self, predicted_m: FloatArray) -> FloatArray:
+        """(T, markers, 2) measured − predicted, nan where not observed, m.
 
-        Where arc lengths are uncertain, or markers move together, beside the likeliest of both; of
-        a sensor beside tare and gain.
+        At the most probable arc lengths, common shifts, and tare and gain of a sensor.
         """
         if self._together is not None and self._together_m is not None:
-            rows = self._unshifted(self._white(predicted_m[None], self.measured)).ravel()
+            rows = self._whiten_shifts(self._white(predicted_m[None], self.measured)).ravel()
             gram = np.eye(len(self._together)) + self._together @ self._together.T
             sizes = np.linalg.solve(gram, self._together @ rows)
             predicted_m = predicted_m + np.einsum("k,ktmc->tmc", sizes, self._together_m)
@@ -226,23 +224,23 @@ class Whitener:
 
     @cached_property
     def smooth_modes(self) -> tuple[FloatArray, ...]:
-        """Per channel (markers × frames, modes) orthonormal smooth functions of what was seen.
+        """Per channel (markers × frames, modes) orthonormal smooth functions of observed frames.
 
-        Cosines in time and polynomials along the cable span them.  A misfit of a model is there, of
-        noise only a few per cent.
+        Cosines in time and polynomials along the cable span them.  They hold a model's misfit, but
+        only a few per cent of the noise.
         """
         first = self.seen.shape[1] - self._gauges
         return tuple(_smooth_modes(self.seen[..., c], first) for c in range(self.channels))
 
     def error_m(self, white: FloatArray) -> FloatArray:
-        """(T, markers, channels) errors behind white residuals (rows,), m; nan if unseen.
+        """(T, markers, channels) measurement errors from white residuals (rows,), m; nan if unseen.
 
-        Where arc lengths are uncertain, or markers move together, beside the likeliest of both; of
-        a sensor beside tare and gain.
+        At the most probable arc lengths, common shifts, and tare and gain of a sensor.
         """
-        fresh = self._unshifted(self._uncarried(white[None]).reshape(1, *self._memory.shape))[0]
+        fresh = self._whiten_together(white[None]).reshape(1, *self._memory.shape)
+        fresh = self._whiten_shifts(fresh)[0]
         along = np.sum(fresh * self._ones, axis=-1)
-        back = (1.0 / self._kept - 1.0) / self._size
+        back = (1.0 / self._constant_factor - 1.0) / self._size
         back[len(back) - self._gauges :] = 0.0
         fresh = fresh + (back * along)[..., None] * self._ones
         error = np.full(self.seen.shape, np.nan)
@@ -250,20 +248,20 @@ class Whitener:
         return error
 
 
-def _smooth_modes(seen: NDArray[np.bool_], first: int) -> FloatArray:
-    """(markers × frames, modes) of what was seen (frames, markers) in a channel.
+def _smooth_modes(valid: NDArray[np.bool_], first: int) -> FloatArray:
+    """(markers × frames, modes) smooth functions over the observed (frames, markers) of a channel.
 
-    first  marker of those that are gauges: each of them is by itself
+    first  marker of the gauges, each of which has its own functions
     """
-    parts = [seen[:, :first], *(seen[:, i : i + 1] for i in range(first, seen.shape[1]))]
+    parts = [valid[:, :first], *(valid[:, i : i + 1] for i in range(first, valid.shape[1]))]
     if len(parts) > 1:
-        return _apart([_smooth_modes(part, part.shape[1]) for part in parts])
-    frames, markers = seen.shape
+        return _block_diagonal([_smooth_modes(part, part.shape[1]) for part in parts])
+    frames, markers = valid.shape
     slow = max(2, frames // SLOW_FRAMES)
     in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
     along = np.vander(np.linspace(-1.0, 1.0, markers), min(markers, ALONG))
     functions = np.einsum("mk,tj->mtkj", along, in_time).reshape(markers * frames, -1)
-    functions = functions * seen.T.reshape(-1, 1)
+    functions = functions * valid.T.reshape(-1, 1)
     values, vectors = np.linalg.eigh(functions.T @ functions)
     good = values > 1e-9 * max(values[-1], 1e-300)
     return np.asarray(functions @ (vectors[:, good] / np.sqrt(values[good])))
@@ -277,10 +275,10 @@ def _moving_mean(values: FloatArray) -> FloatArray:
     return np.asarray((total[last] - total[first]) / (last - first))
 
 
-def _apart(blocks: Sequence[FloatArray]) -> FloatArray:
-    """The block-diagonal matrix of some."""
+def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    """The block-diagonal matrix of blocks."""
     rows, columns = np.cumsum([b.shape for b in blocks], axis=0).T
-    whole = np.zeros((rows[-1], columns[-1]))
+    matrix = np.zeros((rows[-1], columns[-1]))
     for block, row, column in zip(blocks, rows, columns, strict=True):
-        whole[row - block.shape[0] : row, column - block.shape[1] : column] = block
-    return whole
+        matrix[row - block.shape[0] : row, column - block.shape[1] : column] = block
+    return matrix

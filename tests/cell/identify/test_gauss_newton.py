@@ -65,7 +65,7 @@ def test_a_fit_left_early_knows_how_far_the_minimum_still_is() -> None:
     early = minimise(misra(), np.log((260.0, 5e-4)), Options(tolerance=1e-4, max_iterations=1))
     assert not early.converged
     assert early.promised > 1.0
-    np.testing.assert_allclose(np.exp(early.q + early.to_go), CERTIFIED, rtol=0.02)
+    np.testing.assert_allclose(np.exp(early.q + early.remaining_step), CERTIFIED, rtol=0.02)
     std = np.sqrt(np.diag(early.covariance + early.unfinished))
     assert np.all(np.abs(early.q - np.log(CERTIFIED)) < 1.96 * std)
     assert np.any(np.abs(early.q - np.log(CERTIFIED)) > 1.96 * np.sqrt(np.diag(early.covariance)))
