@@ -19,8 +19,8 @@ from cell.identify.parameters import difference_points
 from cell.plan.destination import Destination
 from cell.settings.model import REPEATABILITY_M
 
-#: So many times longer steps, and this share of the segments, are good enough for how a tip depends
-#: on the parameters: 1 % of it.
+#: Factors on the step and on the number of segments for the sensitivities of a tip, whose error is
+#: then 1 %.
 SLOPES_COARSER, SLOPES_SEGMENTS = 4.0, 0.7
 
 
@@ -28,9 +28,9 @@ SLOPES_COARSER, SLOPES_SEGMENTS = 4.0, 0.7
 class Freedom:
     """Degrees of freedom of an insertion in addition to the offset: delay, pace and reach.
 
-    window_s  an insertion may begin so much later, with any offset between those; 0 = it may not
-    paces     and be made in so many times the usual time
-    further_m  and lead so much further left
+    window_s   largest delay of an insertion; 0 = none
+    paces      factors on the usual duration
+    further_m  extra reach to the left
     """
 
     window_s: float = 0.0
@@ -42,15 +42,15 @@ class Freedom:
 class ChoiceOptions:
     """Options of the choice of an offset.
 
-    samples           of the uncertain parameters; at least twice as many as there are of these
+    samples           of the uncertain parameters; at least twice their number
     repeatability_m   standard deviation of the tip's height for reasons that are not the cable's:
                       arm, camera, draught
-    model_error_growth   standard deviation of the tip's height for what the model lacks, per
-                      `Identified.model_error_m`: a fit hides in the motion that it was made from
-                      what shows in another
-    least_probability below which no offset is taken
-    interval_s        between the instants at which a tip is compared with the destination
-    freely            what may be chosen beside the offsets
+    model_error_growth   standard deviation of the tip's height due to the model's error, per
+                      `Identified.model_error_m`: the error is larger in a new motion than in the
+                      fitted one
+    least_probability below which no offset is chosen
+    interval_s        sampling interval of the tip's comparison with the destination
+    freely            degrees of freedom in addition to the offsets
     """
 
     samples: int = 64
@@ -66,9 +66,9 @@ class Forecast:
     """Predicted tip paths of all offsets, with their sensitivities.
 
     offsets_m    (O,) m
-    delays_s     (O,) how much later than the first its path begins, s
-    paces        (O,) in how many times the usual time the gripper makes its strokes
-    further_m    (O,) how much further left than usual it goes, m
+    delays_s     (O,) delay of its path after the first, s
+    paces        (O,) factors on the usual duration of the strokes
+    further_m    (O,) extra reach to the left, m
     t_s          (T,) s, from when the path begins
     mean         (p,) fit coordinates simulated
     tip_m        (O, T, 2) with them, m
@@ -87,7 +87,7 @@ class Forecast:
     def moved_to(self, mean: FloatArray) -> Forecast:
         """Forecast for slightly different coordinates (p,), to first order, without simulating.
 
-        So that the last frames of a hold, which change little, cost nothing: see `choose`.
+        It updates a forecast with the last frames of a hold, which change little: see `choose`.
         """
         tip_m = self.tip_m + self.sensitivity @ (mean - self.mean)
         return replace(self, mean=mean, tip_m=tip_m)
@@ -122,7 +122,7 @@ class Choice:
     best      most promising offset, chosen or not
     table     all offsets
     reason    None if `best` is chosen, else why it is not
-    model_misses   whether it is not, and the model errs by more than arm and camera repeat
+    model_misses   whether none is, and the model's error exceeds the repeatability
     t_s, tip_m   (T,), (T, 2) predicted tip path of `best`
     """
 
@@ -268,7 +268,7 @@ def deviates(dimensions: int, samples: int) -> FloatArray:
     """(samples, dimensions) standard normal deviates, one in every stratum, same every time.
 
     Means, spreads and correlations are made those of the distribution itself, for which more
-    samples than dimensions are needed: there are at least twice as many, if fewer are asked for.
+    samples than dimensions are needed: fewer than twice as many are raised to that number.
 
     source  McKay, Beckman & Conover 1979 (Latin hypercubes)
     """

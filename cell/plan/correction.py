@@ -14,20 +14,19 @@ from cell.plan.response import INTERVAL_S, Deviation, Response, deviation
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 
-#: The gripper is led up or down by so much at most, m, in one of these times, s; and by as much
-#: again after that.  Pairs of heights so far apart, m, are compared, then nearer ones around the
-#: best.
+#: Largest change of the gripper's height in each of two successive rises, m, and durations of a
+#: rise, s.  Pairs of rises are compared on a coarse grid of this spacing, m, then on finer grids
+#: around the best pair.
 MOST_M = 6e-3
 LASTS_S = (0.12, 0.2, 0.3)
 COARSE_M, FINE_M = 1e-3, (5e-4, 2.5e-4)
-#: So long before the tip reaches the opening a change is decided, s.
+#: Times of the decisions before the tip reaches the opening, s.
 AHEAD_S = (0.45, 0.32, 0.2)
-#: Of two changes that do as well the smaller one: so much margin a metre of it must gain, m.
+#: Penalty on the size of a change: margin, m, that it must gain per metre.
 COST = 0.1
-#: No change is made that does not pass with this probability.
+#: Least probability of passing of a change.
 LEAST = 0.5
-#: A change is made if it raises the probability by so much, or the margin by so many of its own
-#: standard deviations, and by so much, m.
+#: Least gain of a change in probability; or in margin, in its standard deviations and in m.
 WORTH, WORTH_STD, WORTH_M = 0.01, 2.0, 1e-4
 
 
@@ -35,8 +34,8 @@ WORTH, WORTH_STD, WORTH_M = 0.01, 2.0, 1e-4
 class Tail:
     """A change of the gripper's height from `from_s` on, as two successive rises.
 
-    rise_m, then_m   by which the gripper is led up, each within `lasts_s`
-    probability, margin_m   of passing, with it
+    rise_m, then_m   first and second rise, each within `lasts_s`
+    probability, margin_m   of passing, with the change
     before           probability without it
     tip_m            (T, 2) predicted with it
     """
@@ -53,15 +52,15 @@ class Tail:
     def of(self, path: Trajectory) -> Trajectory:
         """The path with this change; longer if it ends before the change does."""
         step_s = float(path.t_s[1] - path.t_s[0])
-        whole_s = self.lasts_s * (1.0 if self.then_m == 0.0 else 2.0)
-        end_s = max(float(path.t_s[-1] - path.t_s[0]), self.from_s + whole_s)
+        duration_s = self.lasts_s * (1.0 if self.then_m == 0.0 else 2.0)
+        end_s = max(float(path.t_s[-1] - path.t_s[0]), self.from_s + duration_s)
         t_s = step_s * np.arange(round(end_s / step_s) + 1.0)
         since = path.t_s - path.t_s[0]
         x_m, y_m, angle_rad = (
             np.interp(t_s, since, v) for v in (path.x_m, path.y_m, path.angle_rad)
         )
         u = (t_s - self.from_s) / self.lasts_s
-        y_m = y_m + self.rise_m * _smooth(u) + self.then_m * _smooth(u - 1.0)
+        y_m = y_m + self.rise_m * _minimum_jerk(u) + self.then_m * _minimum_jerk(u - 1.0)
         return Trajectory(t_s + path.t_s[0], x_m, y_m, angle_rad)
 
 
@@ -73,29 +72,31 @@ def best_tail(
     lag_s: float,
     repeatability_m: float,
 ) -> Tail | None:
-    """The change from a moment on that makes the tip pass most probably; None = none is worth it.
+    """The change with the most probable passage; None = no change gains enough.
 
-    estimated  how the cable moves beside the answers' expected motion, earlier changes included
-    from_s  from when the gripper was told to move
+    estimated  deviation of the cable from the expected motion, which has earlier changes in it
+    from_s     start of the change, after the commanded start
     """
     first = max(0, int(from_s / INTERVAL_S) - 1)
     likely_m = response.nodes_m[:, 0] + estimated.tip_m
     tips_m = response.nodes_m[first:, 0] + estimated.tips_m[:, first:]
     best: tuple[float, float, FloatArray] | None = None
-    made = {s: _tip_responses(response, from_s, s, lag_s) for s in LASTS_S}
-    for lasts_s, answer in made.items():
-        asked = answer[:, first:], destination, repeatability_m
-        _, rises_m = _widest(likely_m[None, first:], *asked, _pairs(np.zeros(2), MOST_M, COARSE_M))
-        worth, rises_m = _widest(tips_m[::4], *asked, _pairs(rises_m, COARSE_M, FINE_M[0]))
+    responses = {s: _tip_responses(response, from_s, s, lag_s) for s in LASTS_S}
+    for lasts_s, tip_response in responses.items():
+        inputs = tip_response[:, first:], destination, repeatability_m
+        _, rises_m = _best_rises(
+            likely_m[None, first:], *inputs, _pairs(np.zeros(2), MOST_M, COARSE_M)
+        )
+        worth, rises_m = _best_rises(tips_m[::4], *inputs, _pairs(rises_m, COARSE_M, FINE_M[0]))
         if best is None or worth > best[0]:
             best = worth, lasts_s, rises_m
     assert best is not None
     _, lasts_s, rises_m = best
-    asked = made[lasts_s][:, first:], destination, repeatability_m
-    _, rises_m = _widest(tips_m[::2], *asked, _pairs(rises_m, FINE_M[0], FINE_M[1]))
-    led_m = np.tensordot(rises_m, made[lasts_s], axes=1)
-    judged = _judged(destination, np.stack([tips_m, tips_m + led_m[first:]]), repeatability_m)
-    (before, probability), (margin_m, with_m), (_, std_m) = judged
+    inputs = responses[lasts_s][:, first:], destination, repeatability_m
+    _, rises_m = _best_rises(tips_m[::2], *inputs, _pairs(rises_m, FINE_M[0], FINE_M[1]))
+    led_m = np.tensordot(rises_m, responses[lasts_s], axes=1)
+    scores = _scores(destination, np.stack([tips_m, tips_m + led_m[first:]]), repeatability_m)
+    (before, probability), (margin_m, with_m), (_, std_m) = scores
     better = with_m - margin_m
     surely = better > max(WORTH_M, WORTH_STD * std_m)
     worth = probability - before + better - COST * np.abs(rises_m).sum()
@@ -116,20 +117,20 @@ def _pairs(about_m: FloatArray, reach_m: float, step_m: float) -> FloatArray:
     return np.clip(about_m + pairs_m, -MOST_M, MOST_M)
 
 
-def _widest(
+def _best_rises(
     tips_m: FloatArray,
     response: FloatArray,
     destination: Destination,
     repeatability_m: float,
     pairs_m: FloatArray,
 ) -> tuple[float, FloatArray]:
-    """What the best of (pairs, 2) rises is worth, and its (2,) rises, m.
+    """Score of the best of (pairs, 2) rises, and its (2,) rises, m.
 
-    tips_m  (samples, T, 2) as they are
+    tips_m    (samples, T, 2) without a change
     response  (2, T, 2) per metre of either rise
     """
     led_m = np.tensordot(pairs_m, response, axes=1)
-    chances, margins_m, _ = _judged(destination, tips_m + led_m[:, None], repeatability_m)
+    chances, margins_m, _ = _scores(destination, tips_m + led_m[:, None], repeatability_m)
     worths = chances + margins_m - COST * np.abs(pairs_m).sum(axis=1)
     at = int(worths.argmax())
     return float(worths[at]), pairs_m[at]
@@ -138,9 +139,9 @@ def _widest(
 def probability_of_passing(
     response: Response, estimated: Deviation, destination: Destination, repeatability_m: float
 ) -> float:
-    """Probability of passing if the path stays as it is."""
+    """Probability of passing without a change of the path."""
     tips_m = response.nodes_m[None, None, :, 0] + estimated.tips_m
-    return float(_judged(destination, tips_m, repeatability_m)[0][0])
+    return float(_scores(destination, tips_m, repeatability_m)[0][0])
 
 
 def decisions_s(response: Response, destination: Destination) -> tuple[float, ...]:
@@ -157,7 +158,7 @@ def tail_response(
 ) -> FloatArray:
     """(T, nodes, 2) response of the nodes to a rise of the gripper from a time on, per metre."""
     t_s = np.arange(0.0, lasts_s + INTERVAL_S, INTERVAL_S / 2.0)
-    up = Trajectory(t_s, 0.0 * t_s, _smooth(t_s / lasts_s), 0.0 * t_s)
+    up = Trajectory(t_s, 0.0 * t_s, _minimum_jerk(t_s / lasts_s), 0.0 * t_s)
     led = servo_response(up, lag_s)
     moved = np.diff(np.interp(response.t_s - from_s, led.t_s, led.y_m), prepend=0.0)
     rise = response.rise[:, nodes]
@@ -182,7 +183,7 @@ def moved_by(response: Response, tail: Tail, lag_s: float) -> Response:
     return replace(response, nodes_m=response.nodes_m + led)
 
 
-def _judged(
+def _scores(
     destination: Destination, tips_m: FloatArray, repeatability_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n,) probability, mean margin and its standard deviation, m, of (n, samples, T, 2) tips."""
@@ -191,26 +192,26 @@ def _judged(
     return chances.mean(axis=1), margins.mean(axis=1), margins.std(axis=1)
 
 
-def _smooth(u: FloatArray) -> FloatArray:
-    """From 0 to 1 with no speed and no acceleration at either end: the least jerk."""
+def _minimum_jerk(u: FloatArray) -> FloatArray:
+    """From 0 to 1 with least jerk: no speed or acceleration at either end."""
     u = np.clip(u, 0.0, 1.0)
     return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
 
 
-#: Frames that differ from what is found by so many standard deviations are not explained by it.
+#: Largest misfit of the frames with which a deviation is used, in standard deviations.
 MOST_MISFIT = 5.0
-#: A decision needs so many frames in which the cable is seen.
+#: Fewest frames with the tip detected for a decision.
 LEAST_FRAMES = 10
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """The decision in flight, and the prediction it rests on.
+    """The decision in flight, and the prediction that it is based on.
 
-    tip_m        (T, 2) as predicted, at the times of the answers, if the path stays; None = unknown
-    tail         the change that is worth it; None = there is none
-    probability  of passing if the path stays; None = unknown
-    withheld     why nothing can be decided; None = it can
+    tip_m        (T, 2) predicted without a change, at the response's times; None = unknown
+    tail         the change to make; None = none
+    probability  of passing without a change; None = unknown
+    withheld     reason why nothing can be decided; None = it can
     """
 
     tip_m: FloatArray | None = None
@@ -228,7 +229,7 @@ class Decision:
 class Flight:
     """An insertion in progress, with the cable's response to small deviations.
 
-    noise_m          standard deviation of the nodes as seen
+    noise_m          standard deviation of the detected nodes
     lag_s            of the arm
     repeatability_m  standard deviation of the tip's height for reasons that are not the cable's
     """
@@ -240,12 +241,11 @@ class Flight:
     repeatability_m: float
 
     def decide(self, t_s: FloatArray, nodes_m: FloatArray, from_s: float) -> Decision:
-        """From the frames so far.
+        """Decision from the frames so far.
 
-        t_s      (frames,) increasing, from when the gripper was told to move; frames before are
-                 left out
-        nodes_m  (frames, nodes, 2) measured, nan = not seen
-        from_s   when a change can begin
+        t_s      (frames,) increasing, after the commanded start; earlier frames are ignored
+        nodes_m  (frames, nodes, 2) measured, nan = not detected
+        from_s   earliest start of a change
         """
         used = np.isfinite(nodes_m[:, 0, 0]) & (t_s >= 0.0)
         if used.sum() < LEAST_FRAMES:
@@ -253,25 +253,25 @@ class Flight:
         estimated = deviation(self.response, t_s[used], nodes_m[used], self.noise_m)
         if estimated.misfit > MOST_MISFIT:
             return Decision(withheld=f"the frames are not explained: misfit {estimated.misfit:.1f}")
-        given = self.response, estimated, self.destination
+        inputs = self.response, estimated, self.destination
         return Decision(
             self.response.nodes_m[:, 0] + estimated.tip_m,
-            best_tail(*given, from_s, self.lag_s, self.repeatability_m),
-            probability_of_passing(*given, self.repeatability_m),
+            best_tail(*inputs, from_s, self.lag_s, self.repeatability_m),
+            probability_of_passing(*inputs, self.repeatability_m),
         )
 
     def changed(self, tail: Tail) -> Flight:
-        """The same once a change was told: the expected motion is moved by linear answers."""
+        """The same after a commanded change: the expected motion is moved by linear responses."""
         return replace(self, response=moved_by(self.response, tail, self.lag_s))
 
     def expecting(self, nodes_m: FloatArray) -> Flight:
-        """The same with the expected motion (T, nodes, 2) simulated anew for a changed path."""
+        """The same with the expected motion (T, nodes, 2) simulated for a changed path."""
         return replace(self, response=replace(self.response, nodes_m=nodes_m))
 
 
 def detection_std_m(identified: Identified) -> float:
-    """Standard deviation of nodes in flight, m: a moving cable is seen less well than at rest.
+    """Standard deviation of nodes in flight, m: detection is less exact in motion than at rest.
 
-    As the hold's frames were explained.
+    It is the rms residual of the hold's frames, or the noise at rest if that is larger.
     """
     return max(identified.noise.std_m, identified.residual_rms_m)

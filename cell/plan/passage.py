@@ -9,7 +9,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.plan.destination import Destination
 
-#: Frames that may be missing in a row while the tip passes, for the passage to count as seen.
+#: Most consecutive frames without the tip while it passes, for the passage to count as measured.
 MOST_UNSEEN = 3
 
 
@@ -31,7 +31,7 @@ class Passage:
 
     @property
     def passed(self) -> bool:
-        """Whether the tip was seen to pass."""
+        """Whether the measured tip passed."""
         return self.reason is None
 
 
@@ -64,11 +64,11 @@ def measured_passage(
     t_s, tip_m    (T,), (T, 2) from the pictures, nan where unseen
     predicted_…   (P,), (P, 2) on the same clock
     """
-    seen = np.isfinite(tip_m).all(axis=1)
+    detected = np.isfinite(tip_m).all(axis=1)
     nothing = float("nan")
-    if seen.sum() < 2:
+    if detected.sum() < 2:
         return Passage(nothing, nothing, nothing, "the tip was not seen during the execution")
-    t, tip = t_s[seen], tip_m[seen]
+    t, tip = t_s[detected], tip_m[detected]
     margin_m = float(destination.margin_m(tip))
     miss_m = height_at_opening_m(destination, tip)
     predicted = path_at(t, predicted_t_s, predicted_tip_m)

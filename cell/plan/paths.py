@@ -14,12 +14,12 @@ from cell.cable.geometry import Motion
 from drivers.interfaces import Pose, Trajectory
 from drivers.servo import servo_response
 
-#: A gripper this close to where it is sent is there already, m: an arm's repeatability, and too
-#: little to set a cable swinging when the arm is brought the rest of the way.
+#: Distance from the goal at which a gripper counts as arrived, m: an arm's repeatability, and too
+#: little to set a cable swinging when the arm moves the rest of the way.
 AT_GOAL_M = 5e-5
-#: A clamp angle this close to where it is sent is there already.
+#: Difference between clamp angles that count as the same.
 SAME_ANGLE_RAD = 1e-3
-#: Derivatives of a sampled path are differences over so long, s: a stroke's last step is shorter.
+#: Time over which derivatives of a path are computed, s: a stroke's last step is shorter.
 _SPAN_S = 0.004
 
 
@@ -92,9 +92,9 @@ def insertion_path(
     if offset_m < 0.0 or not advance_m > 0.0:
         raise ValueError(f"offset {offset_m} m must be ≥ 0 and advance {advance_m} m > 0")
     down = _stroke((start.x_m, start.y_m), (0.0, -offset_m), limits, rate_hz)
-    left = _stroke((float(down[-1, 0]), float(down[-1, 1])), (-advance_m, 0.0), limits, rate_hz)
+    advance = _stroke((float(down[-1, 0]), float(down[-1, 1])), (-advance_m, 0.0), limits, rate_hz)
     rest = np.repeat(down[:1], round(delay_s * rate_hz), axis=0)
-    return _path([rest, down, left[1:]], start.angle_rad, rate_hz)
+    return _path([rest, down, advance[1:]], start.angle_rad, rate_hz)
 
 
 def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory:
@@ -118,8 +118,8 @@ def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -
 def path_to_rest(path: Trajectory, from_s: float, limits: MotionLimits) -> Trajectory:
     """The path until a time, then a stop as fast as the limits allow.
 
-    Where the path itself is brisker than the limits, it is left as briskly: a gripper that is
-    slowed down already would otherwise go back.
+    Where the path exceeds the limits, so does the stop: a gripper that is already braking would
+    otherwise move back.
 
     path    evenly sampled, its clamp angle constant
     from_s  from the path's beginning
@@ -168,7 +168,7 @@ def executed_motion(
     settle_s: float = 0.0,
     history: Motion | None = None,
 ) -> Motion:
-    """The gripper's motion when an arm with a known lag is told to follow `path` from time 0.
+    """The gripper's motion when an arm with a known lag is commanded along `path` from time 0.
 
     settle_s  how long the gripper is held still after it has arrived
     history   measured motion up to now, its times ≤ 0: the cable still swings from it
@@ -184,8 +184,8 @@ def executed_motion(
         end_s = float(history.t_s[-1])
         if end_s > rows[0, 0]:
             raise ValueError(f"history ends at {end_s} s: must be before the path, {rows[0, 0]} s")
-        # without the noise of its log; all of it, as a fit has it: before the gripper first moves
-        # an effect may move the cable already
+        # without the noise of its log, but with its full length, as in a fit: an effect may move
+        # the cable before the gripper first moves
         past_s = history.t_s[history.t_s < rows[0, 0]]
         rows = np.vstack([np.column_stack([past_s, *pose_of(history)(past_s)]), rows])
     return Motion(*(np.ascontiguousarray(column) for column in rows.T))

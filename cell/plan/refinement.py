@@ -16,16 +16,16 @@ from cell.identify.identified import Identified
 from cell.plan.choose import ChoiceOptions, Forecast, coarsened
 from cell.plan.destination import Destination
 
-#: Insertions are simulated at so many moments at least, no further apart, s …
+#: Fewest delays at which insertions are simulated, and their largest spacing, s.
 MOMENTS, MOMENTS_S = 3, 0.13
-#: … with so many offsets, the outermost so far from the one that is best at once, m.
+#: Number of offsets simulated at each, and their largest distance from the best undelayed one, m.
 NEAR, NEAR_M = 5, 8e-3
-#: Between them the tip is interpolated, at moments and offsets so far apart, s and m, and at nearer
-#: offsets around the best of these.
+#: Spacing of the delays, s, and offsets, m, at which the tip is interpolated between these, and of
+#: the offsets around the best of them.
 FINE_S, FINE_M, FINEST_M = 0.01, 4e-4, 5e-5
-#: Moments nearer to each other than a fifth of the quickest swing, s, are alike …
+#: Delays closer than a fifth of the fastest swing's period, s, count as the same candidate.
 ALIKE_S = 0.03
-#: … and so many that are not, or of different paces, are to be simulated closely.
+#: Most candidates, which differ in delay or pace.
 MOST = 6
 #: (n,) offsets, m, delays, s, and paces.
 Spots = tuple[FloatArray, FloatArray, FloatArray]
@@ -43,16 +43,16 @@ def refined_candidates(
 ) -> Spots:
     """Candidate offsets, delays and paces of insertions, predicted to pass by the widest margin.
 
-    The tip of the most probable cable is simulated coarsely.  Its path is nearly the sum of what
-    the gripper's motion makes and of the swing before, which goes on: what is left changes smoothly
-    with the offset and the moment, and is interpolated.  (The sum alone errs by 0.16 mm rms for the
+    The tip of the most probable cable is simulated coarsely.  Its path is nearly the sum of the
+    response to the insertion and of the continuing previous swing; their remainder changes smoothly
+    with offset and delay, and is interpolated.  (The error of the sum alone is 0.16 mm rms for the
     softest of three cables of `fake.yaml`.)
 
-    at_once    of the offsets, ascending, at once and at the usual pace
-    motion     of the gripper, at once, of any offset, m, and pace
-    begin_s    when it begins, on the clock of the motions
+    at_once    forecast of the offsets, ascending, without delay at the usual pace
+    motion     of the gripper, without delay, of any offset, m, and pace
+    begin_s    begin of the insertion, on the clock of the motions
     returns    at most `MOST`, the widest margin first
-    raises     what the engine raises
+    raises     as the engine
     """
 
     def tips(motions: Sequence[Motion]) -> FloatArray:
@@ -64,13 +64,13 @@ def refined_candidates(
     near_m = np.unique(np.linspace(ends_m[0], ends_m[1], NEAR))
     fine_s = np.arange(0.0, freely.window_s + 1e-3 * FINE_S, FINE_S)
     count = max(MOMENTS, 1 + int(np.ceil(freely.window_s / MOMENTS_S)))
-    # at instants at which the tip is known
+    # multiples of the interval at which the tip is simulated
     moments = np.unique(np.rint(np.linspace(0.0, freely.window_s, count) / options.interval_s))
     moments_s, paces = options.interval_s * moments, (1.0, *freely.paces)
     near = [[motion(float(o), pace) for o in near_m] for pace in paces]
     later = [_delayed(m, begin_s, float(d)) for of_pace in near for d in moments_s for m in of_pace]
     longest_s = max(float(m.t_s[-1]) for of_pace in near for m in of_pace) - begin_s
-    *found, swing = tips([*later, _delayed(near[0][0], begin_s, longest_s + freely.window_s)])
+    *tips_m, swing = tips([*later, _delayed(near[0][0], begin_s, longest_s + freely.window_s)])
     steps = int(longest_s / options.interval_s)
 
     def from_moment(path: FloatArray, moment_s: float) -> FloatArray:
@@ -78,17 +78,17 @@ def refined_candidates(
         return path[first : first + steps]
 
     every_s = np.tile(np.repeat(moments_s, len(near_m)), len(paces))
-    made = np.array(
-        [from_moment(t, d) - from_moment(swing, d) for t, d in zip(found, every_s, strict=True)]
+    responses = np.array(
+        [from_moment(t, d) - from_moment(swing, d) for t, d in zip(tips_m, every_s, strict=True)]
     ).reshape(len(paces), len(moments_s), len(near_m), steps, 2)
     fine_m = np.arange(near_m[0], near_m[-1] + 1e-3 * FINE_M, FINE_M)
     fine_m, by_offset = _between(near_m, fine_m)
     by_moment = _between(moments_s, fine_s)[1]
     swings = np.array([from_moment(swing, float(d)) for d in fine_s])[:, None]
-    seen = _Interpolated(near_m, by_moment, made, swings)
+    interpolated = _Interpolated(near_m, by_moment, responses, swings)
     spots = [
-        (seen.best_offset_m(pace, moment, float(fine_m[offset]), destination), moment, pace)
-        for pace, moment, offset in _widest(seen.margins_m(by_offset, destination), fine_s)
+        (interpolated.best_offset_m(pace, moment, float(fine_m[offset]), destination), moment, pace)
+        for pace, moment, offset in _widest(interpolated.margins_m(by_offset, destination), fine_s)
     ]
     chosen_m, moment, pace = (np.array(column) for column in zip(*spots, strict=True))
     return chosen_m, fine_s[moment], np.array(paces)[pace]
@@ -96,17 +96,17 @@ def refined_candidates(
 
 @dataclass(frozen=True, eq=False)
 class _Interpolated:
-    """Tips between the motions that were simulated.
+    """Tips interpolated between simulated motions.
 
-    near_m     (j,) offsets that were simulated
-    by_moment  (d, i) weights of the moments that were simulated
-    made       (paces, i, j, T, 2) what the gripper's motion makes of a tip, m
-    swings     (d, 1, T, 2) what is left of the swing before, m
+    near_m     (j,) simulated offsets
+    by_moment  (d, i) weights of the simulated delays
+    responses  (paces, i, j, T, 2) response of the tip to the insertion, m
+    swings     (d, 1, T, 2) the previous swing, m
     """
 
     near_m: FloatArray
     by_moment: FloatArray
-    made: FloatArray
+    responses: FloatArray
     swings: FloatArray
 
     def margins_m(self, by_offset: FloatArray, destination: Destination) -> FloatArray:
@@ -116,18 +116,18 @@ class _Interpolated:
                 np.einsum("di,oj,ijtx->dotx", self.by_moment, by_offset, of_pace, optimize=True)
                 + self.swings
             )
-            for of_pace in self.made
+            for of_pace in self.responses
         ]
         return np.array(margins_m)
 
     def best_offset_m(
         self, pace: int, moment: int, about_m: float, destination: Destination
     ) -> float:
-        """The offset of the widest margin within `FINE_M` of another."""
+        """The offset of the widest margin within `FINE_M` of `about_m`."""
         ends_m = np.clip([about_m - FINE_M, about_m + FINE_M], self.near_m[0], self.near_m[-1])
         offsets_m = np.arange(ends_m[0], ends_m[1] + 1e-3 * FINEST_M, FINEST_M)
         offsets_m, weights = _between(self.near_m, offsets_m)
-        tips_m = np.einsum("i,oj,ijtx->otx", self.by_moment[moment], weights, self.made[pace])
+        tips_m = np.einsum("i,oj,ijtx->otx", self.by_moment[moment], weights, self.responses[pace])
         return float(offsets_m[destination.margin_m(tips_m + self.swings[moment]).argmax()])
 
 
@@ -147,13 +147,13 @@ def widest_between(at_once: Forecast, destination: Destination) -> float:
 
 
 def _delayed(motion: Motion, begin_s: float, delay_s: float) -> Motion:
-    """The gripper rests for so long at a moment, and then goes on."""
+    """The motion with a rest of `delay_s` inserted at `begin_s`."""
     before = motion.t_s <= begin_s
     return replace(motion, t_s=np.where(before, motion.t_s, motion.t_s + delay_s))
 
 
 def _between(known: FloatArray, fine: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """These places, and (f, known) weights of a cubic spline there; one known place is the only."""
+    """Fine places and (f, known) weights of a cubic spline; a single known place is itself fine."""
     if len(known) == 1:
         return known, np.ones((1, 1))
     if len(known) < 3:
@@ -162,13 +162,13 @@ def _between(known: FloatArray, fine: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _widest(margins_m: FloatArray, delays_s: FloatArray) -> list[tuple[int, int, int]]:
-    """Where (paces, delays, offsets) margins are widest, then widest at another moment …"""
-    left, best = margins_m.max(axis=2), margins_m.argmax(axis=2)
+    """Indices of the widest of (paces, delays, offsets) margins, of different delays or paces."""
+    remaining, best = margins_m.max(axis=2), margins_m.argmax(axis=2)
     chosen: list[tuple[int, int, int]] = []
-    while len(chosen) < MOST and np.isfinite(left).any():
-        pace, at = (int(i) for i in np.unravel_index(left.argmax(), left.shape))
+    while len(chosen) < MOST and np.isfinite(remaining).any():
+        pace, at = (int(i) for i in np.unravel_index(remaining.argmax(), remaining.shape))
         chosen.append((pace, at, int(best[pace, at])))
-        left[pace, np.abs(delays_s - delays_s[at]) < ALIKE_S - 1e-9] = -np.inf
+        remaining[pace, np.abs(delays_s - delays_s[at]) < ALIKE_S - 1e-9] = -np.inf
     return chosen
 
 
@@ -185,5 +185,5 @@ def _tips(
     space = identified.space
     tip_at_m = np.array([space.cable.length_m])
     models = [space.model(identified.mean)]
-    found = simulate_branches(models, motions, begin_s, at_s, tip_at_m, solver=coarsened(solver))
-    return np.ascontiguousarray(found[:, 0, :, 0])
+    nodes_m = simulate_branches(models, motions, begin_s, at_s, tip_at_m, solver=coarsened(solver))
+    return np.ascontiguousarray(nodes_m[:, 0, :, 0])

@@ -17,22 +17,23 @@ from cell.identify.identified import Identified
 from cell.identify.parameters import difference_points
 from cell.plan.choose import coarsened
 
-#: Time between two instants at which nodes are known, s.
+#: Sampling interval of simulated nodes, s.
 INTERVAL_S = 0.005
 #: Modes of the swing that a force from outside excites.
 MODES = 2
-#: Forces and the gripper's place change at moments so far apart, s.
+#: Interval at which unknown forces and gripper displacements change, s.
 KNOTS_S = 0.025
-#: One node in so many is looked at in flight, the tip among them.
+#: One node in so many is used in flight, the tip among them.
 EVERY_NODE = 2
-#: Pictures may be later than is known by about so much, s.
+#: Standard deviation of the pictures' unknown delay, s.
 LATE_S = 4e-3
-#: The cable's end is seen wrongly along the cable by about so much, m, the same in all pictures,
-#: and the other nodes by their share of it.
+#: Standard deviation of the detected end along the cable, m, the same in all pictures; that of the
+#: other nodes is in proportion to their arc lengths.
 END_M = 1e-4
-#: So far the gripper, m, and the modes, in free lengths per second, are moved to see the answer …
+#: Step of the gripper, m, and of the modes' velocities, in free lengths per second, from which the
+#: responses are computed.
 _STEP_M, _KICK = 1e-3, 0.05
-#: … the gripper within this time before 0, s: so that a motion is a sum of such, one an instant.
+#: Duration of the gripper's step, which ends at 0, s: a motion is a sum of one per interval.
 _STEP_S = INTERVAL_S
 
 
@@ -40,9 +41,9 @@ _STEP_S = INTERVAL_S
 class Response:
     """Expected motion of a cable, and its linear responses to small deviations.
 
-    Nodes are those that the camera sees, the tip first; all linear, of one cable near rest.
+    Nodes are those of the camera, the tip first; responses are those of a cable near rest.
 
-    t_s       (T,) from when the gripper is told to move, every `INTERVAL_S`
+    t_s       (T,) after the commanded start, every `INTERVAL_S`
     nodes_m   (T, nodes, 2) expected positions
     rise      (T, nodes, 2) response to a rise of the gripper by 1 m at 0
     basis     (T, nodes', 2, unknowns) response of every `EVERY_NODE`-th node: to pictures `LATE_S`
@@ -50,7 +51,7 @@ class Response:
               then, for every knot, to `MODES` forces that begin there and finally bend the tip by
               1 m, and to a displacement of the gripper by 1 m right and up
     tip       (T, 2, unknowns) response of the true tip, without delay and detection error
-    lasting   how many of the unknowns are not changes at a knot
+    lasting   number of the unknowns that are not changes at a knot
     """
 
     t_s: FloatArray
@@ -72,9 +73,9 @@ def simulate_response(
     """Simulate the expected motion, and each linear response once.
 
     motion         of the gripper, on the clock of the identification
-    begin_s, end_s on that clock: from when the gripper is told to move, until when nodes are wanted
+    begin_s, end_s on that clock: the commanded start, and the end of the response
     arc_length_m   (nodes,) of the nodes from the gripping point, m
-    raises         what the engine raises
+    raises         as the engine
     """
     t_s = np.arange(0.0, end_s - begin_s, INTERVAL_S)
     space, mean = identified.space, identified.mean
@@ -89,9 +90,9 @@ def simulate_response(
     late = -LATE_S * np.gradient(expected[:, ::EVERY_NODE], INTERVAL_S, axis=0)
     columns = [late, _end_detection_error(expected, arc_length_m), *slopes[:, :, ::EVERY_NODE]]
     for knot in range(0, len(t_s), round(KNOTS_S / INTERVAL_S)):
-        for answer in (*forces, *hand):
+        for response in (*forces, *hand):
             later = np.zeros_like(columns[0])
-            later[knot:] = answer[: len(t_s) - knot, ::EVERY_NODE]
+            later[knot:] = response[: len(t_s) - knot, ::EVERY_NODE]
             columns.append(later)
     basis = np.stack(columns, axis=-1)
     tip = basis[:, 0].copy()
@@ -112,7 +113,7 @@ def expected_nodes(
 
 
 def _end_detection_error(nodes_m: FloatArray, arc_length_m: FloatArray) -> FloatArray:
-    """(T, nodes', 2) by which nodes seem to be displaced."""
+    """(T, nodes', 2) apparent displacement of the nodes if the end is detected `END_M` off."""
     along = np.gradient(nodes_m, axis=1)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     share = arc_length_m / arc_length_m.max()
@@ -138,7 +139,7 @@ def _responses_at_rest(
     )
     forces = np.cumsum(swings[1:] - swings[:1], axis=1)
     held = simulate(model, still, t_s, arc_length_m, solver=solver)[0]
-    # the mean of the last swings is where a lasting force bends the tip to
+    # a lasting force bends the tip to the mean of its last swings
     bent_m = np.linalg.norm(forces[:, len(t_s) // 2 :, 0].mean(axis=1), axis=-1)
     forces /= bent_m[:, None, None, None]
     moved = [
@@ -150,19 +151,19 @@ def _responses_at_rest(
 
 
 def _resting(motion: Motion, t_s: FloatArray) -> Motion:
-    """The gripper at rest where it is in the end, before time 0 and after."""
+    """The gripper at rest at its final pose, before time 0 and after."""
     grid = np.arange(-10.0, len(t_s) + 1.0) * _STEP_S
     ends = (np.full(len(grid), float(v[-1])) for v in (motion.x_m, motion.y_m, motion.angle_rad))
     return Motion(grid, *ends)
 
 
-#: By so much at once, m: of the tip that a force bends, and of the gripper.  Which of these fit
-#: best the frames tell.  The smallest add up to 0.01 mm at the tip in a flight: the engine's own
-#: error.
+#: Prior standard deviations of a change at a knot, m: of the tip bent by a force, and of the
+#: gripper.  The frames select among them by evidence.  The smallest add up to 0.01 mm at the tip in
+#: a flight, the engine's own error.
 FORCES_M = (1e-6, 3e-5, 2e-4, 1e-3)
 GRIPPER_M = (1e-6, 3e-4)
-#: Frames one after the other err alike: of so many one is used, and as many of these tell as much
-#: as one alone.
+#: Errors of consecutive frames are correlated: one frame in so many is used, and so many of these
+#: count as one independent frame.
 EVERY, ALIKE = 2, 2.0
 
 
@@ -170,9 +171,9 @@ EVERY, ALIKE = 2, 2.0
 class Deviation:
     """Estimated deviation of a cable's tip from the expected motion, m.
 
-    tip_m       (T, 2) the tip's, at the times of the answers, those to come included
-    tips_m      (samples, T, 2) of tips that are as probable
-    misfit      of the frames, root mean square in standard deviations; about 1 = explained
+    tip_m       (T, 2) mean, at the response's times, the future included
+    tips_m      (samples, T, 2) random samples of it
+    misfit      of the frames, root mean square in standard deviations; about 1 = a good fit
     """
 
     tip_m: FloatArray
@@ -189,22 +190,22 @@ def deviation(
 ) -> Deviation:
     """Estimate the deviation, until the motion's end, from the frames so far.
 
-    t_s      (frames,) from when the gripper was told to move
-    nodes_m  (frames, nodes, 2) measured, nan = not seen
+    t_s      (frames,) after the commanded start
+    nodes_m  (frames, nodes, 2) measured, nan = not detected
     std_m    of their noise
     source   Kalman & Bucy; batch form, as in Bar-Shalom, Li & Kirubarajan 2001, section 3.4
     """
-    knots = 1 + int(t_s[-1] / KNOTS_S)  # of what is to come nothing is known
+    knots = 1 + int(t_s[-1] / KNOTS_S)  # no changes are estimated after the last frame
     unknowns = response.lasting + knots * (MODES + 2)
     tip = response.tip[..., :unknowns]
     t_s, nodes_m = t_s[::-EVERY], nodes_m[::-EVERY, ::EVERY_NODE]
     expected = _at(response.nodes_m[:, ::EVERY_NODE], t_s)
-    seen_by = _at(response.basis[..., :unknowns], t_s)
+    basis = _at(response.basis[..., :unknowns], t_s)
     rows, known = (nodes_m - expected).ravel(), np.isfinite(nodes_m).ravel()
     weight = 1.0 / (std_m * np.sqrt(ALIKE))
     values = weight * rows[known]
-    slopes = weight * seen_by.reshape(len(rows), -1)[known]
-    normal, right = slopes.T @ slopes, slopes.T @ values
+    jacobian = weight * basis.reshape(len(rows), -1)[known]
+    normal, right = jacobian.T @ jacobian, jacobian.T @ values
     best: tuple[float, FloatArray, FloatArray, FloatArray] | None = None
     for prior in _priors(response.lasting, knots):
         scaled = prior[:, None] * normal * prior
@@ -215,47 +216,47 @@ def deviation(
             best = log_evidence, prior, z, np.tril(factor[0])
     assert best is not None
     _, prior, z, root = best
-    left = values - slopes @ (prior * z)
+    residual = values - jacobian @ (prior * z)
     drawn = np.random.default_rng(20260102).standard_normal((len(prior), samples))
     drawn = z[:, None] + solve_triangular(root.T, drawn, lower=False)
     return Deviation(
         tip @ (prior * z),
         np.moveaxis(tip @ (prior[:, None] * drawn), -1, 0),
-        float(np.sqrt(np.mean(left**2))) if len(left) else 1.0,
+        float(np.sqrt(np.mean(residual**2))) if len(residual) else 1.0,
     )
 
 
 def _priors(lasting: int, knots: int) -> Iterator[FloatArray]:
-    """(unknowns,) standard deviations that may be true."""
+    """(unknowns,) candidate prior standard deviations."""
     for force_m, hand_m in product(FORCES_M, GRIPPER_M):
         knot = [force_m / (mode + 1.0) ** 2 for mode in range(MODES)] + [hand_m] * 2
         yield np.array([1.0] * lasting + knot * knots)
 
 
 def _at(values: FloatArray, t_s: FloatArray) -> FloatArray:
-    """(frames, …) of (T, …) values that are known every `INTERVAL_S`."""
+    """(frames, …) of (T, …) values sampled every `INTERVAL_S`."""
     place = np.clip(t_s / INTERVAL_S, 0.0, len(values) - 1.001)
     before = place.astype(int)
     share = (place - before).reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((1.0 - share) * values[before] + share * values[before + 1])
 
 
-#: Between the instants at which the tip is looked at, s.
+#: Sampling interval of the tip, s.
 _INTERVAL_S = 0.01
 
 
 def time_to_rest_s(
     identified: Identified, motion: Motion, within_m: float, longest_s: float
 ) -> float:
-    """Time from the end of a motion until the tip stays within a distance of where it rests, s.
+    """Time from the end of a motion until the tip stays within a distance of its rest, s.
 
     motion     of the gripper, from a cable at rest on; it is held still afterwards
     within_m   distance of the tip from its place at rest
     longest_s  returned if it swings longer
-    raises     what the engine raises
+    raises     as the engine
     """
-    # held still beyond its log, which `simulate` does: a last sample added there would be led to by
-    # a curve that bulges with the noise of the samples before it
+    # `simulate` holds the gripper still after its log: a sample added there would make the spline
+    # overshoot with the noise of the samples before it
     end_s = float(motion.t_s[-1])
     t_s = np.arange(end_s, end_s + longest_s, _INTERVAL_S)
     at_tip = np.array([identified.space.cable.length_m])
