@@ -23,11 +23,11 @@ UNSEEN: Colour = (60, 60, 255)
 WHITE: Colour = (255, 255, 255)
 
 _SHIFT = 4  # cv2 draws on sixteenths of a pixel
-#: Lengths of scale bars, m; that which is nearest to a fifth of the picture's width is drawn.
+#: Lengths of scale bars, m; the one nearest to a fifth of the picture's width is drawn.
 _BARS_M = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
-#: How much larger than in the picture differences are shown: the greatest that fits its inset.
+#: Magnifications of differences; the largest that fits its inset is used.
 _MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-#: Pictures are this wide when letters have their full size, px.
+#: Width of a picture at which letters have their full size, px.
 _FULL_PX = 1280.0
 
 
@@ -45,7 +45,7 @@ def line(
     closed: bool = False,
     dashed: bool = False,
 ) -> None:
-    """Draw a line through (n, 2) pixels; points that are nan are left out."""
+    """Draw a line through (n, 2) pixels; points that are nan are skipped."""
     points = sixteenths(pixels[np.isfinite(pixels).all(axis=1)])
     if dashed:
         for start in range(0, len(points) - 1, 4):
@@ -100,20 +100,20 @@ def scale_bar(picture: Image, metres_per_pixel: float) -> None:
 
 
 def difference_inset(
-    picture: Image, seen_m: FloatArray, predicted_m: FloatArray, metres_per_pixel: float
+    picture: Image, detected_m: FloatArray, predicted_m: FloatArray, metres_per_pixel: float
 ) -> float:
     """Draw the magnified difference of detected and predicted nodes in the top right corner.
 
-    Every predicted point lies in the middle, and what was seen of it beside it, enlarged so many
-    times as the words say; a circle shows the largest difference.
+    Predicted points are in the centre, detected ones at their difference, enlarged by the factor
+    in the label; a circle shows the largest difference.
 
-    seen_m, predicted_m  (n, 2) points that belong together; nan = not known
+    detected_m, predicted_m  (n, 2) corresponding points; nan = not known
     returns  the largest difference, m; nan = none is known
     """
-    apart_m = (seen_m - predicted_m)[np.isfinite(seen_m - predicted_m).all(axis=1)]
-    if not len(apart_m):
+    differences_m = (detected_m - predicted_m)[np.isfinite(detected_m - predicted_m).all(axis=1)]
+    if not len(differences_m):
         return float("nan")
-    largest_m = float(np.hypot(*apart_m.T).max())
+    largest_m = float(np.hypot(*differences_m.T).max())
     scale = _letters(picture)
     half = round(90 * scale)
     fits = [m for m in _MAGNIFICATIONS if m * largest_m / metres_per_pixel < 0.8 * half]
@@ -129,7 +129,7 @@ def difference_inset(
     radius = times * largest_m / metres_per_pixel
     turn = np.linspace(0.0, 2.0 * np.pi, 73)
     line(picture, centre + radius * np.column_stack([np.cos(turn), np.sin(turn)]), WHITE, 1)
-    pixels = centre + times * apart_m * [1.0, -1.0] / metres_per_pixel
+    pixels = centre + times * differences_m * [1.0, -1.0] / metres_per_pixel
     line(picture, pixels, SEEN, 1)
     for u, v in sixteenths(pixels).tolist():
         cv2.circle(picture, (u, v), 3 << _SHIFT, SEEN, -1, cv2.LINE_AA, _SHIFT)
@@ -148,7 +148,7 @@ def _letters(picture: Image) -> float:
 def overlay(
     image: Image, sighting: Sighting, view: PlaneView, predicted: FloatArray | None = None
 ) -> Image:
-    """(H, W, 3) BGR picture: nodes seen green, predicted nodes orange, jaw axis blue, words on top.
+    """(H, W, 3) BGR picture: detected nodes green, predicted ones orange, jaw axis blue, text on top.
 
     predicted  (nodes, 2) nodes expected at that time, m; nan or None = nothing drawn
     """
@@ -164,7 +164,7 @@ def overlay(
     else:
         title(picture, [(f"t {sighting.t_s:.3f} s  unseen: {sighting.unseen.value}", UNSEEN)])
     if predicted is not None and np.all(np.isfinite(predicted)):
-        # Last and wider, so that what was seen does not hide it.
+        # Last and wider, so that the detected nodes do not hide them.
         _draw_nodes(picture, view.to_pixels(predicted), PREDICTED, 9)
     return picture
 

@@ -1,4 +1,4 @@
-"""One frame of the side camera → the nodes of the cable, or why there are none."""
+"""One frame of the side camera → the nodes of the cable, or the reason why there are none."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ from cell.vision.trace import (
 _SHARES = (0.3, 0.5, 0.7, 0.9)  # of the cable's length, radii of the arcs
 _CABLE_PX = 8.0  # a crossing nearer to the cable is the cable itself
 _APART_PX = 6.0  # a point of another line nearer to the cable does not count
-_EVERY_POINT = 4  # one of so many dense points of the cable is compared with
+_EVERY_POINT = 4  # stride over the dense points of the cable in comparisons
 
 
 @part
 def another_line(picture, memory, grip, outward, contrast, length):  # type: ignore[no-untyped-def]
-    """Whether a second line similar to the cable runs near it, of like contrast and length.
+    """Whether a second line of similar contrast and length runs near the cable.
 
-    Arcs about the gripping point are searched for lines; what crosses them away from the cable is
-    followed both ways, and counts if that goes on for a fifth of the cable's length.
+    Arcs about the gripping point are searched for lines; a line that crosses them away from the
+    cable is followed both ways, and counts if it is longer than a fifth of the cable.
     memory    see `TraceMemory`; `dense` holds the cable
     contrast  typical of the cable, grey levels; length: expected, px
     """
@@ -74,7 +74,7 @@ def another_line(picture, memory, grip, outward, contrast, length):  # type: ign
 
 @part
 def _apart(picture, memory, place, heading, contrast, length):  # type: ignore[no-untyped-def]
-    """How far, in pixels, a line goes on from a place away from the cable."""
+    """Length, px, of a line from a place, as far as it is away from the cable."""
     start = find_start(picture, place, heading, 2.0, 1.0, memory.scratch)
     if start.contrast < 0.5 * contrast:
         return 0.0
@@ -99,7 +99,7 @@ def _distance(u, v, dense):  # type: ignore[no-untyped-def]
     return np.sqrt(nearest)
 
 
-_EVERY = 16  # pixel and row is looked at to say whether a picture is usable at all
+_EVERY = 16  # stride over columns and rows in the check whether a picture is usable
 
 _NO_JAW = UNSEEN.index(Unseen.NO_JAW)
 _TWO_CABLES = UNSEEN.index(Unseen.TWO_CABLES)
@@ -118,7 +118,7 @@ class Appearance(NamedTuple):
 
 
 class FrameMemory(NamedTuple):
-    """Memory that is written while a picture is looked at; a thread needs its own."""
+    """Memory for the evaluation of a picture; a thread needs its own."""
 
     discs: DiscMemory
     trace: TraceMemory
@@ -127,7 +127,7 @@ class FrameMemory(NamedTuple):
 
 
 class FrameResult(NamedTuple):
-    """Why there are no nodes (place in `UNSEEN`, −1 = there are), the jaw, quality and length."""
+    """Reason for no nodes (index in `UNSEEN`, −1 = nodes), the jaw, quality and length."""
 
     code: int
     x_m: float
@@ -149,10 +149,10 @@ def frame_memory(shape: tuple[int, int], appearance: Appearance) -> FrameMemory:
 
 @part
 def nodes_in_frame(picture, view, appearance, memory, previous, nodes):  # type: ignore[no-untyped-def]
-    """Find jaw and cable in one picture; writes the nodes.
+    """Detect jaw and cable in one picture; writes the nodes.
 
-    picture  see `Picture`
-    view     see `View`
+    picture  see `GreyImage`
+    view     see `ImageView`
     previous  place, m, and angle of the jaw in the frame before; nan = unknown
     nodes    (N, 2) are written, tip first, m; nan where unseen
     returns  a `FrameResult`
@@ -190,12 +190,12 @@ def nodes_in_frame(picture, view, appearance, memory, previous, nodes):  # type:
 
 @compiled
 def frame_values(picture, view, appearance, memory, previous, nodes):  # type: ignore[no-untyped-def]
-    """The values of `nodes_in_frame`'s result as a plain tuple, as Python may take it.
+    """The values of `nodes_in_frame`'s result as a plain tuple, for Python.
 
-    To hand out a named one numba runs Python; a signal that is raised there ends the process.
+    To return a named tuple numba runs Python; a signal that is raised there ends the process.
     """
-    found = nodes_in_frame(picture, view, appearance, memory, previous, nodes)
-    return found.code, found.x_m, found.y_m, found.angle_rad, found.quality, found.length_m
+    result = nodes_in_frame(picture, view, appearance, memory, previous, nodes)
+    return result.code, result.x_m, result.y_m, result.angle_rad, result.quality, result.length_m
 
 
 @inline
@@ -249,7 +249,7 @@ def _unusable(image, histogram):  # type: ignore[no-untyped-def]
 
 @part
 def _quantile(histogram, count, share):  # type: ignore[no-untyped-def]
-    """Grey level below which a share of the pixels is, between two of them by interpolation."""
+    """Grey level of a quantile of the pixels, interpolated between two levels."""
     place = share * (count - 1)
     rank = int(place)
     below, level = 0, -1
@@ -271,12 +271,12 @@ _OF_THREAD = local()
 
 @dataclass(frozen=True)
 class VisionOptions:
-    """The appearance of cable and jaw, and what is measured of them.
+    """The appearance of cable and jaw, and parameters of their detection.
 
     free_length_m        from the gripping point to the tip, as the cable was gripped
-    length_tolerance_m   a measured length further off means that something else was followed
+    length_tolerance_m   largest error of the measured length; beyond it the line is not the cable
     nodes                at equal arc length, tip first
-    cable_is             darker or lighter than what is behind it
+    cable_is             darker or lighter than its background
     min_contrast         of the cable over three pixels, grey levels; less counts as no cable
     line_width_px        standard deviation of the cable's profile, blur included
     """
@@ -303,10 +303,10 @@ def detect(
     options: VisionOptions,
     previous: Sighting | None = None,
 ) -> Sighting:
-    """Find jaw and cable in one frame.
+    """Detect jaw and cable in one frame.
 
     image        (H, W) grey levels
-    previous     that of the frame before: the jaw is looked for there first; only saves time
+    previous     sighting in the frame before, where the search for the jaw starts; only saves time
     returns      a sighting; `unseen` names the reason if there are no nodes.  Does not guess.
     raises       ValueError: the image is not (H, W) uint8
     """
@@ -326,15 +326,15 @@ def detect(
         near,
         nodes_m,
     )
-    found = FrameResult(*values)
+    result = FrameResult(*values)
     return Sighting(
         t_s,
         nodes_m,
-        np.array([found.x_m, found.y_m]),
-        found.angle_rad,
-        found.quality,
-        None if found.code < 0 else UNSEEN[found.code],
-        found.length_m,
+        np.array([result.x_m, result.y_m]),
+        result.angle_rad,
+        result.quality,
+        None if result.code < 0 else UNSEEN[result.code],
+        result.length_m,
     )
 
 

@@ -13,10 +13,10 @@ from cell.vision.compiling import compiled, hypot, inline, part
 
 _distorted, _undistorted = part(distorted), part(undistorted)
 
-_MOST = 512  # discs in one picture; those beyond are not looked at
+_MOST = 512  # discs in one picture; further ones are ignored
 _SURROUNDINGS = 2.5  # of a disc, in its radii
 _LIGHTER = 15  # than their surroundings, grey levels
-_ROUNDS = 3  # of a centre: after two it still depends, by 1e-6 px, on where it is looked for first
+_ROUNDS = 3  # of a centre: after two it still depends on its start by 1e-6 px
 
 
 class Marks(NamedTuple):
@@ -31,8 +31,8 @@ class ImageView(NamedTuple):
     """Mapping from pixels to the plane and back; see `PlaneView`.
 
     maps     (2, 3, 3) homography from homogeneous ideal pixels to the plane in metres, and back
-    lens     (9,) its numbers
-    distorts whether it does
+    lens     (9,) numbers of the lens model
+    distorts whether the lens distorts
     """
 
     maps: FloatArray
@@ -44,9 +44,9 @@ class DiscMemory(NamedTuple):
     """Memory for pictures of one size.
 
     coarse, light  (H, W) block means, and which of them are lighter than their surroundings
-    sums, stack    (W,) sums down columns; (H W,) places of a blob still to look at
+    sums, stack    (W,) sums down columns; (H W,) pixels of a blob still to visit
     centres        (512, 2) of discs, in the plane
-    nearest, best  (M,) disc that each mark lies nearest to, −1 = none
+    nearest, pair  (M,) disc nearest to each mark, −1 = none; disc of each mark of a tried pair
     """
 
     coarse: NDArray[np.uint8]
@@ -59,7 +59,7 @@ class DiscMemory(NamedTuple):
 
 
 class BodyPose(NamedTuple):
-    """Place and angle of the body's frame in the plane, marks used (0 = not found), rms misfit."""
+    """Place and angle of the body's frame in the plane, marks used (0 = no body), rms misfit."""
 
     x_m: float
     y_m: float
@@ -119,11 +119,11 @@ def scale_at(view, u, v):  # type: ignore[no-untyped-def]
 
 @part
 def find_body(image, view, marks, memory, previous, reach):  # type: ignore[no-untyped-def]
-    """`BodyPose` of a body by its marks: the same wherever it is looked for first.
+    """`BodyPose` of a body by its marks; it does not depend on `previous`.
 
-    previous  place and angle at which it was; looked for around it first unless nan.  Angle nan =
-             it may have turned
-    reach    how far a mark may have moved since then, m
+    previous  earlier place and angle, around which the search starts; place nan = search the full
+             picture, angle nan = it may have turned
+    reach    largest displacement of a mark since then, m
     source   Kabsch 1976 (rigid fit)
     """
     height, width = image.shape
@@ -133,10 +133,10 @@ def find_body(image, view, marks, memory, previous, reach):  # type: ignore[no-u
     blocks = (shrink, half)
     if np.isfinite(previous[0]) and np.isfinite(previous[1]):
         left, top, right, bottom = _around(view, marks, previous, reach)
-        beyond = (half + 1) * shrink  # so that the marks' surroundings are those in the picture
+        beyond = (half + 1) * shrink  # the marks' surroundings are needed, too
         left, right = min(max(left - beyond, 0), width), min(max(right + beyond, 0), width)
         top, bottom = min(max(top - beyond, 0), height), min(max(bottom + beyond, 0), height)
-        left, top = left - left % shrink, top - top % shrink  # on blocks of the picture
+        left, top = left - left % shrink, top - top % shrink  # multiples of a block
         right = min(-(-right // shrink) * shrink, width)
         bottom = min(-(-bottom // shrink) * shrink, height)
         if right - left > 8 and bottom - top > 8:
@@ -149,7 +149,7 @@ def find_body(image, view, marks, memory, previous, reach):  # type: ignore[no-u
 
 @part
 def _moved(near, pose, marks):  # type: ignore[no-untyped-def]
-    """How far a mark has moved at most, m; of a body that may have turned, the body."""
+    """Largest displacement of a mark, m; that of the origin if the body may have turned."""
     x, y, angle = near
     furthest = hypot(pose.x_m - x, pose.y_m - y)
     if not np.isnan(angle):
@@ -166,13 +166,13 @@ def _moved(near, pose, marks):  # type: ignore[no-untyped-def]
 @compiled
 def body_values(image, view, marks, memory, previous, reach):  # type: ignore[no-untyped-def]
     """The values of `find_body`'s result as a plain tuple; see `detect.frame_values`."""
-    found = find_body(image, view, marks, memory, previous, reach)
-    return found.x_m, found.y_m, found.angle_rad, found.marks, found.rms_m
+    pose = find_body(image, view, marks, memory, previous, reach)
+    return pose.x_m, pose.y_m, pose.angle_rad, pose.marks, pose.rms_m
 
 
 @part
 def _around(view, marks, near, reach):  # type: ignore[no-untyped-def]
-    """Left, top, right, bottom of the pixels where the marks can be."""
+    """Left, top, right, bottom of the pixels in which the marks can be."""
     x, y, angle = near
     centres, count = marks.centres_m, len(marks.centres_m)
     half = reach + marks.radius_m
@@ -204,9 +204,9 @@ def _around(view, marks, near, reach):  # type: ignore[no-untyped-def]
 
 @part
 def _find(image, box, blocks, view, marks, memory):  # type: ignore[no-untyped-def]
-    """`BodyPose` by what a box (left, top, right, bottom) of a picture shows.
+    """`BodyPose` from a box (left, top, right, bottom) of a picture.
 
-    blocks  pixels that become one to find where discs may be, and so many that surround one
+    blocks  pixels per block of the coarse picture, and blocks on each side of a disc's surroundings
     """
     left, top, right, bottom = box
     shrink, half = blocks
@@ -226,10 +226,10 @@ def _find(image, box, blocks, view, marks, memory):  # type: ignore[no-untyped-d
 
 @part
 def _block_means(part, shrink, sums, coarse):  # type: ignore[no-untyped-def]
-    """Means of blocks of shrink × shrink pixels; of halves the even number, but of blocks of four.
+    """Means of blocks of shrink × shrink pixels; halves are rounded to even, up for 2 × 2 blocks.
 
-    As OpenCV rounds them (`INTER_AREA`): half a grey level at the edge of a disc decides from where
-    its centre is looked for.
+    This is OpenCV's rounding (`INTER_AREA`): half a grey level at a disc's edge decides where the
+    search for its centre starts.
     """
     rows, columns = coarse.shape
     wide = columns * shrink
@@ -252,7 +252,7 @@ def _block_means(part, shrink, sums, coarse):  # type: ignore[no-untyped-def]
 
 @part
 def _lighter(coarse, half, sums, light):  # type: ignore[no-untyped-def]
-    """Where a picture is lighter than the mean of the square of ± half about it, edges repeated."""
+    """Flags of pixels lighter than the mean of the square of ± half around, edges repeated."""
     rows, columns = coarse.shape
     size = (2 * half + 1) ** 2
     for c in range(columns):
@@ -276,7 +276,7 @@ def _lighter(coarse, half, sums, light):  # type: ignore[no-untyped-def]
 def _discs(image, light, shrink, corner, view, marks, memory):  # type: ignore[no-untyped-def]
     """Number of discs of about the marks' radius; their centres, in pixels, into memory.
 
-    corner  column and row of the picture's block with which `light` begins
+    corner  column and row of the first block of `light` in the picture
     """
     rows, columns = light.shape
     stack, count = memory.stack, 0
@@ -316,7 +316,7 @@ def _discs(image, light, shrink, corner, view, marks, memory):  # type: ignore[n
 
 @part
 def _centroid(image, column, row, radius):  # type: ignore[no-untyped-def]
-    """Column and row, nan where there is no disc: grey levels between inside and around count."""
+    """Centroid (column, row) by grey levels between inside and surroundings; nan = no disc."""
     height, width = image.shape
     half = int(np.ceil(1.6 * radius))
     core, inner, outer = (0.5 * radius) ** 2, (1.25 * radius) ** 2, (1.55 * radius) ** 2
@@ -361,9 +361,9 @@ def _centroid(image, column, row, radius):  # type: ignore[no-untyped-def]
 
 @part
 def _rigid_match(points, marks, memory):  # type: ignore[no-untyped-def]
-    """Best rigid fit of the marks to (N, 2) points in the plane, at least 3 of them agreeing."""
+    """Best rigid fit of the marks to (N, 2) points in the plane; it needs at least 3 inliers."""
     centres, tolerance = marks.centres_m, marks.tolerance_m
-    found = BodyPose(np.nan, np.nan, np.nan, 0, np.nan)
+    best = BodyPose(np.nan, np.nan, np.nan, 0, np.nan)
     for a in range(len(centres)):
         for b in range(a + 1, len(centres)):
             distance = hypot(centres[b, 0] - centres[a, 0], centres[b, 1] - centres[a, 1])
@@ -377,21 +377,21 @@ def _rigid_match(points, marks, memory):  # type: ignore[no-untyped-def]
                     memory.pair[a], memory.pair[b] = i, j
                     pose = _rigid_fit(centres, points, memory.pair)
                     used = _nearest(centres, points, pose, 2.0 * tolerance, memory.nearest)
-                    if used < 3 or used < found.marks:
+                    if used < 3 or used < best.marks:
                         continue
                     pose = _rigid_fit(centres, points, memory.nearest)
-                    if pose.rms_m < tolerance and (used > found.marks or pose.rms_m < found.rms_m):
-                        found = pose
+                    if pose.rms_m < tolerance and (used > best.marks or pose.rms_m < best.rms_m):
+                        best = pose
                         if used == len(centres):
-                            return found
-    return found
+                            return best
+    return best
 
 
 @part
 def _nearest(centres, points, pose, most, nearest):  # type: ignore[no-untyped-def]
     """Points nearest to the marks of a body at a pose, −1 where further than `most`, m.
 
-    returns  how many marks have one; 0 if two have the same
+    returns  number of marks with a point; 0 if two have the same
     """
     c, s = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
     used = 0

@@ -1,4 +1,4 @@
-"""Where the jaw is: light discs on its plate, found and fitted as one rigid body."""
+"""Pose of the jaw: light discs on its plate, detected and fitted as one rigid body."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cell.vision.discs import BodyPose, ImageView, Marks, body_values, disc_memo
 
 Image = NDArray[np.uint8]
 
-#: From one frame to the next a mark moves less than this, or is looked for everywhere, m.
+#: Largest displacement of a mark between frames, m; beyond it the full picture is searched.
 NEXT_FRAME_M = 0.006
 _ANY_TURN_M = 0.015  # the same where the angle is not known
 
@@ -24,7 +24,7 @@ class JawMarks:
     """Light discs on a dark plate, in the jaw's frame.
 
     The frame: origin at the gripping point, the cable leaves towards −x, y up when level.
-    The distances between the discs must all differ, so that each is known by its place.
+    The distances between the discs must all differ, so that each disc can be identified.
     """
 
     centres_m: tuple[tuple[float, float], ...] = (
@@ -35,7 +35,7 @@ class JawMarks:
     )
     radius_m: float = 0.0025
 
-    #: Two distances nearer than this cannot be told apart, and a mark this far off is another's.
+    #: Distances closer than this are not distinguished; a mark further off is no inlier.
     tolerance_m: float = field(default=0.0005, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -73,8 +73,8 @@ def find_jaw(
     """Pose of the jaw, or None.
 
     image     (H, W) uint8
-    previous_m  (2,) gripping point in an earlier frame, m: looked for around it first
-    previous_rad  clamp angle in that frame, if nothing moves far between the two: looked for nearer
+    previous_m  (2,) gripping point in an earlier frame, m, around which the search starts
+    previous_rad  clamp angle in that frame, if little moves between the two: a closer search
     """
     image = np.require(image, requirements=["C", "W"])
     place = (np.nan, np.nan) if previous_m is None else (float(previous_m[0]), float(previous_m[1]))
@@ -85,10 +85,10 @@ def find_jaw(
     values = body_values(
         image, compiled_view(view), disc_marks(marks), memory, (*place, turn), reach_m
     )
-    found = BodyPose(*values)
-    if not found.marks:
+    pose = BodyPose(*values)
+    if not pose.marks:
         return None
-    return JawPose(np.array([found.x_m, found.y_m]), found.angle_rad, found.marks, found.rms_m)
+    return JawPose(np.array([pose.x_m, pose.y_m]), pose.angle_rad, pose.marks, pose.rms_m)
 
 
 @lru_cache(maxsize=8)

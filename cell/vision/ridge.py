@@ -1,8 +1,8 @@
-"""A thin line in a picture: where it starts, runs and ends, to a fraction of a pixel.
+"""A thin line in a picture: its start, course and end, to a fraction of a pixel.
 
 All positions are (column, row) in pixels, the centre of the first pixel at 0, 0.  A line may be
-dark (`sign` = −1) or light (+1); a picture of the empty scene is taken off where one is given.
-Compiled, and touching only pixels near the line, so that the picture's size costs nothing.
+dark (`sign` = −1) or light (+1).
+Compiled; only pixels near the line are read, so the time does not depend on the picture's size.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Image = NDArray[np.uint8]
 
 
 class End(IntEnum):
-    """Why following a line ended."""
+    """Reason why following a line ended."""
 
     FADED = 0  # the line is no longer there: its end
     LEFT_PICTURE = 1
@@ -29,7 +29,7 @@ class End(IntEnum):
 
 
 class GreyImage(NamedTuple):
-    """A picture in which a line is looked for.
+    """A picture to be searched for a line.
 
     image  (H, W) grey levels
     sign   +1 = the line is lighter than its surroundings, −1 = darker
@@ -77,8 +77,8 @@ def profile_fit(width_px: float) -> ProfileFit:
     return ProfileFit(np.hstack([design, np.linalg.pinv(design).T]), width_px)
 
 
-_FAN_ROWS = 10  # profiles across which a line's start is looked for
-_REACH = 4  # how far beside its heading a line is looked for, px
+_FAN_ROWS = 10  # profiles in the search for a line's start
+_REACH = 4  # largest offset of the next point from the line's heading, px
 _SIDE = _REACH + 6  # of a profile, px
 
 
@@ -117,7 +117,7 @@ def _profile(picture, u, v, du, dv, scratch, row, taps):  # type: ignore[no-unty
 
 @inline
 def _contrast(scratch, row, k):  # type: ignore[no-untyped-def]
-    """Mean of three against the lighter of the two sides: an edge or a slope gives nothing."""
+    """Mean of three minus that of the lighter side: 0 or less at an edge or on a slope."""
     middle = (scratch[row, k - 1] + scratch[row, k] + scratch[row, k + 1]) / 3.0
     left = (scratch[row, k - 6] + scratch[row, k - 5] + scratch[row, k - 4]) / 3.0
     right = (scratch[row, k + 6] + scratch[row, k + 5] + scratch[row, k + 4]) / 3.0
@@ -129,8 +129,8 @@ def find_start(picture, at, direction, reach, slope, scratch):  # type: ignore[n
     """The start of a line near the place `at`, heading about `direction` (column, row each).
 
     A fan of straight lines of ± `slope` and ± `reach` pixels sideways is tried.
-    scratch  memory, see `new_scratch`: reach ≤ 6 and slope ≤ 1 need no more
-    returns  a `Start` beside `at`
+    scratch  memory, see `new_scratch`; it suffices for reach ≤ 6 and slope ≤ 1
+    returns  a `RidgeStart` near `at`
     """
     norm = hypot(direction[0], direction[1])
     du, dv = direction[0] / norm, direction[1] / norm
@@ -184,14 +184,14 @@ def _heading(line, n, du, dv):  # type: ignore[no-untyped-def]
 
 @part
 def follow(picture, start, share, step, gap, line, scratch):  # type: ignore[no-untyped-def]
-    """Follow a line from a `Start` until it ends, or there is no room for another point.
+    """Follow a line from a `RidgeStart` until it ends, or `line` is full.
 
-    share    less than this share of the recent mean contrast = not seen
+    share    least contrast of a detected point, relative to the recent mean contrast
     step     between points, px
-    gap      how long the line may be unseen before it counts as ended, px
+    gap      longest stretch without a detected point before the line counts as ended, px
     line     (capacity, ≥ 3) column, row and contrast of every point, `step` apart; is written
     scratch  memory, see `new_scratch`
-    returns  number of points, and why it ended, see `End`
+    returns  number of points, and the reason for the end, see `End`
     """
     height, width = picture.image.shape
     u, v, du, dv, recent = start
@@ -240,7 +240,7 @@ def offset_at(picture, u, v, nu, nv, fit, scratch):  # type: ignore[no-untyped-d
 
     scratch  memory, of which the last row is written
     returns  offset δ in px (nan where there is no line), amplitude a, and the standard deviation
-             of what the fit leaves, grey levels
+             of the fit's residual, grey levels
     """
     taps, values, row = len(fit.rows), _FAN_ROWS - 1, fit.rows
     amplitude, moved, level, tilt = 0.0, 0.0, 0.0, 0.0
@@ -252,25 +252,25 @@ def offset_at(picture, u, v, nu, nv, fit, scratch):  # type: ignore[no-untyped-d
         moved += row[k, 5] * value
         level += row[k, 6] * value
         tilt += row[k, 7] * value
-    rest = 0.0
+    squares = 0.0
     for k in range(taps):
         expected = row[k, 0] * amplitude + row[k, 1] * moved + row[k, 2] * level + row[k, 3] * tilt
         e = scratch[values, k] - expected
-        rest += e * e
+        squares += e * e
     offset = -moved / amplitude
     if amplitude <= 0.0 or not abs(offset) < 1.5 * fit.width_px:
         offset = np.nan
-    return offset, amplitude, np.sqrt(rest / (taps - 4))
+    return offset, amplitude, np.sqrt(squares / (taps - 4))
 
 
 @part
-def crossings(picture, arc, scratch, found):  # type: ignore[no-untyped-def]
+def crossings(picture, arc, scratch, points):  # type: ignore[no-untyped-def]
     """Lines that cross an arc about a place.
 
     arc      column and row of the place, radius in px, direction of the middle of the arc (from
              +column towards +row) and half of its angle, rad
     scratch  (≥ 2, ≥ 2 half radius + 1) memory
-    found    (capacity, 3) column, row and contrast of every crossing; is written
+    points   (capacity, 3) column, row and contrast of every crossing; is written
     returns  number of crossings
     """
     centre_u, centre_v, radius, middle, half = arc
@@ -292,15 +292,15 @@ def crossings(picture, arc, scratch, found):  # type: ignore[no-untyped-def]
     n = 0
     for k in range(6, count - 6):
         contrast = scratch[contrasts, k]
-        peak = contrast > 0.0 and n < len(found)
+        peak = contrast > 0.0 and n < len(points)
         for j in range(max(0, k - 5), min(count, k + 6)):
-            other = scratch[contrasts, j]
-            if other > contrast or (other == contrast and j < k):
+            neighbour = scratch[contrasts, j]
+            if neighbour > contrast or (neighbour == contrast and j < k):
                 peak = False
         if peak:
             a = middle - half + k / radius
-            found[n, 0] = centre_u + radius * np.cos(a)
-            found[n, 1] = centre_v + radius * np.sin(a)
-            found[n, 2] = contrast
+            points[n, 0] = centre_u + radius * np.cos(a)
+            points[n, 1] = centre_v + radius * np.sin(a)
+            points[n, 2] = contrast
             n += 1
     return n

@@ -1,4 +1,4 @@
-"""What was seen of the cable: its nodes in one picture, or why there are none."""
+"""Detection of the cable in one picture: its nodes, or the reason why there are none."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class Unseen(StrEnum):
 
     NO_JAW = "no_jaw"  # fewer than three marks agree on a place
     NO_CABLE = "no_cable"  # nothing like a cable leaves the gripping point
-    TWO_CABLES = "two_cables"  # a second line runs beside the cable
+    TWO_CABLES = "two_cables"  # a second line runs next to the cable
     LEAVES_PICTURE = "leaves_picture"  # the cable or the jaw reaches the picture's edge
     WRONG_LENGTH = "wrong_length"  # hidden in part, or not the cable that was gripped
     SATURATED = "saturated"  # over half of the picture is at the top of the scale
     EMPTY = "empty"  # black, or without any contrast
 
 
-#: Compiled functions say the place of a reason in here.
+#: Compiled functions return the index of a reason in this tuple.
 UNSEEN = tuple(Unseen)
 
 
@@ -34,11 +34,11 @@ class Sighting:
 
     t_s           time of the frame, s
     nodes_m       (11, 2) at equal arc length, tip first; nan throughout when unseen
-    grip_m        (2,) gripping point from the jaw's marks; nan when the jaw is not found
+    grip_m        (2,) gripping point from the jaw's marks; nan when the jaw is not detected
     clamp_angle_rad  from the jaw's marks, positive = pointing down; nan likewise
     quality       0 (worthless) … 1 (crisp); 0 when unseen
     unseen        None, or the reason
-    length_m      free length as measured; nan when the tip was not found
+    length_m      measured free length; nan when the tip was not detected
     """
 
     t_s: float
@@ -55,16 +55,15 @@ class Sighting:
         return self.unseen is None
 
 
-#: A length further off than this is no scatter of the tip's detection; such a frame is left alone.
+#: Largest scatter of the tip's detection, m; a frame with a larger error of length is not changed.
 SCATTER_M = 2e-4
 
 
 def steady_nodes(sightings: Sequence[Sighting]) -> FloatArray:
     """(T, nodes, 2) nodes, tip first, of a cable whose length does not change; nan where unseen.
 
-    In every single picture the tip's detection scatters, and all nodes with it, being at equal
-    arc length.  Here they are moved along the cable to where the recording's median length puts
-    them.
+    The tip's detection scatters from picture to picture, and all nodes with it, as they are at
+    equal arc length.  They are moved along the cable to the arc lengths of the median length.
     """
     nodes_m = np.array([s.nodes_m for s in sightings])
     length_m = np.array([s.length_m if s.seen else np.nan for s in sightings])
@@ -82,17 +81,17 @@ def steady_nodes(sightings: Sequence[Sighting]) -> FloatArray:
 def why_unseen(sightings: Sequence[Sighting], free_length_m: float) -> str:
     """Text: reasons why images gave no nodes, with counts, most frequent first; '' if all did.
 
-    free_length_m  that the cable should have
+    free_length_m  expected free length
     """
     counts = Counter(s.unseen for s in sightings if s.unseen is not None).most_common()
     if not counts:
         return ""
-    found = ", ".join(f"{why.value.replace('_', ' ')} in {count}" for why, count in counts)
+    reasons = ", ".join(f"{why.value.replace('_', ' ')} in {count}" for why, count in counts)
     measured_m = [s.length_m for s in sightings if s.unseen is Unseen.WRONG_LENGTH]
     measured_m = [m for m in measured_m if np.isfinite(m)]
     if counts[0][0] is not Unseen.WRONG_LENGTH or not measured_m:
-        return found
+        return reasons
     return (
-        f"{found}; the line seen is {np.median(measured_m) * 1e3:.1f} mm long, the cable "
+        f"{reasons}; the line seen is {np.median(measured_m) * 1e3:.1f} mm long, the cable "
         f"{free_length_m * 1e3:.1f} mm"
     )

@@ -1,9 +1,9 @@
 """The cable's curve, compiled: quintic B-splines on a fixed number of intervals.
 
 A polyline through noisy points is too long.  Here two B-splines x(u), y(u) are fitted by penalised
-least squares to points whose parameter u comes from a smoother curve before, so noise moves points
-across the curve but never along it.  A curve is kept as one polynomial per interval: pieces
-(intervals, 6, 2), lowest power first, of a place that goes from 0 to 1 in every piece.
+least squares to points whose parameter u comes from a previous, smoother curve, so noise moves
+points across the curve but never along it.  A curve is stored as one polynomial per interval:
+pieces (intervals, 6, 2), lowest power first, in a variable from 0 to 1 in every piece.
 """
 
 from __future__ import annotations

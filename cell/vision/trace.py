@@ -1,4 +1,4 @@
-"""The held cable in one picture: followed from the gripping point, its tip found, its curve fitted.
+"""The held cable in one picture: it is followed from the grip, its tip detected, its curve fitted.
 
 Compiled.  Everything here is in pixels (column, row); `detect` puts it into the cell's plane.
 """
@@ -37,17 +37,17 @@ from cell.vision.spline import (
 SAMPLES = 400  # along the cable, at which offsets are measured
 DENSE = 401  # points along the cable, 0.25 mm apart
 _FINE = 2 * SAMPLES  # points between which equal arc length is interpolated
-_START_PX = 4.0  # beside the jaw a profile sees the jaw too
-_END_PX = 2.0  # beside the tip it sees the tip's blur
+_START_PX = 4.0  # from the jaw, within which a profile includes the jaw
+_END_PX = 2.0  # from the tip, within which it includes the tip's blur
 _MIN_DETECTED = 0.7  # of the cable's length; less would be guessing
 STEP_PX = 2.0  # from point to point of a line that is followed
-_TIP_FROM_PX, _TIP_TO_PX = -50, 14  # about its end as followed the tip is looked for
-ARC_RAD = 1.75  # half of the arcs on which a second cable is looked for
+_TIP_FROM_PX, _TIP_TO_PX = -50, 14  # range about the followed line's end to search for the tip
+ARC_RAD = 1.75  # half angle of the arcs that are searched for a second cable
 _CROSSINGS = 64  # lines across one arc
-_LONGEST = 1.3  # a cable is followed for so many times its expected length
+_LONGEST = 1.3  # largest followed length of a cable, times its expected length
 
 _AT_U, _AT_V, _NORMAL_U, _NORMAL_V, _NOISE = range(5, 10)  # columns of the samples
-_ALONG, _SHARE = 1, 2  # rows of memory while the tip is looked for
+_ALONG, _SHARE = 1, 2  # rows of memory in the search for the tip
 
 SEEN = -1
 _NO_CABLE = UNSEEN.index(Unseen.NO_CABLE)
@@ -57,7 +57,7 @@ _LEAVES_PICTURE = UNSEEN.index(Unseen.LEAVES_PICTURE)
 class CableAppearance(NamedTuple):
     """Appearance of a cable: least contrast at its start, grey levels, and its profile.
 
-    at_tip  profile where it is looked for how far along the cable goes
+    at_tip  profile for the search for the tip
     """
 
     min_contrast: float
@@ -68,12 +68,12 @@ class CableAppearance(NamedTuple):
 class TraceMemory(NamedTuple):
     """Memory for following and measuring a cable; it holds the resulting curve.
 
-    line       (capacity, 5) points of a line that was followed; columns as in `spline`
-    samples    (SAMPLES, 10) the same of the measured points, then of each the place and the
-               normal of the curve at which it was measured, and the noise of its profile
+    line       (capacity, 5) points of a followed line; columns as in `spline`
+    samples    (SAMPLES, 10) the same for measured points, then the place and the normal of the
+               curve at which each was measured, and the noise of its profile
     pieces     of the curve
     dense      (DENSE, 2) points of the curve, at equal parameters
-    crossing   (64, 3) where lines cross an arc
+    crossing   (64, 3) crossings of lines with an arc
     equations  of the curve's fit
     scratch    (10, …) for one step at a time
     """
@@ -90,11 +90,11 @@ class TraceMemory(NamedTuple):
 class Traced(NamedTuple):
     """Result of following a cable: its code, and measures of its quality.
 
-    code             −1, or the number of its `Unseen`
+    code             −1, or the index of its `Unseen`
     contrast         typical contrast, grey levels
-    detected_share   share of its length along which it was seen
-    misfit_px        rms distance of what was seen from the curve
-    signal_to_noise  amplitude of the line's profile over what the profile's fit leaves
+    detected_share   share of its length along which it was detected
+    misfit_px        rms distance of the measured points from the curve
+    signal_to_noise  amplitude of the line's profile over the residual of the profile's fit
     """
 
     code: int
@@ -110,7 +110,7 @@ def cable_appearance(min_contrast: float, width_px: float) -> CableAppearance:
 
 
 def trace_memory(diagonal_px: float) -> TraceMemory:
-    """Memory for cables in pictures of a diagonal: no longer than twice that, if they are bent."""
+    """Memory for pictures of a diagonal; a bent cable is at most twice as long."""
     longest_px = 2.0 * diagonal_px
     capacity = max(int(_LONGEST * longest_px / STEP_PX) + 3, SAMPLES)
     return TraceMemory(
@@ -129,9 +129,9 @@ def trace_cable(picture, appearance, memory, grip, outward, length):  # type: ig
     """Trace of the cable that leaves the gripping point about along `outward` (column, row each).
 
     appearance  of the cable, see `CableAppearance`
-    memory   see `TraceMemory`; the cable's curve is left in it
+    memory   see `TraceMemory`; the cable's curve is written to it
     length   expected, px
-    returns  a `Traced`, its code among: NO_CABLE (also when too little of it is seen),
+    returns  a `Traced`, its code among: NO_CABLE (also when too little of it is detected),
              LEAVES_PICTURE
     """
     height, width = picture.image.shape
@@ -179,10 +179,10 @@ def _chord_parameters(line):  # type: ignore[no-untyped-def]
 
 @part
 def _tip(picture, fit, memory):  # type: ignore[no-untyped-def]
-    """Parameter at which the line ends: where its amplitude falls to half, to a part of a pixel.
+    """Parameter at which the line ends, where its amplitude falls to half, to a part of a pixel.
 
-    Least squares of amplitude ≈ full · Φ((end − along) / blur), which blur does not move.
-    fit      profile's fit; its blur is taken to be 1.2 times that of the tip
+    Least squares of amplitude ≈ full · Φ((end − along) / blur), which blur does not bias.
+    fit      profile's fit; its blur is assumed to be 1.2 times that of the tip
     returns  the parameter, or nan where the line does not end in the picture
     """
     scratch = memory.scratch
@@ -190,7 +190,7 @@ def _tip(picture, fit, memory):  # type: ignore[no-untyped-def]
     speed = hypot(du, dv)
     count, inner = 0, 0
     for place in range(_TIP_FROM_PX, _TIP_TO_PX):
-        # beyond the last few points, which may have strayed, the line goes on straight
+        # straight from a little before the end: the last few points may be off the line
         bent = min(float(place), -6.0)
         u, v, du, dv = at(memory.pieces, 1.0 + bent / speed)
         norm = hypot(du, dv)
@@ -223,7 +223,7 @@ def _tip(picture, fit, memory):  # type: ignore[no-untyped-def]
 
 @inline
 def _half(scratch, count, end, blur):  # type: ignore[no-untyped-def]
-    """Where the share falls to half, by Gauss–Newton from `end`."""
+    """Position at which the share falls to half, by Gauss–Newton from `end`."""
     for _ in range(5):
         numerator, denominator = 0.0, 0.0
         for n in range(count):
@@ -238,7 +238,7 @@ def _half(scratch, count, end, blur):  # type: ignore[no-untyped-def]
 
 @part
 def _refined(picture, fit, memory, grip, tip, contrast):  # type: ignore[no-untyped-def]
-    """The curve again, from offsets across it, sampled at equal arc length from grip to tip."""
+    """The curve refitted to offsets across it, sampled at equal arc length from grip to tip."""
     last = tip
     usable, clear = 0, 0
     for _ in range(2):
@@ -311,9 +311,9 @@ def _equal_steps(memory, first, last):  # type: ignore[no-untyped-def]
 
 @part
 def _measure(picture, fit, samples, length, scratch):  # type: ignore[no-untyped-def]
-    """Offsets across the curve at the samples, and what the next curve is fitted to.
+    """Measure offsets across the curve at the samples, and the points for the next fit.
 
-    returns  how many samples are usable, and how many are clear of jaw and tip
+    returns  numbers of usable samples, and of samples clear of jaw and tip
     """
     usable, clear = 0, 0
     for n in range(SAMPLES):
@@ -336,7 +336,7 @@ def _measure(picture, fit, samples, length, scratch):  # type: ignore[no-untyped
 
 @part
 def median(scratch, count):  # type: ignore[no-untyped-def]
-    """Median of the first values of row 0, by Hoare's selection; the row is left partly sorted."""
+    """Median of the first values of row 0, by Hoare's selection, which sorts the row partly."""
     rank, low, high = count // 2, 0, count - 1
     while low < high:
         pivot = scratch[0, rank]
