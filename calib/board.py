@@ -1,4 +1,4 @@
-"""The calibration board: a ChArUco pattern, where its corners are, and what it is made of."""
+"""The calibration board: a ChArUco pattern, its corners and rectangles, detection and printing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DICTIONARIES = {
     name: getattr(cv2.aruco, f"DICT_{name}")
     for name in ("4X4_50", "4X4_100", "4X4_250", "5X5_100", "5X5_250", "6X6_250")
 }
-#: Fewest corners of a board that count as seen.
+#: Fewest corners of a detected board.
 LEAST_CORNERS = 8
 
 
@@ -134,8 +134,7 @@ def find_board(
 ) -> BoardView | None:
     """The board's corners in a picture; None if fewer than `LEAST_CORNERS` are detected.
 
-    lens    where it is known already, corners are found with it once more: more surely and,
-            where the picture is much distorted, in more places
+    lens    if known, it improves the detection of corners, above all in a distorted picture
     raises  WrongBoardError: another board, or a mirrored picture
     """
     parameters = cv2.aruco.CharucoParameters()
@@ -148,9 +147,9 @@ def find_board(
         _check_pattern(image, board, name, 0 if marker_ids is None else marker_ids)
         return None
     height, width = image.shape[:2]
-    found = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    corners = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     numbers = np.asarray(ids, dtype=np.int64).ravel()
-    return BoardView(name, numbers, found, (width, height), edge_blur_px(image, found))
+    return BoardView(name, numbers, corners, (width, height), edge_blur_px(image, corners))
 
 
 def edge_blur_px(image: Image, pixels: FloatArray) -> float:
@@ -174,9 +173,9 @@ def edge_blur_px(image: Image, pixels: FloatArray) -> float:
     return float(np.median(blurs)) if blurs else float("nan")
 
 
-def _check_pattern(image: Image, board: Board, name: str, seen: Any) -> None:
-    """Raises WrongBoardError: markers are there, but not those of this board."""
-    ids = np.asarray(seen).ravel()
+def _check_pattern(image: Image, board: Board, name: str, marker_ids: Any) -> None:
+    """Raises WrongBoardError: the markers are not those of this board."""
+    ids = np.asarray(marker_ids).ravel()
     mirrored = cv2.aruco.CharucoDetector(board.pattern).detectBoard(image[:, ::-1].copy())[1]
     if mirrored is not None and len(mirrored) >= LEAST_CORNERS:
         raise WrongBoardError(
@@ -194,8 +193,8 @@ def _check_pattern(image: Image, board: Board, name: str, seen: Any) -> None:
         raise WrongBoardError(f"{name}: {ids.size} markers, but no corners of this board", hint)
     for other_name in _DICTIONARIES:
         family = cv2.aruco.getPredefinedDictionary(_DICTIONARIES[other_name])
-        found = cv2.aruco.ArucoDetector(family).detectMarkers(image)[1]
-        if other_name != board.dictionary and found is not None and len(found) >= 6:
+        detected = cv2.aruco.ArucoDetector(family).detectMarkers(image)[1]
+        if other_name != board.dictionary and detected is not None and len(detected) >= 6:
             raise WrongBoardError(
                 f"{name}: shows markers of dictionary {other_name}, not {board.dictionary}",
                 "describe the board as it is, or show the other one",
@@ -208,7 +207,7 @@ def _described(board: Board) -> dict[str, Any]:
 
 
 def _runs(line: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Where a row of cells is black: first cell and the one after the last of each run."""
+    """Black runs of a row of cells: first cell, and the one after the last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], line.astype(np.int8), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
@@ -219,7 +218,7 @@ _RULER_M = 0.008  # strip below and right of the pattern
 
 
 def board_pdf(board: Board) -> bytes:
-    """PDF of one page, as large as the board needs; what is printed at 100 % has its true size."""
+    """PDF of one page, as large as the board needs; printed at 100 % it has its true size."""
     width, height = board.size_m
     page = (width + 2 * _MARGIN_M + _RULER_M, height + 2 * _MARGIN_M + 2 * _RULER_M)
     left, top = _MARGIN_M, page[1] - _MARGIN_M

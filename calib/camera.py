@@ -16,28 +16,27 @@ from calib.plane import fit_homography, map_homography
 from calib.robust import PriorKnowledge, RobustFit, robust_fit
 from drivers.interfaces import FloatArray
 
-#: Fewest pictures from which a lens is found, and a board must be tilted against the others by
-#: so much at least, rad.
+#: Fewest pictures for a lens, and least tilt between two boards, rad.
 LEAST_VIEWS, LEAST_TILT_RAD = 8, 0.25
-#: Focal length may be uncertain by this share.
+#: Largest relative standard deviation of the focal length.
 MOST_FOCAL_SPREAD = 0.01
-#: Corners that scatter more than this are blurred, or not those of a flat board, px.
+#: Largest scatter of corners, px: more is blur, or a board that is not flat.
 MOST_NOISE_PX = 0.5
-#: Edges more blurred than this put corners in the wrong place: standard deviation, px.
+#: Largest blur of edges, px: more biases the corners; standard deviation.
 MOST_BLUR_PX = 2.5
-#: What is known of any lens and board beforehand: standard deviations about 0.
+#: Prior of any lens and board: standard deviations about 0.
 _LENS_SPREAD = np.array([np.inf] * 4 + [1.0, 1.0, 0.01, 0.01, 1.0])
 _WARP_SPREAD_M = 1e-3
-#: A printer keeps lengths across and along its paper to this share of each other: deviation.
+#: Standard deviation of the ratio of a printer's lengths across and along its paper.
 _STRETCH_SPREAD = 3e-3
-#: Places of the parameters: lens, bow of the board, stretch of the board, poses of 6 each.
+#: Indices of the parameters: lens, bow of the board, stretch of the board, poses of 6 each.
 _LENS, _WARP, _STRETCH, _POSES = slice(0, 9), slice(9, 11), 11, slice(12, None)
 _GRID = (13, 10)
 
 
 @dataclass(frozen=True, eq=False)
 class ViewError:
-    """Agreement of one picture with all others: corners seen, set aside, and their rms misfit."""
+    """Agreement of one picture with all others: corners, outliers among them, and rms misfit."""
 
     name: str
     corners: int
@@ -47,15 +46,15 @@ class ViewError:
 
 @dataclass(frozen=True, eq=False)
 class CameraFit:
-    """Lens of a camera, and how sure that is.
+    """Lens of a camera, with its uncertainty.
 
     covariance   (9, 9) of the lens' numbers
     warp_m       height of the board's middle above its left and right, upper and lower edges, m
     warp_std_m   their standard deviations
-    stretch      the board is so much longer across than stated, against upright; and its deviation
-    halves_px    (R, C) distance of the two halves' lenses over the picture, what a plane's pose
-                 can take up left off: shows errors of the model, which a covariance cannot
-    spread_px    (R, C) standard deviation, over the picture, of where the lens puts a point
+    stretch      relative stretch of the board across against upright; and its standard deviation
+    halves_px    (R, C) distance of the two halves' lenses over the picture, after the best
+                 homography: it shows errors of the model, which a covariance cannot
+    spread_px    (R, C) standard deviation, over the picture, of a point's ideal pixel
     """
 
     lens: Lens
@@ -77,7 +76,7 @@ def fit_camera(views: Sequence[BoardView], board: Board) -> CameraFit:
     raises  TooFewError, OneSidedError, BlurredError, MisfitError
     """
     _check_blur(views)
-    views = different_views(views).kept
+    views = different_views(views).distinct
     if len(views) < LEAST_VIEWS:
         raise TooFewError(
             f"the board was found in {len(views)} of at least {LEAST_VIEWS} pictures that differ",
@@ -154,12 +153,12 @@ def _fit(
     width, height = board.size_m
     points = [board.corners_m[v.ids] for v in views]
     bows = [1.0 - (2.0 * p[:, :2] / (width, height) - 1.0) ** 2 for p in points]
-    seen = np.concatenate([v.pixels for v in views])
+    observed = np.concatenate([v.pixels for v in views])
     ends = np.cumsum([len(p) for p in points])
 
     def model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        residuals = np.empty_like(seen)
-        slopes = np.zeros((len(seen), 2, len(x)))
+        residuals = np.empty_like(observed)
+        slopes = np.zeros((len(observed), 2, len(x)))
         for k, (flat, bow, end) in enumerate(zip(points, bows, ends, strict=True)):
             rows = slice(end - len(flat), end)
             at = _POSES.start + 6 * k
@@ -167,7 +166,7 @@ def _fit(
             bent = flat * [1.0 + 0.5 * x[_STRETCH], 1.0 - 0.5 * x[_STRETCH], 1.0]
             bent[:, 2] += bow @ x[_WARP]
             pixels, by_point, by_lens = project(x[_LENS], bent @ R.T + x[at + 3 : at + 6])
-            residuals[rows] = pixels - seen[rows]
+            residuals[rows] = pixels - observed[rows]
             slopes[rows, :, _LENS] = by_lens
             slopes[rows, :, _WARP] = (by_point @ R[:, 2])[:, :, None] * bow[:, None, :]
             grown = flat * [0.5, -0.5, 0.0] @ R.T
@@ -188,13 +187,13 @@ def _per_view(views: Sequence[BoardView], fit: RobustFit) -> tuple[ViewError, ..
     errors = []
     for view, end in zip(views, ends, strict=True):
         rows = slice(end - len(view.ids), end)
-        left, used = fit.residuals[rows], fit.used[rows]
-        rms = float(np.sqrt(np.mean(left[used] ** 2))) if used.any() else float("nan")
+        residuals, used = fit.residuals[rows], fit.used[rows]
+        rms = float(np.sqrt(np.mean(residuals[used] ** 2))) if used.any() else float("nan")
         errors.append(ViewError(view.name, len(view.ids), int(np.sum(~used)), rms))
     return tuple(errors)
 
 
-# --- how sure that is -------------------------------------------------------------------------
+# --- uncertainty ------------------------------------------------------------------------------
 
 
 def picture_grid(size_px: tuple[int, int]) -> FloatArray:
@@ -224,13 +223,13 @@ def lens_spread(lens: Lens, covariance: FloatArray, size_px: tuple[int, int]) ->
     for k in range(9):
         step = np.zeros(9)
         step[k] = 1e-4 * max(1e-1, abs(lens.numbers[k]))
-        either = [Lens.of(lens.numbers + s).ideal(grid).reshape(-1, 2) for s in (step, -step)]
-        by_lens[:, :, k] = (either[0] - either[1]) / (2.0 * step[k])
+        ideals = [Lens.of(lens.numbers + s).ideal(grid).reshape(-1, 2) for s in (step, -step)]
+        by_lens[:, :, k] = (ideals[0] - ideals[1]) / (2.0 * step[k])
     free = homography_tangents(x) * scale[None, :, None]
     flat, tangents = by_lens.reshape(-1, 9), free.reshape(-1, 8)
     basis, _ = np.linalg.qr(tangents)
-    left = flat - basis @ (basis.T @ flat)
-    variance = np.einsum("np,pq,nq->n", left, covariance, left).reshape(-1, 2).sum(axis=1)
+    residual = flat - basis @ (basis.T @ flat)
+    variance = np.einsum("np,pq,nq->n", residual, covariance, residual).reshape(-1, 2).sum(axis=1)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(grid.shape[:2]), dtype=np.float64)
 
 
@@ -288,7 +287,7 @@ def _check_fit(fit: RobustFit, lens: Lens) -> None:
 
 
 def _check_whole_picture(lenses: Sequence[Lens], size_px: tuple[int, int]) -> None:
-    """Raises OneSidedError: continued to the picture's edges, a lens has no point for a pixel."""
+    """Raises OneSidedError: at the picture's edges a lens has no ideal point for a pixel."""
     open_there = np.isnan([lens.ideal(picture_grid(size_px)) for lens in lenses]).any(axis=(0, 3))
     if np.any(open_there):
         raise OneSidedError(

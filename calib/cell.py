@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from calib.copies import independent
 from calib.errors import BlurredError, MisfitError, OneSidedError, TooFewError, WrongScaleError
 from calib.jaw_marks import (
-    BESIDE,
     CAMERA,
     GRAVITY,
     LENS,
     MARK,
     SCALE,
+    SHAPE,
     Gravity,
     JawObservation,
     MarksModel,
@@ -36,22 +36,22 @@ from calib.plane import PlaneView
 from calib.robust import PriorKnowledge, RobustFit, robust_fit
 from drivers.interfaces import FloatArray
 
-#: Fewest poses in which the marks must be found.
+#: Fewest poses in which the marks must be detected.
 LEAST_POSES = 8
-#: What is known of the marks on the jaw before: standard deviations of turn, rad, and place, m.
+#: Prior standard deviations of the marks' pose on the jaw: rotation, rad, and position, m.
 _MARK_SPREAD = np.array([0.02, 0.02, 0.02, 0.003, 0.003, 0.003])
 _SCALE_SPREAD, MOST_SCALE_ERROR = 0.05, 0.005
-#: How far marks are from where they are stated, within the plate and out of its plane: standard
-#: deviation before, and the most allowed, m.
+#: Distance of marks from their stated places, within the plate and out of its plane: prior standard
+#: deviation, and largest allowed, m.
 _WITHIN_SPREAD_M, MOST_WITHIN_M = 1e-4, 1.5e-4
 _ABOVE_SPREAD_M, MOST_ABOVE_M = 5e-4, 5e-5
-#: A plate bent by so much puts the gripping point so many times as far out of the marks' plane.
+#: Distance of the gripping point from the marks' plane per bend of the plate.
 _DEPTH_PER_BEND = 4.0
-#: Marks further than this beside where they must be, rms, contradict the model, px.
+#: Largest rms residual of the marks, px.
 MOST_NOISE_PX = 0.6
-#: The same of all marks of a pose together: what an arm may be wrong by, as the camera sees it.
+#: Largest rms residual common to all marks of a pose: the arm's error, in the picture, px.
 MOST_ARM_NOISE_PX = 1.5
-#: Marks that moved further than this while a picture was exposed are in the wrong place, px.
+#: Largest distance that marks may move during the exposure of a picture, px.
 MOST_SMEAR_PX = 2.0
 
 
@@ -62,13 +62,13 @@ class CellFit:
     mean, covariance  of the parameters, see `calib.jaw_marks`
     view              pixel → plane
     X_BP, X_TM, X_CB  plane in base, marks in tool, base in camera
-    noise_px          of a mark's centre; `arm_noise_px` of the arm, as the camera sees it
-    held_out_m        (H, 2) of marks at poses that had no part in the fit
+    noise_px          of a mark's centre; `arm_noise_px` of the arm, in the picture
+    held_out_m        (H, 2) errors of marks at poses that are not in the fit
     residuals_px      (S, M, 2)
-    scale             of the marks as seen / as stated, and its standard deviation
-    in_plane          whether the arm can only move in the plane, which then is the one it moves in
-    bend_m            how far a mark is off the plane of all, the furthest
-    left_out          pictures that show the same as others, one sentence each
+    scale             of the marks, estimated / stated, and its standard deviation
+    in_plane          whether the arm can only move in a plane, which then is the cell's plane
+    bend_m            largest distance of a mark from the plane of all
+    left_out          omitted pictures that show the same as others, one sentence each
     """
 
     mean: FloatArray
@@ -89,19 +89,19 @@ class CellFit:
     left_out: tuple[str, ...] = ()
 
     def spread_m(self, pixels: FloatArray) -> FloatArray:
-        """(…,) standard deviation of where pixels (…, 2) lie in the plane, over both axes, m."""
+        """(…,) standard deviation of the places of pixels (…, 2) in the plane, both axes, m."""
         slopes = self.map_jacobian(pixels.reshape(-1, 2))
         variance = np.einsum("np,pq,nq->n", slopes, self.covariance, slopes)
         return np.asarray(np.sqrt(variance.reshape(-1, 2).sum(axis=1))).reshape(pixels.shape[:-1])
 
     def map_jacobian(self, pixels: FloatArray) -> FloatArray:
-        """(2 N, P) how (N, 2) pixels' places in the plane, m, change with the parameters."""
+        """(2 N, P) derivatives of (N, 2) pixels' places in the plane, m, by the parameters."""
         return self._jacobian(lambda x: self._view(x).to_plane(pixels).ravel())
 
     def plane_spread(self) -> tuple[float, float]:
         """Standard deviation of the plane in the base frame: of its origin, m, and turn, rad.
 
-        An arm that moves in the plane alone says nothing of the plane's distance: left out then.
+        With `in_plane` the plane's distance is unknown, and not included.
         """
         inverse = np.linalg.inv(self.X_BP)
 
@@ -169,8 +169,8 @@ def view_of(x: FloatArray, home: FloatArray, up: FloatArray, in_plane: bool) -> 
     return PlaneView.from_pose(Lens.of(x[LENS]), X_CP)
 
 
-def _marks(one: JawObservation) -> NDArray[np.int64]:
-    return np.arange(len(one.pixels))
+def _marks(observation: JawObservation) -> NDArray[np.int64]:
+    return np.arange(len(observation.pixels))
 
 
 def fit_cell(
@@ -186,13 +186,13 @@ def fit_cell(
 ) -> CellFit:
     """Camera, robot, marks and gravity together, from the jaw shown at rest in many poses.
 
-    Pictures that show the same count once: a copy of one that is fitted to is not held out.
+    Pictures that show the same count once: a copy of a fitted one is not held out.
     home    (4, 4) X_BT in which cables are gripped: the plane's origin
     raises  TooFewError, OneSidedError, WrongScaleError, MisfitError
     """
-    found = independent(shown, _marks)
-    hidden = independent(held_out, _marks, known=found.kept)
-    shown, held_out = found.kept, hidden.kept
+    fitted = independent(shown, _marks)
+    validation = independent(held_out, _marks, known=fitted.distinct)
+    shown, held_out = fitted.distinct, validation.distinct
     if len(shown) < LEAST_POSES:
         raise TooFewError(
             f"the jaw's marks were found in {len(shown)} of at least {LEAST_POSES} poses",
@@ -202,15 +202,15 @@ def fit_cell(
     marks_m, radius_m = plate.marks_m, plate.radius_m
     start = _first_guess(shown, marks_m, lens)
     expected, information = _known(lens, lens_covariance, gravity, len(marks_m))
-    seen = shown
-    together = 1.0  # weight of what all marks of a pose have in common
+    observed = shown
+    together = 1.0  # weight of the common part of all marks of a pose
     for _ in range(2):
         model = MarksModel(shown, marks_m, gravity, together)
         fit = robust_fit(model, start, PriorKnowledge(expected, information, model.threads))
         plain = MarksModel(shown, marks_m, gravity, 1.0)(fit.mean)[0].reshape(len(shown), -1, 2)
         within, common = _scatter(plain, fit.used)
         start = fit.mean
-        shown = [centred(one, start, marks_m, radius_m) for one in seen]
+        shown = [centred(o, start, marks_m, radius_m) for o in observed]
         together = float(min(1.0, within / np.sqrt(len(marks_m)) / max(common, 1e-9)))
     x = fit.mean
     _check_fit(fit, common, shown)
@@ -241,7 +241,7 @@ def fit_cell(
         gravity.up,
         in_plane,
         bend_m,
-        (*found.left_out, *hidden.left_out),
+        (*fitted.left_out, *validation.left_out),
     )
 
 
@@ -251,7 +251,7 @@ def fit_cell(
 def _known(
     lens: Lens, lens_covariance: FloatArray, gravity: Gravity, marks: int
 ) -> tuple[FloatArray, FloatArray]:
-    """(P,) expected parameters and (P, P) information about them beforehand."""
+    """(P,) prior mean of the parameters and (P, P) prior information."""
     count = parameter_count(marks)
     expected = np.zeros(count)
     expected[LENS] = lens.numbers
@@ -261,7 +261,7 @@ def _known(
     information[SCALE, SCALE] = 1.0 / _SCALE_SPREAD**2
     information[GRAVITY, GRAVITY] = np.eye(2) / gravity.spread_rad**2
     spread_m = np.repeat([_WITHIN_SPREAD_M, _ABOVE_SPREAD_M], [2 * marks - 4, marks - 3])
-    information[BESIDE, BESIDE] = np.diag(1.0 / spread_m**2)
+    information[SHAPE, SHAPE] = np.diag(1.0 / spread_m**2)
     return expected, information
 
 
@@ -269,10 +269,10 @@ def _first_guess(shown: Sequence[JawObservation], marks_m: FloatArray, lens: Len
     flat = np.column_stack([marks_m, np.zeros(len(marks_m))])
     points = np.concatenate([flat @ s.X_BT[:3, :3].T + s.X_BT[:3, 3] for s in shown])
     pixels = np.concatenate([s.pixels for s in shown])
-    found, turn, shift = cv2.solvePnP(
+    solved, turn, shift = cv2.solvePnP(
         points, lens.ideal(pixels), lens.matrix, None, flags=cv2.SOLVEPNP_SQPNP
     )
-    if not found:
+    if not solved:
         raise MisfitError(
             "no place of the camera explains what it sees",
             "check the marks on the jaw, and that camera and robot stood still",
@@ -290,11 +290,11 @@ def _scatter(by_pose: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float
     used     (S M,) False = an outlier
     """
     good = np.all(used.reshape(len(by_pose), -1), axis=1)
-    whole = by_pose[good] if np.count_nonzero(good) >= 4 else by_pose
-    means = whole.mean(axis=1)
-    count = whole.shape[1]
-    within = np.sqrt(np.sum((whole - means[:, None]) ** 2) / (2 * len(whole) * (count - 1)))
-    common = np.sqrt(np.sum(means**2) / max(1, 2 * len(whole) - 9))
+    chosen = by_pose[good] if np.count_nonzero(good) >= 4 else by_pose
+    means = chosen.mean(axis=1)
+    count = chosen.shape[1]
+    within = np.sqrt(np.sum((chosen - means[:, None]) ** 2) / (2 * len(chosen) * (count - 1)))
+    common = np.sqrt(np.sum(means**2) / max(1, 2 * len(chosen) - 9))
     return float(max(within, 1e-4)), float(common)
 
 
@@ -306,24 +306,24 @@ def _held_out(
     up: FloatArray,
     in_plane: bool,
 ) -> FloatArray:
-    """(H, 2) m by which marks at other poses are beside where the map has them."""
+    """(H, 2) errors of the map, m, at the marks of held-out poses."""
     if not shown:
         return np.empty((0, 2))
     X_CP = pose(x[CAMERA]) @ plane_in_base(x, home, up, in_plane)
     X_PB = np.linalg.inv(plane_in_base(x, home, up, in_plane))
     lens = Lens.of(x[LENS])
     in_mark = np.column_stack([places_m(x, marks_m), np.ones(len(marks_m))])
-    offs = []
-    for one in shown:
-        in_plane_m = (in_mark @ (X_PB @ one.X_BT @ pose(x[MARK])).T)[:, :3]
+    errors = []
+    for view in shown:
+        in_plane_m = (in_mark @ (X_PB @ view.X_BT @ pose(x[MARK])).T)[:, :3]
         # the line of sight of each pixel, at the depth at which the mark is
         lifted = X_CP.copy()
-        rays = (lens.ideal(one.pixels) - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]
+        rays = (lens.ideal(view.pixels) - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]
         ways = np.column_stack([rays, np.ones(len(rays))]) @ lifted[:3, :3]
         eye = -lifted[:3, :3].T @ lifted[:3, 3]
         reach = (in_plane_m[:, 2] - eye[2]) / ways[:, 2]
-        offs.append((eye + reach[:, None] * ways - in_plane_m)[:, :2])
-    return np.concatenate(offs)
+        errors.append((eye + reach[:, None] * ways - in_plane_m)[:, :2])
+    return np.concatenate(errors)
 
 
 # --- refusals ---------------------------------------------------------------------------------
@@ -370,26 +370,26 @@ def _check_fit(fit: RobustFit, common: float, shown: Sequence[JawObservation]) -
 
 
 def _checked_bend_m(fit: RobustFit, marks_m: FloatArray) -> float:
-    """How far a mark is out of the plane of all, m, the furthest.
+    """Largest distance of a mark from the plane of all, m.
 
-    raises  MisfitError: the plate is bent, or a mark is elsewhere than stated
+    raises  MisfitError: the plate is bent, or a mark is not at its stated place
     """
-    ways = shapes(marks_m)
-    beside = np.tensordot(fit.mean[BESIDE], ways, axes=1)
-    variance = np.einsum("wmj,wv,vmj->mj", ways, fit.covariance[BESIDE, BESIDE], ways)
-    height, sure = abs(beside[:, 2]), 2.0 * np.sqrt(variance[:, 2])
+    deformations = shapes(marks_m)
+    shift_m = np.tensordot(fit.mean[SHAPE], deformations, axes=1)
+    variance = np.einsum("wmj,wv,vmj->mj", deformations, fit.covariance[SHAPE, SHAPE], deformations)
+    height, margin = abs(shift_m[:, 2]), 2.0 * np.sqrt(variance[:, 2])
     worst = int(np.argmax(height))
-    if height[worst] > MOST_ABOVE_M + sure[worst]:
+    if height[worst] > MOST_ABOVE_M + margin[worst]:
         raise MisfitError(
             f"the plate on the jaw is bent: mark {worst + 1} is {height[worst] * 1e3:.2f} mm off "
             f"the plane of all, allowed {MOST_ABOVE_M * 1e3:g} mm",
             "glue it flat on something stiff, or replace it",
         )
-    away = np.linalg.norm(beside[:, :2], axis=1)
-    other = int(np.argmax(away))
-    if away[other] > MOST_WITHIN_M:
+    away = np.linalg.norm(shift_m[:, :2], axis=1)
+    far = int(np.argmax(away))
+    if away[far] > MOST_WITHIN_M:
         raise MisfitError(
-            f"mark {other + 1} on the jaw is {away[other] * 1e3:.2f} mm from its stated place, "
+            f"mark {far + 1} on the jaw is {away[far] * 1e3:.2f} mm from its stated place, "
             f"allowed {MOST_WITHIN_M * 1e3:g} mm",
             "measure the plate again and correct vision.jaw.discs_m",
         )

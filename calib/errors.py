@@ -16,7 +16,7 @@ class CalibrationError(ValueError):
 
 
 class TooFewError(CalibrationError):
-    """Not enough was seen.  Scenario: three pictures; the marks hidden in most of them."""
+    """Not enough was detected.  Scenario: three pictures; the marks hidden in most of them."""
 
 
 class OneSidedError(CalibrationError):

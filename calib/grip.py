@@ -1,9 +1,8 @@
 """How the jaws hold a cable: gripping point, clamp angle and free length, from its shape at rest.
 
-Near the jaw a cable is bent most, so that its chord is not its direction there.  Its shape at rest
-is its own: curvature = rest curvature + moment of its weight beyond / rigidity.  The moment is seen
-in the picture itself, only its factor is not known; it is the same in all poses, while the moment
-is another in each.
+Near the jaw a cable is bent most, so that its chord is not its direction there.  At rest its
+curvature is rest curvature + moment of its weight beyond / rigidity.  The moment, up to a factor,
+follows from the picture; rigidity and rest curvature are the same in all poses, the moment differs.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ from calib.cable_line import CableLine
 from calib.errors import MisfitError, TooFewError
 from drivers.interfaces import FloatArray
 
-#: Fewest poses, and how far a cable may seem to move in the jaws from pose to pose, at most.
+#: Fewest poses, and largest apparent motions of a cable in the jaws between poses.
 LEAST_POSES = 5
 MOST_MOVED_M, MOST_TURNED_RAD = 0.0003, 0.02
-_MOST_ASIDE = 0.25  # of the poses, whose tip or jaw's edge stood before something
+_MOST_OUTLIERS = 0.25  # share of the poses, with something behind the tip or the jaw's edge
 #: The part of the cable whose shape is fitted, from the jaw on.
 _SHARE, _BEGINNING = 0.5, 0.2
 #: Terms of compliance and of rest curvature along the cable.
 _COMPLIANCE_TERMS, _REST_TERMS = 3, 2
 _Y, _ANGLE, _SHAPE = 0, 1, slice(2, None)
 _ITERATIONS = 5
-#: Directions that the shapes leave open by so much are not stepped in.
+#: Relative size of singular values below which a direction is not determined by the shapes.
 _RCOND = 1e-6
 _NAMES = ("gripping point", "gripping point", "clamp angle", "free length")
 #: A lever arm, m², that makes the terms' factors of the order of one.
@@ -49,13 +48,13 @@ class GripView:
 class GripFit:
     """How a cable is held, in the frame of the jaw's marks: x away from the cable, y up.
 
-    mean        (4,) gripping point x and y, m; clamp angle, positive = pointing down beside the
-                marks, rad; free length, m
+    mean        (4,) gripping point x and y, m; clamp angle, positive = pointing down relative to
+                the marks, rad; free length, m
     covariance  (4, 4)
     half_95     (4,) half widths of their 95 % intervals
-    used        (S,) False = a pose whose cable is longer or shorter, which had no part
-    by_pose     (U, 4) the same of each used pose alone, the cable's stiffness as of all
-    residual_m  (U,) rms of what the fit leaves across the line
+    used        (S,) False = an outlier, whose cable is longer or shorter
+    by_pose     (U, 4) estimate from each used pose alone, with the common stiffness
+    residual_m  (U,) rms residual across the line
     """
 
     mean: FloatArray
@@ -74,7 +73,7 @@ class GripFit:
 def fit_grip(views: Sequence[GripView], map_std_m: float = 0.0) -> GripFit:
     """Gripping point, clamp angle and free length from views of one cable.
 
-    map_std_m  standard deviation of a point's place by the map, which no other pose averages out
+    map_std_m  standard deviation of a point's place by the map, which does not average out
     raises     TooFewError, MisfitError
     """
     if len(views) < LEAST_POSES:
@@ -85,32 +84,32 @@ def fit_grip(views: Sequence[GripView], map_std_m: float = 0.0) -> GripFit:
     shapes = [_Shape.of(view) for view in views]
     lengths = np.array([s.length_m for s in shapes])
     used = np.abs(lengths - np.median(lengths)) < MOST_MOVED_M
-    if np.count_nonzero(~used) > _MOST_ASIDE * len(views):
-        used[:] = True  # no slips of measuring: it slides
+    if np.count_nonzero(~used) > _MOST_OUTLIERS * len(views):
+        used[:] = True  # too many for outliers: it slides
     shapes = [s for s, good in zip(shapes, used, strict=True) if good]
     count = len(shapes)
     ends = np.array([(s.edge_m[0], s.length_m) for s in shapes])
-    found, by_pose, left_m = _fit(shapes)
+    joint, by_pose, residual_m = _fit(shapes)
     without = np.array([_fit(shapes[:k] + shapes[k + 1 :])[0][:2] for k in range(count)])
-    mean = np.array([ends[:, 0].mean(), found[_Y], found[_ANGLE], ends[:, 1].mean()])
-    # what a pose contributes to the mean of all: Tukey's jackknife
-    share = np.column_stack([ends[:, 0], -(count - 1) * without, ends[:, 1]])
-    share -= share.mean(axis=0)
-    by_chance = share.T @ share / (count * (count - 1))
+    mean = np.array([ends[:, 0].mean(), joint[_Y], joint[_ANGLE], ends[:, 1].mean()])
+    # influence of each pose on the mean: Tukey's jackknife
+    influence = np.column_stack([ends[:, 0], -(count - 1) * without, ends[:, 1]])
+    influence -= influence.mean(axis=0)
+    sampling = influence.T @ influence / (count * (count - 1))
     per_axis = map_std_m / np.sqrt(2.0)
     common = np.array([per_axis, per_axis, per_axis / mean[3], map_std_m])
-    # how far the law of its shape may be wrong: the line's beginning alone, bent evenly
-    other = _fit([s.beginning() for s in shapes])[0]
-    common[1:3] = np.hypot(common[1:3], 0.5 * np.abs(other[:2] - found[:2]))
+    # error of the shape's law, by comparison with the beginning alone, bent evenly
+    alternative = _fit([s.beginning() for s in shapes])[0]
+    common[1:3] = np.hypot(common[1:3], 0.5 * np.abs(alternative[:2] - joint[:2]))
     quantile = float(student_quantile(count - 1, 0.975))
-    half = np.hypot(quantile * np.sqrt(np.diag(by_chance)), 1.96 * common)
+    half = np.hypot(quantile * np.sqrt(np.diag(sampling)), 1.96 * common)
     fit = GripFit(
         mean,
-        by_chance + np.diag(common**2),
+        sampling + np.diag(common**2),
         half,
         used,
         np.column_stack([ends[:, :1], by_pose, ends[:, 1:]]),
-        left_m,
+        residual_m,
     )
     _check(fit, [view for view, good in zip(views, used, strict=True) if good])
     return fit
@@ -120,10 +119,10 @@ def fit_grip(views: Sequence[GripView], map_std_m: float = 0.0) -> GripFit:
 class _Shape:
     """One view in the frame of its marks.
 
-    edge_m   (2,) where the jaw lets the cable go
-    along_m  (N,) arc lengths of the points (N, 2) that are fitted
-    arcs_m   (K,) arc lengths of the smoothed line, on which `turned` (K, T) is the angle by which
-             each term of the curvature has turned it, rad
+    edge_m   (2,) the cable's point at the jaw's edge
+    along_m  (N,) arc lengths of the fitted points (N, 2)
+    arcs_m   (K,) arc lengths of the smoothed line, with `turned` (K, T): the angle by which each
+             term of the curvature turns it, rad
     """
 
     edge_m: FloatArray
@@ -135,7 +134,7 @@ class _Shape:
 
     @classmethod
     def of(cls, view: GripView) -> _Shape:
-        """From a view, its points in the marks' frame."""
+        """The view's points in the marks' frame."""
         x, y, angle = view.marks
         c, s = np.cos(angle), np.sin(angle)
         to_marks = np.array([[c, -s], [s, c]])
@@ -188,12 +187,12 @@ class _Shape:
         dy[:, _Y] = 1.0
         at = [_at(self.along_m, self.arcs_m, v) for v in (path, c, s, dx, dy)]
         across = np.stack([-at[2], at[1]], axis=1)
-        left = np.sum(across * (self.points_m - at[0]), axis=1)
-        return left, across[:, :1] * at[3] + across[:, 1:] * at[4]
+        residuals = np.sum(across * (self.points_m - at[0]), axis=1)
+        return residuals, across[:, :1] * at[3] + across[:, 1:] * at[4]
 
 
 def _fit(shapes: Sequence[_Shape]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(P,) parameters of all, (S, 2) y and angle of each alone, (S,) rms of what is left, m."""
+    """(P,) joint parameters, (S, 2) y and angle of each pose alone, (S,) rms residuals, m."""
     x = np.zeros(2 + shapes[0].turned.shape[1])
     x[_Y] = np.mean([s.edge_m[1] for s in shapes])
     for _ in range(_ITERATIONS):
@@ -224,17 +223,17 @@ def _at(places: FloatArray, along: FloatArray, values: FloatArray) -> FloatArray
 
 def _check(fit: GripFit, views: Sequence[GripView]) -> None:
     """Raises MisfitError: the cable did not stay where it was between the jaws."""
-    off = np.abs(fit.by_pose - np.median(fit.by_pose, axis=0))
+    deviations = np.abs(fit.by_pose - np.median(fit.by_pose, axis=0))
     limits = np.array([MOST_MOVED_M, MOST_MOVED_M, MOST_TURNED_RAD, MOST_MOVED_M])
-    pose, what = divmod(int(np.argmax(off / limits)), len(_NAMES))
-    if off[pose, what] > limits[what]:
+    pose, axis = divmod(int(np.argmax(deviations / limits)), len(_NAMES))
+    if deviations[pose, axis] > limits[axis]:
         moved = (
-            f"{np.degrees(off[pose, what]):.1f}°"
-            if what == _NAMES.index("clamp angle")
-            else f"{off[pose, what] * 1e3:.2f} mm"
+            f"{np.degrees(deviations[pose, axis]):.1f}°"
+            if axis == _NAMES.index("clamp angle")
+            else f"{deviations[pose, axis] * 1e3:.2f} mm"
         )
         raise MisfitError(
-            f"the cable moved in the jaws: its {_NAMES[what]} at {views[pose].name} is {moved} "
+            f"the cable moved in the jaws: its {_NAMES[axis]} at {views[pose].name} is {moved} "
             "away from that of the other poses",
             "grip harder, clean the pads, let the cable come to rest; then do it again",
         )

@@ -1,10 +1,9 @@
 """Cross-check of the joint fit by classic hand–eye calibration: poses one by one, then the robot.
 
-A plate's pose is found in each picture alone (`solvePnP`), and the camera's place in the robot's
-base by bringing these and the arm's poses together.  Of the joint fit it shares the pictures and
-nothing else but the first lens.  Park's and Daniilidis' solutions of AX = XB need turns about two
-axes at least, which an arm that moves in one plane never makes; places it does show, so they are
-what is brought together.
+A plate's pose is estimated in each picture alone (`solvePnP`), and the camera's pose in the robot's
+base by registration of these with the arm's poses.  With the joint fit it has only the pictures and
+the first lens in common.  Park's and Daniilidis' solutions of AX = XB need rotations about two axes
+at least, which an arm in one plane does not make; so positions are registered.
 """
 
 from __future__ import annotations
@@ -28,21 +27,21 @@ def classic_view(
     """Map from pixels to the plane, with the plate's pose estimated picture by picture.
 
     marks_m  (M, 2) as stated
-    lens     as found from the board alone
-    X_BP     (4, 4) plane in base, whose place is a choice and not compared
+    lens     as estimated from the board alone
+    X_BP     (4, 4) plane in base, which is a choice and not compared
     """
-    from scipy.optimize import least_squares  # half a second, of which only a calibration has need
+    from scipy.optimize import least_squares  # half a second, needed for a calibration only
 
     flat = np.column_stack([marks_m, np.zeros(len(marks_m))])
-    seen = []
-    for one in shown:
+    plates = []
+    for observation in shown:
         _, turn, shift = cv2.solvePnP(
-            flat, lens.ideal(one.pixels), lens.matrix, None, flags=cv2.SOLVEPNP_IPPE
+            flat, lens.ideal(observation.pixels), lens.matrix, None, flags=cv2.SOLVEPNP_IPPE
         )
         X_CM = pose(np.concatenate([turn.ravel(), shift.ravel()]))
-        seen.append(flat @ X_CM[:3, :3].T + X_CM[:3, 3])
-    in_camera = np.array(seen)
-    hands = np.array([one.X_BT for one in shown])
+        plates.append(flat @ X_CM[:3, :3].T + X_CM[:3, 3])
+    in_camera = np.array(plates)
+    hands = np.array([observation.X_BT for observation in shown])
 
     def in_base(plate: FloatArray) -> FloatArray:
         """(S, M, 3) marks of a plate that stands at x, y and an angle in the tool."""
@@ -51,24 +50,24 @@ def classic_view(
         points: FloatArray = np.einsum("sij,mj->smi", hands[:, :3, :3], in_tool)
         return np.asarray(points + hands[:, None, :3, 3])
 
-    def left(x: FloatArray) -> FloatArray:
+    def residuals(x: FloatArray) -> FloatArray:
         X_CB = pose(x[:6])
         return np.asarray((in_base(x[6:]) @ X_CB[:3, :3].T + X_CB[:3, 3] - in_camera).ravel())
 
-    start = np.concatenate([_brought_together(in_base(np.zeros(3)), in_camera), np.zeros(3)])
-    X_CB = pose(least_squares(left, start, x_scale="jac").x[:6])
+    start = np.concatenate([_registration(in_base(np.zeros(3)), in_camera), np.zeros(3)])
+    X_CB = pose(least_squares(residuals, start, x_scale="jac").x[:6])
     return PlaneView.from_pose(lens, X_CB @ X_BP)
 
 
-def _brought_together(points: FloatArray, others: FloatArray) -> FloatArray:
-    """(6,) turn and shift that bring points (…, 3) nearest to others.  Source: Kabsch 1976."""
+def _registration(points: FloatArray, others: FloatArray) -> FloatArray:
+    """(6,) rotation and shift of points (…, 3) to others by least squares.  Source: Kabsch 1976."""
     p, q = points.reshape(-1, 3), others.reshape(-1, 3)
     u, _, v = np.linalg.svd((q - q.mean(axis=0)).T @ (p - p.mean(axis=0)))
     R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     return np.concatenate([cv2.Rodrigues(R)[0].ravel(), q.mean(axis=0) - R @ p.mean(axis=0)])
 
 
-#: Nothing that is to be found comes nearer to the picture's edge, px.
+#: Least distance of marks from the picture's edge, px.
 _EDGE_PX = 25.0
 
 
@@ -91,12 +90,12 @@ def choose_poses(
     size_px: tuple[int, int],
     count: int,
 ) -> list[int]:
-    """Which of the candidate poses X_BT (4, 4) to show next, best first.
+    """Indices of the candidate poses X_BT (4, 4) to show next, best first.
 
-    Greedy: each is the one that lowers the mean variance of the map over the field most, given
-    those before it and the fit so far.  Poses whose marks would leave the picture are never chosen.
+    Greedy: each lowers the mean variance of the map over the field most, given those before it and
+    the fit so far.  Poses whose marks would leave the picture are never chosen.
 
-    field_px  (G, 2) where the map matters
+    field_px  (G, 2) pixels over which the map's variance is averaged
     """
     shown = [
         JawObservation(f"{k}", X, np.zeros((len(marks_m), 2))) for k, X in enumerate(candidates)

@@ -17,9 +17,9 @@ from drivers.interfaces import FloatArray
 
 #: Step of finite differences, relative for parameters above 1.
 _STEP = 1e-6
-#: Places of the parameters: lens, base in camera, marks in tool, scale of the marks, gravity, and
-#: how the plate is out of shape, see `shapes`.
-LENS, CAMERA, MARK, SCALE, GRAVITY, BESIDE = (
+#: Indices of the parameters: lens, base in camera, marks in tool, scale of the marks, gravity, and
+#: deformation of the plate, see `shapes`.
+LENS, CAMERA, MARK, SCALE, GRAVITY, SHAPE = (
     slice(0, 9),
     slice(9, 15),
     slice(15, 21),
@@ -35,10 +35,10 @@ def parameter_count(marks: int) -> int:
 
 
 def shapes(marks_m: FloatArray) -> FloatArray:
-    """(3 M − 7, M, 3) ways in which marks leave their stated places (M, 2), orthonormal.
+    """(3 M − 7, M, 3) orthonormal deformations of the plate with stated marks (M, 2).
 
-    Those within the plate first, 2 M − 4 of them, then M − 3 out of it.  What place, turn and size
-    of the plate do anyway is none of them.
+    First 2 M − 4 within the plate, then M − 3 out of it.  They exclude the plate's position,
+    rotation and scale.
     """
     x, y = marks_m.T
     zero, one = np.zeros(len(x)), np.ones(len(x))
@@ -52,9 +52,9 @@ def shapes(marks_m: FloatArray) -> FloatArray:
 
 def places_m(x: FloatArray, marks_m: FloatArray) -> FloatArray:
     """(M, 3) marks in the frame M by parameters (P,), from their stated centres (M, 2)."""
-    beside = np.tensordot(x[BESIDE], shapes(marks_m), axes=1)
+    shift = np.tensordot(x[SHAPE], shapes(marks_m), axes=1)
     stated = np.column_stack([marks_m, np.zeros(len(marks_m))])
-    return np.asarray((1.0 + x[SCALE]) * (stated + beside))
+    return np.asarray((1.0 + x[SCALE]) * (stated + shift))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Plate:
 class JawObservation:
     """The jaw's marks with the gripper at rest: the arm's pose X_BT (4, 4), and (M, 2) pixels.
 
-    smear_px  length of the way that they moved in the picture while it was exposed
+    smear_px  distance in the picture that they moved during the exposure
     """
 
     name: str
@@ -83,7 +83,7 @@ class Gravity:
     """The direction of gravity in the robot's base frame, with its uncertainty.
 
     up       (3,) unit vector against gravity in the base frame, as mounted
-    spread_rad how far the base may be from that: standard deviation
+    spread_rad its standard deviation for the mounted base
     threads    (N, 2) pixels along plumb lines, one array each
     """
 
@@ -93,7 +93,7 @@ class Gravity:
 
 
 class MarksModel:
-    """Residuals of all marks; `together` weights what all marks of one pose have in common."""
+    """Residuals of all marks; `together` weights the common part of all marks of one pose."""
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class MarksModel:
         together: float,
     ) -> None:
         self._hands = np.array([s.X_BT for s in shown])
-        self._seen = np.concatenate([s.pixels for s in shown])
+        self._pixels = np.concatenate([s.pixels for s in shown])
         self._marks = marks_m
         self._gravity = gravity
         self._together = together
@@ -131,8 +131,8 @@ class MarksModel:
         slopes[:, :, SCALE] = np.einsum("smij,mj->smi", from_tool, grown).reshape(-1, 2)
         by_place = (1.0 + x[SCALE]) * from_tool @ R_TM
         by_shape = np.einsum("smij,wmj->smiw", by_place, shapes(self._marks))
-        slopes[:, :, BESIDE] = by_shape.reshape(len(flat), 2, -1)
-        return self._weighted(pixels - self._seen), self._weighted(slopes)
+        slopes[:, :, SHAPE] = by_shape.reshape(len(flat), 2, -1)
+        return self._weighted(pixels - self._pixels), self._weighted(slopes)
 
     def _weighted(self, values: FloatArray) -> FloatArray:
         by_pose = values.reshape(len(self._hands), -1, *values.shape[1:])
@@ -140,7 +140,7 @@ class MarksModel:
         return np.asarray((by_pose - (1.0 - self._together) * common).reshape(values.shape))
 
     def threads(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(K,) by how many deviations plumb lines miss being vertical, and (K, P) slopes."""
+        """(K,) angles of plumb lines from vertical, in deviations, and (K, P) derivatives."""
 
         def planes(x: FloatArray) -> FloatArray:
             lens = Lens.of(x[LENS])
@@ -178,9 +178,9 @@ def _plane_of(pixels: FloatArray, lens: Lens) -> FloatArray:
     along = axes[0] * np.sign(axes[0] @ np.array([0.0, 1.0]))
     normal = np.cross([*middle, 1.0], [*along, 0.0])
     normal /= np.linalg.norm(normal)
-    # what is left of neighbouring rows goes together: both see the same edges of pixels
-    way, left = (rays - middle) @ axes.T[:, 0], (rays - middle) @ axes.T[:, 1]
-    scatter = np.sqrt(max(sum_variance(way * left), sizes[1] ** 2 / len(way) * sizes[0] ** 2))
+    # residuals of neighbouring rows are correlated: both have the same edges of pixels
+    way, residual = (rays - middle) @ axes.T[:, 0], (rays - middle) @ axes.T[:, 1]
+    scatter = np.sqrt(max(sum_variance(way * residual), sizes[1] ** 2 / len(way) * sizes[0] ** 2))
     angle_spread = max(scatter / sizes[0], 0.02 / lens.fx_px) / sizes[0]
     return np.asarray(normal / angle_spread)
 
@@ -194,16 +194,16 @@ def sideways(up: FloatArray) -> FloatArray:
 
 
 def centred(
-    one: JawObservation, x: FloatArray, marks_m: FloatArray, radius_m: float
+    observation: JawObservation, x: FloatArray, marks_m: FloatArray, radius_m: float
 ) -> JawObservation:
-    """Pixels of the discs' centres, from those of the centroids of their pictures.
+    """The observation with pixels of the discs' centres instead of their images' centroids.
 
-    Perspective and distortion put the two a little apart.
+    Perspective and distortion shift the two relative to each other.
     """
     angles = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
     rim = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(32)])
-    X_CM = pose(x[CAMERA]) @ one.X_BT @ pose(x[MARK])
-    pixels = one.pixels.copy()
+    X_CM = pose(x[CAMERA]) @ observation.X_BT @ pose(x[MARK])
+    pixels = observation.pixels.copy()
     for k, mark in enumerate(places_m(x, marks_m)):
         points = np.vstack([mark, mark + rim]) @ X_CM[:3, :3].T + X_CM[:3, 3]
         centre, *edge = project(x[LENS], points)[0]
@@ -212,4 +212,4 @@ def centred(
         cross = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
         if abs(cross.sum()) > 0.0:
             pixels[k] -= np.sum((a + b) * cross[:, None], axis=0) / (3.0 * cross.sum())
-    return replace(one, pixels=pixels)
+    return replace(observation, pixels=pixels)

@@ -58,7 +58,7 @@ class Lens:
         return distort(self.numbers, np.asarray(ideal_px, dtype=np.float64))
 
     def ideal(self, pixels: FloatArray) -> FloatArray:
-        """(…, 2) pixels of the picture → (…, 2) ideal pixels; nan where no point is seen there."""
+        """(…, 2) pixels of the picture → (…, 2) ideal pixels; nan where there is none."""
         pixels = np.asarray(pixels, dtype=np.float64)
         flat = np.ascontiguousarray(pixels.reshape(-1, 2))
         return np.asarray(_all_undistorted(self.numbers, flat)).reshape(pixels.shape)
@@ -87,26 +87,26 @@ def undistorted(numbers, column, row):  # type: ignore[no-untyped-def]
     k1, k2, p1, p2, k3 = numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
     u, v = (column - cx) / fx, (row - cy) / fy
     x, y = u, v
-    left = np.inf
+    error = np.inf
     for _ in range(20):
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
         e = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - u
         f = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - v
-        left = abs(e) + abs(f)
-        if left < 1e-13:
+        error = abs(e) + abs(f)
+        if error < 1e-13:
             break
         a = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
         b = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
         d = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
         determinant = a * d - b * b
         if determinant <= 0.0:
-            left = np.inf
+            error = np.inf
             break
         x -= (d * e - b * f) / determinant
         y -= (a * f - b * e) / determinant
-    if left < 1e-10:
+    if error < 1e-10:
         return fx * x + cx, fy * y + cy
     return np.nan, np.nan
 

@@ -1,4 +1,4 @@
-"""Where a pixel lies in the cell's plane: the lens' distortion taken off, then a homography."""
+"""Place of a pixel in the cell's plane: correction of the lens' distortion, then a homography."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from drivers.interfaces import FloatArray
 class PlaneView:
     """Mapping between pixels (column, row; centre of the first pixel = 0, 0) and the plane.
 
-    Points are mapped, never pictures: what was found in a picture is put right, not the picture.
+    Points are mapped, not pictures: detections are corrected, not the picture.
 
     homography   (3, 3) H_PC: homogeneous ideal pixel → homogeneous plane, m
-    lens         its distortion is taken off first; None = no distortion, every pixel is ideal
+    lens         its distortion is corrected first; None = no distortion, every pixel is ideal
     """
 
     homography: FloatArray

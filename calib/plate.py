@@ -17,16 +17,16 @@ Image = NDArray[np.uint8]
 _RADII_PX = (3.0, 60.0)
 _MOST_CANDIDATES = 14
 _LEAST_CONTRAST = 25.0
-#: A plate looks no narrower than this share of its width, and its marks beyond the third lie no
-#: further, in radii, from where an affine map has them: what perspective does at 40°.
+#: Least apparent width of a plate, relative to its height, and largest distance of the marks beyond
+#: the third from their affine prediction, in radii: perspective at 40°.
 _NARROWEST, _MOST_OFF = 0.7, 0.4
 
 
 @dataclass(frozen=True, eq=False)
 class DetectedPlate:
-    """The marks of a plate in a picture: (M, 2) pixels of their centres, and how sharp they are.
+    """The marks of a plate in a picture: (M, 2) pixels of their centres, and their smear.
 
-    smear_px  length of the way that they moved in the picture while it was exposed
+    smear_px  distance in the picture that they moved during the exposure
     """
 
     pixels: FloatArray
@@ -37,34 +37,34 @@ def find_plate(image: Image, marks_m: FloatArray, radius_m: float) -> DetectedPl
     """The marks of the plate, or None.
 
     image     (H, W) grey levels
-    marks_m   (M ≥ 4, 2) centres of light discs on a dark plate, x right, y up; so placed that no
-              affine map but the unit exchanges them
+    marks_m   (M ≥ 4, 2) centres of light discs on a dark plate, x right, y up; only the identity
+              among affine maps permutes them
     radius_m  of the discs
     """
     centres, areas, spreads = _discs(image)
-    found: list[int] | None = None
+    best: list[int] | None = None
     least_off = _MOST_OFF
     known = np.column_stack([marks_m, np.ones(len(marks_m))])
     solve = np.linalg.inv(known[:3])
     for first in permutations(range(len(centres)), 3):
         triple = list(first)
         affine = (solve @ centres[triple]).T  # (2, 3): mark → pixel
-        grown = -float(np.linalg.det(affine[:, :2]))  # rows go down: a plate not mirrored turns
-        if grown <= 0.0:
+        scale = -float(np.linalg.det(affine[:, :2]))  # rows go down: a plate not mirrored turns
+        if scale <= 0.0:
             continue
         lengths = np.linalg.svd(affine[:, :2], compute_uv=False)
-        area = np.pi * radius_m**2 * grown
+        area = np.pi * radius_m**2 * scale
         if lengths[1] < _NARROWEST * lengths[0] or np.any(abs(areas[triple] / area - 1.0) > 0.25):
             continue
         off = np.linalg.norm((known[3:] @ affine.T)[:, None] - centres[None], axis=2)
         chosen = [*triple, *off.argmin(axis=1).tolist()]
         worst = float(off.min(axis=1).max() / np.sqrt(area / np.pi))
         if worst < least_off and len(set(chosen)) == len(chosen):
-            found, least_off = chosen, worst
-    if found is None:
+            best, least_off = chosen, worst
+    if best is None:
         return None
-    smear_px = _smear_px(centres[found], areas[found], spreads[found], marks_m)
-    return DetectedPlate(centres[found], smear_px)
+    smear_px = _smear_px(centres[best], areas[best], spreads[best], marks_m)
+    return DetectedPlate(centres[best], smear_px)
 
 
 def _smear_px(
@@ -72,8 +72,8 @@ def _smear_px(
 ) -> float:
     """Length of the streak that lengthens all discs in one direction of the picture.
 
-    A disc at rest is the picture of a circle, which the places of all marks foretell; a lens' blur
-    widens it to all sides.
+    The ellipse of a disc at rest is predicted from the places of all marks; the lens' blur widens
+    it equally in all directions.
     """
     to_pixel = fit_homography(marks_m, centres)
     step_m, around = 1e-4, np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
@@ -97,7 +97,7 @@ def _discs(image: Image) -> tuple[FloatArray, FloatArray, FloatArray]:
         smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, 101, -12
     )
     count, labels, stats, _ = cv2.connectedComponentsWithStats(light, connectivity=4)
-    found: list[_Disc] = []
+    discs: list[_Disc] = []
     for k in range(1, count):
         left, top, width, height, area = (int(v) for v in stats[k])
         radius = np.sqrt(area / np.pi)
@@ -116,18 +116,18 @@ def _discs(image: Image) -> tuple[FloatArray, FloatArray, FloatArray]:
         disc = _centroid(part.astype(np.float64), own, (labels[rows, columns] > 0) & ~own)
         if disc is not None:
             corner = np.array([columns.start, rows.start])
-            found.append(replace(disc, centre=disc.centre + corner))
-    found = sorted(found, key=lambda disc: disc.off)[:_MOST_CANDIDATES]
+            discs.append(replace(disc, centre=disc.centre + corner))
+    discs = sorted(discs, key=lambda disc: disc.off)[:_MOST_CANDIDATES]
     return (
-        np.array([disc.centre for disc in found]).reshape(-1, 2),
-        np.array([disc.area for disc in found]),
-        np.array([disc.spread for disc in found]).reshape(-1, 2, 2),
+        np.array([disc.centre for disc in discs]).reshape(-1, 2),
+        np.array([disc.area for disc in discs]),
+        np.array([disc.spread for disc in discs]).reshape(-1, 2, 2),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Disc:
-    """(2,) column and row, area, (2, 2) second moments, and how far it is from an ellipse."""
+    """(2,) column and row, area, (2, 2) second moments, and deviation from an ellipse."""
 
     centre: FloatArray
     area: float
@@ -136,7 +136,7 @@ class _Disc:
 
 
 def _centroid(part: FloatArray, own: NDArray[np.bool_], others: NDArray[np.bool_]) -> _Disc | None:
-    """A disc within a part of the picture; None if it is none."""
+    """A disc within a part of the picture; None if it is not one."""
     cross = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
     near = cv2.dilate(own.astype(np.uint8), cross) > 0
     ring = (cv2.dilate(near.astype(np.uint8), cross) > 0) & ~near & ~others

@@ -42,12 +42,12 @@ class PriorKnowledge:
         """(P, P) matrix and (P,) slope of half that cost."""
         matrix, slope = self.information, self.information @ (x - self.expected)
         if self.further is not None:
-            rest, slopes = self.further(x)
-            matrix, slope = matrix + slopes.T @ slopes, slope + slopes.T @ rest
+            residual, jacobian = self.further(x)
+            matrix, slope = matrix + jacobian.T @ jacobian, slope + jacobian.T @ residual
         return matrix, slope
 
 
-#: A point further off than so many standard deviations is no noise.
+#: Distance of an outlier, in standard deviations of the noise.
 OUTLIER_SIGMAS = 5.0
 _LEAST_PX = 1e-4  # a fit of exact points still has a scale
 _ITERATIONS = 4
@@ -63,7 +63,7 @@ class RobustFit:
     covariance  (P, P) from the points' own scatter and the priors
     noise_px    standard deviation of one coordinate of a point
     residuals   (N, 2) of all points, outliers too, px
-    used        (N,) False = an outlier, which had no part in the last fit
+    used        (N,) False = an outlier, which is not in the last fit
     """
 
     mean: FloatArray
@@ -74,10 +74,10 @@ class RobustFit:
 
 
 def robust_fit(model: Model, start: FloatArray, prior: PriorKnowledge) -> RobustFit:
-    """Parameters that explain points best, outliers set aside.
+    """Parameters that fit the points best, without outliers.
 
-    A fit with a loss that grows linearly finds the scale of the noise; points beyond
-    `OUTLIER_SIGMAS` of it are left out, and the rest is fitted by plain least squares.
+    A fit with a loss that grows linearly gives the scale of the noise; points beyond
+    `OUTLIER_SIGMAS` of it are omitted, and the others are fitted by plain least squares.
 
     start   (P,) first guess
     raises  OneSidedError: the points leave a direction of the parameters open
@@ -85,25 +85,25 @@ def robust_fit(model: Model, start: FloatArray, prior: PriorKnowledge) -> Robust
     x, count = start, len(model(start)[0])
     used = np.ones(count, dtype=np.bool_)
     noise = max(_scale(model(x)[0]), _LEAST_PX)
-    for turn in range(_ITERATIONS):
-        x = _least_squares(model, x, used / noise, prior, robust=turn == 0)
-        left = model(x)[0]
+    for iteration in range(_ITERATIONS):
+        x = _least_squares(model, x, used / noise, prior, robust=iteration == 0)
+        residuals = model(x)[0]
         noise_before, used_before = noise, used
         freedom = max(
             1.0,
             2.0 * np.count_nonzero(used) - len(x) + np.count_nonzero(np.diag(prior.information)),
         )
-        if turn == 0:
-            noise = max(_scale(left), _LEAST_PX)
+        if iteration == 0:
+            noise = max(_scale(residuals), _LEAST_PX)
         else:
-            noise = max(float(np.sqrt(np.sum(left[used] ** 2) / freedom)), _LEAST_PX)
-        used = np.linalg.norm(left, axis=1) < OUTLIER_SIGMAS * noise
-        settled = abs(noise / noise_before - 1.0) < 1e-3 and np.array_equal(used, used_before)
-        if turn > 1 and settled:
+            noise = max(float(np.sqrt(np.sum(residuals[used] ** 2) / freedom)), _LEAST_PX)
+        used = np.linalg.norm(residuals, axis=1) < OUTLIER_SIGMAS * noise
+        converged = abs(noise / noise_before - 1.0) < 1e-3 and np.array_equal(used, used_before)
+        if iteration > 1 and converged:
             break
     slopes = model(x)[1][used].reshape(-1, len(x)) / noise
     information = slopes.T @ slopes + prior.normal_equations(x)[0]
-    return RobustFit(x, _covariance(information), noise, left, used)
+    return RobustFit(x, _covariance(information), noise, residuals, used)
 
 
 def sum_variance(terms: FloatArray) -> float:
@@ -128,7 +128,7 @@ def _least_squares(
 ) -> FloatArray:
     """Parameters of the least cost, by Levenberg's damped steps on scaled normal equations.
 
-    scale   (N,) by which a point's residual is multiplied: 0 = left out
+    scale   (N,) factors on the points' residuals: 0 = omitted
     robust  cost 2(√(1 + d²) − 1) of a point at distance d instead of d²
     """
 
@@ -154,15 +154,15 @@ def _least_squares(
             step = np.linalg.solve(scaled + damping * np.eye(len(x)), -slope / size) / size
             if -float(slope @ step) < _SMALLEST_GAIN * max(cost, 1.0):
                 return x
-            there = model(x + step)
-            cost_there, weights_there = cost_of(x + step, there[0])
-            if np.isfinite(cost_there) and cost_there <= cost:
+            trial = model(x + step)
+            trial_cost, trial_weights = cost_of(x + step, trial[0])
+            if np.isfinite(trial_cost) and trial_cost <= cost:
                 break
             damping *= 10.0
         else:
             return x
-        gain = cost - cost_there
-        x, (residuals, slopes), cost, weights = x + step, there, cost_there, weights_there
+        gain = cost - trial_cost
+        x, (residuals, slopes), cost, weights = x + step, trial, trial_cost, trial_weights
         damping = max(damping / 10.0, 1e-12)
         if gain < _SMALLEST_GAIN * max(cost, 1.0):
             return x
@@ -170,7 +170,7 @@ def _least_squares(
 
 
 def _scale(residuals: FloatArray) -> float:
-    """Standard deviation of a coordinate, from the median of what is left."""
+    """Standard deviation of a coordinate, from the median absolute residual."""
     return float(1.4826 * np.median(np.abs(residuals)))
 
 

@@ -5,9 +5,9 @@ kind: cell                       # camera, cell, time or grip
 made: 2026-03-14T09:26:53+00:00
 how: {poses: 30, held_out: 6}
 devices: {camera: '40312345', width_px: 1280, height_px: 1024}
-error: {map_95_m: 3.1e-05}       # what it is known to be wrong by
+error: {map_95_m: 3.1e-05}       # its known uncertainty
 result: {…}                      # the numbers themselves
-covariance: [[…]]                # of the result, where it has one
+covariance: [[…]]                # of the result, if it has one
 hash: sha256 of all above
 """
 
@@ -35,8 +35,8 @@ _KEYS = ("format", "kind", "made", "how", "devices", "error", "result", "covaria
 class CalibrationFileError(ValueError):
     """A calibration file cannot be used: which file, which key, why, and the remedy.
 
-    Scenario: a file of another format; a number changed by hand, so that the error stated beside
-    it is no longer its own.
+    Scenario: a file of another format; a number changed by hand, to which the stated error no
+    longer applies.
     """
 
 
@@ -73,13 +73,13 @@ class StoredCalibration:
             raise CalibrationFileError(self._wrong(f"{name} must be {shape} finite numbers"))
         return value
 
-    def _wrong(self, what: str) -> str:
-        """What is said of an entry of the result that cannot be used, with the remedy."""
-        return f"{self.kind}: result.{what}; run `cell calibrate {self.kind}` again"
+    def _wrong(self, problem: str) -> str:
+        """Message about an entry of the result that cannot be used, with the remedy."""
+        return f"{self.kind}: result.{problem}; run `cell calibrate {self.kind}` again"
 
 
 def save(path: Path, stored: StoredCalibration) -> None:
-    """Write a calibration, whole or not at all; `load` gives the same numbers back."""
+    """Write a calibration atomically; `load` returns the same numbers."""
     tree = _tree(stored)
     tree["hash"] = _hash(tree)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -105,15 +105,15 @@ def load(path: Path, kind: str) -> StoredCalibration:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise CalibrationFileError(f"{path}: not YAML: {error}; {remedy}") from error
     if not isinstance(tree, dict) or tree.get("format") != FORMAT:
-        found = tree.get("format") if isinstance(tree, dict) else None
-        raise CalibrationFileError(f"{path}: format: {found!r}; must be {FORMAT!r}; {remedy}")
+        form = tree.get("format") if isinstance(tree, dict) else None
+        raise CalibrationFileError(f"{path}: format: {form!r}; must be {FORMAT!r}; {remedy}")
     missing = [key for key in _KEYS if key not in tree]
     if missing:
         raise CalibrationFileError(f"{path}: {missing[0]}: missing; {remedy}")
     if tree["kind"] != kind:
         raise CalibrationFileError(f"{path}: kind: {tree['kind']!r}; must be {kind!r}; {remedy}")
-    said = tree.pop("hash")
-    if said != _hash(tree):
+    stated_hash = tree.pop("hash")
+    if stated_hash != _hash(tree):
         raise CalibrationFileError(
             f"{path}: hash: was changed since it was made, so that nothing says how good it is; "
             f"{remedy}, or type the numbers into the settings"

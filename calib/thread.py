@@ -15,7 +15,7 @@ _LEAST_ROWS = 60
 
 
 def find_thread(image: Image, without: Image) -> FloatArray:
-    """(N, 2) pixels along a thread that is darker or lighter than what is behind it.
+    """(N, 2) pixels along a thread that is darker or lighter than its background.
 
     raises  TooFewError: no thread of some length
     """
@@ -30,15 +30,15 @@ def find_thread(image: Image, without: Image) -> FloatArray:
         part = np.maximum(line[peak - _HALF_PX : peak + _HALF_PX + 1] - 4.0 * noise, 0.0)
         offset = float(part @ np.arange(-_HALF_PX, _HALF_PX + 1) / part.sum())
         points.append((peak + offset, float(row)))
-    found = np.array(points).reshape(-1, 2)
-    if len(found) >= _LEAST_ROWS:
-        for _ in range(3):  # what is not on the same nearly straight line is none of it
-            bend = np.polyfit(found[:, 1], found[:, 0], 2)
-            off = np.abs(found[:, 0] - np.polyval(bend, found[:, 1]))
-            found = found[off < max(0.5, 3.0 * 1.4826 * float(np.median(off)))]
-    if len(found) < _LEAST_ROWS:
+    pixels = np.array(points).reshape(-1, 2)
+    if len(pixels) >= _LEAST_ROWS:
+        for _ in range(3):  # without points off a nearly straight line
+            bend = np.polyfit(pixels[:, 1], pixels[:, 0], 2)
+            off = np.abs(pixels[:, 0] - np.polyval(bend, pixels[:, 1]))
+            pixels = pixels[off < max(0.5, 3.0 * 1.4826 * float(np.median(off)))]
+    if len(pixels) < _LEAST_ROWS:
         raise TooFewError(
-            f"the thread was found in {len(found)} of at least {_LEAST_ROWS} rows of the picture",
+            f"the thread was found in {len(pixels)} of at least {_LEAST_ROWS} rows of the picture",
             "hang it before something of another brightness, and let it come to rest",
         )
-    return found
+    return pixels

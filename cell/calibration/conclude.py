@@ -47,9 +47,9 @@ def camera_from(
     lens = fit_camera(first, board).lens
     different = different_views(first)
     troubles += different.left_out
-    names = {view.name for view in different.kept}
+    names = {view.name for view in different.distinct}
     again = _views([p for p in pictures if p.name in names], board, lens, [])
-    views = different_views(again).kept
+    views = different_views(again).distinct
     fit = fit_camera(views, board)
     return fit, views, (*troubles, *doubts_about(fit))
 

@@ -148,7 +148,7 @@ def _letters(picture: Image) -> float:
 def overlay(
     image: Image, sighting: Sighting, view: PlaneView, predicted: FloatArray | None = None
 ) -> Image:
-    """(H, W, 3) BGR picture: detected nodes green, predicted ones orange, jaw axis blue, text on top.
+    """(H, W, 3) BGR picture: detected nodes green, predicted ones orange, jaw axis blue, text.
 
     predicted  (nodes, 2) nodes expected at that time, m; nan or None = nothing drawn
     """
