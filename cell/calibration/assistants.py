@@ -18,8 +18,8 @@ from cell.files.atomic import write_atomic
 
 #: Views of the board.
 BOARD_VIEWS = 20
-#: Places of the plumb line.  The camera sees of one only that it hangs in a plane with the camera;
-#: two such planes meet along gravity.
+#: Places of the plumb line.  One picture determines only the plane of the line and the camera; two
+#: such planes intersect along gravity.
 THREADS = 2
 
 _HANG = (

@@ -1,4 +1,4 @@
-"""Computes calibrations from measurements, what is stored of them, and their drift since."""
+"""Computes calibrations from measurements, their stored content, and the drift since then."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from cell.settings.translate import pose_of, vision_of
 LEVEL_SPREAD_RAD = 0.0035
 #: Half of a normal law's 95 % interval, in standard deviations.
 _SIGMAS_95 = 1.96
-#: A board stretched by more is told.
+#: Stretch of a board from which a warning is given.
 _STRETCH_REPORTED = 1e-3
 
 
 def camera_from(
     pictures: Sequence[NamedImage], board: Board
 ) -> tuple[CameraFit, tuple[BoardView, ...], tuple[str, ...]]:
-    """Fitted lens, the views that it was fitted to, and what was wrong with other pictures.
+    """Fitted lens, the views that it was fitted to, and messages about the other pictures.
 
-    Corners are found, a lens fitted, corners found again with it, and the lens fitted again.
+    Corners are detected and a lens is fitted; both are repeated with this lens.
     raises  CalibrationError
     """
     troubles: list[str] = []
@@ -48,8 +48,8 @@ def camera_from(
     different = different_views(first)
     troubles += different.left_out
     names = {view.name for view in different.distinct}
-    again = _views([p for p in pictures if p.name in names], board, lens, [])
-    views = different_views(again).distinct
+    repeated = _views([p for p in pictures if p.name in names], board, lens, [])
+    views = different_views(repeated).distinct
     fit = fit_camera(views, board)
     return fit, views, (*troubles, *doubts_about(fit))
 
@@ -68,20 +68,20 @@ def doubts_about(fit: CameraFit) -> tuple[str, ...]:
 def _views(
     pictures: Sequence[NamedImage], board: Board, lens: Lens | None, troubles: list[str]
 ) -> list[BoardView]:
-    views, wrong = [], []
+    views, errors = [], []
     for picture in pictures:
         try:
             view = find_board(picture.image, board, picture.name, lens)
         except CalibrationError as error:
-            wrong.append(error)
+            errors.append(error)
             troubles.append(str(error))
             continue
         if view is None:
             troubles.append(f"{picture.name}: the board was not found")
         else:
             views.append(view)
-    if len(wrong) > len(pictures) // 2:
-        raise wrong[0]
+    if len(errors) > len(pictures) // 2:
+        raise errors[0]
     return views
 
 
@@ -112,16 +112,16 @@ def cell_from(shown: ShownCell, camera: StoredCalibration, settings: Settings) -
     bare = shown.without
     threads = () if bare is None else tuple(find_thread(image, bare) for image in shown.threads)
     role = {name: [p for p in shown.poses if p.role == name] for name in ("fit", "held_out")}
-    found = detect_marks(role["fit"], marks)
-    if len(found) < 0.7 * len(role["fit"]):
-        if len(detect_marks([p.mirrored for p in role["fit"]], marks)) > len(found):
+    observations = detect_marks(role["fit"], marks)
+    if len(observations) < 0.7 * len(role["fit"]):
+        if len(detect_marks([p.mirrored for p in role["fit"]], marks)) > len(observations):
             raise WrongBoardError("the picture is mirrored", "switch mirroring off in the camera")
         raise TooFewError(
-            f"the marks on the jaw were found in {len(found)} of {len(role['fit'])} poses",
+            f"the marks on the jaw were found in {len(observations)} of {len(role['fit'])} poses",
             f"see that all {len(marks.centres_m)} are lit, sharp, in the picture and not hidden",
         )
     return fit_cell(
-        found,
+        observations,
         detect_marks(role["held_out"], marks),
         Plate(marks_m(marks), marks.radius_m),
         Lens.of(camera.array("lens", (9,))),
@@ -140,11 +140,11 @@ def disagreement_m(
     See `calib.hand_eye`; m in the plane.
     """
     marks = vision_of(settings).marks
-    seen = detect_marks([p for p in shown.poses if p.role == "fit"], marks)
+    observations = detect_marks([p for p in shown.poses if p.role == "fit"], marks)
     lens = Lens.of(camera.array("lens", (9,)))
-    other = classic_view(seen, marks_m(marks), lens, fit.X_BP)
+    classic = classic_view(observations, marks_m(marks), lens, fit.X_BP)
     grid = picture_grid((settings.camera.width_px, settings.camera.height_px))
-    return np.asarray(np.linalg.norm(other.to_plane(grid) - fit.view.to_plane(grid), axis=-1))
+    return np.asarray(np.linalg.norm(classic.to_plane(grid) - fit.view.to_plane(grid), axis=-1))
 
 
 def stored_cell(fit: CellFit, classic_m: FloatArray, settings: Settings) -> StoredCalibration:
@@ -210,7 +210,7 @@ def times_from(move: DetectedMove) -> Times:
 def stored_times(
     times: Times, settings: Settings, frames: int, latency_s: float
 ) -> StoredCalibration:
-    """Calibration file content of the delays; `latency_s` is what the driver corrects already."""
+    """Calibration file content of the delays; `latency_s` is what the driver already corrects."""
     return StoredCalibration(
         "time",
         datetime.now(UTC),
@@ -226,15 +226,15 @@ def stored_times(
     )
 
 
-# --- today against what is stored -------------------------------------------------------------
+# --- drift since the calibration --------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Today's distance of the cell from its calibration; `sentence` and `command` for a person.
+    """Drift of the cell since its calibration; `sentence` and `command` are for a person.
 
-    moved_m    the marks beside where the stored map has them, the mean
-    residual_m  rms of the rest
+    moved_m     mean shift of the marks relative to the stored map
+    residual_m  rms of the residual after this shift
     """
 
     good: bool
@@ -250,8 +250,8 @@ def today(
 ) -> Drift:
     """Compare the cell with its calibration.  Raises CalibrationError: no marks were detected."""
     marks = vision_of(settings).marks
-    found = detect_marks(shown.poses, marks)
-    if not found:
+    observations = detect_marks(shown.poses, marks)
+    if not observations:
         raise TooFewError(
             "the marks on the jaw were found in none of the poses",
             "see that they are lit and that the camera looks at the gripper; then check again",
@@ -260,28 +260,28 @@ def today(
     assert limits is not None
     mean = cell.array("parameters", (parameter_count(len(marks.centres_m)),))
     gravity = Gravity(np.array([0.0, 1.0, 0.0]), LEVEL_SPREAD_RAD)
-    off_px = MarksModel(found, marks_m(marks), gravity, 1.0)(mean)[0]
+    errors_px = MarksModel(observations, marks_m(marks), gravity, 1.0)(mean)[0]
     homography = cell.array("homography", (3, 3))
     scale_m = float(np.sqrt(abs(np.linalg.det(homography[:2, :2]))) / abs(homography[2, 2]))
-    shift = off_px.mean(axis=0)
+    shift = errors_px.mean(axis=0)
     moved_m = float(np.linalg.norm(shift)) * scale_m
-    left_m = float(np.sqrt(np.mean(np.sum((off_px - shift) ** 2, axis=1)))) * scale_m
+    rms_m = float(np.sqrt(np.mean(np.sum((errors_px - shift) ** 2, axis=1)))) * scale_m
     bound_m = limits.max_error_m
     change_s = None if times is None else times.latency.value_s
     command = f"cell calibrate cell --config {config}"
     if moved_m > bound_m:
         sentence = f"the camera, or the plate on the jaw, moved by {moved_m * 1e3:.2f} mm"
-        return Drift(False, sentence, command, moved_m, left_m, change_s)
-    if left_m > bound_m:
-        sentence = f"the map is wrong by {left_m * 1e3:.2f} mm rms: the camera turned, or its lens"
+        return Drift(False, sentence, command, moved_m, rms_m, change_s)
+    if rms_m > bound_m:
+        sentence = f"the map is wrong by {rms_m * 1e3:.2f} mm rms: the camera turned, or its lens"
         command = f"cell calibrate --config {config}"
-        return Drift(False, sentence, command, moved_m, left_m, change_s)
+        return Drift(False, sentence, command, moved_m, rms_m, change_s)
     if change_s is not None and abs(change_s) > limits.max_time_error_s:
         sentence = f"recalibrate time: the camera's latency changed by {change_s * 1e3:+z.2f} ms"
         command = f"cell calibrate time --config {config}"
-        return Drift(False, sentence, command, moved_m, left_m, change_s)
-    sentence = f"good: {np.hypot(moved_m, left_m) * 1e3:.3f} mm from the stored map"
-    return Drift(True, sentence, None, moved_m, left_m, change_s)
+        return Drift(False, sentence, command, moved_m, rms_m, change_s)
+    sentence = f"good: {np.hypot(moved_m, rms_m) * 1e3:.3f} mm from the stored map"
+    return Drift(True, sentence, None, moved_m, rms_m, change_s)
 
 
 def _only(values: Mapping[str, Any], *names: str) -> dict[str, Any]:

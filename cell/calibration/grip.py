@@ -23,12 +23,12 @@ from cell.settings.translate import vision_of
 from cell.vision.detect import VisionOptions, detect
 from drivers.interfaces import Pose
 
-#: Turns of the gripper with a cable, within so many rad, and how much of its length it may be
-#: longer or shorter than stated.
+#: Number of clamp angles with a cable, their range, rad, and largest relative error of the stated
+#: length.
 _CABLE_TURNS, _TURN_RAD, _ROUGHLY = 4, 0.6, 0.2
-#: It rests if no node of it moves further from look to look; so many looks, s between them.
-_CALM_M, _LOOKS, _BETWEEN_S = 4e-5, 40, 0.2
-#: What is said of a picture in which the cable is not found, with the remedy.
+#: Largest motion of a node at rest between two pictures, m; most pictures; s between them.
+_CALM_M, _PICTURES, _BETWEEN_S = 4e-5, 40, 0.2
+#: Remedies by the reason why the cable is not detected in a picture.
 _REMEDIES = {
     "no_jaw": "light the jaw's marks, and see that they are in the picture",
     "no_cable": "grip a cable, light it, focus; check vision.cable_is and vision.min_contrast",
@@ -43,12 +43,10 @@ _REMEDIES = {
 def show_cable(
     session: CalibrationSession, assistant: Assistant, view: PlaneView, say: Say
 ) -> ShownCell | None:
-    """A cable gripped as in a cycle, at rest in poses of the gripper; let go of where it was
-    gripped.
+    """A cable gripped as in a cycle, at rest in poses of the gripper, then released at home.
 
-    returns  None = there is none
-    raises   TooFewError: the picture is too small; MisfitError: it does not rest;
-            DeviceError
+    returns  None = there is no cable
+    raises   TooFewError: the picture is too small; MisfitError: it does not rest; DeviceError
     """
     goals = grip_poses(session.settings, view)
     session.go_to(session.home)
@@ -67,7 +65,7 @@ def show_cable(
 
 
 def grip_poses(settings: Settings, view: PlaneView) -> list[Pose]:
-    """Poses in which a cable is shown: as steep as the limits allow, where gravity bends it least.
+    """Poses in which a cable is shown: the steepest within limits, where gravity bends it least.
 
     raises  TooFewError: too few of them are in the picture
     """
@@ -94,19 +92,19 @@ def grip_poses(settings: Settings, view: PlaneView) -> list[Pose]:
 
 
 def _at_rest(session: CalibrationSession, goal: Pose, view: PlaneView) -> RestingView:
-    """A cable that has come to rest, or cannot be seen.  Raises MisfitError: it swings on."""
-    look = rough_vision_options(session.settings)
+    """A cable at rest, or one that is not detected.  Raises MisfitError: it keeps swinging."""
+    options = rough_vision_options(session.settings)
     session.go_to(goal)
     session.wait_s(session.settings.motion.calm_s)
-    before = None
-    for _ in range(_LOOKS):
+    previous_m = None
+    for _ in range(_PICTURES):
         rest = session.rest_at(goal)
-        seen = detect(rest.image, 0.0, view, look)
-        if not seen.seen:
+        sighting = detect(rest.image, 0.0, view, options)
+        if not sighting.seen:
             return rest
-        if before is not None and np.max(np.abs(seen.nodes_m - before)) < _CALM_M:
+        if previous_m is not None and np.max(np.abs(sighting.nodes_m - previous_m)) < _CALM_M:
             return rest
-        before = seen.nodes_m
+        previous_m = sighting.nodes_m
         session.wait_s(_BETWEEN_S)
     raise MisfitError(
         "the cable does not come to rest", "keep draughts and vibration away, allow motion.calm_s"
@@ -114,7 +112,7 @@ def _at_rest(session: CalibrationSession, goal: Pose, view: PlaneView) -> Restin
 
 
 def rough_vision_options(settings: Settings) -> VisionOptions:
-    """Vision options for a cable whose length is only known roughly."""
+    """Vision options for a cable whose length is only approximately known."""
     vision = vision_of(settings)
     return replace(
         vision, length_tolerance_m=max(vision.length_tolerance_m, _ROUGHLY * vision.free_length_m)
@@ -124,39 +122,39 @@ def rough_vision_options(settings: Settings) -> VisionOptions:
 def views_of(
     shown: ShownCell, view: PlaneView, settings: Settings
 ) -> tuple[tuple[GripView, ...], tuple[str, ...]]:
-    """The cable as measured in each picture, and why it was not measured in the others.
+    """The cable as measured in each picture, and the reasons why not in the others.
 
-    raises  TooFewError, which names what is wrong with the pictures, and what to do first
+    raises  TooFewError, with the most frequent reasons and the first remedy
     """
-    look = rough_vision_options(settings)
-    found, wrong = [], []
+    options = rough_vision_options(settings)
+    views, reasons = [], []
     for pose in shown.poses:
-        seen = detect(pose.picture.image, 0.0, view, look)
-        if seen.unseen is not None:
-            wrong.append(seen.unseen.value)
+        sighting = detect(pose.picture.image, 0.0, view, options)
+        if sighting.unseen is not None:
+            reasons.append(sighting.unseen.value)
             continue
         line = measure_line(
             pose.picture.image,
             view,
-            seen.nodes_m[::-1],
-            seen.clamp_angle_rad,
-            look.line_width_px,
-            dark=look.cable_is == "dark",
+            sighting.nodes_m[::-1],
+            sighting.clamp_angle_rad,
+            options.line_width_px,
+            dark=options.cable_is == "dark",
         )
-        marks = np.array([*seen.grip_m, seen.clamp_angle_rad])
-        found.append(GripView(pose.picture.name, marks, line))
-    counts = {why: wrong.count(why) for why in wrong}
-    if len(found) < LEAST_POSES:
+        marks = np.array([*sighting.grip_m, sighting.clamp_angle_rad])
+        views.append(GripView(pose.picture.name, marks, line))
+    counts = {why: reasons.count(why) for why in reasons}
+    if len(views) < LEAST_POSES:
         most = max(counts, key=lambda why: counts[why], default="no_cable")
-        # beside a second cable the first one's length is mistaken too, and its end not found
+        # a second cable also causes a wrong length, or hides the end
         most = "two_cables" if "two_cables" in counts else most
         why = ", ".join(f"{w.replace('_', ' ')} in {n}" for w, n in counts.items()) or "no pictures"
         raise TooFewError(
-            f"the cable was measured in {len(found)} of {len(shown.poses)} pictures, at least "
+            f"the cable was measured in {len(views)} of {len(shown.poses)} pictures, at least "
             f"{LEAST_POSES} are needed: {why}",
             _REMEDIES[most],
         )
-    return tuple(found), tuple(f"{why.replace('_', ' ')} in {n}" for why, n in counts.items())
+    return tuple(views), tuple(f"{why.replace('_', ' ')} in {n}" for why, n in counts.items())
 
 
 def grip_from(views: tuple[GripView, ...], cell: StoredCalibration) -> GripFit:

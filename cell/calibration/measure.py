@@ -34,14 +34,14 @@ class Say(Protocol):
         """Must return at once."""
 
 
-#: Poses shown before anything is known, chosen then, and held out of the fit.
+#: Numbers of fixed first poses, of chosen informative poses, and of held-out poses.
 FIRST_POSES, CHOSEN_POSES, HELD_OUT_POSES = 9, 15, 6
-#: Share of the limits that is used, and of the cell's own briskness for the timing motion.
+#: Share of the limits that is used, and of the cell's kinematic limits in the timing motion.
 _SHARE, _BRISK = 0.95, 0.8
-_TURN_RAD = 0.35  # a gripper turned further teaches little, and takes time
-#: The same of the first poses, when nothing tells yet where the picture ends.
+_TURN_RAD = 0.35  # larger clamp angles add little information, and take time
+#: Share of the limits for the first poses, when the picture's edges are not known yet.
 _FIRST_SHARE = 0.75
-_COARSE = 4  # the picture is cut in so many columns and rows to say where corners are lacking
+_COARSE = 4  # columns and rows of the picture in the hint where corners are lacking
 
 
 def marks_m(marks: JawMarks) -> FloatArray:
@@ -58,7 +58,7 @@ def show_board(
 ) -> list[NamedImage]:
     """Take pictures of the board in many poses, with hints where corners are still lacking.
 
-    look  is shown every picture, with the views so far
+    look  called with every picture and the views so far
     """
     pictures: list[NamedImage] = []
     views: list[BoardView] = []
@@ -73,16 +73,16 @@ def show_board(
             continue
         if view is not None:
             views.append(view)
-        seen = 0 if view is None else len(view.ids)
+        corners = 0 if view is None else len(view.ids)
         if look is not None:
             look(views, picture.image)
-        say(f"view {number}: {seen} of {len(board.corners_m)} corners", number, BOARD_VIEWS)
+        say(f"view {number}: {corners} of {len(board.corners_m)} corners", number, BOARD_VIEWS)
     assistant.clear()
     return pictures
 
 
 def lacking(views: Sequence[BoardView]) -> str:
-    """Hint where in the picture few corners were seen: " further up and left", or ""."""
+    """Hint where in the picture few corners were detected: " further up and left", or ""."""
     if len(views) < 3:
         return ""
     width, height = views[0].size_px
@@ -132,8 +132,8 @@ def film_plate(
         Pose(*(float(v) for v in values))
         for values in rng.uniform(*within_limits(settings), (60, 3))
     ]
-    seen = in_picture(rough, [matrix_of(p) for p in others], marks_m(marks), size)
-    for goal in [others[k] for k in np.flatnonzero(seen)[:HELD_OUT_POSES]]:
+    visible = in_picture(rough, [matrix_of(p) for p in others], marks_m(marks), size)
+    for goal in [others[k] for k in np.flatnonzero(visible)[:HELD_OUT_POSES]]:
         show(goal, "held_out")
     session.go_to(session.home)
     without, threads = session.picture(4), []
@@ -172,15 +172,15 @@ def within_limits(settings: Settings, most_rad: float = _TURN_RAD) -> tuple[Floa
 
 
 def _in_short_ways(poses: Sequence[Pose]) -> list[Pose]:
-    """Each next to the one before."""
-    left, way = list(poses), []
-    here = left[0] if left else Pose(0.0, 0.0)
-    while left:
-        near = min(left, key=lambda p: abs(p.x_m - here.x_m) + abs(p.y_m - here.y_m))
-        left.remove(near)
-        way.append(near)
+    """The poses in an order with short distances, each next to the one before."""
+    remaining, order = list(poses), []
+    here = remaining[0] if remaining else Pose(0.0, 0.0)
+    while remaining:
+        near = min(remaining, key=lambda p: abs(p.x_m - here.x_m) + abs(p.y_m - here.y_m))
+        remaining.remove(near)
+        order.append(near)
         here = near
-    return way
+    return order
 
 
 def matrix_of(pose: Pose) -> FloatArray:
@@ -194,13 +194,13 @@ def matrix_of(pose: Pose) -> FloatArray:
 
 def detect_marks(shown: Sequence[ShownPose], marks: JawMarks) -> list[JawObservation]:
     """The jaw's marks in the picture of each pose in which the plate was detected."""
-    found = []
-    for one in shown:
-        plate = find_plate(one.picture.image, marks_m(marks), marks.radius_m)
+    views = []
+    for p in shown:
+        plate = find_plate(p.picture.image, marks_m(marks), marks.radius_m)
         if plate is not None:
-            pose = matrix_of(one.pose)
-            found.append(JawObservation(one.picture.name, pose, plate.pixels, plate.smear_px))
-    return found
+            pose = matrix_of(p.pose)
+            views.append(JawObservation(p.picture.name, pose, plate.pixels, plate.smear_px))
+    return views
 
 
 # --- a motion ---------------------------------------------------------------------------------
@@ -223,12 +223,12 @@ def timing_path(settings: Settings, start: Pose, rate_hz: float) -> Trajectory:
 
 def detect_move(filmed: FilmedMove, view: PlaneView, marks: JawMarks) -> DetectedMove:
     """Detect the gripping point in each frame of a motion; nan where the jaw was not detected."""
-    seen = np.full((len(filmed.frames), 2), np.nan)
-    near: FloatArray | None = None
+    grip_m = np.full((len(filmed.frames), 2), np.nan)
+    previous_m: FloatArray | None = None
     for k, frame in enumerate(filmed.frames):
-        jaw = find_jaw(frame.image, view, marks, near)
-        near = None if jaw is None else jaw.grip_m
+        jaw = find_jaw(frame.image, view, marks, previous_m)
+        previous_m = None if jaw is None else jaw.grip_m
         if jaw is not None:
-            seen[k] = jaw.grip_m
+            grip_m[k] = jaw.grip_m
     stamps_s = np.array([frame.t_s for frame in filmed.frames])
-    return DetectedMove(filmed.commanded, filmed.gripper_log, stamps_s, seen)
+    return DetectedMove(filmed.commanded, filmed.gripper_log, stamps_s, grip_m)

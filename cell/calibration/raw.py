@@ -17,13 +17,13 @@ from cell.files.input_error import InputError, Problem
 from cell.files.words import counted
 from drivers.interfaces import Image, Pose, Trajectory
 
-_POSES, _TOLD, _HAND, _SEEN = "poses.csv", "told.csv", "hand.csv", "seen.csv"
+_POSES, _COMMANDED, _GRIPPER, _DETECTED = "poses.csv", "told.csv", "hand.csv", "seen.csv"
 _POSE_COLUMNS = ("picture", "role", "x_m", "y_m", "angle_rad")
-_PATH_COLUMNS, _SEEN_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad"), ("stamp_s", "x_m", "y_m")
+_PATH_COLUMNS, _DETECTED_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad"), ("stamp_s", "x_m", "y_m")
 _WITHOUT = "without_thread.png"
 _PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
 
-#: No gripper is so far from its home: a number beyond it is in millimetres, m.
+#: Largest distance of a gripper from its home, m: a larger number is in millimetres.
 FARTHEST_M = 10.0
 
 
@@ -45,7 +45,7 @@ class ShownPose:
 
     @property
     def mirrored(self) -> ShownPose:
-        """The same, its picture the other way round."""
+        """The same with a mirrored picture."""
         turned = np.ascontiguousarray(self.picture.image[:, ::-1])
         return replace(self, picture=NamedImage(self.picture.name, turned))
 
@@ -55,7 +55,7 @@ class ShownCell:
     """All poses, and pictures of a plumb line.
 
     threads  one picture for each place of the plumb line
-    without  the same scene without it; None = there was none
+    without  the same scene without it; None = no plumb line
     """
 
     poses: tuple[ShownPose, ...]
@@ -132,35 +132,35 @@ def _thread(folder: Path, number: int) -> Path:
 def save_move(folder: Path, move: DetectedMove) -> None:
     """Write a motion."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, path in ((_TOLD, move.commanded), (_HAND, move.gripper_log)):
+    for name, path in ((_COMMANDED, move.commanded), (_GRIPPER, move.gripper_log)):
         table = np.column_stack([path.t_s, path.x_m, path.y_m, path.angle_rad])
         _write(folder / name, _PATH_COLUMNS, table.tolist())
-    seen = np.column_stack([move.stamps_s, move.detected_m])
-    _write(folder / _SEEN, _SEEN_COLUMNS, seen.tolist())
+    detected = np.column_stack([move.stamps_s, move.detected_m])
+    _write(folder / _DETECTED, _DETECTED_COLUMNS, detected.tolist())
 
 
 def read_move(folder: Path) -> DetectedMove:
     """What `save_move` wrote.  Raises InputError."""
-    told, hand, seen = (
+    path, log, frames = (
         np.array([numbers(folder / name, line, row) for line, row in _rows(folder / name, header)])
         for name, header, numbers in (
-            (_TOLD, _PATH_COLUMNS, _numbers),
-            (_HAND, _PATH_COLUMNS, _numbers),
-            (_SEEN, _SEEN_COLUMNS, _seen),
+            (_COMMANDED, _PATH_COLUMNS, _numbers),
+            (_GRIPPER, _PATH_COLUMNS, _numbers),
+            (_DETECTED, _DETECTED_COLUMNS, _detection),
         )
     )
-    return DetectedMove(Trajectory(*told.T), Trajectory(*hand.T), seen[:, 0], seen[:, 1:])
+    return DetectedMove(Trajectory(*path.T), Trajectory(*log.T), frames[:, 0], frames[:, 1:])
 
 
-def _seen(path: Path, line: int, cells: Sequence[str]) -> list[float]:
-    """Stamp and place of a frame; nan, nan where the jaw was not seen."""
+def _detection(path: Path, line: int, cells: Sequence[str]) -> list[float]:
+    """Stamp and place of a frame; nan, nan where the jaw was not detected."""
     if all(cell.lower() == "nan" for cell in cells[1:]):
         return [*_numbers(path, line, cells[:1]), np.nan, np.nan]
     return _numbers(path, line, cells)
 
 
 def _save(path: Path, image: Image) -> None:
-    """Raises OSError: it cannot be written, of which OpenCV tells by its answer only."""
+    """Raises OSError: it cannot be written, which OpenCV reports by its result only."""
     if not cv2.imwrite(str(path), image):
         raise OSError(errno.EIO, "picture cannot be written", str(path))
 

@@ -105,7 +105,7 @@ def cell_report(
 ) -> str:
     """Page about a cell: error at held-out poses, uncertainty of the map, residuals, plane.
 
-    classic_m  (R, C) by which the classic way disagrees, see `conclude.disagreement_m`
+    classic_m  (R, C) disagreement with the classic method, see `conclude.disagreement_m`
     """
     e, size = stored.error, (settings.camera.width_px, settings.camera.height_px)
     spread_mm = 1e3 * CIRCLE_95 * fit.spread_m(picture_grid(size))
@@ -209,7 +209,7 @@ def grip_report(
     shown: ShownCell,
     view: PlaneView,
 ) -> str:
-    """Page about a grip: what is measured, pose by pose, over pictures."""
+    """Page about a grip: measurements pose by pose, over pictures."""
     e = stored.error
     half, between = fit.half_95, fit.repeatability
     units = (("mm", 1e3), ("mm", 1e3), ("°", 180.0 / np.pi), ("mm", 1e3))
@@ -221,8 +221,8 @@ def grip_report(
     views = [one for one, good in zip(views, fit.used, strict=True) if good]
     poses = [
         (one.name, *(f"{k * v:.3f}" for v, (_, k) in zip(values, units, strict=True)),
-         f"{1e3 * left:.3f}")
-        for one, values, left in zip(views, fit.by_pose, fit.residual_m, strict=True)
+         f"{1e3 * residual:.3f}")
+        for one, values, residual in zip(views, fit.by_pose, fit.residual_m, strict=True)
     ]  # fmt: skip
     images = {p.picture.name: p.picture.image for p in shown.poses}
     first, last = views[0], views[-1]
@@ -253,7 +253,7 @@ def grip_report(
 
 
 def _page(
-    title: str, says: str, parts: Sequence[tuple[str, str]], stored: StoredCalibration
+    title: str, sentence: str, parts: Sequence[tuple[str, str]], stored: StoredCalibration
 ) -> str:
     stated = [*stored.how.items(), *stored.devices.items()]
     facts = "; ".join(_plainly(k, v) for k, v in stated if v is not None)
@@ -262,7 +262,7 @@ def _page(
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
         f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1>"
         f"<p class=note>{stored.made:%Y-%m-%d %H:%M} UTC; {html.escape(facts)}</p>"
-        f"<p class=says>{html.escape(says)}</p>{body}</html>"
+        f"<p class=says>{html.escape(sentence)}</p>{body}</html>"
     )
 
 
@@ -358,13 +358,13 @@ def _longest_px(fit: CellFit) -> float:
 
 
 def _arrows(image: Image, fit: CellFit, shown: ShownCell) -> Image:
-    """What is left of every mark, where its pose was."""
+    """Residual of every mark, drawn at its pose."""
     picture = _coloured(image)
     places = [p.pose for p in shown.poses if p.role == "fit"][: len(fit.residuals_px)]
-    for pose, left in zip(places, fit.residuals_px, strict=False):
+    for pose, residuals in zip(places, fit.residuals_px, strict=False):
         at = fit.view.to_pixels(np.array([pose.x_m, pose.y_m]))
-        for off in left:
-            end = at + _ARROW_PX / _longest_px(fit) * off
+        for residual in residuals:
+            end = at + _ARROW_PX / _longest_px(fit) * residual
             a, b = (tuple(np.rint(p).astype(int).tolist()) for p in (at, end))
             cv2.arrowedLine(picture, a, b, (60, 60, 230), 1, cv2.LINE_AA, tipLength=0.3)
     return picture

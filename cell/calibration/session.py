@@ -26,16 +26,16 @@ from drivers.interfaces import (
     Trajectory,
 )
 
-#: A gripper is brought to a pose with the cell's own speed divided by this.
+#: Factor by which the gripper moves to a pose slower than in a cycle.
 _SLOWER = 2.0
 _POLL_S, _REST_TIMEOUT_S, _CALM_S = 0.01, 3.0, 0.15
 _AT_GOAL_M, _AT_GOAL_RAD = 5e-5, 1e-3
-#: An arm at rest reports poses no further apart than this, three times its repeatability.
+#: Largest range of an arm's reported poses at rest, m: three times its repeatability.
 _AT_REST_M = 1e-4
-#: Pictures of a gripper at rest, of which the mean is taken.
+#: Pictures of a gripper at rest that are averaged.
 _PICTURES = 4
-#: An arm is told a path so long before it starts, and a film begins and ends so long beside it, s.
-_AHEAD_S, _BESIDE_S = 0.25, 0.15
+#: Time between the command and the start of a path, and margin of a film at both its ends, s.
+_AHEAD_S, _MARGIN_S = 0.25, 0.15
 _BROKEN_OFF = "calibration broken off"
 
 
@@ -112,44 +112,44 @@ class CalibrationSession:
 
     @contextmanager
     def holding_cable(self) -> Iterator[None]:
-        """A cable between the jaws, gripped as in a cycle; let go of whatever happens.
+        """A cable between the jaws, gripped as in a cycle; released in any case.
 
-        raises  GripError: none is there
+        raises  GripError: there is no cable
         """
         try:
             self.devices.gripper.grip(self.settings.gripper.force_n)
             yield
         except BaseException:
-            self.devices.arm.stop(_BROKEN_OFF)  # before the jaws open, which takes its time
+            self.devices.arm.stop(_BROKEN_OFF)  # before the jaws open, which takes time
             raise
         finally:
             self.devices.gripper.release()
 
     def wait_s(self, lasts_s: float) -> None:
-        """Let time go by on the cell's clock."""
+        """Wait on the cell's clock."""
         self.devices.clock.sleep_s(lasts_s)
 
     def film(self, path: Trajectory) -> FilmedMove:
         """Film a motion from before its beginning to after its end."""
         arm, camera, clock = self.devices.arm, self.devices.camera, self.devices.clock
         begin_s = clock.now_s()
-        start_s = begin_s + _AHEAD_S + _BESIDE_S
-        lasts_s = start_s - begin_s + float(path.t_s[-1]) + _BESIDE_S + 2.0 * arm.lag_s
+        start_s = begin_s + _AHEAD_S + _MARGIN_S
+        lasts_s = start_s - begin_s + float(path.t_s[-1]) + _MARGIN_S + 2.0 * arm.lag_s
         arm.follow(path, start_s)
         camera.start(int(np.ceil(lasts_s * camera.frame_rate_hz)))
         frames = tuple(self._frames())
         self._await_rest(0.0)
-        told = Trajectory(path.t_s + start_s, path.x_m, path.y_m, path.angle_rad)
-        return FilmedMove(told, arm.log(begin_s, clock.now_s()), frames)
+        commanded = Trajectory(path.t_s + start_s, path.x_m, path.y_m, path.angle_rad)
+        return FilmedMove(commanded, arm.log(begin_s, clock.now_s()), frames)
 
     @property
     def limits(self) -> MotionLimits:
-        """With which the gripper is moved while a cell is calibrated."""
+        """Limits of the gripper's motion while a cell is calibrated."""
         return MotionLimits(**self.settings.motion.insertion.model_dump())
 
     @property
     def home(self) -> Pose:
-        """Where cables are grasped."""
+        """Pose in which cables are grasped."""
         return pose_of(self.settings.motion.home)
 
     def _frames(self) -> Iterator[Frame]:
@@ -157,7 +157,7 @@ class CalibrationSession:
             yield frame
 
     def _await_rest(self, lasts_s: float) -> None:
-        """Let a motion end that lasts so long.  Raises StoppedError, DeviceTimeoutError."""
+        """Wait for the end of a motion so long.  Raises StoppedError, DeviceTimeoutError."""
         arm, clock = self.devices.arm, self.devices.clock
         until_s = clock.now_s() + lasts_s + _REST_TIMEOUT_S
         clock.sleep_s(lasts_s)
@@ -196,6 +196,6 @@ def opened(
 
 
 def _stopped(arm: Arm, kind: type[BaseException] | None, *_: object) -> None:
-    """Stop an arm on the way out of what has failed."""
+    """Stop an arm after an error."""
     if kind is not None:
         arm.stop(_BROKEN_OFF)

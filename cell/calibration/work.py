@@ -44,7 +44,7 @@ from drivers.interfaces import DeviceError
 
 _LOG = logging.getLogger(__name__)
 
-#: What makes a calibration better that is too poor.
+#: Remedies for a calibration with too large an uncertainty.
 _BETTER = {
     "camera": "show the board in all corners of the picture, tilted to all sides",
     "cell": "widen `limits`, show a plumb line at two places if there was none, see the reports of "
@@ -55,9 +55,9 @@ _BETTER = {
 
 
 class BrokenOffError(ValueError):
-    """The present part of a calibration failed; nothing of it is stored.
+    """The current part of a calibration failed; nothing of it is stored.
 
-    A device failed, what was shown cannot be used, or a stored calibration cannot be read.
+    A device failed, the pictures cannot be used, or a stored calibration cannot be read.
     Scenario: the camera's cable is pulled out while the board is shown.
     """
 
@@ -65,9 +65,9 @@ class BrokenOffError(ValueError):
 class CalibrationJob:
     """A calibration run, used as a context: its devices, settings and files.
 
-    say, ask  progress for a person; a question that waits for an answer
+    say, ask  reports progress to a person; asks a question and waits for the answer
     live      False = only from folders: nothing is connected
-    look      is shown every picture of the board; None = nobody looks
+    look      called with every picture of the board; None = not called
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class CalibrationJob:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Let go of the devices.  Raises BrokenOffError: nothing came of what was under way."""
+        """Release the devices.  Raises BrokenOffError: the current part failed."""
         self._stack.__exit__(kind, error, trace)
         if isinstance(error, DeviceError | EmulatorError | CalibrationError | CalibrationFileError):
             raise BrokenOffError(str(error)) from error
@@ -117,7 +117,7 @@ class CalibrationJob:
     def do(self, part: str, source: Path | None = None) -> StoredCalibration | None:
         """Calibrate `camera`, `cell`, `time` or `grip`, live or from a folder.
 
-        returns  None = it is left out: nobody has a cable, or its grip is known too poorly
+        returns  None = it is omitted: nobody has a cable, or its grip is too uncertain
         raises  CalibrationError, CalibrationFileError, InputError; a device error ends the job
         """
         self._say(f"--- {part}")
@@ -177,7 +177,7 @@ class CalibrationJob:
         return stored
 
     def _first_fit(self, some: raw.ShownCell, camera: StoredCalibration) -> CellFit:
-        """The fit of the first poses, which are kept if it is refused."""
+        """The fit of the first poses, which are saved if it is refused."""
         try:
             return conclude.cell_from(some, camera, self._settings)
         except CalibrationError:
@@ -186,14 +186,14 @@ class CalibrationJob:
             raise
 
     def _time(self, source: Path | None) -> StoredCalibration:
-        told_s = 0.0
+        corrected_s = 0.0
         if source is None:
             move = self._move(view_of_stored(self._before("cell")))
             self._record("time", partial(raw.save_move, move=move))
         else:
             move = raw.read_move(source)
         times = conclude.times_from(move)
-        stored = conclude.stored_times(times, self._settings, len(move.stamps_s), told_s)
+        stored = conclude.stored_times(times, self._settings, len(move.stamps_s), corrected_s)
         self._report("time", time_report(stored, times, move))
         return stored
 
@@ -219,7 +219,7 @@ class CalibrationJob:
         return None if poor else stored
 
     def check(self) -> Drift:
-        """Today's error against the stored one.  Raises as `do`."""
+        """Drift of the cell since its stored calibration.  Raises as `do`."""
         cell = self._before("cell")
         latency_s = self._before("time").number("latency_s")
         session = self._open()
@@ -228,21 +228,21 @@ class CalibrationJob:
             rest = session.rest_at(goal)
             poses.append(raw.ShownPose("fit", rest.pose, raw.NamedImage(f"{k}", rest.image)))
         shown = raw.ShownCell(tuple(poses))
-        found = conclude.today(shown, cell, None, self._settings, str(self._config))
-        if not found.good:
-            return found
+        drift = conclude.today(shown, cell, None, self._settings, str(self._config))
+        if not drift.good:
+            return drift
         move = self._move(view_of_stored(cell))
         times = conclude.times_from(move)
-        changed = conclude.Times(
+        changes = conclude.Times(
             Delay(times.latency.value_s - latency_s, 0.0, times.latency.rms_m), times.lag
         )
-        return conclude.today(shown, cell, changed, self._settings, str(self._config))
+        return conclude.today(shown, cell, changes, self._settings, str(self._config))
 
-    # --- what came of it ----------------------------------------------------------------------
+    # --- results ------------------------------------------------------------------------------
 
     def shortcomings(self) -> list[str]:
-        """Why `cell run` would refuse what was made, or lacks it, each with its remedy; empty = it
-        is good and written.
+        """Reasons why `cell run` would refuse the results, or lacks them, each with its remedy;
+        empty = they are good and written.
         """
         poor = [line for made in self._made.values() for line in self._too_poor(made)]
         return [*self._unwritten, *poor]
@@ -258,7 +258,7 @@ class CalibrationJob:
         ]
 
     def summary(self) -> dict[str, Any]:
-        """All that was found, for programs."""
+        """All results, for programs."""
         return {
             kind: {
                 "file": str(calibration_file(self._settings, kind)),
@@ -270,7 +270,7 @@ class CalibrationJob:
         }
 
     def lines(self) -> list[str]:
-        """All that was found, for people."""
+        """All results, for people."""
         lines = []
         for kind, made in self._made.items():
             lines.append(f"{kind:7} {_words(made)}")
@@ -334,7 +334,7 @@ class CalibrationJob:
                 raise InputError.at(folder / picture.name, message)
 
     def _record(self, kind: str, save: Callable[[Path], None]) -> Path | None:
-        """Keep what was measured in a new folder; None = there is no room for it, which is said."""
+        """Save the measurements in a new folder; None = that failed, which is reported."""
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
         folder = self._folder / "recorded" / f"{kind}-{stamp}"
         try:
@@ -352,7 +352,7 @@ class CalibrationJob:
         self._keep(path, lambda place: write_atomic(place, page))
 
     def _keep(self, path: Path, write: Callable[[Path], None]) -> None:
-        """Write a file of a result; what is wrong with it is one of the shortcomings."""
+        """Write a file of a result; a failure becomes one of the shortcomings."""
         if trouble := write_or_rescue(path, write):
             self._unwritten.append(trouble)
 
