@@ -1,4 +1,4 @@
-"""How a lens distorts: where a pinhole camera would see a point, and where the picture has it."""
+"""Distortion of a lens: mapping between ideal pixels of a pinhole camera and actual pixels."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ LENS_NUMBERS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"
 class Lens:
     """Focal lengths, optical axis (centre of the first pixel = 0, 0) and distortion of a camera.
 
-    An *ideal* pixel is where a pinhole camera with these focal lengths and axis, but without
-    distortion, has a point.
+    An *ideal* pixel is that of a pinhole camera with these focal lengths and axis, but without
+    distortion.
 
     source  Brown 1966; the numbers are those of OpenCV's five-parameter model
     """
@@ -124,7 +124,7 @@ def _all_undistorted(numbers, pixels):  # type: ignore[no-untyped-def]
 
 
 def project(numbers: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pixels of points before a camera, and how they change.
+    """Pixels of points before a camera, and their derivatives.
 
     numbers  (9,) of a lens, see `LENS_NUMBERS`
     points   (N, 3) in the camera's frame, m

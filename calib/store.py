@@ -148,7 +148,7 @@ def _tree(stored: StoredCalibration) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """The same of Python's own types."""
+    """The value in Python's own types."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray):

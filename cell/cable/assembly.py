@@ -26,11 +26,11 @@ class ParameterBlock:
     """Up to LANES models whose steps call the same effects, ready to run.
 
     lanes      their numbers in the batch
-    width      lanes computed: those above rounded up to whole vectors with copies of the first
+    width      computed lanes: those above, padded to full vectors with copies of the first
     state      flat, see `layout`
     lengths    (LANES,) length of a segment, m
-    effects    last-but-one argument of the compiled functions
-    own        effects of a user whose hooks these call
+    effects    argument of the compiled functions, see `Hooks.arguments`
+    own        a user's effects whose hooks these functions call
     """
 
     lanes: tuple[int, ...]
@@ -39,11 +39,11 @@ class ParameterBlock:
     state: FloatArray
     lengths: FloatArray
     nonlinear: bool
-    passes: int
+    iterations: int
     effects: tuple[Any, ...]
     own: tuple[type[Effect], ...]
 
-    def go_on_from(self, trunk: Sequence[ParameterBlock]) -> None:
+    def resume_from(self, trunk: Sequence[ParameterBlock]) -> None:
         """Copy the state of the same models from blocks with fewer lanes.
 
         trunk  blocks whose lanes are models; lane i of this batch has model i modulo their number
@@ -145,7 +145,7 @@ def _block(
         state.ravel(),
         length[order],
         bool(np.any(power != 0.0)),
-        hooks.passes,
+        hooks.iterations,
         hooks.arguments(batch, n, start_s),
         with_compiled_hooks(a.effect for a in models[0].effects),
     )
@@ -200,7 +200,7 @@ _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 def _put_inertia(state: FloatArray, body_m: FloatArray, model: CableModel) -> None:
-    """Add what differs along the cable to the inertia of the bodies (n + 1)."""
+    """Add the inertia that varies along the cable to the bodies (n + 1)."""
     varying = [a for a in model.effects if a.effect.varies_along_cable()]
     if not varying:
         return
@@ -241,7 +241,7 @@ def _connectors(
 
 
 def slipped_out(model: CableModel) -> bool:
-    """Whether the effects leave less than a tenth of the free length, too little for a mesh."""
+    """Whether the effects reduce the free length to less than a tenth, too little for a mesh."""
     return _total_length_m(model) < 0.1 * model.cable.free_length_m
 
 
@@ -280,7 +280,7 @@ def _grip(model: CableModel) -> tuple[float, float]:
 
 
 def _inertia(model: CableModel) -> FloatArray:
-    """Added mass per metre along and normal to the strip, kg/m, that is the same everywhere."""
+    """Uniform added mass per metre along and normal to the strip, kg/m."""
     uniform = [a for a in model.effects if not a.effect.varies_along_cable()]
     return np.asarray(added_inertia(model, uniform, np.zeros(1))[:, 0])
 
@@ -318,8 +318,8 @@ def marker_weights(
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Cell of every marker and cubic Hermite weights of its two nodes and their tangents.
 
-    returns  (markers,) numbers of the cells, (markers, 5) weights, the last of which is how far
-             beyond the cable's end a marker is, on the connector, m
+    returns  (markers,) indices of the cells, (markers, 5) weights; the last is the distance of a
+             marker beyond the cable's end, on the connector, m
     raises   ValueError: marker beyond the cable or crossing another, or cables of different
              lengths
     """

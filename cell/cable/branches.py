@@ -17,9 +17,9 @@ from cell.cable.model import CableModel
 from cell.cable.solver import DEFAULT_SOLVER, Solver, threads
 from cell.cable.swing import Grid, Swing, move
 
-#: Whether motions are alike is looked at in one step of so many, and in each of so many last ones.
-_SELDOM, _OFTEN = 16, 128
-#: Poses of the gripper this near to each other are the same, m or rad.
+#: Motions are compared at one step of so many, and at each of so many last ones.
+_STRIDE, _LAST = 16, 128
+#: Largest difference between poses of the gripper that count as the same, m or rad.
 _ALIKE = 1e-9
 
 
@@ -69,7 +69,7 @@ def simulate_branches(
     swing = Swing(batch, paths, [times] * len(batch), solver)
     branches = assemble(batch, solver.segments, fork_s, workers)
     for block in branches:
-        block.go_on_from(trunk)
+        block.resume_from(trunk)
     grids = [Grid.of(fork_s, [times], batch[b.lanes[0]], False, solver) for b in branches]
     out = np.empty((len(batch), *shape[2:]))
     move(swing, branches, grids, arc_length_m, out)
@@ -77,19 +77,19 @@ def simulate_branches(
 
 
 def _steps_alike(models: Sequence[CableModel], motions: Sequence[Motion], t_s: FloatArray) -> int:
-    """Of the steps between these times, how many are done before the gripper's motions part.
+    """Number of the steps between these times that end before the gripper's motions differ.
 
-    The log's splines join all samples: what differs by less than a nanometre is the same.
+    The log's splines depend on all samples: differences below a nanometre are ignored.
     """
     steps = len(t_s) - 1
-    # an effect parts the motions a little before their logs part, if at all
-    looked = np.unique(np.append(np.arange(0, steps, _SELDOM), np.arange(len(t_s))[-_OFTEN:]))
+    # with an effect the motions can differ only a little before their logs do
+    checked = np.unique(np.append(np.arange(0, steps, _STRIDE), np.arange(len(t_s))[-_LAST:]))
     for acting in {at_gripper(model) for model in models if at_gripper(model)}:
-        first, *others = (np.stack(pose_of(m, acting)(t_s[looked])) for m in motions)
-        for other in others:
-            apart = looked[np.any(np.abs(other - first) > _ALIKE, axis=0)]
-            if apart.size:
-                # alike where it was looked before that; a step looks two steps ahead
-                alike = looked[looked < apart[0]]
+        first, *poses = (np.stack(pose_of(m, acting)(t_s[checked])) for m in motions)
+        for pose in poses:
+            different = checked[np.any(np.abs(pose - first) > _ALIKE, axis=0)]
+            if different.size:
+                # the last checked step without a difference; a step needs poses two steps ahead
+                alike = checked[checked < different[0]]
                 steps = min(steps, max(0, int(alike[-1]) - 2 if alike.size else 0))
     return steps

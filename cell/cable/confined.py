@@ -28,7 +28,7 @@ ENGINE: dict[str, tuple[Any, tuple[int, ...]]] = {
     "balance": (balance, (0,)),
     "integrate": (integrate, (0, 9, 10)),
 }
-#: A law's answer in words is cut at so many characters.
+#: Longest text of a law's description, characters.
 _LONGEST = 2000
 
 
@@ -40,7 +40,7 @@ def main(control: int) -> NoReturn:
 
 def serve(channel: Channel) -> None:
     """Serve requests until the channel is closed."""
-    compiled.keep_nothing()
+    compiled.disable_disk_cache()
     effects: dict[str, type[Effect]] = {}
     while True:
         try:
@@ -87,7 +87,7 @@ def _done(channel: Channel, request: Any, effects: dict[str, type[Effect]]) -> d
 
 
 def _called(channel: Channel, effect: type[Effect], hook: str, *args: Any) -> Any:
-    """What a hook returns; a gripper's motion is requested at the times that the hook needs."""
+    """Result of a hook; the gripper's pose is requested at the times that the hook needs."""
     *first, values = args
     p = SimpleNamespace(**values)
     if hook == "clamp":
@@ -109,7 +109,7 @@ def _plain(value: Any) -> Any:
 
 
 def _described(effect: type[Effect]) -> dict[str, Any]:
-    """What others need to know of an effect."""
+    """Description of an effect for the other process."""
     hooks = [h for h in HOOKS if getattr(effect, h) is not None]
     return {
         "name": effect.name,
@@ -133,7 +133,7 @@ def _described(effect: type[Effect]) -> dict[str, Any]:
 
 
 def _load_engine() -> None:
-    """Have the engine, and the library's loops, from disk, or compile and keep them."""
+    """Load the engine and the library's loops from disk, or compile and store them."""
     still = Motion(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
     effects = [e for e in library().values() if e.force or e.moment]
     model = CableModel.uniform(

@@ -65,7 +65,7 @@ def simulate_each(
     """Positions of markers of each lane at its own times, (times, markers, 2); as `simulate`.
 
     All lanes begin when the first of them does, and share one grid of steps.  Lanes that cannot be
-    simulated are nan instead of raising, and do not spoil the others.
+    simulated are nan instead of raising, and do not affect the others.
     """
     batch, paths = _lanes(models, motions)
     times = each_once(increasing, times_s)
@@ -89,11 +89,11 @@ def simulate_gauged(
     begin: Beginning | None = None,
     means: Sequence[RowMeans | None] = (),
 ) -> list[FloatArray]:
-    """Markers of each lane, as `simulate_each`, and what a sensor at the clamp measures with them.
+    """Markers of each lane, as `simulate_each`, and the wrench measured by a sensor at the clamp.
 
     begin    of all lanes; None = from rest
-    means    of each lane: which of the times show means of the sensor's rows, not its value then;
-             () = none do
+    means    of each lane: the times with means of the sensor's rows instead of its value then;
+             () = none
     returns  (times, markers + 2, 2) of each lane: behind the markers the force x, y, N, that clamp
              and sensor exert on cable and tool, and its moment about the gripping point, N·m, with
              a 0.  Before a cable is let go its wrench is that of the moment after
@@ -110,7 +110,7 @@ def simulate_gauged(
 def _lanes(
     models: CableModel | Sequence[CableModel], motions: Motion | Sequence[Motion]
 ) -> tuple[list[CableModel], list[Motion]]:
-    """One model and one motion per lane.  Raises ValueError: their numbers do not go together."""
+    """One model and one motion per lane.  Raises ValueError: their numbers do not match."""
     batch = [models] if isinstance(models, CableModel) else list(models)
     paths = [motions] if isinstance(motions, Motion) else list(motions)
     lanes = max(len(batch), len(paths))
@@ -198,7 +198,7 @@ class Beginning:
     def of(
         start: Start, release_s: float | None, bent: Sequence[FloatArray], lanes: int
     ) -> Beginning:
-        """Checked.  Raises ValueError: they do not go together."""
+        """Checked initial condition.  Raises ValueError: inconsistent arguments."""
         released = start in ("straight", "held")
         if start not in get_args(Start) or released != (release_s is not None):
             raise ValueError(
@@ -218,7 +218,7 @@ class Beginning:
         return Swing(models, paths, times_s, how, self.bent, self.start == "moving")
 
     def time_s(self, first_s: Sequence[float], paths: Sequence[Motion]) -> float:
-        """When lanes whose first pictures are at `first_s` begin to be simulated."""
+        """Start of the simulation, s, of lanes whose first pictures are at `first_s`."""
         if self.release_s is not None:
             return float(self.release_s)
         if self.start == "moving":

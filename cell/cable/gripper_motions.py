@@ -30,9 +30,9 @@ def at_gripper(model: CableModel) -> tuple[ActiveEffect, ...]:
 class GripperMotions:
     """Motion and effects on the gripper of every lane of a batch.
 
-    Whatever is the same in several lanes is worked out once.
+    What several lanes share is computed once.
 
-    steps  the longest of the blocks, at which effects are worked out for all of them
+    steps  those of the longest block, at which effects are evaluated for all blocks
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class GripperMotions:
     def _alike(
         self, order: Sequence[int], times_s: Sequence[FloatArray] = ()
     ) -> Iterator[tuple[int, Lanes]]:
-        """A lane of every motion (and array of times), and the places in the order that have it."""
+        """A lane of every distinct motion (and array of times), and its places in the order."""
         places: dict[Hashable, list[int]] = {}
         for place, lane in enumerate(order):
             key = self._keys[lane], id(times_s[place]) if times_s else None

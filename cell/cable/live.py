@@ -140,7 +140,7 @@ class SwingingCable:
             base.ravel(),
             coefficients,
             block.nonlinear,
-            block.passes,
+            block.iterations,
             (*effects, memory, memory_rows, begin_s),
             sample_times([np.minimum((times_s[~rested] - begin_s) / step_s, steps)] * block.width),
             swung.ravel(),

@@ -88,7 +88,7 @@ def power(base: float, exponent: float) -> float:
 
 @inline
 def settling_time(decay: float, duration: float) -> float:
-    """By how long dz/dt is to be multiplied for the change of z over `duration`: (1 − e⁻ˣ)/x of it.
+    """Factor on dz/dt for the change of z over `duration`: duration·(1 − e⁻ˣ)/x.
 
     Exact, however stiff, for dz/dt = rate − decay·(z − z₀); x = decay·duration.
     """

@@ -20,7 +20,7 @@ class Solver:
 
     segments  4 … 10000
     step_s    the grid of steps is shared by all lanes of a batch
-    damping   ρ∞ of generalised-α, 0 … 1: what is left after a step of an infinitely fast mode
+    damping   ρ∞ of generalised-α, 0 … 1: amplitude of an infinitely fast mode after one step
     threads   at most so many at a time; None = as many as this process may use cores
     """
 
@@ -52,9 +52,9 @@ class LanesError(RuntimeError):
 
 
 class DivergedError(LanesError):
-    """A simulation left the possible.  Scenario: a step far too long for a fast, soft cable.
+    """A simulation diverged.  Scenario: a step far too long for a fast, soft cable.
 
-    lanes   those that had left it when it was seen, the first of them in the message
+    lanes   the lanes that had diverged when it was detected; the first is in the message
     """
 
     def __init__(self, lanes: Sequence[int], time_s: float, step_s: float) -> None:

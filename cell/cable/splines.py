@@ -31,17 +31,17 @@ NEGLIGIBLE_NOISE = 1e-7
 #: least bending that counts, as a share of the greatest; random vectors for the trace.
 _CALM_S = 0.03
 _ROUNDS = 3
-#: An axis in which medians of so many values differ by less than this many of their standard
-#: deviations, and in which there are so many of them, does not move.
+#: An axis does not move if medians of blocks of this length differ by less than so many of their
+#: standard deviations; fewest blocks.
 _BLOCK, _APART, _LEAST_BLOCKS = 16, 4.5, 4
-#: The least C_p follows the noise now and then: in all rounds but the last the strongest smoothing
-#: is taken that is within so many standard deviations of it.
+#: The minimum of C_p sometimes follows the noise: in all rounds but the last, the strongest
+#: smoothing within so many standard deviations of the minimum is used.
 _CHANCE = 1.0
 _LEAST = 1e-6
 _PROBES = 3
 
 
-#: Multiples of a penalty among which that of a like curve is.
+#: Multiples of a penalty that are tried for a similar curve.
 _NEAR = np.geomspace(10.0**-1.5, 10.0**1.5, 7)
 
 
@@ -126,7 +126,7 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
     if _never_moves(y, noise):
         multiples, rounds = multiples[-1:] / _LEAST, 1
     for round_ in range(rounds):
-        # where the curve bends is looked for in one that surely does not follow the noise
+        # the bending is estimated from a curve that does not follow the noise
         chance = _CHANCE if round_ < rounds - 1 else 0.0
         smooth, root = _least_error(signals, t, noise, local, multiples, chance)
         while turns_slowly and np.any(more := glitches(signals[:, 0] - smooth, noise) & ~wrong):
@@ -147,9 +147,9 @@ def fit(t_s: FloatArray, value: FloatArray, *, checked: bool = False) -> Spline:
 
 
 def _never_moves(y: FloatArray, noise: float) -> bool:
-    """Whether the signal moves by no more than its noise does, a few wrong values apart.
+    """Whether the signal is constant but for its noise and a few outliers.
 
-    A motion may begin in the last few values, which are less than a block.
+    The last block overlaps the one before: a motion may begin in the last few values.
     """
     count = len(y) // _BLOCK
     if count < _LEAST_BLOCKS:
@@ -325,7 +325,7 @@ def _cubic(t: FloatArray, y: FloatArray, bend: FloatArray) -> FloatArray:
 
 @inline
 def _piece(t: FloatArray, x: float, j: int) -> int:
-    """Number of the piece that x is in, 0 before the first; sought from piece j on, knot by knot.
+    """Index of the piece with x, 0 before the first; searched from piece j on, knot by knot.
 
     Times come in order: to search all knots took six times as long.
     """

@@ -33,9 +33,9 @@ from cell.cable.layout import (
 )
 from cell.cable.numerics import sincos
 
-#: Steps between looks for divergence.
+#: Steps between checks for divergence.
 _CHECK_EVERY = 8
-#: Product of two rates of a hinge below which their signs mean nothing, (rad/s)².
+#: Product of two rates of a hinge below which their signs are ignored, (rad/s)².
 _STILL_RAD2_PER_S2 = 1e-10
 
 
@@ -105,9 +105,9 @@ def sample_times(when: Sequence[FloatArray]) -> FloatArray:
     """The times at which `integrate` records samples, and of which lanes.
 
     when     (times,) of every lane in steps from the start, increasing; one array for neighbours
-             that are recorded together
-    returns  (looks, 4) in the order of time: time, first lane, lane after the last, row of `out`;
-             those at the start and before are left out
+             that are recorded jointly
+    returns  (samples, 4) in the order of time: time, first lane, lane after the last, row of `out`;
+             without samples at the start or before
     """
     first = [k for k, times in enumerate(when) if k == 0 or times is not when[k - 1]]
     tables = []
@@ -163,7 +163,7 @@ def integrate(
     B: FloatArray,
     step: FloatArray,
     nonlinear: bool,
-    passes: int,
+    iterations: int,
     effects: Any,
     when: FloatArray,
     out: FloatArray,
@@ -172,8 +172,8 @@ def integrate(
     """All steps of a block; bends (rows, n + 1, LANES) into `out`; returns the step that blew up.
 
     step    coefficients of `generalised_alpha`
-    passes  Newton passes of a step at most; another only if a hinge's rate has changed its sign
-    when    (looks, 4) of `sample_times`
+    iterations  most Newton iterations per step; a further one only if a hinge's rate changes sign
+    when    (samples, 4) of `sample_times`
     wrench  (steps · 3 · LANES,) is filled with what the clamp exerts on the cable at the steps'
             collocation times, as `kernel.solve` has it; (0,) = not wanted
     returns −1, or the number of the first step whose bends are not below half a turn each
@@ -188,7 +188,7 @@ def integrate(
     forced = forces.size > 0
     done = 0
     for j in range(steps):
-        for k in range(passes):
+        for k in range(iterations):
             predict(S, lanes, n, step)
             kinematics(S, lanes, n, B, j, forced)
             bending(S, lanes, n, nonlinear, dq, dv)
@@ -219,7 +219,7 @@ def integrate(
                     ),
                 )
             solve(S, T, lanes, n, B, j, dv, forced)
-            if k + 1 < passes and not turned(S, lanes, n, step):
+            if k + 1 < iterations and not turned(S, lanes, n, step):
                 break
         if wrench.size > 0:
             W = wrench[3 * j * LANES :]

@@ -26,7 +26,7 @@ from cell.cable.stepping import integrate, nodes, sample_times
 from cell.cable.wrench import AXES, Gauge, RowMeans, as_points, at_places
 
 _MOST_STEPS = 5_000_000
-#: Steps after a time whose wrench is wanted: it is interpolated between those around it.
+#: Further steps after the last time of a wrench, which is interpolated between steps.
 _STEPS_AROUND = 3
 
 
@@ -34,10 +34,10 @@ _STEPS_AROUND = 3
 class Swing:
     """Inputs of a batch: model, motion and times of each lane, and modes if it begins bent.
 
-    moving  whether it moves before it begins too, not held still until then
-    gauge   what measures the wrench at the clamp, if that is wanted: behind the markers of a lane
-            stand `wrench.AS_POINTS` more
-    means   of each lane, which of the wrench's values are means of rows; () = those of none
+    moving  whether the cable also moves before the start, and is not held still until then
+    gauge   sensor of the wrench at the clamp; with it, `wrench.AS_POINTS` further points follow the
+            markers of a lane
+    means   of each lane, the values of the wrench that are means of rows; () = none
     """
 
     models: list[CableModel]
@@ -135,9 +135,9 @@ class Grid:
         *,
         gauged: bool = False,
     ) -> Grid:
-        """Of lanes with these times and models of one kind.  Raises ValueError: too many steps.
+        """Grid of lanes with these times and such models.  Raises ValueError: too many steps.
 
-        gauged  whether the wrench at these times is wanted, too
+        gauged  whether the wrench at these times is computed, too
         """
         last = max((float(t[-1]) for t in times_s if t.size), default=begin_s)
         end = last + (camera.LOOK_AHEAD_S if camera.shifts_time([model]) else 0.0)
@@ -241,7 +241,7 @@ def _integrate(
 ) -> FloatArray:
     """(times, n + 1, LANES) bends of all lanes at their times.  Raises DivergedError.
 
-    wrench  (steps, 3, LANES) to be filled with what holds the cables; (0,) = not wanted
+    wrench  (steps, 3, LANES) is filled with the wrench on the cables; (0,) = not computed
     """
     solver, n = grid.solver, block.segments
     bends = at.vectors(max(map(len, times_s)), n + 1)
@@ -257,7 +257,7 @@ def _integrate(
         base.ravel(),
         generalised_alpha(solver.step_s, solver.damping),
         block.nonlinear,
-        block.passes,
+        block.iterations,
         block.effects,
         sample_times(_in_steps(times_s, grid)),
         bends.ravel(),
@@ -273,7 +273,7 @@ def _integrate(
 
 
 def _needed(block: ParameterBlock, grid: Grid, lanes: Swing) -> list[FloatArray]:
-    """When positions are needed of all lanes computed: at the pictures, or on a fine grid."""
+    """Times of the needed positions, of each computed lane: the pictures', or a fine grid."""
     times = [lanes.times_s[lane] for lane in block.lanes]
     earliest = min(times, key=lambda t: float(t[0]) if t.size else np.inf)
     model, step_s = lanes.models[block.lanes[0]], grid.solver.step_s
@@ -285,7 +285,7 @@ def _needed(block: ParameterBlock, grid: Grid, lanes: Swing) -> list[FloatArray]
 
 def _in_steps(times_s: Sequence[FloatArray], grid: Grid) -> list[FloatArray]:
     """Times of every lane in steps from the beginning."""
-    # rounding must not put the last time behind the last step: it would never be written
+    # a last time rounded to after the last step would not be recorded
     return each_once(
         lambda t: np.minimum((t - grid.begin_s) / grid.solver.step_s, grid.steps), times_s
     )

@@ -1,4 +1,4 @@
-"""The wrench that a sensor at the clamp measures: what holds the cable, and the tool with it."""
+"""The wrench that a sensor at the clamp measures: it holds the cable and the tool."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cell.cable.arrays import FloatArray
 AXES = 3
 #: Points that represent a wrench: its force, and its moment with a zero.
 AS_POINTS = 2
-#: A mean of fewer rows than this is none: its noise would be that of single rows.
+#: Fewest rows of a mean.
 FEWEST_ROWS = 2
 
 
@@ -66,7 +66,7 @@ class Gauge:
         sin: FloatArray,
         gravity_m_per_s2: tuple[float, float],
     ) -> FloatArray:
-        """(steps, 3) what holds the tool, in the plane's axes."""
+        """(steps, 3) wrench on the tool, in the plane's axes."""
         tool, (along, across) = self.tool, self.tool.centre_m
         x, y = cos * along - sin * across, sin * along + cos * across
         spin, turn = base[:, at.BASE_SPIN], base[:, at.BASE_AA]
@@ -82,7 +82,7 @@ class RowMeans:
 
     t_s          (R,) times of the rows
     valid        (R, AXES) whether a row has a value of an axis
-    among        (n,) which of a record's times the means stand at
+    among        (n,) indices of the means' times in a record
     first, last  (n,) the rows of each: from `first` to before `last`
     """
 
@@ -94,7 +94,7 @@ class RowMeans:
 
     @cached_property
     def rows(self) -> NDArray[np.intp]:
-        """(n, AXES) rows that a mean is of."""
+        """(n, AXES) number of rows of each mean."""
         return np.asarray(self._sums(self.valid.astype(np.intp)))
 
     def of(self, values: FloatArray) -> FloatArray:
@@ -108,7 +108,7 @@ class RowMeans:
         return RowMeans(self.t_s, self.valid, *parts)
 
     def earlier(self, delay_s: float) -> RowMeans:
-        """Of rows as much earlier."""
+        """The same with the rows earlier by `delay_s`."""
         return self if delay_s == 0.0 else replace(self, t_s=self.t_s - delay_s)
 
     def _sums(self, values: NDArray[Any]) -> NDArray[Any]:

@@ -38,7 +38,7 @@ class Assistant(Protocol):
     """Interface of an assistant, who shows the board and the plumb line to the camera."""
 
     def board(self, number: int, hint: str) -> None:
-        """The board as the `number`-th view, from 1; `hint` says where it is lacking."""
+        """The board as the `number`-th view, from 1; `hint`: where corners are lacking."""
         ...
 
     def thread(self, number: int) -> bool:
@@ -58,30 +58,30 @@ class Assistant(Protocol):
 class Operator:
     """Assistant who is a person at a terminal: shows on request what the camera needs.
 
-    ask     shows words and waits; returns what was typed; raises EOFError: nobody is there
-    raises  CalibrationError, from every question: nobody is there
+    ask     shows a text and waits; returns the typed answer; raises EOFError: nobody is there
+    raises  CalibrationError from every question: nobody is there
     """
 
     ask: Callable[[str], str]
 
     def board(self, number: int, hint: str) -> None:
         """Ask for the board."""
-        self._asked(f"view {number} of {BOARD_VIEWS}: show the board{hint}; hold it still, Enter")
+        self._prompt(f"view {number} of {BOARD_VIEWS}: show the board{hint}; hold it still, Enter")
 
     def thread(self, number: int) -> bool:
         """Ask for a plumb line."""
-        typed = self._asked(_HANG[min(number, len(_HANG)) - 1])
+        typed = self._prompt(_HANG[min(number, len(_HANG)) - 1])
         return not typed.strip().lower().startswith("n")
 
     def cable(self) -> bool:
         """Ask for a cable."""
-        return not self._asked(_HOLD).strip().lower().startswith("n")
+        return not self._prompt(_HOLD).strip().lower().startswith("n")
 
     def clear(self) -> None:
         """Ask for an empty scene."""
-        self._asked("take board and thread away, keep people out: the robot will move; Enter")
+        self._prompt("take board and thread away, keep people out: the robot will move; Enter")
 
-    def _asked(self, words: str) -> str:
+    def _prompt(self, words: str) -> str:
         try:
             return self.ask(words)
         except EOFError as error:
@@ -90,7 +90,7 @@ class Operator:
             ) from error
 
 
-#: Told of all views so far and of the newest picture (H, W), grey levels.
+#: Callback with all views so far and the newest picture (H, W), grey levels.
 OnCoverage = Callable[[Sequence[BoardView], NDArray[np.uint8]], None]
 
 #: File in the folder of the calibration.
@@ -100,7 +100,7 @@ _BEFORE, _NEWEST = (60, 220, 60), (60, 140, 255)
 
 
 def coverage_picture(views: Sequence[BoardView], image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(h, w, 3) picture, blue first: corners of all views, those in this picture in orange."""
+    """(h, w, 3) BGR picture: corners of all views, those in this picture in orange."""
     scale = min(1.0, _WIDTH_PX / image.shape[1])
     size = (round(scale * image.shape[1]), round(scale * image.shape[0]))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -1,4 +1,4 @@
-"""The choice of an offset: each is simulated with the motion as executed, with its uncertainty."""
+"""The choice of an offset: each is simulated as it will be executed, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -149,14 +149,14 @@ def forecast(
     solver: Solver = Solver(),  # noqa: B008
     options: ChoiceOptions = ChoiceOptions(),
 ) -> Forecast:
-    """Simulate every offset, and how its tip depends on every parameter; none is late or slow.
+    """Simulate every offset, without delay at the usual pace, and the tip's sensitivities.
 
     motions  of the gripper, one per offset, the same until the path begins (see `executed_motion`):
-             that the cable still swings from it is simulated once for all.  On the clock of the
-             identification, because an effect may depend on the time.
-    begin_s  when the path begins on that clock
-    end_s    until when; None = until the last motion ends
-    raises   ValueError: not one motion per offset; what the engine raises
+             the common part is simulated once.  They are on the clock of the identification,
+             because an effect may depend on the time.
+    begin_s  start of the path on that clock
+    end_s    end of the simulation; None = end of the last motion
+    raises   ValueError: not one motion per offset; as the engine
     """
     if len(motions) != len(offsets_m):
         raise ValueError(f"{len(offsets_m)} offsets but {len(motions)} motions")
@@ -190,10 +190,10 @@ def choose(
     destination: Destination,
     options: ChoiceOptions = ChoiceOptions(),
 ) -> Choice:
-    """The offset most likely to pass; of equally likely ones the earliest, then the quickest, then
-    that of the widest margin.
+    """The offset most likely to pass; among equally likely ones the earliest, then the fastest,
+    then the one with the widest margin.
 
-    expected  forecast of `identified` or of nearly the same cable, made while the hold went on
+    expected  forecast of `identified` or of nearly the same cable, made during the hold
     """
     expected = expected.moved_to(identified.mean)
     drawn = deviates(len(identified.mean) + 1, options.samples)
@@ -249,10 +249,10 @@ def missed_height_m(identified: Identified, options: ChoiceOptions) -> float:
 
 
 def _tips(expected: Forecast, shift: FloatArray, raised_m: FloatArray) -> Iterator[FloatArray]:
-    """Per offset (samples, T, 2) tip paths of cables whose coordinates are (samples, p) apart, m.
+    """Per offset (samples, T, 2) tip paths for shifts (samples, p) of the coordinates, m.
 
-    The gripper waits for it, so memory counts: tips and what raises them (samples,) are two
-    coordinates more of one product of matrices, and one offset after the other stays in the cache.
+    Fast, as the gripper waits for it: the tip and its random rise (samples,) are two more columns of
+    one matrix product, and offsets are computed one by one to fit into the cache.
     """
     weights = np.column_stack([shift, np.ones(len(shift)), raised_m])
     for tip_m, sensitivity in zip(expected.tip_m, expected.sensitivity, strict=True):
@@ -265,10 +265,10 @@ def _tips(expected: Forecast, shift: FloatArray, raised_m: FloatArray) -> Iterat
 
 @lru_cache(maxsize=8)
 def deviates(dimensions: int, samples: int) -> FloatArray:
-    """(samples, dimensions) standard normal deviates, one in every stratum, same every time.
+    """(samples, dimensions) standard normal deviates, one in every stratum, reproducible.
 
-    Means, spreads and correlations are made those of the distribution itself, for which more
-    samples than dimensions are needed: fewer than twice as many are raised to that number.
+    They are scaled to unit covariance, which needs more samples than dimensions: `samples` is
+    raised to twice the dimensions if it is less.
 
     source  McKay, Beckman & Conover 1979 (Latin hypercubes)
     """
@@ -280,7 +280,7 @@ def deviates(dimensions: int, samples: int) -> FloatArray:
     return np.asarray(np.linalg.solve(root, drawn).T)
 
 
-#: More frames are not worth their time if they would change the probability by less, in the mean.
+#: Least expected change of the probability for which further frames are waited for.
 SMALL_CHANGE = 0.01
 
 
@@ -293,7 +293,7 @@ def enough_frames(
 ) -> bool:
     """Whether an offset is chosen whose probability further frames would hardly change.
 
-    A cable that would be rejected is worth all the frames that there are.
+    False for a cable that would be rejected: all frames are then used.
 
     choice  of `expected`, forecast of `identified`
     """

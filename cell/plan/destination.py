@@ -1,4 +1,4 @@
-"""The destination area, and by how much a tip path passes it."""
+"""The destination area, and the margin by which a tip path passes it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cell.cable.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Destination:
-    """Rectangle of the cell's plane that the tip must pass: a hole open towards +x, m.
+    """Rectangle of the cell's plane that the tip must pass: an opening towards +x, m.
 
     The opening is the edge x = x_max, its floor and ceiling are y_min and y_max, and at
     x = x_min the tip is deep enough.  The tip *passes* when, from the first time it goes through

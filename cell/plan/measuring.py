@@ -37,7 +37,7 @@ class Measuring:
 
 
 def quintic(share: FloatArray) -> FloatArray:
-    """Share of the way at a share of the time, 0 … 1: a polynomial of fifth order, rest to rest."""
+    """Share of a distance at a share of the time, 0 … 1: fifth-order polynomial, rest to rest."""
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
 
 

@@ -62,7 +62,7 @@ def identification_path(
 ) -> Trajectory:
     """Down by `distance_m`, in `duration_s` or as long as the limits ask, then held for `hold_s`.
 
-    raises  ValueError: a distance, duration or rate that cannot be
+    raises  ValueError: an impossible distance, duration or rate
     """
     if not distance_m > 0.0:
         raise ValueError(f"identification distance is {distance_m} m: must be > 0")
@@ -84,7 +84,7 @@ def insertion_path(
 ) -> Trajectory:
     """Down by `offset_m`, then left by `advance_m`; at rest at both ends and at the corner.
 
-    delay_s  the gripper rests so long before, rounded to the arm's period
+    delay_s  rest of the gripper before the path, rounded to the arm's period
     raises   ValueError: a negative offset or delay, an advance ≤ 0, an impossible rate
     """
     if delay_s < 0.0:
@@ -98,7 +98,7 @@ def insertion_path(
 
 
 def retreat_path(start: Pose, end: Pose, limits: MotionLimits, rate_hz: float) -> Trajectory:
-    """First level, then up or down, then turning in place: back out of a hole before anything else.
+    """First level, then up or down, then turning in place: the tip leaves an opening first.
 
     raises  ValueError: the poses are the same, an impossible rate
     """

@@ -88,7 +88,7 @@ def new_pieces() -> FloatArray:
 
 @inline
 def at(pieces, u):  # type: ignore[no-untyped-def]
-    """Point (column, row) at u and derivative by u there; beyond the ends the end pieces go on."""
+    """Point (column, row) at u and its derivative by u; the end pieces are extrapolated."""
     place = u * INTERVALS
     piece = min(max(floor(place), 0), INTERVALS - 1)
     place -= piece

@@ -46,7 +46,7 @@ class Chain:
         out = np.empty(0)
         bad = integrate(
             b.state, b.width, self.n, self.base(steps), self.coefficients, b.nonlinear,
-            b.passes, b.effects, sample_times([out]), out, np.empty(0),
+            b.iterations, b.effects, sample_times([out]), out, np.empty(0),
         )  # fmt: skip
         assert bad == -1
 

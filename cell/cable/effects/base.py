@@ -25,8 +25,8 @@ class Parameter:
     default    value when none is given.  Of an amplitude it is the value that switches the effect
                off, so that a model with the effect there equals the model without
     starts     values worth starting a fit from, the most typical first
-    scan       more values at which the screen looks, the others at their first start, of a
-               parameter that a fit finds from near only, as a frequency
+    scan       further values for the screen, with the other parameters at their first start: of a
+               parameter whose fit converges from near only, such as a frequency
     amplitude  whether the effect is off at `default`
     fitted     False: a known constant of the set-up, left at its default unless given
     """
@@ -145,8 +145,8 @@ class Effect:
                                                        there; t (…) is the picture's time
     camera_points(cable, xy, p) -> xy                  where the camera sees points (…, 2)
 
-    wider  an effect of which this one is a special case, with a freer law: where that explains more
-           beside it, what is there is something else that the law only resembles
+    wider  a more general effect of which this one is a special case: if it explains more, this
+           effect's law is an approximation only
 
     `file` is set by `load_effect` on a user's own effect; the project's have none.
     """
@@ -175,13 +175,13 @@ class Effect:
 
     @classmethod
     def varies_along_cable(cls) -> bool:
-        """Whether its `inertia` is given the arc length."""
+        """Whether its `inertia` has the arc length as an argument."""
         hook = inspect.unwrap(cls.inertia) if cls.inertia is not None else None
         return hook is not None and hook.__code__.co_argcount == 3
 
     @classmethod
     def active(cls, **values: float) -> ActiveEffect:
-        """This effect with parameter values; those not given keep their default."""
+        """This effect with parameter values; the others have their default."""
         known = {p.name: p for p in cls.parameters}
         for name in values:
             if name not in known:

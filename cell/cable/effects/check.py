@@ -1,4 +1,4 @@
-"""Whether an effect may be used: its hooks are tried in plain Python on probe states.
+"""Checks of an effect: its hooks are called in plain Python on probe states.
 
 Plain Python, because its exceptions carry the user's own lines; then the hooks are compiled.
 """
@@ -54,7 +54,7 @@ _CABLE = CableData(0.016, 1e-4, 0.0074, 0.1)
 _ARCS_M = np.linspace(0.0, 0.1, 5)
 
 
-#: Told what is tried next, its line, and the seconds of computing that it may take.
+#: Callback with the next task, its line, and the seconds of computing that it may take.
 Doing = Callable[[str, int, float], None]
 
 #: States of a swing at which a hook is called once more.
@@ -62,7 +62,7 @@ STATES = 4000
 
 
 def check(effect: type[Effect], doing: Doing = lambda what, line, seconds: None) -> None:
-    """Refuse an effect whose form, results or physics is not what it says.
+    """Refuse an effect whose form, results or physics differ from its declaration.
 
     raises  EffectError with file and line
     """
@@ -361,10 +361,10 @@ def _cycle_work(effect: type[Effect], p: Any, amplitude: float) -> tuple[float, 
 
 
 def visit_many_states(effect: type[Effect]) -> None:
-    """Call the compiled hooks, in plain Python, at states as a cable meets them in a swing.
+    """Call the compiled hooks, in plain Python, at states of a swinging cable.
 
-    A loop without end may begin in few of them only.  What a hook raises there is said when the
-    effect is used.
+    An endless loop may occur in few of them only.  Other errors of a hook are ignored here and
+    reported when the effect is used.
     """
     rng = np.random.default_rng(1)
     values = list(_probe_values(effect))

@@ -24,14 +24,14 @@ from cell.cable.effects import pointer, templates
 from cell.cable.effects.base import ActiveEffect, CableData, Effect
 from cell.cable.geometry import Cable
 
-#: Newton passes of a step, at most: one is enough for smooth laws; where a law has a kink at a
-#: curvature rate of 0, a rate that changed its sign needs the tangent of the other side.
-_PASSES, _PASSES_WITH_KINK = 1, 3
+#: Most Newton iterations per step: one suffices for smooth laws; with a kink at a curvature rate of
+#: 0, a rate that changes its sign needs the tangent of the other side.
+_ITERATIONS, _ITERATIONS_WITH_KINK = 1, 3
 
 
 @dataclass(frozen=True)
 class Loops:
-    """Compiled loops of one effect, None where it has no such hook; and what keeps them alive."""
+    """Addresses of an effect's compiled loops, None without such a hook; `alive` holds the code."""
 
     force: int | None
     moment: int | None
@@ -43,14 +43,14 @@ _LOOPS: dict[type[Effect], Loops] = {}
 _on_disk = True
 
 
-def keep_nothing() -> None:
-    """From now on this process writes no loops to disk, and reads none."""
+def disable_disk_cache() -> None:
+    """From now on this process neither writes loops to disk nor reads them."""
     global _on_disk
     _on_disk = False
 
 
 def take_loops(effect: type[Effect], loops: Loops) -> None:
-    """Register the loops, given as numbers, of an effect whose code runs in another process."""
+    """Register the addresses of an effect's loops, whose code runs in another process."""
     _LOOPS[effect] = loops
 
 
@@ -89,7 +89,7 @@ def parameters(active: ActiveEffect) -> Any:
 
 
 class CompiledModel(Protocol):
-    """The part of a cable's model that its effects' hooks see."""
+    """The part of a cable's model that is passed to its effects' hooks."""
 
     @property
     def cable(self) -> Cable:
@@ -114,7 +114,7 @@ def cable_data(model: CompiledModel) -> CableData:
 class Hooks:
     """Compiled loops of the effects of a group of lanes, in the engine's form.
 
-    passes  Newton passes per step, at most
+    iterations  most Newton iterations per step
     """
 
     forces: NDArray[np.int64]
@@ -122,10 +122,10 @@ class Hooks:
     rows: NDArray[np.int64]
     memory_rows: NDArray[np.int64]
     memory_count: int
-    passes: int
+    iterations: int
 
     def arguments(self, models: Sequence[CompiledModel], segments: int, start_s: float) -> Any:
-        """`effects` of the compiled functions for up to LANES models with these in their steps."""
+        """Argument `effects` of the compiled functions for up to LANES models with these loops."""
         columns = [
             (*cable_data(m), *(v for a in in_steps(m.effects) for v in a.values)) for m in models
         ]
@@ -150,7 +150,7 @@ def in_steps(effects: Sequence[ActiveEffect]) -> list[ActiveEffect]:
 
 
 def hooks_of(effects: Sequence[ActiveEffect]) -> Hooks:
-    """Loops and rows of parameters and memory of those that every step calls, forces first."""
+    """Loops, parameter rows and memory rows of the effects of `in_steps`, forces first."""
     forces, force_rows, moments, moment_rows, memory_rows = [], [], [], [], []
     row, memory = 4, 0
     for active in in_steps(effects):
@@ -176,12 +176,12 @@ def hooks_of(effects: Sequence[ActiveEffect]) -> Hooks:
         array(force_rows + moment_rows),
         array(memory_rows),
         memory,
-        _PASSES_WITH_KINK if kinked else _PASSES,
+        _ITERATIONS_WITH_KINK if kinked else _ITERATIONS,
     )
 
 
 def _module(source: str, effect: type[Effect]) -> Any:
-    """Module made from `source`, in a file named after all that its machine code depends on."""
+    """Module of `source`, in a file whose name is a hash of all inputs of its machine code."""
     if not _on_disk:
         return _run(source.replace(", cache=True", ""), effect, Path(f"{effect.name}.py"))
     defined_in = getattr(sys.modules.get(effect.__module__), "__file__", None)

@@ -22,7 +22,7 @@ from cell.cable.effects.remote import is_confined, load_remote
 from cell.cable.effects.trial import COMPILING_S, try_effect
 from cell.computer.watched import PATIENCE_S, must_end
 
-#: A law fits on a page.
+#: Largest size of an effect's file.
 MAX_BYTES = 100_000
 
 _FAMILIES = (air, bending, grip, hand, camera)
@@ -45,8 +45,8 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
     The file is a program, and it is run: first in a process of its own, which is killed if it does
     not come to an end, then in this one.
 
-    trusted  the program wrote the file itself: it is not tried elsewhere first, and imports nothing
-             from its folder
+    trusted  the program wrote the file itself: no trial in another process first; it imports
+             nothing from its folder
     A file of a folder whose effects are confined is run in a sandbox only.
 
     raises   EffectError: with the file and line of the mistake; FileNotFoundError
@@ -65,7 +65,7 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
     with ExitStack() as step:
 
         def doing(what: str, line: int, seconds: float) -> None:
-            """The step before has ended; if this one does not, whoever watches says so."""
+            """End the previous task, and have the watchdog report this one if it does not end."""
             step.close()
             if seconds <= PATIENCE_S:
                 step.enter_context(must_end(f"{file}:{line}: {what}"))
@@ -95,7 +95,7 @@ def _lines(source: bytes) -> list[str]:
 
 
 def _tried(file: Path, doing: Doing) -> None:
-    """Everything that an effect's code is run for: checks, compiling, the states of a swing."""
+    """Run all of an effect's code: checks, compiling, the states of a swing."""
     _visit(_loaded(file, file.read_bytes(), doing), doing)
 
 
@@ -107,9 +107,9 @@ def _visit(effect: type[Effect], doing: Doing) -> None:
 
 
 class _FromSource(SourceFileLoader):
-    """Compiles the source that it is given, and leaves nothing on disk.
+    """Loader that compiles a source, without bytecode on disk.
 
-    Python's own loader trusts code on disk of the same size and second.
+    Python's own loader trusts bytecode with the same size and time stamp, to a second.
     """
 
     def __init__(self, name: str, path: str, source: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Errors in a user's own effect: tells which hook runs, and reports file and line if it raises."""
+"""Errors in a user's own effect: a watchdog knows the running hook; errors have file and line."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def run_engine(function: Any, own: tuple[type[Effect], ...], *args: Any) -> Any:
         return function(*args)
     if any(is_remote(e) for e in own):
         return run_remote(function.__name__, own, *args)
-    if not function.signatures:  # compiling takes as long as it takes
+    if not function.signatures:  # compiled outside the time limit
         function.compile(tuple(typeof(a) for a in args))  # type: ignore[no-untyped-call]
     with _at_work(own, "a compiled hook"):
         return function(*args)
@@ -66,7 +66,7 @@ def _watched(effect: type[Effect], hook: str, function: Callable[..., Any]) -> C
 
 @contextmanager
 def _at_work(own: tuple[type[Effect], ...], hook: str) -> Iterator[None]:
-    """While hooks of a user's effects run; what they raise is an EffectError with its line."""
+    """Context of a user's hooks: watched, and with errors raised as EffectError with their line."""
     effect = own[0]
     assert effect.file is not None
     path = effect.file.path

@@ -21,11 +21,11 @@ from cell.computer.confinement import UnconfinedError
 from cell.computer.sandbox import Nursery, Sandbox, SandboxEndedError, SandboxStuckError
 from cell.computer.watched import PATIENCE_S, no_end
 
-#: A folder with such a file has effects that nobody has read, whoever names them.
+#: A folder with a file of this name has effects that nobody has read.
 MARK = ".confined"
-#: Time that loading and compiling a law may take, s.
+#: Time limit of loading and compiling a law, s.
 LOADING_S = 120.0
-#: A fork of this process, and this one, have so many sandboxes at a time, the newest.
+#: Most sandboxes of a process; the oldest is ended first.
 _MOST = 8
 _LONGEST_NAME, _LONGEST_TEXT = 60, 2000
 _NONSENSE = "answers neither numbers nor a mistake: mend that"
@@ -33,7 +33,7 @@ _ENGINE_ARRAYS = {"balance": (0,), "integrate": (0, 9, 10)}
 
 #: Folders and files whose effects are confined in this process, apart from marked folders.
 _confined: set[Path] = set()
-#: Sources of the effects that were loaded, as they were then.
+#: Sources of the loaded effects, as of their loading.
 _sources: dict[type[Effect], bytes] = {}
 _tokens = itertools.count(-2, -1)
 _nursery: Nursery | None = None
@@ -75,7 +75,7 @@ def load_remote(file: Path, source: bytes) -> type[Effect]:
 
 
 def run_remote(name: str, own: Sequence[type[Effect]], *args: Any) -> Any:
-    """Result of a function of the engine with such effects; arrays are written to as it does."""
+    """Result of an engine function with remote effects; it writes to the same arrays."""
     at = next(i for i, a in enumerate(args) if isinstance(a, tuple))
     forces, moments, *others = args[at]
     names = [symbol_of(int(a)) for a in forces], [symbol_of(int(a)) for a in moments]
@@ -98,7 +98,7 @@ def _request(
     what: str,
     more: Callable[[Any], tuple[bool, Any]] = lambda answer: (True, None),
 ) -> dict[str, Any]:
-    """A sandbox's answer.  Raises EffectError: what a hook raised, or what became of it."""
+    """A sandbox's answer.  Raises EffectError: a hook's error, or the end of the sandbox."""
     try:
         answer = _sandbox(tuple(dict.fromkeys(own))).request(request, PATIENCE_S, more)
     except SandboxStuckError as error:
@@ -129,7 +129,7 @@ def _error(effect: type[Effect], cause: str) -> EffectError:
 
 
 def _sandbox(own: tuple[type[Effect], ...]) -> Sandbox:
-    """A sandbox with these effects, of this process: a fork does not share its parent's."""
+    """This process's sandbox with these effects; a fork does not use its parent's."""
     global _of_process
     with _making:
         if _of_process != os.getpid():
@@ -260,7 +260,7 @@ def _class_of(file: Path, source: bytes, data: dict[str, Any]) -> type[Effect]:
 
 #: Hooks that compiled code calls.
 _COMPILED = ("force", "moment", "memory_rate", "memory_at_rest")
-#: What the others return: so many numbers, 0 = an array.
+#: Number of values that the other hooks return; 0 = an array.
 _RESULTS = {
     **{"inertia": 2, "tip_mass": 1, "point_mass": 2, "rest_curvature": 0, "grip_compliance": 2},
     **{"extra_length": 1, "clamp": 3, "camera_time": 0, "camera_points": 0},

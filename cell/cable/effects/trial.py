@@ -1,7 +1,7 @@
-"""A user's own effect is first tried in a process of its own, which can be killed.
+"""Trial of a user's own effect in a process of its own, which can be killed.
 
-A loop without end in compiled code hears neither Ctrl-C nor a clock of Python; and what ends the
-process, or takes all memory, ends only that one.
+An endless loop in compiled code reacts neither to Ctrl-C nor to a Python timer; a crash, or lack of
+memory, ends only that process.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from types import ModuleType
 from cell.cable.effects.base import EffectError
 from cell.computer.watched import PATIENCE_S, POLL_S, GrantedTime, RunningCall, no_end
 
-#: Time that compiling the hooks may take, s; and the process's own beginning.
+#: Time limit of compiling the hooks, s, and of the process's start.
 COMPILING_S = 120.0
 #: Memory that it may take, bytes; numba's libraries are mapped into most of it.
 MEMORY_BYTES = 6 * 1024**3
@@ -29,9 +29,9 @@ MEMORY_BYTES = 6 * 1024**3
 def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, float], None]], None]) -> None:
     """Run `load(file, doing)` elsewhere; it calls `doing(next task, line, seconds allowed)`.
 
-    Time in which others have the cores counts as in `cell.computer.watched`.
+    Time limits allow for other load on the cores as in `cell.computer.watched`.
 
-    raises  EffectError: that of `load`, or what ended the process, with what was done then
+    raises  EffectError: that of `load`, or the cause of the process's end and its last task
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["cell.cable.effects.library"])
@@ -65,9 +65,9 @@ def try_effect(file: Path, load: Callable[[Path, Callable[[str, int, float], Non
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Whatever is started during it does not run the caller's script once more.
+    """Context in which a started process does not run the caller's script again.
 
-    Python's own starter would, for pickles of its names; none is sent here.
+    multiprocessing would, to unpickle its names; none are sent here.
     """
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -78,9 +78,9 @@ def _without_main() -> Iterator[None]:
 
 
 def limit_memory() -> None:
-    """Let this process take so much memory at most, or less where less is allowed already.
+    """Limit the memory of this process to `MEMORY_BYTES`, or to its lower hard limit.
 
-    The hard limit stays: nobody but root may raise one.
+    The hard limit is not changed: only root may raise it again.
     """
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     most = MEMORY_BYTES if hard == resource.RLIM_INFINITY else min(MEMORY_BYTES, hard)
@@ -90,12 +90,12 @@ def limit_memory() -> None:
 def _try(
     file: Path, load: Callable[[Path, Callable[[str, int, float], None]], None], to: Connection
 ) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who listens ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process
     limit_memory()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     def doing(what: str, line: int, seconds: float) -> None:
-        """Tell it; who listens ends this process when the seconds are over."""
+        """Report the next task; the parent ends this process after these seconds."""
         to.send(("doing", what, line, seconds))
 
     try:

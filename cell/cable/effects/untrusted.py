@@ -29,7 +29,7 @@ _BUILTINS = {
     *("round", "set", "sorted", "staticmethod", "sum", "tuple", "zip"),
     *("ArithmeticError", "ValueError", "ZeroDivisionError", "OverflowError"),
 }
-#: What `site` adds to them: `license` prints any file.
+#: Names that `site` adds to them: `license` prints any file.
 _SITE = {"copyright", "credits", "exit", "help", "license", "quit"}
 #: Methods and fields of arrays and lists that only compute.
 _OF_ARRAYS = {
@@ -37,9 +37,9 @@ _OF_ARRAYS = {
     *("max", "mean", "min", "ndim", "ravel", "real", "reshape", "shape", "size", "sum"),
     *("transpose",),
 }
-#: What has methods that do more: print globals, read memory, write files.
+#: Types with methods that do more: print globals, read memory, write files.
 _OBJECTS = (np.ndarray, str, bytes, list, dict, tuple, type, type(lambda: 0), GeneratorType)
-#: Syntax that a law needs; other is refused.
+#: Syntax that a law needs; all other is refused.
 _SYNTAX = (
     *(ast.Module, ast.ClassDef, ast.FunctionDef, ast.Lambda, ast.Return, ast.arguments, ast.arg),
     *(ast.Assign, ast.AnnAssign, ast.AugAssign, ast.NamedExpr, ast.For, ast.While, ast.If),
@@ -54,13 +54,13 @@ _REMEDY = "read the file, and give it as --try if you trust it"
 
 
 def check_untrusted(path: Path) -> None:
-    """Refuse a file that could do more than compute: a help to who writes a law, not a protection.
+    """Refuse a file that could do more than compute: help for a law's author, not a protection.
 
     It may import `math`, parts of numpy and what an effect is made of, use names of Python and
-    methods of arrays that only compute, and must give what it imports one name that nothing else
-    has.  What protects is the sandbox in which the file runs.
+    methods of arrays that only compute; an imported name must have no second meaning.  Protection
+    is by the sandbox in which the file runs.
 
-    raises  EffectError: with the line, what is not allowed, and what to do
+    raises  EffectError: with the line, the forbidden construct, and the remedy
     """
     try:
         tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -86,7 +86,7 @@ def check_untrusted(path: Path) -> None:
 
 
 def _bound(node: ast.AST) -> list[str]:
-    """Names to which a node gives a meaning."""
+    """Names that a node binds."""
     if isinstance(node, ast.Import | ast.ImportFrom):
         return [a.asname or a.name for a in node.names]
     if isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Load):
@@ -154,10 +154,10 @@ def _is_of_python(name: str) -> bool:
 
 
 def _identifiers(node: ast.AST) -> Iterator[str]:
-    """Names that a node reads or gives, wherever they stand in it.
+    """All names in a node.
 
-    A name of Python's own is as good as an attribute: numpy asks an object with a method of such a
-    name where its numbers are in memory.
+    A special name of Python is as dangerous as an attribute: numpy asks an object with a method of
+    such a name for the address of its numbers.
     """
     if isinstance(node, ast.Constant):
         return
