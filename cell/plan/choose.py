@@ -251,8 +251,8 @@ def missed_height_m(identified: Identified, options: ChoiceOptions) -> float:
 def _tips(expected: Forecast, shift: FloatArray, raised_m: FloatArray) -> Iterator[FloatArray]:
     """Per offset (samples, T, 2) tip paths for shifts (samples, p) of the coordinates, m.
 
-    Fast, as the gripper waits for it: the tip and its random rise (samples,) are two more columns of
-    one matrix product, and offsets are computed one by one to fit into the cache.
+    Fast, as the gripper waits for it: tip and random rise (samples,) are two more columns of one
+    matrix product, and offsets are computed one by one to fit into the cache.
     """
     weights = np.column_stack([shift, np.ones(len(shift)), raised_m])
     for tip_m, sensitivity in zip(expected.tip_m, expected.sensitivity, strict=True):
