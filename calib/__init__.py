@@ -1,1 +1,1 @@
-"""How pixels, robot and clocks map to the cell's plane."""
+"""Calibrations: pixels ↔ metres in the cell's plane, robot poses, and clocks."""

@@ -1,4 +1,4 @@
-"""Where pixels lie in the cell's plane: one joint fit of lens, camera, robot, jaw and gravity.
+"""Map from pixels to the cell's plane: a joint fit of lens, camera, robot, jaw and gravity.
 
 Frames are those of `calib.jaw_marks`; P is the cell's plane.
 """

@@ -1,4 +1,4 @@
-"""How the jaws hold a cable: gripping point, clamp angle and free length, from its shape at rest.
+"""Grip of a cable: gripping point, clamp angle and free length, from its shape at rest.
 
 Near the jaw a cable is bent most, so that its chord is not its direction there.  At rest its
 curvature is rest curvature + moment of its weight beyond / rigidity.  The moment, up to a factor,
@@ -46,7 +46,7 @@ class GripView:
 
 @dataclass(frozen=True, eq=False)
 class GripFit:
-    """How a cable is held, in the frame of the jaw's marks: x away from the cable, y up.
+    """Grip of a cable, in the frame of the jaw's marks: x away from the cable, y up.
 
     mean        (4,) gripping point x and y, m; clamp angle, positive = pointing down relative to
                 the marks, rad; free length, m

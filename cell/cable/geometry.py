@@ -105,7 +105,7 @@ class Cable:
         return Cable(**entries, connector=None if connector is None else Connector(**connector))
 
     def implausible(self) -> str | None:
-        """Why these numbers together cannot be a cable's, mostly a mistaken unit; None if they can.
+        """Message that these numbers cannot be a cable's, mostly a mistaken unit; None if they can.
 
         The message is about `line_density_kg_per_m`, whose unit is the most easily mistaken.
         """

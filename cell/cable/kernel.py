@@ -197,7 +197,7 @@ def solve(
             uy = R[w + UY * LANES]
             along = ux * tx + uy * ty
             across = ux * nx + uy * ny
-            # what hangs on the far end, moved to the near end
+            # inertia and bias at the far end, moved to the near end
             ixx = T[w]
             ixy = T[w + LANES]
             iyy = T[w + 2 * LANES]

@@ -1,4 +1,4 @@
-"""Where the compiled code keeps the state of a block of lanes: field numbers of one flat array.
+"""Memory layout of a block of lanes in the compiled code: field numbers of one flat array.
 
 A block holds up to `LANES` cables ("lanes") side by side.  Field `f` of body `i` of lane `w` is
 `state[(i * FIELDS + f) * LANES + w]`.  One flat array with constant strides and lanes innermost

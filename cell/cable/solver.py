@@ -1,4 +1,4 @@
-"""How a simulation is computed: mesh, step, threads, and what happens when it diverges."""
+"""Settings of a simulation: mesh, step, damping and threads; its errors; the integrator."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from cell.cable.assembly import DEFAULT_SEGMENTS
 
 @dataclass(frozen=True)
 class Solver:
-    """Mesh and step of a simulation, and how much of the computer it may take.
+    """Mesh and step of a simulation, and its largest number of threads.
 
     segments  4 … 10000
     step_s    the grid of steps is shared by all lanes of a batch
     damping   ρ∞ of generalised-α, 0 … 1: amplitude of an infinitely fast mode after one step
-    threads   at most so many at a time; None = as many as this process may use cores
+    threads   most threads; None = number of cores that this process may use
     """
 
     segments: int = DEFAULT_SEGMENTS

@@ -46,7 +46,7 @@ def balance(S: FloatArray, lanes: int, n: int, B: FloatArray, nonlinear: bool, e
 
     Newton's method in absolute angles: bending couples neighbours, dead weight only adds to the
     diagonal, so the Hessian is tridiagonal.  Effects' forces follow without a tangent.
-    returns −1, or the first lane that did not settle
+    returns −1, or a lane that did not converge
     """
     forces, moments, params, rows, memory, memory_rows, start = effects
     size = n + 1
@@ -58,7 +58,7 @@ def balance(S: FloatArray, lanes: int, n: int, B: FloatArray, nonlinear: bool, e
         for w in range(lanes):
             S[i * BODY + BEND_C * LANES + w] = S[i * BODY + BEND * LANES + w]
             S[i * BODY + RATE_C * LANES + w] = 0.0
-    settled = False
+    converged = False
     worst = 0
     for _ in range(_ITERATIONS):
         kinematics(S, lanes, n, B, 0, False)
@@ -102,7 +102,7 @@ def balance(S: FloatArray, lanes: int, n: int, B: FloatArray, nonlinear: bool, e
                 turn[i * LANES + w] = hold
                 ahead[w] += fx + weight * gx
                 ahead[LANES + w] += fy + weight * gy
-        settled = True
+        converged = True
         for w in range(lanes):
             sound = _tridiagonal(S, w, n, diagonal, residual, turn, False)
             if not sound:
@@ -117,14 +117,14 @@ def balance(S: FloatArray, lanes: int, n: int, B: FloatArray, nonlinear: bool, e
                 S[i * BODY + BEND_C * LANES + w] -= after - before
                 before = after
             if not largest < _TOLERANCE:
-                settled = False
+                converged = False
                 worst = w
-        if settled:
+        if converged:
             break
     for i in range(size):
         for w in range(lanes):
             S[i * BODY + BEND * LANES + w] = S[i * BODY + BEND_C * LANES + w]
-    return -1 if settled else worst
+    return -1 if converged else worst
 
 
 @inline

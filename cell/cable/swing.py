@@ -245,9 +245,9 @@ def _integrate(
     """
     solver, n = grid.solver, block.segments
     bends = at.vectors(max(map(len, times_s)), n + 1)
-    begun = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND]
+    bend = block.state.reshape(n + 1, at.FIELDS, at.LANES)[:, at.BEND]
     for k, t in enumerate(times_s):
-        bends[: int(np.searchsorted(t, grid.begin_s, "right")), :, k] = begun[:, k]
+        bends[: int(np.searchsorted(t, grid.begin_s, "right")), :, k] = bend[:, k]
     bad = run_engine(
         integrate,
         block.own,
@@ -264,9 +264,9 @@ def _integrate(
         wrench.ravel(),
     )
     if bad >= 0:
-        final = begun[:, : len(block.lanes)]
+        final = bend[:, : len(block.lanes)]
         broken = ~np.all(np.abs(final) < np.pi, axis=0)
-        lanes = [lane for lane, gone in zip(block.lanes, broken, strict=True) if gone]
+        lanes = [lane for lane, diverged in zip(block.lanes, broken, strict=True) if diverged]
         time_s = grid.begin_s + (bad + 1) * solver.step_s
         raise DivergedError(lanes or block.lanes, time_s, solver.step_s)
     return bends

@@ -22,7 +22,7 @@ FEWEST_ROWS = 2
 
 @dataclass(frozen=True)
 class Tool:
-    """What the sensor carries besides the cable: jaws, gripper.
+    """The sensor's load in addition to the cable: jaws, gripper.
 
     centre_m       x, y of its centre of mass from the gripping point while the clamp angle is 0
     inertia_kg_m2  about that centre

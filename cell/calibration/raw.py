@@ -105,7 +105,7 @@ def save_cell(folder: Path, shown: ShownCell) -> None:
 
 
 def read_cell(folder: Path) -> ShownCell:
-    """What `save_cell` wrote.  Raises InputError."""
+    """The poses and pictures that `save_cell` wrote.  Raises InputError."""
     poses = []
     table = folder / _POSES
     for line, row in _rows(table, _POSE_COLUMNS):
@@ -140,7 +140,7 @@ def save_move(folder: Path, move: DetectedMove) -> None:
 
 
 def read_move(folder: Path) -> DetectedMove:
-    """What `save_move` wrote.  Raises InputError."""
+    """The motion that `save_move` wrote.  Raises InputError."""
     path, log, frames = (
         np.array([numbers(folder / name, line, row) for line, row in _rows(folder / name, header)])
         for name, header, numbers in (

@@ -138,7 +138,7 @@ def minimise(
     """
     here = _start(problem, np.clip(start, problem.low, problem.high), jacobian)
     largest, stuck_at = problem.step, here.objective
-    damping, growth, iterations, converged, idle, stuck, settled = 0.0, 2.0, 1, False, 0, 0, False
+    damping, growth, iterations, converged, idle, stuck, stalled = 0.0, 2.0, 1, False, 0, 0, False
     while True:
         normal = here.jacobian.T @ here.jacobian + problem.precision
         slope = here.jacobian.T @ here.residual + problem.precision @ (here.q - problem.mean)
@@ -154,11 +154,11 @@ def minimise(
         near = float(step @ normal @ step) <= options.tolerance**2 * scale
         if stuck_at - here.objective > options.tolerance * scale:
             stuck, stuck_at = 0, here.objective
-        settled = stuck >= (_STUCK_ITERATIONS if promised <= scale else _ROUGH_ITERATIONS)
+        stalled = stuck >= (_STUCK_ITERATIONS if promised <= scale else _ROUGH_ITERATIONS)
         if iterations >= options.above[1] and here.objective > options.above[0]:
             break
         last = iterations >= options.max_iterations or not problem.affordable()
-        if near or settled or last or (idle == 2 and scale > _MODEL_ERROR_RATIO):
+        if near or stalled or last or (idle == 2 and scale > _MODEL_ERROR_RATIO):
             computed = _with_computed_jacobian(problem, here)
             if computed is not here:
                 here = computed
@@ -197,7 +197,7 @@ def minimise(
     remaining = (np.zeros_like(full_step), 0.0) if converged else (full_step, promised)
     at_minimum = here.q, here.residual, here.jacobian, _covariance(normal, free), free
     ended = _objective(problem, here.q, here.residual), iterations, converged
-    return Solution(*at_minimum, *ended, *remaining, converged or settled)
+    return Solution(*at_minimum, *ended, *remaining, converged or stalled)
 
 
 @dataclass(frozen=True, eq=False)

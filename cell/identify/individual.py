@@ -22,7 +22,7 @@ from cell.study.data import Markers, Trial
 
 
 class Reason(StrEnum):
-    """Why a cable cannot be identified."""
+    """Reasons for the rejection of a cable."""
 
     UNSEEN_FRAMES = "unseen_frames"
     LITTLE_SWING = "little_swing"

@@ -1,4 +1,4 @@
-"""What all cables of a kind share: effects added to the baseline, and a prior of parameters."""
+"""Common model of a kind of cables: effects added to the baseline, and a prior of parameters."""
 
 from __future__ import annotations
 

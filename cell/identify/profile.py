@@ -28,7 +28,7 @@ FARTHER = 3.0
 NEAR = 0.05
 MOST_BETWEEN = 6
 TARGET = float(normal_quantile(0.5 + 0.5 * CONFIDENCE))
-#: A fit this much better than the one begun with, in standard deviations, is another minimum.
+#: A fit better than the initial one by this, in standard deviations, is another minimum.
 BETTER = 0.1
 
 

@@ -1,4 +1,4 @@
-"""How this package's functions are compiled, and when compiled code on disk is out of date."""
+"""Compiler of this package's functions; its code on disk is valid for the same sources only."""
 
 from __future__ import annotations
 

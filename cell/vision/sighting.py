@@ -13,7 +13,7 @@ from cell.cable.arrays import FloatArray
 
 
 class Unseen(StrEnum):
-    """Why a picture gives no nodes."""
+    """Reasons for a picture without nodes."""
 
     NO_JAW = "no_jaw"  # fewer than three marks agree on a place
     NO_CABLE = "no_cable"  # nothing like a cable leaves the gripping point

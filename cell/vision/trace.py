@@ -208,17 +208,17 @@ def _tip(picture, fit, memory):  # type: ignore[no-untyped-def]
     full = max(median(scratch, inner), 1e-6)
     for n in range(count):
         scratch[_SHARE, n] /= full
-    gone, faded = -1, 0
+    first_faded, faded = -1, 0
     for n in range(count):
         before, after = scratch[_SHARE, max(n - 1, 0)], scratch[_SHARE, min(n + 1, count - 1)]
         faded = faded + 1 if (before + scratch[_SHARE, n] + after) / 3.0 < 0.5 else 0
         if faded >= 3 and scratch[_ALONG, n - 2] > -40.0:
-            gone = n - 2
+            first_faded = n - 2
             break
-    if gone < 0:
+    if first_faded < 0:
         complete = count == _TIP_TO_PX - _TIP_FROM_PX
         return 1.0 + scratch[_ALONG, count - 1] / speed if complete else np.nan
-    return 1.0 + _half(scratch, count, scratch[_ALONG, gone], fit.width_px / 1.2) / speed
+    return 1.0 + _half(scratch, count, scratch[_ALONG, first_faded], fit.width_px / 1.2) / speed
 
 
 @inline

@@ -1,4 +1,4 @@
-"""What an effect is: named, bounded parameters with units, and the hooks that it needs."""
+"""Base of an effect: named, bounded parameters with units, and the hooks that it needs."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Place(NamedTuple):
 
     Still air and the cell's plane: x right, y up.  The tangent (tx, ty) points away from the
     grip; the normal is (−ty, tx); `spin` = dθ/dt.  `time`, s, is 0 at the trial's first frame; an
-    execution goes on with the time of the hold before it.
+    execution continues the time of the hold before it.
     """
 
     x: float

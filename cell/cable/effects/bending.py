@@ -1,4 +1,4 @@
-"""What bending does beyond EI(s), N and viscosity."""
+"""Effects of bending beyond EI(s), N and viscosity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The camera that does not quite show what is there."""
+"""Errors of the camera: latency, scale, roll and rolling shutter."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class CameraLatency(Effect):
 
     @staticmethod
     def camera_time(cable: CableData, t: FloatArray, xy: FloatArray, p: Any) -> FloatArray:
-        """When the points were there, s."""
+        """Times of the points' positions in the picture, s."""
         return np.asarray(t - p.delay_s)
 
 
@@ -36,7 +36,7 @@ class CameraScale(Effect):
 
     @staticmethod
     def camera_points(cable: CableData, xy: FloatArray, p: Any) -> FloatArray:
-        """Points as seen, m."""
+        """Points in the picture, m."""
         centre = np.array([p.centre_x_m, p.centre_y_m])
         return np.asarray(centre + p.factor * (xy - centre))
 
@@ -49,7 +49,7 @@ class CameraRoll(Effect):
 
     @staticmethod
     def camera_points(cable: CableData, xy: FloatArray, p: Any) -> FloatArray:
-        """Points as seen, m."""
+        """Points in the picture, m."""
         c, s = np.cos(p.angle_rad), np.sin(p.angle_rad)
         x, y = xy[..., 0] - p.centre_x_m, xy[..., 1] - p.centre_y_m
         return np.stack([p.centre_x_m + c * x - s * y, p.centre_y_m + s * x + c * y], axis=-1)
@@ -63,5 +63,5 @@ class RollingShutter(Effect):
 
     @staticmethod
     def camera_time(cable: CableData, t: FloatArray, xy: FloatArray, p: Any) -> FloatArray:
-        """When the points were there, s."""
+        """Times of the points' positions in the picture, s."""
         return np.asarray(t + p.s_per_m * (p.centre_y_m - xy[..., 1]))

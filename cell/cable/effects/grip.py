@@ -1,4 +1,4 @@
-"""How the cable is held, and what hangs on it."""
+"""Effects of the grip, and masses on the cable."""
 
 from __future__ import annotations
 

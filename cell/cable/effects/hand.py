@@ -1,4 +1,4 @@
-"""The gripper that is not quite where the robot says."""
+"""Errors of the gripper's logged pose: lag and ringing."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class LensPerspective(Effect):
 
     @staticmethod
     def camera_points(cable: CableData, xy: FloatArray, p: Any) -> FloatArray:
-        """Points as seen, m."""
+        """Points in the picture, m."""
         x, y = xy[..., 0] - p.centre_x_m, xy[..., 1] - p.centre_y_m
         across, up = x * np.cos(p.turn_rad), y * np.cos(p.nod_rad)
         up = up - x * np.sin(p.turn_rad) * np.sin(p.nod_rad)

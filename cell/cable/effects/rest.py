@@ -1,4 +1,4 @@
-"""What shape a cable free of load has, whatever it is."""
+"""Shape of a cable free of load: any rest curvature."""
 
 from __future__ import annotations
 

@@ -162,6 +162,6 @@ def _identifiers(node: ast.AST) -> Iterator[str]:
     if isinstance(node, ast.Constant):
         return
     for field, value in ast.iter_fields(node):
-        if field != "module":  # of an import: it is looked at there
+        if field != "module":  # of an import: checked in `_imported`
             values = value if isinstance(value, list) else [value]
             yield from (v for v in values if isinstance(v, str))

@@ -107,9 +107,9 @@ def test_errors_are_told_beside_the_likeliest_shift(trial):
     error_m = noise.std_m * rng.normal(size=slopes.shape)
     predicted_m = trial.markers.xy_m - error_m - 1.3 * STD_M * slopes
     free = whitener(trial, noise, STD_M)
-    beside_m = free.beside_m(predicted_m)
-    assert np.sqrt(np.mean(beside_m**2)) == pytest.approx(noise.std_m, rel=0.1)
-    assert free.error_m(free(predicted_m[None])[0]) == pytest.approx(beside_m, abs=1e-12)
+    residual_m = free.residual_m(predicted_m)
+    assert np.sqrt(np.mean(residual_m**2)) == pytest.approx(noise.std_m, rel=0.1)
+    assert free.error_m(free(predicted_m[None])[0]) == pytest.approx(residual_m, abs=1e-12)
 
 
 DRIFT = HandDrift(0.1, 0.35, (1e-2, 1e-2))
