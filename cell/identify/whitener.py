@@ -14,7 +14,7 @@ from cell.cable.arrays import FloatArray
 from cell.identify.innovations import coloured, innovations, whiten, whiten_constant
 from cell.identify.noise import Noise, across
 
-#: Smallest period of a smooth residual, frames; number of its polynomials along the cable.
+#: Shortest half period of a smooth residual, frames; number of polynomials along the cable.
 SLOW_FRAMES, ALONG = 8, 3
 
 #: Rows of the moving mean that estimates a sensor's signal.

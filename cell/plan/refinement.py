@@ -185,5 +185,5 @@ def _tips(
     space = identified.space
     tip_at_m = np.array([space.cable.length_m])
     models = [space.model(identified.mean)]
-    nodes_m = simulate_branches(models, motions, begin_s, at_s, tip_at_m, solver=coarsened(solver))
-    return np.ascontiguousarray(nodes_m[:, 0, :, 0])
+    tips_m = simulate_branches(models, motions, begin_s, at_s, tip_at_m, solver=coarsened(solver))
+    return np.ascontiguousarray(tips_m[:, 0, :, 0])

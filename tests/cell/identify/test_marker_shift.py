@@ -142,9 +142,9 @@ def test_errors_are_told_beside_the_likeliest_drift(trial):
     assert np.abs(drift_m).max() > 5.0 * noise.std_m
     error_m = noise.std_m * rng.normal(size=drift_m.shape)
     predicted_m = trial.markers.xy_m - error_m - drift_m
-    beside_m = free.beside_m(predicted_m)
-    assert np.sqrt(np.mean(beside_m**2)) == pytest.approx(noise.std_m, rel=0.1)
-    assert free.error_m(free(predicted_m[None])[0]) == pytest.approx(beside_m, abs=1e-12)
+    residual_m = free.residual_m(predicted_m)
+    assert np.sqrt(np.mean(residual_m**2)) == pytest.approx(noise.std_m, rel=0.1)
+    assert free.error_m(free(predicted_m[None])[0]) == pytest.approx(residual_m, abs=1e-12)
 
 
 def test_a_turn_about_an_axle_carries_all_markers(trial):
