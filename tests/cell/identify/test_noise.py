@@ -170,7 +170,7 @@ def test_tare_and_gain_of_a_sensor_are_no_error():
     white = whitener(clean[None])[0]
     assert whitener.count == 2 * 300 + 3 * 200 - 3
     assert white @ white / whitener.count == pytest.approx(1.0, abs=0.1)
-    error = whitener.beside_m(clean)
+    error = whitener.residual_m(clean)
     np.testing.assert_allclose(whitener.error_m(white)[:, 1:], error[:, 1:])
     assert np.nanstd(error[:, 1:]) == pytest.approx(1e-4, rel=0.15)
     assert abs(np.nanmean(error[:, 1:])) < 3e-5
