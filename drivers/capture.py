@@ -25,7 +25,7 @@ from drivers.interfaces import (
 )
 from drivers.priority import raise_thread
 from drivers.recording import SLOW_REMEDY, ArrivedShot, CaptureOptions, FrameSequence, Shot
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 _LOG = logging.getLogger(__name__)
 
@@ -178,7 +178,7 @@ class _Stream:
 
     def _died(self, error: BaseException) -> None:
         """What a camera library raised, of which nobody hears in this thread, as a cause."""
-        self._fail(DeviceLostError(self._device, said(error), _LOST_REMEDY))
+        self._fail(DeviceLostError(self._device, error_text(error), _LOST_REMEDY))
 
     def _wanted(self) -> bool:
         recording = self._recording

@@ -15,7 +15,7 @@ class GuardedThread(threading.Thread):
     """A daemon thread that does not die silently.
 
     Python prints an uncaught exception of a thread, and the program goes on without its work.
-    Whoever starts a thread therefore says what follows: a stop, or a named degradation.
+    The starter of a thread therefore states the consequence: a stop, or a named degradation.
 
     name      of the thread, for the log
     work      what it does
@@ -37,11 +37,13 @@ class GuardedThread(threading.Thread):
             try:
                 self._on_death(error)
             finally:
-                _LOG.error("the thread %s has ended: %s", self.name, said(error), exc_info=error)
+                _LOG.error(
+                    "the thread %s has ended: %s", self.name, error_text(error), exc_info=error
+                )
 
 
-def said(error: BaseException) -> str:
-    """Text of an exception: its type and its message."""
+def error_text(error: BaseException) -> str:
+    """Type and message of an exception."""
     return f"{type(error).__name__}: {error}"
 
 
@@ -50,8 +52,8 @@ def only_logged(error: BaseException) -> None:
 
 
 def end_process(error: BaseException) -> None:
-    """Handler for a thread that its process needs: say the exception, and end the process."""
-    _LOG.error("%s", said(error), exc_info=error)
+    """Handler for a thread that its process needs: log the exception and end the process."""
+    _LOG.error("%s", error_text(error), exc_info=error)
     with contextlib.suppress(OSError):  # where nothing is logged, the process does not end silently
-        os.write(2, f"this process ends: {said(error)}\n".encode())
+        os.write(2, f"this process ends: {error_text(error)}\n".encode())
     os._exit(1)

@@ -7,7 +7,7 @@ import threading
 import time
 
 from drivers.rtde_wire import DASHBOARD_PORT
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 _EVERY_S = 0.5
 
@@ -85,4 +85,4 @@ class RemoteControl:
             self.request()
 
     def _died(self, error: BaseException) -> None:
-        self.unknown = f"the dashboard does not tell who has control: {said(error)}"
+        self.unknown = f"the dashboard does not tell who has control: {error_text(error)}"

@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterator
 
 from drivers.rtde_client import RtdeClient, RtdeError
 from drivers.rtde_wire import Recipe
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 #: Group of digital inputs or outputs → number of its first, number of its last.
 GROUPS = {"standard": (0, 7), "configurable": (8, 15), "tool": (16, 17)}
@@ -81,7 +81,7 @@ class UrIo:
                 self._over.wait(_AGAIN_S)
 
     def _died(self, error: BaseException) -> None:
-        self._lost(f"{self._host}: {said(error)}; the handshake must be started again")
+        self._lost(f"{self._host}: {error_text(error)}; the handshake must be started again")
 
     def _serve(self, client: RtdeClient) -> None:
         """Hear and set, until it is over and the last is set.  Raises OSError."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from cell.cli.streams import is_in_foreground
 from cell.run.machine import MachineEvent
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 #: Keys of a run: what each does, and the hint that is shown then.
 MAY_HOLD = "h: hold"
@@ -88,4 +88,4 @@ class Keyboard:
 
 
 def _unread(error: BaseException) -> None:
-    print(f"keys are read no more: {said(error)}; Ctrl-C still stops", file=sys.stderr)
+    print(f"keys are read no more: {error_text(error)}; Ctrl-C still stops", file=sys.stderr)

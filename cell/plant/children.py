@@ -18,7 +18,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from cell.computer.forks import end_with_parent
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 _LOG = logging.getLogger(__name__)
 
@@ -98,7 +98,9 @@ class _SupervisedAdapter(GuardedThread):
         self._troubled = False
 
     def _died(self, error: BaseException) -> None:
-        self._report(f"has ended, and is not started again: {said(error)}; restart the service")
+        self._report(
+            f"has ended, and is not started again: {error_text(error)}; restart the service"
+        )
 
     def _keep(self) -> None:
         pause_s = FIRST_S

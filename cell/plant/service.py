@@ -28,7 +28,7 @@ from cell.run.machine import CellState, MachineEvent
 from cell.run.plans import INSERTING, Plan
 from cell.settings.product import product_for
 from drivers.interfaces import DeviceError
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 _LOG = logging.getLogger(__name__)
 
@@ -332,7 +332,9 @@ class Service:
 
     def _watchdog_died(self, error: BaseException) -> None:
         """Systemd would kill the service in the middle of a motion: it stops and ends itself."""
-        self._cell.command(MachineEvent.STOP, f"nobody tells that the service lives: {said(error)}")
+        self._cell.command(
+            MachineEvent.STOP, f"nobody tells that the service lives: {error_text(error)}"
+        )
         self._ending.set()
 
     def _watchdog_loop(self) -> None:

@@ -13,7 +13,7 @@ from functools import partial
 from cell.run.station import Station
 from cell.run.waiting import check_arm, check_grip
 from drivers.interfaces import DeviceError, DeviceLostError, GripError
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 #: Time between two looks, s.  With the two answers that a gripper's driver waits for, 35 ms each,
 #: a fault must be noticed within 100 ms.
@@ -80,7 +80,9 @@ class SafetyWatch:
 
     def _unwatched(self, device: str, error: BaseException) -> None:
         """A device is watched no more: what it does from now on nobody would notice."""
-        self._fail(DeviceLostError(device, f"the watch over it has ended: {said(error)}", _REMEDY))
+        self._fail(
+            DeviceLostError(device, f"the watch over it has ended: {error_text(error)}", _REMEDY)
+        )
 
     def _fail(self, error: DeviceError) -> None:
         if not self._over.is_set():

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 #: So many lines are kept of what the process has said.
 _LINES = 40
@@ -141,7 +141,7 @@ class Guided:
     def _unread(self, process: subprocess.Popen[str], error: BaseException) -> None:
         """Nobody reads what it says: it ends, and stops the arm."""
         process.terminate()
-        self._ended(process, [said(error)], code=-1)
+        self._ended(process, [error_text(error)], code=-1)
 
     def _ended(
         self, process: subprocess.Popen[str], told: Iterable[str], code: int | None = None
@@ -155,7 +155,7 @@ class Guided:
             self.state = replace(self.state, ask="", question_number=0, output=last, code=code)
 
     def _unheard(self, process: subprocess.Popen[str], error: BaseException) -> None:
-        self._errors.append(said(error))
+        self._errors.append(error_text(error))
         process.terminate()
 
     def _read_output(self, process: subprocess.Popen[str]) -> None:

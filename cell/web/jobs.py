@@ -27,7 +27,7 @@ from typing import IO, Any
 
 from cell.computer.watched import FIT_ERROR, PROGRESS_VARIABLE
 from cell.files.atomic import write_atomic
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 #: The command that moves the arm.
 MOVING = "run"
@@ -294,7 +294,7 @@ class Jobs:
                 end(self._process)
             for job in self._jobs.values():
                 if job.state in OPEN:
-                    told = (*job.output, said(error))[-MOST_LINES:]
+                    told = (*job.output, error_text(error))[-MOST_LINES:]
                     self._put(replace(job, state=JobState.FAILED, output=told, ended_s=time.time()))
             self._process = self._thread = None
 

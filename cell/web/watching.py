@@ -24,7 +24,7 @@ from cell.records.result import Outcome
 from cell.settings.model import Settings
 from cell.settings.provenance import line_name
 from cell.web.audit import audit_file
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 _LOG = logging.getLogger(__name__)
 Read = TypeVar("Read")
@@ -136,7 +136,7 @@ class CellWatch:
             self._set(connected=False, note=str(error))
 
     def _blind(self, error: BaseException) -> None:
-        self._set(connected=False, note=said(error))
+        self._set(connected=False, note=error_text(error))
 
     def _uncounted(self, error: BaseException) -> None:
         self._set(figures=None)

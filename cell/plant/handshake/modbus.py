@@ -25,7 +25,7 @@ from cell.plant.handshake.carrier import (
     inputs_of,
 )
 from cell.settings.plant import Handshake, InputSignals, OutputSignals, signals_of
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 #: Functions that are answered; all others have nothing behind them.
 _READ_COILS, _READ_INPUTS, _WRITE_COIL, _WRITE_COILS = 1, 2, 5, 15
@@ -94,7 +94,7 @@ class ModbusCarrier:
 
     def _died(self, error: BaseException) -> None:
         """A PLC that is away."""
-        self._heard.lose(f"Modbus has ended: {said(error)}; start the handshake again")
+        self._heard.lose(f"Modbus has ended: {error_text(error)}; start the handshake again")
 
     def _answered(self, asked: bytes) -> bytes:
         """The answer to a request, both from their function on."""

@@ -26,7 +26,7 @@ from cell.plant.mqtt.form import EndOfSessionError, Message, PayloadForm, Publis
 from cell.plant.mqtt.outbox import MqttOutbox, OutboxError
 from cell.plant.wire import LinkError
 from cell.settings.plant import Mqtt, MqttTls
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -129,7 +129,7 @@ class OutboxFeeder:
 
     def _died(self, error: BaseException) -> None:
         """The adapter ends with this error, and is started again."""
-        self.error = LinkError(said(error))
+        self.error = LinkError(error_text(error))
         self._tell()
 
     def _run(self) -> None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 from cell.files.atomic import write_new
 from cell.files.words import counted
 from cell.records.ledger.entry import LedgerEntry, LedgerError
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 if TYPE_CHECKING:
     from cell.records.ledger.ledger import Ledger
@@ -194,8 +194,8 @@ class LedgerWriter:
 
     def _died(self, error: BaseException) -> None:
         self._note(
-            f"entries wait in {self._place}, none is written any more: {said(error)}; the next "
-            "run writes them"
+            f"entries wait in {self._place}, none is written any more: {error_text(error)}; the "
+            "next run writes them"
         )
 
     def _write_waiting(self) -> None:

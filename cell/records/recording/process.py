@@ -24,7 +24,7 @@ from typing import Any
 from cell.records.recording.recorder import IDLE
 from cell.records.recording.ring import RingReader
 from cell.records.recording.writer import RecordingSession
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 _NICE = 19
 #: Least time between two looks while others have the computer, s.
@@ -84,7 +84,7 @@ class RingConsumer:
             tell(recording.end(keep, complete, whole))
 
         def torn(error: BaseException) -> None:
-            tell({"path": str(recording.path), "error": said(error)})
+            tell({"path": str(recording.path), "error": error_text(error)})
 
         def tell(report: Mapping[str, Any]) -> None:
             with suppress(OSError):  # nobody listens any more

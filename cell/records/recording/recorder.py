@@ -31,7 +31,7 @@ from cell.records.recording.ring import (
     shared_memory,
 )
 from drivers.interfaces import Arm, Clock, DeviceError, Frame, Trajectory
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 if TYPE_CHECKING:  # it brings the compiler
     from cell.records.recording.band import VisionSetup
@@ -347,7 +347,7 @@ class _PoseStream(GuardedThread):
         self.join()
 
     def _died(self, error: BaseException) -> None:
-        self._recorder.note(f"measured poses are missing from here on: {said(error)}")
+        self._recorder.note(f"measured poses are missing from here on: {error_text(error)}")
 
     def _take(self) -> None:
         try:

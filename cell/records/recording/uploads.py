@@ -13,7 +13,7 @@ from pathlib import Path
 from cell.records.recording import form
 from cell.records.recording.retention import KEPT
 from cell.records.recording.store import RecordingStoreError, Store, Stored, Turn, mark, name_of
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 _LOG = logging.getLogger(__name__)
 
@@ -160,8 +160,8 @@ class Uploads:
 
     def _died(self, error: BaseException) -> None:
         self.notes.append(
-            f"recordings in {self._runs} are uploaded no more: {said(error)}; the next run or "
-            "`cell upload` does it"
+            f"recordings in {self._runs} are uploaded no more: {error_text(error)}; the next run "
+            "or `cell upload` does it"
         )
 
     def _opened(self) -> Store:

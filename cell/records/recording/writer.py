@@ -34,7 +34,7 @@ from cell.files.atomic import free_bytes
 from cell.files.plain import plain
 from cell.records.recording import form
 from cell.records.recording.reading import TornRecordingError
-from drivers.threads import GuardedThread, said
+from drivers.threads import GuardedThread, error_text
 
 #: Frames end a chunk each; smaller messages share one until the next flush.
 CHUNK_BYTES = 256 * 1024
@@ -232,7 +232,7 @@ class RecordingWriter:
 
     def _not_synced(self, error: BaseException) -> None:
         """The system says only once that it could not: whoever writes next is told."""
-        self._sink.refused = error if isinstance(error, OSError) else OSError(said(error))
+        self._sink.refused = error if isinstance(error, OSError) else OSError(error_text(error))
 
     def _join(self) -> None:
         """The file must stay open until the system has brought it to the disk."""
