@@ -25,11 +25,11 @@ _LOG = logging.getLogger(__name__)
 #: An adapter that has ended is started again after the first pause, then twice as long, up to the
 #: longest, s.
 FIRST_S, LONGEST_S = 1.0, 60.0
-#: One that has run for so long is well again, s.
+#: Time after which a restarted adapter counts as running again, s.
 WELL_S = 60.0
-#: So long they may take in what was told last, s.
+#: Time for adapters to read the last notices, s.
 TAKE_S = 0.5
-#: So long they may take to end when they are asked to, s.
+#: Time for adapters to end after SIGTERM, s.
 END_S = 3.0
 #: Of adapters, against -10 of a cell with real devices; a PLC is still answered in time.
 NICE = 10
@@ -44,35 +44,33 @@ def command_of(adapter: str, config: Path, runs: Path) -> list[str]:
 class Adapters:
     """Keeps adapters running from `start` to `close`; only `close` waits for them.
 
-    commands  of each, by its name
-    told      the trouble with an adapter, once; empty = it is well again.  From other threads
+    commands    of each, by its name
+    on_trouble  called from other threads with name and trouble of an adapter; empty = none now
     """
 
     def __init__(
-        self, commands: Mapping[str, Sequence[str]], told: Callable[[str, str], None]
+        self, commands: Mapping[str, Sequence[str]], on_trouble: Callable[[str, str], None]
     ) -> None:
         over = threading.Event()
-        self._kept = [
-            _SupervisedAdapter(name, command, told, over) for name, command in commands.items()
-        ]
+        self._adapters = [_SupervisedAdapter(*c, on_trouble, over) for c in commands.items()]
         self._over = over
 
     def start(self) -> None:
         """Begin."""
-        for kept in self._kept:
-            kept.start()
+        for adapter in self._adapters:
+            adapter.start()
 
     def close(self) -> None:
-        """End all that were started; the cell's link should be closed: they then have all of it."""
-        started = [kept for kept in self._kept if kept.is_alive()]
+        """End all adapters; close the cell's link first, so that they have every notice."""
+        started = [adapter for adapter in self._adapters if adapter.is_alive()]
         if started:
             time.sleep(TAKE_S)
         self._over.set()
         until_s = time.monotonic() + END_S
         with ExitStack() as ended:
-            for kept in started:
-                kept.terminate()
-                ended.callback(kept.end, until_s)
+            for adapter in started:
+                adapter.terminate()
+                ended.callback(adapter.end, until_s)
 
 
 class _SupervisedAdapter(GuardedThread):
@@ -85,13 +83,13 @@ class _SupervisedAdapter(GuardedThread):
         self,
         adapter: str,
         command: Sequence[str],
-        told: Callable[[str, str], None],
+        on_trouble: Callable[[str, str], None],
         over: threading.Event,
     ) -> None:
-        super().__init__(f"adapter {adapter}", self._keep, self._died)
+        super().__init__(f"adapter {adapter}", self._restart_loop, self._died)
         self._adapter = adapter
         self._command = command
-        self._told = told
+        self._on_trouble = on_trouble
         self._over = over
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
@@ -102,7 +100,7 @@ class _SupervisedAdapter(GuardedThread):
             f"has ended, and is not started again: {error_text(error)}; restart the service"
         )
 
-    def _keep(self) -> None:
+    def _restart_loop(self) -> None:
         pause_s = FIRST_S
         while not self._over.is_set():
             trouble, lived_s = self._run_once()
@@ -139,10 +137,10 @@ class _SupervisedAdapter(GuardedThread):
     def _report(self, trouble: str) -> None:
         self._troubled = bool(trouble)
         _LOG.warning("adapter %s %s", self._adapter, trouble or "runs again")
-        self._told(self._adapter, trouble)
+        self._on_trouble(self._adapter, trouble)
 
     def terminate(self) -> None:
-        """Ask it to end."""
+        """Send SIGTERM."""
         with self._lock:
             if self._process is not None and self._process.returncode is None:
                 self._process.terminate()

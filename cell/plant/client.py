@@ -32,15 +32,14 @@ _FIRST_S, _LAST_S = 0.1, 1.0
 class Client:
     """Client of the cell whose records are in `runs`; safe to be used from many threads.
 
-    Every question has a connection of its own, so a cell may end and begin between two.
+    Every request has a connection of its own, so a cell may end and begin between two.
 
-    timeout_s  so long an answer is waited for
-    away       why the cell that is followed is not there; None = it is
-    heard_s    when it was last heard of, on the monotonic clock
-    on_lost    told, in the thread that follows, when a cell that was followed is there no more, or
-               says nothing any more
-    on_there   told there when it is reached again and nothing has happened meanwhile; otherwise
-               the message that comes first says so
+    timeout_s  longest wait for an answer
+    away       why the followed cell is not reached; None = it is
+    heard_s    time of its last message, on the monotonic clock
+    on_lost    called, in the thread that follows, when a followed cell is lost or silent
+    on_there   called there when it is reached again without a new message; otherwise that message
+               shows it
     """
 
     def __init__(
@@ -65,7 +64,7 @@ class Client:
     def connect(self, wait_s: float = 0.0) -> Client:
         """Make sure that a cell is there; returns this client.
 
-        wait_s  so long it is waited for
+        wait_s  longest wait for a cell
         raises  NoCellError: none is; ProtocolError: it speaks another version; LinkError
         """
         until_s = time.monotonic() + wait_s
@@ -83,21 +82,21 @@ class Client:
             return message_of(Status, talk.ask("status", None, "status"))
 
     def send(self, request: Request) -> CommandReply:
-        """Ask for something, once.
+        """Send a request, once.
 
-        raises  NoCellError: no cell was asked; LinkError: what became of the request is not known,
-                but a cell that gets it later than `OLDEST_S` after it was asked refuses it
+        raises  NoCellError: no cell runs; LinkError: the fate of the request is not known, but a
+                cell refuses one that is older than `OLDEST_S`
         """
         with self._conversation() as talk:
             return message_of(CommandReply, talk.ask("request", asdict(request), "answer"))
 
     def follow(self, after: tuple[str, int] | None = None) -> Iterator[Notice | Status]:
-        """All that happens, in order, until `close`; a cell that ends is waited for.
+        """All notices, in order, until `close`; after a cell has ended, those of the next.
 
-        Where notices follow without a gap on the last ones, they come alone.  Otherwise a Status
-        comes first: at the beginning, of another run, or after too long a time.
+        Notices without a gap to the last ones come alone.  Otherwise a Status comes first: at the
+        beginning, of a new run, or after too long a time.
 
-        after   run and sequence of the last notice that is known; None = none is
+        after   run and sequence of the last known notice; None = none
         raises  ProtocolError: cell and program are of different versions
         """
         pause_s, there = _FIRST_S, False

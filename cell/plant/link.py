@@ -1,7 +1,7 @@
 """The link: a running cell publishes notices to programs on its computer, and gets requests.
 
-The cycle only puts notices into a queue.  Threads of the link write them to a Unix socket, and none
-of its clients, however slow, is waited for.
+The cycle only puts notices into a queue.  Threads of the link write them to a Unix socket, and
+wait for none of its clients, however slow.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from drivers.threads import GuardedThread
 
 _LOG = logging.getLogger(__name__)
 
-#: So long the end of the link waits for its threads, s.
+#: Longest wait for the threads at the end of the link, s.
 _CLOSE_S = 2.0
 
-#: Notices of so long a time are written and sent together, s.  A plant looks every 50 to 100 ms;
-#: the cycle, which tells four things while it computes the choice, has its core for itself.
+#: Notices of this time are written and sent together, s.  A plant polls every 50 to 100 ms; the
+#: cycle, which publishes four notices while it computes the choice, keeps its core.
 _TOGETHER_S = 0.04
 
 Handler = Callable[[Request], CommandReply]
@@ -50,10 +50,10 @@ Handler = Callable[[Request], CommandReply]
 class Link:
     """The cell's end of the link, open within a `with`; without it nothing is published.
 
-    runs     folder of the records, beside which the socket is
-    status   what is known when it begins; `run`, `sequence` and `possible` are filled in
+    runs     folder of the records; the socket is next to it
+    status   at the beginning; `run`, `sequence` and `possible` are filled in
     handler  answers requests, one at a time, in a thread of the link
-    obeyed   commands that this cell obeys at all
+    obeyed   commands that this cell accepts in any state
 
     raises  LinkError, from `with`: another cell runs there, or there can be no socket
     """
@@ -79,13 +79,13 @@ class Link:
         self._taking_in = threading.Lock()
         self._new: deque[Notice] = deque()
         self._bell: SimpleQueue[bool] = SimpleQueue()
-        self._asked: SimpleQueue[tuple[Request, Callable[[CommandReply], None]] | None] = (
+        self._requests: SimpleQueue[tuple[Request, Callable[[CommandReply], None]] | None] = (
             SimpleQueue()
         )
         self._opened = ExitStack()
 
     def publish(self, kind: MessageKind, data: Mapping[str, Any]) -> Notice:
-        """Tell all programs, without waiting for any; from any thread.
+        """Send a notice to all programs, without waiting for any; from any thread.
 
         data  is not changed afterwards
         """
@@ -117,7 +117,7 @@ class Link:
             for thread in threads:
                 thread.start()
                 stack.callback(thread.join, _CLOSE_S)
-            stack.callback(self._asked.put, None)
+            stack.callback(self._requests.put, None)
             stack.callback(self._bell.put, False)
             self._opened = stack.pop_all()
         return self
@@ -168,12 +168,12 @@ class Link:
         return goes_on
 
     def _ask(self, request: Request, then: Callable[[CommandReply], None]) -> None:
-        self._asked.put((request, then))
+        self._requests.put((request, then))
 
     def _serve_requests(self) -> None:
         """Let the handler answer one request after another, unless it comes too late."""
-        while (asked := self._asked.get()) is not None:
-            request, then = asked
+        while (entry := self._requests.get()) is not None:
+            request, then = entry
             try:
                 answer = self._too_old(request) or self._handler(request)
             except Exception as error:  # it must not end the cell, nor this thread

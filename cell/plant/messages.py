@@ -135,13 +135,13 @@ class Notice:
 class Request:
     """A command from outside the cell's process.
 
-    command  one of `COMMANDS`; None = only `product` is asked for, or without it a person
+    command  one of `COMMANDS`; None = only `product` is requested, or without it a person
              acknowledges, and nothing moves
     by       who asks: `plc`, `opcua:alice`, `web:bob`
     note     of an acknowledgement (`clear`, `reset`, or alone): what was done
     part     of a `start`: id of the cable
     product  of a `start`, or alone: what the next cycles make
-    asked_s  when it was asked, on the monotonic clock, which all programs of a computer share
+    asked_s  time of the request, on the monotonic clock, which all programs of a computer share
     """
 
     command: MachineEvent | None

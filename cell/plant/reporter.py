@@ -22,7 +22,7 @@ _WAITS = {
     CellState.HELD: "unhold",
     CellState.SUSPENDED: "unsuspend",
 }
-#: Told as steps by the cell, and no steps.  A step may be called as another state: `execute`.
+#: The cell reports these as steps, but they are none.  A step may have a state's name: `execute`.
 _PAUSES = (CellState.HELD, CellState.SUSPENDED)
 
 
@@ -31,7 +31,7 @@ class Reporter:
 
     publish        of the link
     products       model and calibration of each product, as `Status` has them
-    suspended_for  why the cell is suspended, if whoever asked for it said so
+    suspended_for  why the cell is suspended, if the request has a note
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Reporter:
         )
 
     def result(self, result: Result) -> None:
-        """A cycle has ended; its fault is told of, too."""
+        """A cycle has ended; its fault is published, too."""
         self._publish(MessageKind.RESULT, result.to_json())
         if result.fault is not None:
             self.fault(FaultNotice(result.cycle, time_s=time.time(), **asdict(result.fault)))
@@ -94,7 +94,7 @@ class Reporter:
         self._publish(MessageKind.ADAPTER, {"adapter": name, "trouble": trouble})
 
     def waiting(self, *reasons: str) -> None:
-        """What the cell waits for; told once."""
+        """What the cell waits for; published when it changes."""
         if reasons != self._waiting:
             with self._counting:
                 self._count()
@@ -102,7 +102,7 @@ class Reporter:
             self._publish(MessageKind.WAITING, {"waiting_for": list(reasons)})
 
     def take_waited(self) -> dict[str, float]:
-        """How long the cell has waited since this was asked last, s, by what for; any thread.
+        """Time that the cell has waited since the last call, s, by reason; from any thread.
 
         While it waits for several things, the time is that of the first.
         """
@@ -125,7 +125,7 @@ LATCHED = INTERRUPTING | PAUSING | frozenset(RESUMING.values())
 def latch(cell: Cell, request: Request) -> CommandReply:
     """Latch a command of `LATCHED` for the current cycle, or refuse it.
 
-    A pause that was asked for and has not begun yet can be taken back.
+    A requested pause that has not begun yet can be cancelled.
     """
     event = request.command
     assert event is not None

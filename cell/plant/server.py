@@ -25,9 +25,9 @@ from cell.plant.wire import (
 )
 from drivers.threads import GuardedThread, only_logged
 
-#: Notices that are kept for programs that come back.
+#: Notices stored for programs that reconnect.
 MOST_NOTICES = 10_000
-#: So much is sent from the journal at a time, bytes.
+#: Largest part of the journal that is sent at a time, bytes.
 _CHUNK = 1 << 16
 #: A program that does not read that many bytes of answers is disconnected.
 _MOST_UNREAD = 1 << 20
@@ -63,19 +63,19 @@ class Journal:
 class _Program:
     """A connected program.
 
-    greeted  whether it has said which version it speaks
-    told     sequence of the newest notice that it got or is about to get; None = it does not follow
-    news     set when there is something to tell it
+    greeted  whether it has sent its protocol version
+    sent     sequence of the newest notice sent to it, or being sent; None = it does not follow
+    news     set when there is something to send
     """
 
     writer: asyncio.StreamWriter
     greeted: bool = False
-    told: int | None = None
+    sent: int | None = None
     news: asyncio.Event = field(default_factory=asyncio.Event)
     following: asyncio.Task[None] | None = None
 
     def put(self, kind: str, data: Any) -> None:
-        """Tell it something; one that does not read is disconnected."""
+        """Send a message; a program that does not read is disconnected."""
         if self.writer.transport.get_write_buffer_size() > _MOST_UNREAD:
             self.writer.transport.abort()
         else:
@@ -121,16 +121,16 @@ class CommandServer:
 
     def wake(self) -> None:
         """There is something to send; from any thread."""
-        self._soon(self._ring)
+        self._call(self._ring)
 
     def abandon(self) -> None:
-        """Disconnect all programs, and let none in: what they see of the cell would be old."""
-        self._soon(self._over.set)
+        """Disconnect all programs, and let none in: their view of the cell would be outdated."""
+        self._call(self._over.set)
 
-    def _soon(self, act: Callable[..., None], *given: Any) -> None:
-        """Have the thread do something; from any thread."""
+    def _call(self, callback: Callable[..., None], *arguments: Any) -> None:
+        """Let the server's thread call a function; from any thread."""
         with suppress(RuntimeError):  # it has ended
-            self._loop.call_soon_threadsafe(act, *given)
+            self._loop.call_soon_threadsafe(callback, *arguments)
 
     def __enter__(self) -> CommandServer:
         with ExitStack() as stack:
@@ -165,11 +165,13 @@ class CommandServer:
         self._loop.remove_reader(self._listening)
         for program in tuple(self._programs):
             with suppress(LaggingError):
-                while self._tell_news(program):  # what it can still read
+                while self._send_news(program):  # what it can still read
                     pass
             program.writer.transport.abort()
-        while others := asyncio.all_tasks() - {asyncio.current_task()}:  # one may begin another
-            await asyncio.gather(*others, return_exceptions=True)
+        while tasks := asyncio.all_tasks() - {
+            asyncio.current_task()
+        }:  # a task may begin a further one
+            await asyncio.gather(*tasks, return_exceptions=True)
         server.close()
 
     def _ring(self) -> None:
@@ -201,7 +203,7 @@ class CommandServer:
                 await writer.wait_closed()
 
     def _answer(self, program: _Program, kind: str, data: Any) -> None:
-        """Do what a program asks.  Raises ValueError: it is nothing that can be asked."""
+        """Serve a message of a program.  Raises ValueError: it is no valid message."""
         if not program.greeted:
             if kind != "greeting" or not isinstance(data, dict):
                 raise ValueError("the first message is no greeting")
@@ -220,31 +222,31 @@ class CommandServer:
                 refused = CommandReply(False, self._status().state, str(error))
                 program.put("answer", asdict(refused))
             else:
-                self._ask(request, lambda answer: self._soon(program.put, "answer", asdict(answer)))
+                self._ask(request, lambda answer: self._call(program.put, "answer", asdict(answer)))
         else:
             raise ValueError(f"{kind!r} is no message to a cell")
 
     def _begin_to_follow(self, program: _Program, data: Any) -> None:
-        """Tell it all notices from now on, or from where it was."""
+        """Send it all notices from now on, or from where it was."""
         status = self._status()
         match data:
             case {"run": status.run, "sequence": int(sequence)} if self._journal.has_all_after(
                 sequence
             ):
                 program.put("alive", None)  # at once: it may have nothing else to say
-                program.told = sequence
+                program.sent = sequence
             case _:
                 program.put("status", asdict(status))
-                program.told = status.sequence
+                program.sent = status.sequence
         if program.following is None:
             program.following = asyncio.create_task(self._follow(program))
 
     async def _follow(self, program: _Program) -> None:
-        """Tell a program of every notice, and that the cell is alive, until it has gone."""
+        """Send every notice, and signs of life, until the program disconnects."""
         try:
             while True:
                 program.news.clear()
-                while self._tell_news(program):
+                while self._send_news(program):
                     await program.writer.drain()
                 try:
                     async with asyncio.timeout(HEARTBEAT_S):
@@ -255,24 +257,24 @@ class CommandServer:
             _LOG.warning("a program that does not read is disconnected")
         except OSError:  # it has gone
             pass
-        except Exception:  # rather no cell than one of which nothing is heard
+        except Exception:  # better disconnected than connected without notices
             _LOG.exception("a program is told nothing more")
         finally:
             program.writer.close()
 
-    def _tell_news(self, program: _Program) -> bool:
-        """Tell notices that it has not got, a chunk at most; whether there were any.
+    def _send_news(self, program: _Program) -> bool:
+        """Send notices that it has not got, a chunk at most; whether there were any.
 
-        raises  LaggingError: what comes next has left the journal
+        raises  LaggingError: the next notice is not in the journal any more
         """
         lines: list[bytes] = []
         size = 0
-        while program.told is not None and program.told < self._journal.newest and size < _CHUNK:
+        while program.sent is not None and program.sent < self._journal.newest and size < _CHUNK:
             try:
-                lines.append(self._journal.after(program.told))
+                lines.append(self._journal.after(program.sent))
             except KeyError as error:
                 raise LaggingError from error
-            program.told += 1
+            program.sent += 1
             size += len(lines[-1])
         program.writer.writelines(lines)
         return bool(lines)

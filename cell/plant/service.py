@@ -1,6 +1,6 @@
 """The cell as a service: it waits in Idle, makes a cycle for every start, and resets by itself.
 
-It begins with what an earlier service has left: cycles with open faults, or a flag file instead.
+At its start it takes over the open faults of an earlier service: from its cycles, or a flag file.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from drivers.threads import GuardedThread, error_text
 
 _LOG = logging.getLogger(__name__)
 
-#: How often the service looks at its commands and its devices while nothing happens, s.
-_LOOK_S = 0.1
-#: No cycle is under way.
+#: Interval at which the idle service checks its commands and devices, s.
+_POLL_S = 0.1
+#: States in which no cycle is under way.
 _BETWEEN = frozenset(
     {
         CellState.IDLE,
@@ -45,7 +45,7 @@ _BETWEEN = frozenset(
     }
 )
 _UNHURRIED = (CellState.HELD, CellState.SUSPENDED)
-#: Other open cycles that a fault names.
+#: Number of other open cycles that a fault names.
 _NAMED = 3
 
 
@@ -53,9 +53,9 @@ class Service:
     """Runs cycles on request until `end`; `answer` is the handler of its link.
 
     plan            of every cycle
-    products        what can be made: name → pattern of its parts' ids, None = any
-    product         made unless a start or `product` asks for another; None = it must
-    select_product  makes the next cycles be of a product; called between cycles, by `run`
+    products        name of each product → pattern of its parts' ids, None = any
+    product         default product; None = a start or `product` must name one
+    select_product  sets the product of the next cycles; called between cycles, by `run`
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Service:
         self._plan = plan
         self._products = products or {}
         self._select = select_product
-        self._life = Watchdog()
+        self._watchdog = Watchdog()
         self._changed = threading.Condition()
         self._ending = threading.Event()
         self._over = threading.Event()
@@ -95,7 +95,7 @@ class Service:
             self._open = (self._flag.file,)
             reporter.state(CellState.STOPPED)
             reporter.fault(fault)
-        # whether it resets by itself when it begins: nothing waits for a person's word
+        # whether the service resets by itself at its start: no fault waits for a person
         self._never_ran = not self._open
         cell.machine.on_change = self._on_state
         cell.waited = reporter.take_waited
@@ -103,7 +103,7 @@ class Service:
     # --- the link's threads -------------------------------------------------------------------
 
     def answer(self, request: Request) -> CommandReply:
-        """Do what is asked, or refuse it; returns at once."""
+        """Carry out a request or refuse it; returns at once."""
         with self._changed:
             if request.product is not None and request.product not in self._products:
                 if not self._products:
@@ -114,15 +114,15 @@ class Service:
                 return self._refused("product", why, "product")
             command = request.command
             if command in (MachineEvent.START, MachineEvent.RESET, MachineEvent.CLEAR):
-                answer = self._moved(request, command)
+                answer = self._transition(request, command)
             elif command is not None:
                 if command is MachineEvent.SUSPEND:
                     self._reporter.suspended_for = request.note
                 answer = latch(self._cell, request)
                 if command is MachineEvent.ABORT and answer.accepted:
-                    answer = self._aborted(answer)
+                    answer = self._abort_from_stopped(answer)
             elif request.product is None:
-                answer = self._acknowledged(request)
+                answer = self._acknowledge_only(request)
             else:
                 answer = CommandReply(True, self._cell.machine.state)
             if (
@@ -136,8 +136,8 @@ class Service:
             self._changed.notify_all()
             return answer
 
-    def _moved(self, request: Request, command: MachineEvent) -> CommandReply:
-        """Let the machine take the transition, where the cell rests."""
+    def _transition(self, request: Request, command: MachineEvent) -> CommandReply:
+        """Make the transition of start, reset or clear, from a state in which the cell rests."""
         machine = self._cell.machine
         if not machine.can(command):
             return self._refused(command.value)
@@ -161,15 +161,15 @@ class Service:
         note = request.note
         if machine.state is CellState.ABORTED or self._open:
             self._acknowledge(request)
-            note = ""  # it is the acknowledgement's
+            note = ""  # the acknowledgement has it
         if command is MachineEvent.RESET:
             self._never_ran = False
             self._begins = request
             self._cell.reset(request.by, note)
         return CommandReply(True, machine.state)
 
-    def _aborted(self, answer: CommandReply) -> CommandReply:
-        """Into Aborted from Stopped: no cycle obeys it there, and a reset would take it back."""
+    def _abort_from_stopped(self, answer: CommandReply) -> CommandReply:
+        """Go from Stopped to Aborted: no cycle obeys there, and a reset would undo the abort."""
         machine = self._cell.machine
         if machine.state is not CellState.STOPPED or self._never_ran:  # else a cycle obeys it
             return answer
@@ -185,11 +185,11 @@ class Service:
         machine.send(MachineEvent.ABORT)
         return CommandReply(True, machine.send(MachineEvent.DONE))
 
-    def _acknowledged(self, request: Request) -> CommandReply:
-        """A person's word alone: nothing moves before a reset."""
+    def _acknowledge_only(self, request: Request) -> CommandReply:
+        """Acknowledge without a command: nothing moves before a reset."""
         state = self._cell.machine.state
         if state is CellState.ABORTED:
-            return self._moved(request, MachineEvent.CLEAR)
+            return self._transition(request, MachineEvent.CLEAR)
         if state is not CellState.STOPPED or not self._open:
             return self._refused("acknowledge", "there is nothing to acknowledge")
         self._acknowledge(request)
@@ -216,26 +216,26 @@ class Service:
 
     # --- the thread that moves the cell -------------------------------------------------------
 
-    def run(self, told: Callable[[Result], None]) -> None:
-        """Serve until `end`; `told` gets every result.  Raises RecordError; KeyboardInterrupt."""
+    def run(self, on_result: Callable[[Result], None]) -> None:
+        """Serve until `end`; `on_result` gets results.  Raises RecordError; KeyboardInterrupt."""
         tending = GuardedThread("tend", self._watchdog_loop, self._watchdog_died)
         tending.start()
-        self._life.notifier.ready()
+        self._watchdog.notifier.ready()
         try:
             while not self._ending.is_set():
                 self._select_product(tell=True)
                 if self._wait_for_operator():
                     continue
-                result = self._prepared() or self._idle()
+                result = self._prepare() or self._run_next()
                 if result is not None:
-                    self._ended(result, told)
+                    self._conclude(result, on_result)
         finally:
-            self._life.notifier.stopping()
+            self._watchdog.notifier.stopping()
             self._over.set()
             tending.join()
 
     def _wait_for_operator(self) -> bool:
-        """Wait while a person has to say something first; whether that was so."""
+        """Wait while a person has to act first; whether that was so."""
         with self._changed:
             state = self._cell.machine.state
             if state is not CellState.ABORTED and (
@@ -246,8 +246,8 @@ class Service:
             self._wait_briefly()
         return True
 
-    def _prepared(self) -> Result | None:
-        """Make the cell ready; a file says meanwhile that the gripper may be moving."""
+    def _prepare(self) -> Result | None:
+        """Make the cell ready; a flag file states meanwhile that the gripper may be moving."""
         self._flag.write("the program or the computer ended while the cell was made ready")
         self._stop_if_late()
         with self._changed:  # a person may send a reset, too
@@ -258,8 +258,8 @@ class Service:
         self._flag.remove()
         return result
 
-    def _idle(self) -> Result | None:
-        """The cycle that is asked for next, or why there is none; None = the service ends."""
+    def _run_next(self) -> Result | None:
+        """Run the next requested cycle: its result, or that of a fault; None = the service ends."""
         try:
             while self._cell.machine.state is CellState.IDLE:
                 self._cell.check()
@@ -267,18 +267,18 @@ class Service:
                     return None
                 self._wait_briefly()
         except (InterruptedByCommandError, DeviceError) as error:
-            # before anybody is told: the service may be killed at once
+            # before it is published: the service may be killed at once
             self._flag.write(str(error))
             with self._changed:
                 if self._cell.machine.state is CellState.IDLE:
                     return self._cell.leave_idle(error)
-            self._flag.remove()  # a start came first: its cycle obeys what was given
+            self._flag.remove()  # a start came first: its cycle obeys the command
         self._stop_if_late()
-        self._select_product(tell=False)  # as the start has told
+        self._select_product(tell=False)  # the start has published it
         return self._cell.run_prepared(self._part)
 
     def _stop_if_late(self) -> None:
-        """Nothing moves for a start or a reset after which this process was halted."""
+        """Stop if this process was halted since the start or reset: an old one moves nothing."""
         with self._changed:
             begins, self._begins = self._begins, None
         if begins is not None and begins.command is not None:
@@ -286,9 +286,9 @@ class Service:
             if late:
                 self._cell.command(MachineEvent.STOP, late)
 
-    def _ended(self, result: Result, told: Callable[[Result], None]) -> None:
+    def _conclude(self, result: Result, on_result: Callable[[Result], None]) -> None:
         recorded = cycle_of(Path(result.folder)) is not None
-        with self._changed:  # nobody acknowledges before all is known that is to be
+        with self._changed:  # no acknowledgement before everything is published
             if result.fault is not None:
                 self._open = (Path(result.folder),)
             if recorded:
@@ -300,7 +300,7 @@ class Service:
                 self._reporter.fault(fault)
             self._cell.come_to_rest()
         if recorded:
-            told(result)
+            on_result(result)
 
     def _select_product(self, *, tell: bool) -> None:
         with self._changed:
@@ -312,23 +312,23 @@ class Service:
                 self._reporter.product(wanted)
 
     def _wait_briefly(self) -> None:
-        self._life.waiting()
+        self._watchdog.waiting()
         with self._changed:
-            self._changed.wait(_LOOK_S)
+            self._changed.wait(_POLL_S)
 
     # --- signs of life ------------------------------------------------------------------------
 
     def step(self, number: int, step: str) -> None:
         """A step of a cycle begins: for the cell's `on_step`."""
-        self._life.step()
+        self._watchdog.step()
         self._reporter.step(number, step)
 
     def _on_state(self, state: CellState) -> None:
-        self._life.step()
-        if state is CellState.IDLE:  # before anybody is told: the service may be killed at once
+        self._watchdog.step()
+        if state is CellState.IDLE:  # before it is published: the service may be killed at once
             self._flag.remove()
         self._reporter.state(state)
-        self._life.notifier.status(f"{state.value}, cycle {self._number}")
+        self._watchdog.notifier.status(f"{state.value}, cycle {self._number}")
 
     def _watchdog_died(self, error: BaseException) -> None:
         """Systemd would kill the service in the middle of a motion: it stops and ends itself."""
@@ -338,10 +338,10 @@ class Service:
         self._ending.set()
 
     def _watchdog_loop(self) -> None:
-        """Tell systemd that the service lives, and end a pause when the service is to end."""
-        while not self._over.wait(_LOOK_S):
+        """Send signs of life to systemd, and end a pause when the service is to end."""
+        while not self._over.wait(_POLL_S):
             paused = self._cell.machine.state in _UNHURRIED
-            self._life.notify(paused=paused)
+            self._watchdog.notify(paused=paused)
             if self._ending.is_set() and paused:
                 self._cell.command(MachineEvent.STOP, "the service ends")
 
@@ -367,16 +367,16 @@ def earlier_cycles(runs: Path) -> EarlierCycles:
     was, since a clock may have been set back and a folder may come from elsewhere.
     """
     folders = [f for f in runs.iterdir() if cycle_of(f) is not None] if runs.is_dir() else []
-    found = []
+    open_cycles = []
     for folder in folders:
         state = _state(folder)
         if (fault := _open_fault(folder, state)) is not None:
-            found.append((started_of(folder, state), folder.name, fault))
-    found.sort(key=lambda each: each[:2])
+            open_cycles.append((started_of(folder, state), folder.name, fault))
+    open_cycles.sort(key=lambda each: each[:2])
     return EarlierCycles(
         max((cycle_of(f) or 0 for f in folders), default=0),
-        tuple(runs / name for _, name, _ in found),
-        _newest_naming_others([fault for *_, fault in found]),
+        tuple(runs / name for _, name, _ in open_cycles),
+        _newest_naming_others([fault for *_, fault in open_cycles]),
     )
 
 
@@ -389,7 +389,7 @@ def _state(folder: Path) -> Mapping[str, Any]:
 
 
 def _open_fault(folder: Path, state: Mapping[str, Any]) -> FaultNotice | None:
-    """Why a person has to look at a cycle; None = that is not so, or was done."""
+    """The unacknowledged fault of a cycle; None = it has none."""
     ended = state.get("outcome")
     if "acknowledged" in state:
         return None
@@ -446,18 +446,18 @@ class AcknowledgementFlag:
         self.file = runs.with_name(f"{runs.name}.unsettled")
 
     def write(self, cause: str) -> None:
-        """Write it; a full disk is told when the record is begun."""
+        """Write it; a full disk is reported when the next record begins."""
         with suppress(OSError):
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self.file.write_text(cause, encoding="utf-8")
 
     def remove(self) -> None:
-        """There is nothing to be looked at any more."""
+        """Remove it: nothing needs a person any more."""
         with suppress(OSError):
             self.file.unlink(missing_ok=True)
 
     def fault(self, number: int) -> FaultNotice | None:
-        """What it says, of the cycle that would have been next; None = it is not there."""
+        """Its cause as a fault of cycle `number`; None = there is no file."""
         if not self.file.exists():
             return None
         try:

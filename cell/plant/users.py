@@ -107,10 +107,10 @@ class Users:
 
     def _read(self) -> dict[str, _Row]:
         own, removed = _content(self.file)
-        found: dict[str, _Row] = {}
+        users: dict[str, _Row] = {}
         for path in reversed(self._older):
-            found |= {n: row for n, row in _content(path)[0].items() if n not in removed}
-        return found | own
+            users |= {n: row for n, row in _content(path)[0].items() if n not in removed}
+        return users | own
 
     def _write(self, users: Mapping[str, _Row], removed: Collection[str]) -> None:
         data = {"users": users, "removed": sorted(removed)}
@@ -121,14 +121,14 @@ class Users:
 def all_users(file: Path = FILE, opcua_folder: Path | None = None) -> Users:
     """Users of pages and OPC UA, including those of earlier versions' files.
 
-    opcua_folder  of the OPC UA server; None = `opcua` beside the file
+    opcua_folder  of the OPC UA server; None = `opcua` next to the file
     """
     folder = file.with_name("opcua") if opcua_folder is None else opcua_folder
     return Users(file, (file.with_name("web-users.json"), folder / "users.json"))
 
 
 def _content(path: Path) -> tuple[dict[str, _Row], set[str]]:
-    """Users of a file, and names that were removed; without a file none."""
+    """Users of a file, and names that were removed; none without a file."""
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -1,6 +1,6 @@
 """Encoding of messages as lines of JSON, and the place of the socket.
 
-A line is an object with one key, which says what it is:
+A line is an object with one key, the kind of the message:
 
     from the cell      greeting (protocol, run), status, notice, answer, refused (a reason),
                        alive (null): sign of life to a program that follows
@@ -29,9 +29,9 @@ _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {
     kind: TypeAdapter(kind) for kind in (Notice, Status, CommandReply)
 }
 
-#: A program that follows hears something at least so often, s.
+#: Longest time without a message to a program that follows, s.
 HEARTBEAT_S = 0.4
-#: A cell that says nothing for so long to a program that follows is lost, s.
+#: A cell that sends nothing to a following program for this time is lost, s.
 SILENCE_S = 1.5
 #: A longer line is no message, bytes.
 LONGEST_LINE = 1 << 20
@@ -59,18 +59,18 @@ class ProtocolError(LinkError):
 def socket_of(runs: Path) -> Path:
     """Path of the Unix socket of the cell whose records are in the folder `runs`.
 
-    It stands beside the folder, or in the temporary folder if its path would be too long.
+    It is next to the folder, or in the temporary folder if its path would be too long.
     """
     folder = runs.resolve()
-    beside = folder.with_name(f"{folder.name}.socket")
-    if len(bytes(beside)) <= _LONGEST_PATH:
-        return beside
+    path = folder.with_name(f"{folder.name}.socket")
+    if len(bytes(path)) <= _LONGEST_PATH:
+        return path
     name = hashlib.sha256(bytes(folder)).hexdigest()[:16]
     return Path(tempfile.gettempdir(), f"cable-cell-{name}.socket")
 
 
 def has_unix_sockets() -> bool:
-    """Whether this system has the sockets that a link is made of."""
+    """Whether this system has Unix sockets, which a link needs."""
     return hasattr(socket, "AF_UNIX")
 
 
@@ -129,5 +129,5 @@ def request_of(data: Any) -> Request:
 
 
 def _is_valid_unicode(text: str) -> bool:
-    """Whether a text can be told on and kept; JSON may hold one half of a pair alone."""
+    """Whether a text can be encoded; JSON may contain a lone surrogate."""
     return not any("\ud800" <= character <= "\udfff" for character in text)

@@ -337,7 +337,7 @@ def test_a_service_without_signs_of_life_ends(
 
 def test_an_adapter_that_is_kept_no_more_is_told() -> None:
     told: list[tuple[str, str]] = []
-    dies(Adapters({"opcua": ["true"]}, lambda *what: told.append(what))._kept[0])
+    dies(Adapters({"opcua": ["true"]}, lambda *what: told.append(what))._adapters[0])
     assert told[0][0] == "opcua" and "not started again: ValueError: boom" in told[0][1]
 
 

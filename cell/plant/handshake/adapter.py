@@ -17,9 +17,9 @@ from drivers.threads import GuardedThread, only_logged
 
 _LOG = logging.getLogger(__name__)
 
-#: Bits and cell are looked at so often, and at once when something happens in the cell, s.
-_LOOK_S = 0.05
-#: A cell that does not answer for so long is lost, s; on a computer under load it may take 1 s.
+#: Interval at which bits and cell are polled; an event of the cell polls at once, s.
+_POLL_S = 0.05
+#: Longest wait for an answer of the cell, s; on a computer under load it may take 1 s.
 _ANSWER_S = 1.5
 
 
@@ -28,7 +28,7 @@ class HandshakeAdapter:
 
     carrier  of the bits, opened and closed by the caller
     runs     folder of the cell's records
-    by       who is said to have asked
+    by       sender that the requests name
     """
 
     def __init__(self, carrier: Carrier, runs: Path, by: str) -> None:
@@ -38,13 +38,13 @@ class HandshakeAdapter:
         self._memory = Memory()
         self._news = threading.Event()
         self._over = threading.Event()
-        self._said: dict[str, str] = {}
+        self._warnings: dict[str, str] = {}
         self._outputs: Outputs | None = None
-        self._looked_s = time.monotonic()
+        self._polled_s = time.monotonic()
         self._no_edges_until_s = 0.0
 
     def run(self) -> None:
-        """Look until `end`; the PLC then reads a fault.
+        """Poll until `end`; the PLC then reads a fault.
 
         raises  ProtocolError: cell and program are of different versions
         """
@@ -52,7 +52,7 @@ class HandshakeAdapter:
         following.start()
         try:
             while not self._over.is_set():
-                self._news.wait(_LOOK_S)
+                self._news.wait(_POLL_S)
                 self._news.clear()
                 self.poll()
         finally:
@@ -70,25 +70,25 @@ class HandshakeAdapter:
         self._client.close()
 
     def poll(self) -> None:
-        """Look once.  Raises ProtocolError.
+        """Poll once.  Raises ProtocolError.
 
-        An input has changed since the look before: so old are the commands that follow from it.
-        After this process was halted, a start or an acknowledgement that has piled up is no edge.
+        A request carries the time of the poll before, since which its input has changed.
+        After this process was halted, a delayed start or acknowledgement is no edge.
         """
-        asked_s, self._looked_s = self._looked_s, time.monotonic()
-        if self._looked_s - asked_s > OLDEST_S:
-            self._no_edges_until_s = self._looked_s + OLDEST_S
+        requested_s, self._polled_s = self._polled_s, time.monotonic()
+        if self._polled_s - requested_s > OLDEST_S:
+            self._no_edges_until_s = self._polled_s + OLDEST_S
         inputs, status, before = self._inputs(), self._status(), self._memory
         if inputs is None:
             self._memory = inputs_lost(before)
             self._write_outputs(UNKNOWN)
             return
-        if self._looked_s < self._no_edges_until_s:
+        if self._polled_s < self._no_edges_until_s:
             before = inputs_lost(before)
         asks, outputs, after = evaluate(inputs, status, before)
         self._write_outputs(outputs)
         for ask in asks:
-            if self._ask(ask, asked_s):
+            if self._ask(ask, requested_s):
                 self._write_outputs(obeyed(ask, outputs))
             else:
                 after = not_obeyed(ask, before, after)
@@ -114,18 +114,18 @@ class HandshakeAdapter:
         self._warn_once("cell", "")
         return status
 
-    def _ask(self, ask: Ask, asked_s: float) -> bool:
-        """Whether the cell obeys."""
-        what = ask.command.value
+    def _ask(self, ask: Ask, time_s: float) -> bool:
+        """Send a request; whether the cell accepts it."""
+        name = ask.command.value
         try:
-            asked = Request(ask.command, self._by, ask.note, product=ask.product, asked_s=asked_s)
-            answer = self._client.send(asked)
+            request = Request(ask.command, self._by, ask.note, product=ask.product, asked_s=time_s)
+            answer = self._client.send(request)
         except LinkError as error:
-            self._warn_once(what, f"{what}: what became of it is not known: {error}")
+            self._warn_once(name, f"{name}: what became of it is not known: {error}")
             return False
-        self._warn_once(what, "" if answer.accepted else f"{what}: {answer.reason}")
+        self._warn_once(name, "" if answer.accepted else f"{name}: {answer.reason}")
         if answer.accepted:
-            _LOG.info("%s %s: %s", what, ask.note, answer.state.value)
+            _LOG.info("%s %s: %s", name, ask.note, answer.state.value)
         return answer.accepted
 
     def _write_outputs(self, outputs: Outputs) -> None:
@@ -137,20 +137,20 @@ class HandshakeAdapter:
             _LOG.info("told: %s", outputs)
             self._outputs = outputs
 
-    def _warn_once(self, about: str, what: str) -> None:
-        """Warn once of what has changed; empty = all is well."""
-        before = self._said.get(about, "")
-        if what == before:
+    def _warn_once(self, subject: str, warning: str) -> None:
+        """Log a warning when it changes; empty = no trouble any more."""
+        before = self._warnings.get(subject, "")
+        if warning == before:
             return
-        self._said[about] = what
-        if what:
-            _LOG.warning(what)
-        elif before and about in ("plc", "cell"):
-            _LOG.warning("the %s is there again", {"plc": "PLC", "cell": "cell"}[about])
+        self._warnings[subject] = warning
+        if warning:
+            _LOG.warning(warning)
+        elif before and subject in ("plc", "cell"):
+            _LOG.warning("the %s is there again", {"plc": "PLC", "cell": "cell"}[subject])
 
     def _follow(self) -> None:
         try:
             for _ in self._client.follow():
                 self._news.set()
-        except LinkError:  # the look finds it, too, and tells it
+        except LinkError:  # the next poll detects and logs it
             self._news.set()

@@ -20,9 +20,9 @@ class Inputs:
     part_present      a cable is where the cell grips it
     upstream_ready    the machine before the cell allows it to work
     downstream_ready  the machine after the cell allows it to work
-    acknowledge       its rising edge says that a person has looked
+    acknowledge       its rising edge acknowledges a fault in a person's name
     stop              its rising edge asks for a stop
-    product_0 …       number of the product that a start is of, lowest bit first; 0 = not said
+    product_0 …       number of the product that a start is of, lowest bit first; 0 = not named
     """
 
     start: bool = False
@@ -61,7 +61,7 @@ class Outputs:
     fault: bool = False
 
 
-#: What a PLC reads while nothing is known of the cell.
+#: Outputs while the state of the cell is not known.
 UNKNOWN = Outputs(fault=True)
 
 
@@ -77,53 +77,53 @@ class Carrier(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
     def read(self) -> Inputs:
-        """What the PLC says now.  Raises CarrierError: it is not known, or was not meanwhile."""
+        """Newest inputs.  Raises CarrierError: lost now, or since the last call."""
         ...
 
     def write(self, outputs: Outputs) -> None:
-        """Tell the PLC; what is told while it is away is there when it comes back."""
+        """Set the outputs; while the PLC is away they are stored until it comes back."""
         ...
 
 
 class LatestBits:
     """The newest bits, passed from a protocol's thread to the adapter's.
 
-    A loss is told by `read`, however soon the other end is back: edges begin anew after it.
+    `read` reports every loss once, even a short one, because edge detection restarts after it.
 
-    silence_s  without a word for so long the other end is away
-    silent     what is said of it then
+    silence_s       time without a message after which the other end counts as lost, s
+    silence_reason  message of the error then
     """
 
-    def __init__(self, silence_s: float, silent: str) -> None:
-        self._silence_s, self._silent = silence_s, silent
+    def __init__(self, silence_s: float, silence_reason: str) -> None:
+        self._silence_s, self._silence_reason = silence_s, silence_reason
         self._lock = threading.Lock()
         self._bits: frozenset[int] | None = None
         self._heard_s = 0.0
-        self._why, self._is_told = silent, True
+        self._reason, self._is_reported = silence_reason, True
 
     def take(self, bits: Collection[int]) -> None:
-        """Numbers of the bits that are 1 now."""
+        """Store the newest bits, by the numbers of those that are 1."""
         with self._lock:
             self._notice_silence()
             self._bits, self._heard_s = frozenset(bits), time.monotonic()
 
-    def lose(self, why: str) -> None:
-        """Nothing is known any more."""
+    def lose(self, reason: str) -> None:
+        """Mark the bits as unknown."""
         with self._lock:
-            self._bits, self._why, self._is_told = None, why, False
+            self._bits, self._reason, self._is_reported = None, reason, False
 
     def read(self) -> frozenset[int]:
-        """Numbers of the bits that are 1.  Raises CarrierError: not known, or not meanwhile."""
+        """Numbers of the bits that are 1.  Raises CarrierError: lost since the last call."""
         with self._lock:
             self._notice_silence()
-            if self._bits is None or not self._is_told:
-                self._is_told = True
-                raise CarrierError(self._why)
+            if self._bits is None or not self._is_reported:
+                self._is_reported = True
+                raise CarrierError(self._reason)
             return self._bits
 
     def _notice_silence(self) -> None:
         if self._bits is not None and time.monotonic() - self._heard_s > self._silence_s:
-            self._bits, self._why, self._is_told = None, self._silent, False
+            self._bits, self._reason, self._is_reported = None, self._silence_reason, False
 
 
 def inputs_of(bits: Collection[int], places: InputSignals) -> Inputs:
@@ -146,11 +146,12 @@ class ControllerCarrier:
     host  address of the controller
     """
 
-    def __init__(self, said: Handshake, host: str) -> None:
-        self._said = said
-        self._heard = LatestBits(said.silence_s, f"{host} reports nothing for {said.silence_s:g} s")
-        ours = [at.number for _, at in signals_of(said.outputs)]
-        self._io = UrIo(host, ours, self._heard.take, self._heard.lose, said.silence_s)
+    def __init__(self, settings: Handshake, host: str) -> None:
+        self._settings = settings
+        silence_s = settings.silence_s
+        self._latest = LatestBits(silence_s, f"{host} reports nothing for {silence_s:g} s")
+        ours = [at.number for _, at in signals_of(settings.outputs)]
+        self._io = UrIo(host, ours, self._latest.take, self._latest.lose, silence_s)
         self.write(UNKNOWN)
 
     def __enter__(self) -> Self:
@@ -161,9 +162,9 @@ class ControllerCarrier:
         self._io.__exit__()
 
     def read(self) -> Inputs:
-        """What the PLC says now.  Raises CarrierError: the controller is away."""
-        return inputs_of(self._heard.read(), self._said.inputs)
+        """Newest inputs.  Raises CarrierError: the controller is away."""
+        return inputs_of(self._latest.read(), self._settings.inputs)
 
     def write(self, outputs: Outputs) -> None:
         """Set the outputs, which stay as they are when the program ends."""
-        self._io.set(bits_of(outputs, self._said.outputs))
+        self._io.set(bits_of(outputs, self._settings.outputs))

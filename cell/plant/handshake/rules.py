@@ -46,18 +46,18 @@ _REJECTED = frozenset({Outcome.MISSED, Outcome.REJECTED, Outcome.UNFIT})
 
 @dataclass(frozen=True)
 class Memory:
-    """What the rules remember from one evaluation to the next.
+    """State of the rules between two evaluations.
 
-    The values at the beginning let a start or an acknowledgement that is held then do nothing
-    until it falls, and let a stop that is held then stop.
+    By the initial values a start or acknowledgement that is on already has no effect until it
+    falls; a stop that is on already stops.
 
     before   inputs of the last look
     ready    output of the last look
     run      process of the cell; None = never reached
     results  results of this run that are known
-    outcome  of the last cycle, as long as done or rejected tell it
-    start    level of start when the PLC was last heard: until it changes they tell it
-    pause    suspend or unsuspend, which was asked for last in this Execute
+    outcome  of the last cycle, as long as done or rejected show it
+    start    level of start in the newest inputs: done and rejected hold until it changes
+    pause    suspend or unsuspend, whichever was requested last in this Execute
     cleared  an acknowledgement has cleared Aborted, and resets as soon as the cell is Stopped
     """
 
@@ -82,7 +82,7 @@ class Ask:
 
 @dataclass(frozen=True)
 class PlcInputs:
-    """All that a rule depends on, at one moment."""
+    """Inputs of a rule at one moment."""
 
     inputs: Inputs
     status: Status
@@ -105,17 +105,17 @@ class PlcInputs:
 
     @property
     def suspended_by_plc(self) -> bool:
-        """Whether the cell is suspended, or is to be, because of the machines beside it."""
+        """Whether the cell is suspended, or is to be, because of a neighbouring machine."""
         if self.memory.pause is MachineEvent.SUSPEND:
             return self.is_in(CellState.EXECUTE) or self.status.state in _SUSPENDING
-        told = {"upstream", "downstream"} & set(self.status.waiting_for)
-        return self.is_in(CellState.SUSPENDED) and bool(told) and self.memory.pause is None
+        reported = {"upstream", "downstream"} & set(self.status.waiting_for)
+        return self.is_in(CellState.SUSPENDED) and bool(reported) and self.memory.pause is None
 
     @property
     def is_acknowledged(self) -> bool:
         """Whether Stopped is acknowledged: now, or by what has just cleared Aborted.
 
-        The gripper would go home, so a stop that is held goes before it.
+        A stop that is on takes precedence, because the gripper would go home.
         """
         pressed = self.rose("acknowledge") and not self.inputs.stop
         return pressed or (self.memory.cleared and self.goes_on_clearing)
@@ -127,12 +127,12 @@ class PlcInputs:
 
     @property
     def is_faulted(self) -> bool:
-        """Whether a person has to look first."""
+        """Whether a person has to acknowledge first."""
         return self.status.fault is not None or self.status.state in _FAULTED
 
     @property
     def product(self) -> str | None:
-        """The product that the PLC says; None = it says none."""
+        """The product that the PLC names; None = it names none."""
         number = self.inputs.product
         return self.status.products[number - 1] if number else None
 
@@ -158,7 +158,7 @@ class Rule:
     applies: Callable[[PlcInputs], bool]
 
 
-#: The first that applies is asked for; the others have lost their edge.
+#: The first rule that applies is requested; the edges of the others are lost.
 RULES = (
     Rule(
         MachineEvent.STOP, lambda now: now.rose("stop") and MachineEvent.STOP in now.status.possible
@@ -185,8 +185,8 @@ def evaluate(
 ) -> tuple[tuple[Ask, ...], Outputs, Memory]:
     """Requests to the cell, outputs to the PLC, and the memory for the next evaluation.
 
-    status  of the cell, None = it is not reached: nothing is asked then, and a stop waits as
-            long as it is held
+    status  of the cell; None = it is not reached: nothing is requested then, and a stop waits
+            as long as it is on
     """
     if status is None:
         missed = replace(inputs, stop=inputs.stop and memory.before.stop)
@@ -216,7 +216,7 @@ def evaluate(
 
 
 def inputs_lost(memory: Memory) -> Memory:
-    """Memory after a loss of the inputs: edges are forgotten, results are kept."""
+    """Memory after a loss of the inputs: without edges, with the results."""
     return replace(memory, before=Memory().before, ready=False, cleared=False)
 
 
@@ -230,9 +230,9 @@ def obeyed(ask: Ask, outputs: Outputs) -> Outputs:
 def not_obeyed(ask: Ask, before: Memory, after: Memory) -> Memory:
     """Memory after a request that did not reach the cell or was refused.
 
-    A pause or a stop is asked for again.  A start or an acknowledgement is not: its edge is over.
+    A pause or a stop is requested again.  A start or an acknowledgement is not: its edge is over.
 
-    before, after  memory before and after the look that asked
+    before, after  memory before and after the evaluation that made the request
     """
     if ask.command is MachineEvent.STOP:
         return replace(after, before=replace(after.before, stop=False))
@@ -255,7 +255,7 @@ def _ask(rule: Rule, now: PlcInputs) -> Ask:
 
 
 def _held_outcome(inputs: Inputs, memory: Memory) -> Outcome | None:
-    """The outcome that is still told: until start changes."""
+    """The outcome that the outputs still show: until start changes."""
     return memory.outcome if inputs.start == memory.start else None
 
 

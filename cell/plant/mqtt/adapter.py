@@ -1,8 +1,8 @@
 """Delivers the notices of the outbox to the broker: in order, one message at a time.
 
-Every connection begins anew, with nothing that the one before has left in broker or library: what
-is not acknowledged is still in the outbox.  So nothing is lost, whoever is killed.  What was sent
-and not acknowledged is sent again, with the same run and sequence.
+Each connection starts without state in broker or library.  A message stays in the outbox until
+it is acknowledged, so nothing is lost, whichever program is killed.  After a loss it is sent
+again, with the same run and sequence.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _LOG = logging.getLogger(__name__)
 
 #: Environment variable of the password.
 PASSWORD = "CELL_MQTT_PASSWORD"
-#: After a failure of the disk it is tried again, s.
+#: Pause after a failure of the disk, s.
 _AGAIN_S = 1.0
 #: Shortest pause before the broker is tried again, s; then twice as long, up to `retry_s`.
 _FIRST_S = 0.1
-#: Statuses are no closer to each other, s.
+#: Shortest interval between two statuses, s.
 _STATUS_S = 0.5
-#: So long the broker may take to acknowledge, s.
+#: Longest wait for an acknowledgement of the broker, s.
 _ANSWER_S = 10.0
 
 
@@ -89,13 +89,13 @@ class OutboxFeeder:
 
     runs    folder of the cell's records
     outbox  where notices are put
-    tell    called, from the thread, when there is something new
+    notify  called, from the thread, when there is something new
     """
 
-    def __init__(self, runs: Path, outbox: MqttOutbox, tell: Callable[[], None]) -> None:
+    def __init__(self, runs: Path, outbox: MqttOutbox, notify: Callable[[], None]) -> None:
         self._client = Client(runs, on_lost=self._lost, on_there=self._reconnected)
         self._outbox = outbox
-        self._tell = tell
+        self._notify = notify
         self._over = threading.Event()
         self._thread = GuardedThread("taker", self._run, self._died)
         self.is_cell = False
@@ -120,20 +120,20 @@ class OutboxFeeder:
     def _lost(self) -> None:
         self.is_cell = False
         _LOG.warning("the cell is away: it is waited for")
-        self._tell()
+        self._notify()
 
     def _reconnected(self) -> None:
         if not self.is_cell:
             self.is_cell = True
-            self._tell()
+            self._notify()
 
     def _died(self, error: BaseException) -> None:
         """The adapter ends with this error, and is started again."""
         self.error = LinkError(error_text(error))
-        self._tell()
+        self._notify()
 
     def _run(self) -> None:
-        after, asked = self._outbox.newest(), ""
+        after, requested_run = self._outbox.newest(), ""
         while not self._over.is_set():
             try:
                 for message in self._client.follow(after):
@@ -141,13 +141,13 @@ class OutboxFeeder:
                     if not isinstance(message, Status):
                         self._outbox.put(message)
                         after = message.run, message.sequence
-                        self._tell()
-                    elif message.sequence == 0 or asked == message.run:
+                        self._notify()
+                    elif message.sequence == 0 or requested_run == message.run:
                         after = message.run, message.sequence
                         self._outbox.start_after(after)
-                    else:  # what this run has told before, as far as the cell still knows it
-                        asked = message.run
-                        after = asked, 0
+                    else:  # request the earlier notices of this run that the cell still has
+                        requested_run = message.run
+                        after = requested_run, 0
                         break
             except OutboxError as error:
                 _LOG.error("%s; tried again", error)
@@ -156,7 +156,7 @@ class OutboxFeeder:
             except LinkError as error:
                 if not self._over.is_set():
                     self.error = error
-                    self._tell()
+                    self._notify()
                 return
 
 
@@ -165,7 +165,7 @@ class MqttAdapter:
 
     client_id  of the connection
     runs       folder of the cell's records
-    form_anew  the form of messages for a new connection
+    new_form   makes the form of messages of a new connection
     raises     ValueError: there is no password, or a certificate is missing or invalid
     """
 
@@ -175,22 +175,22 @@ class MqttAdapter:
         client_id: str,
         runs: Path,
         outbox: MqttOutbox,
-        form_anew: Callable[[], PayloadForm],
+        new_form: Callable[[], PayloadForm],
     ) -> None:
         self._settings = settings
         self._client_id = client_id
         self._password, self._tls = password_of(settings), tls_of(settings.tls)
         self._runs = runs
         self._outbox = outbox
-        self._form_anew = form_anew
+        self._new_form = new_form
         self._news = asyncio.Event()
         self._over = asyncio.Event()
-        self._is_born_anew = False
+        self._birth_due = False
         self._status: Status | None = None
-        self._said = ""
+        self._warning = ""
 
     def end(self) -> None:
-        """Say farewell and return from `run`; what waits is kept.  From the loop's thread."""
+        """End `run` after a farewell; waiting messages stay stored.  From the loop's thread."""
         self._over.set()
         self._news.set()
 
@@ -204,14 +204,14 @@ class MqttAdapter:
         loop = asyncio.get_running_loop()
         pause_s = _FIRST_S
 
-        def tell() -> None:
+        def notify() -> None:
             loop.call_soon_threadsafe(self._news.set)
 
-        with OutboxFeeder(self._runs, self._outbox, tell) as taker:
+        with OutboxFeeder(self._runs, self._outbox, notify) as feeder:
             while not self._over.is_set():
                 begun_s = loop.time()
                 try:
-                    await self._connection(taker)
+                    await self._connect(feeder)
                 except* (MqttError, EndOfSessionError) as errors:
                     self._warn_once(f"broker: {errors.exceptions[0]}")
                 if loop.time() - begun_s > _ANSWER_S:
@@ -219,11 +219,11 @@ class MqttAdapter:
                 await _wait(self._over, pause_s)
                 pause_s = min(2.0 * pause_s, self._settings.retry_s)
 
-    async def _connection(self, taker: OutboxFeeder) -> None:
+    async def _connect(self, feeder: OutboxFeeder) -> None:
         """One connection to the broker, until it is lost or the adapter ends."""
         import aiomqtt
 
-        form = self._form_anew()
+        form = self._new_form()
         will = form.will()
         async with (
             aiomqtt.Client(
@@ -245,46 +245,46 @@ class MqttAdapter:
             for topic in form.subscriptions:
                 await client.subscribe(topic, qos=1)
             self._warn_once("broker: connected")
-            await self._deliver(client, form, taker)
+            await self._deliver(client, form, feeder)
             hearing.cancel()
 
     async def _receive(self, client: aiomqtt.Client, form: PayloadForm) -> None:
-        """Take in what was asked for; raises MqttError as soon as the broker is lost."""
+        """Take in subscribed messages; raises MqttError as soon as the broker is lost."""
         async for message in client.messages:
             payload = message.payload if isinstance(message.payload, bytes) else b""
             if not message.retain or message.topic.value != form.subscriptions[0]:
-                self._is_born_anew |= form.receive(message.topic.value, payload)
+                self._birth_due |= form.receive(message.topic.value, payload)
             self._news.set()
 
     async def _deliver(
-        self, client: aiomqtt.Client, form: PayloadForm, taker: OutboxFeeder
+        self, client: aiomqtt.Client, form: PayloadForm, feeder: OutboxFeeder
     ) -> None:
         self._news.clear()
         while not form.can_publish() and not self._over.is_set():
             await _wait(self._news)
             self._news.clear()
-        self._is_born_anew, reached, told_s, is_told = True, False, 0.0, True
+        self._birth_due, reached, sent_s, is_current = True, False, 0.0, True
         while not self._over.is_set():
             self._news.clear()
-            if taker.error is not None:
-                raise taker.error
-            if self._is_born_anew or taker.is_cell != reached:
-                self._is_born_anew = False
-                known = await self._published_state(taker)
+            if feeder.error is not None:
+                raise feeder.error
+            if self._birth_due or feeder.is_cell != reached:
+                self._birth_due = False
+                known = await self._published_state(feeder)
                 reached = known.is_cell
                 await self._send(client, form, form.birth(known))
             waiting = self._outbox.first()
             if waiting is not None:
                 await self._send(client, form, form.of_notice(waiting.notice))
                 self._outbox.remove(waiting)
-                is_told = False
-            elif not is_told and time.monotonic() - told_s >= _STATUS_S:
-                told_s, known = time.monotonic(), await self._published_state(taker)
-                if is_told := self._has_all_of(known):
+                is_current = False
+            elif not is_current and time.monotonic() - sent_s >= _STATUS_S:
+                sent_s, known = time.monotonic(), await self._published_state(feeder)
+                if is_current := self._is_up_to_date(known):
                     await self._send(client, form, form.of_status(known))
             else:
-                await _wait(self._news, None if is_told else _STATUS_S)
-        await self._send(client, form, form.farewell(await self._published_state(taker)))
+                await _wait(self._news, None if is_current else _STATUS_S)
+        await self._send(client, form, form.farewell(await self._published_state(feeder)))
 
     async def _send(
         self, client: aiomqtt.Client, form: PayloadForm, messages: Sequence[Message]
@@ -293,29 +293,29 @@ class MqttAdapter:
         for message in messages:
             await client.publish(message.topic, message.payload, message.qos, message.retain)
         if any(message.qos == 0 for message in messages):
-            # the broker answers in order: it has what was sent before
+            # the broker answers in order: it has the messages sent before
             await client.subscribe(form.subscriptions[0], qos=1)
 
-    async def _published_state(self, taker: OutboxFeeder) -> PublishedState:
-        if (status := await asyncio.to_thread(taker.status)) is not None:
+    async def _published_state(self, feeder: OutboxFeeder) -> PublishedState:
+        if (status := await asyncio.to_thread(feeder.status)) is not None:
             self._status = status
-        return PublishedState(self._status, taker.is_cell, self._outbox.dropped(), time.time())
+        return PublishedState(self._status, feeder.is_cell, self._outbox.dropped(), time.time())
 
-    def _has_all_of(self, known: PublishedState) -> bool:
-        """Whether the outbox has had all notices that the status contains."""
+    def _is_up_to_date(self, known: PublishedState) -> bool:
+        """Whether the outbox has had every notice that the status contains."""
         if known.status is None or not known.is_cell:
             return True
         run, sequence = self._outbox.newest() or ("", 0)
         return run == known.status.run and sequence >= known.status.sequence
 
-    def _warn_once(self, said: str) -> None:
-        if said != self._said:
-            self._said = said
-            _LOG.warning("%s; %d messages wait", said, self._outbox.count())
+    def _warn_once(self, warning: str) -> None:
+        if warning != self._warning:
+            self._warning = warning
+            _LOG.warning("%s; %d messages wait", warning, self._outbox.count())
 
 
 async def _wait(event: asyncio.Event, most_s: float | None = None) -> None:
-    """Until it has happened, or for so long."""
+    """Wait for an event, for `most_s` at most."""
     with suppress(TimeoutError):
         async with asyncio.timeout(most_s):
             await event.wait()

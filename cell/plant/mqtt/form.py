@@ -25,7 +25,7 @@ class Message:
 
 @dataclass(frozen=True)
 class PublishedState:
-    """What the adapter knows of the cell at the time of a message.
+    """State of the cell, as known to the adapter at the time of a message.
 
     status   newest; None = no cell was reached since the adapter began
     is_cell  whether the cell is reached now
@@ -48,25 +48,25 @@ class PayloadForm(Protocol):
     subscriptions: Sequence[str]
 
     def will(self) -> Message:
-        """What the broker says when the adapter is lost; a new connection begins with it."""
+        """Message that the broker publishes when the adapter is lost, for a new connection."""
 
     def can_publish(self) -> bool:
-        """Whether somebody is there to be told."""
+        """Whether a receiver is online."""
 
     def birth(self, known: PublishedState) -> list[Message]:
-        """What is said first in a connection, and when the cell is reached or lost."""
+        """First messages of a connection, and those after the cell is reached or lost."""
 
     def of_notice(self, notice: Notice) -> list[Message]:
-        """What is said of something that has happened, in its turn."""
+        """Messages for a notice, in its turn."""
 
     def of_status(self, known: PublishedState) -> list[Message]:
-        """What is said when nothing waits any more."""
+        """Messages for the status, when no notice waits any more."""
 
     def farewell(self, known: PublishedState) -> list[Message]:
-        """What is said before the adapter ends."""
+        """Last messages before the adapter ends."""
 
     def receive(self, topic: str, payload: bytes) -> bool:
-        """Take in a message of a topic that was asked for; whether a birth is to follow.
+        """Take in a message of a subscribed topic; whether a birth is to follow.
 
         raises  EndOfSessionError: the connection is to be ended
         """

@@ -15,11 +15,11 @@ from cell.plant.mqtt.form import Message, PublishedState
 from cell.records.result import Result
 from cell.run.machine import CellState
 
-#: Of the messages; a receiver refuses one that it does not know.
+#: Version of the messages; a receiver refuses an unknown one.
 VERSION = 1
 CONNECTION, STATUS = "connection", "status"
-#: Beside status and connection the broker keeps what holds until the next message.
-_KEPT = frozenset({MessageKind.STATE, MessageKind.PRODUCT, MessageKind.WAITING})
+#: Like status and connection, these hold until the next message: the broker retains them.
+_RETAINED = frozenset({MessageKind.STATE, MessageKind.PRODUCT, MessageKind.WAITING})
 
 
 class PlainJson:
@@ -38,48 +38,48 @@ class PlainJson:
         return self._message(CONNECTION, {"adapter": False, "cell": False}, retain=True)
 
     def can_publish(self) -> bool:
-        """The broker is enough."""
+        """Always: a broker is enough."""
         return True
 
     def birth(self, known: PublishedState) -> list[Message]:
-        """Who is there, and the status."""
+        """Messages for connection and status."""
         return [self._connection(known, adapter=True), *self.of_status(known)]
 
     def of_notice(self, notice: Notice) -> list[Message]:
-        """A message of the topic that is called as the kind of the notice."""
-        said = {
+        """A message whose topic has the name of the notice's kind."""
+        content = {
             "id": f"{notice.run}/{notice.sequence}",
             "run": notice.run,
             "sequence": notice.sequence,
             "time_s": notice.time_s,
             "data": notice.data,
         }
-        return [self._message(notice.kind.value, said, retain=notice.kind in _KEPT)]
+        return [self._message(notice.kind.value, content, retain=notice.kind in _RETAINED)]
 
     def of_status(self, known: PublishedState) -> list[Message]:
-        """All that is known of the cell now."""
+        """The status of the cell, if known."""
         if known.status is None:
             return []
-        said = {"time_s": known.time_s, "data": asdict(known.status)}
-        return [self._message(STATUS, said, retain=True)]
+        content = {"time_s": known.time_s, "data": asdict(known.status)}
+        return [self._message(STATUS, content, retain=True)]
 
     def farewell(self, known: PublishedState) -> list[Message]:
         """As the will, with the time."""
         return [self._connection(known, adapter=False)]
 
     def receive(self, topic: str, payload: bytes) -> bool:
-        """Nothing was asked for, so nothing is obeyed."""
+        """Ignore it: nothing is subscribed."""
         return False
 
     def _connection(self, known: PublishedState, *, adapter: bool) -> Message:
-        """Who is there; without the adapter nobody knows of the cell."""
-        said: dict[str, Any] = {"adapter": adapter, "cell": adapter and known.is_cell}
-        said |= {"dropped": known.dropped, "time_s": known.time_s}
-        return self._message(CONNECTION, said, retain=True)
+        """Whether adapter and cell are there; without the adapter the cell is unknown."""
+        content: dict[str, Any] = {"adapter": adapter, "cell": adapter and known.is_cell}
+        content |= {"dropped": known.dropped, "time_s": known.time_s}
+        return self._message(CONNECTION, content, retain=True)
 
-    def _message(self, what: str, said: dict[str, Any], *, retain: bool) -> Message:
-        text = json.dumps({"version": VERSION, **plain(said)}, ensure_ascii=False)
-        return Message(f"{self._levels}/{what}", text.encode(), 1, retain)
+    def _message(self, topic: str, content: dict[str, Any], *, retain: bool) -> Message:
+        text = json.dumps({"version": VERSION, **plain(content)}, ensure_ascii=False)
+        return Message(f"{self._levels}/{topic}", text.encode(), 1, retain)
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def _types(kinds: list[Any]) -> dict[str, Any]:
     inputs: list[tuple[Any, Literal["serialization"], TypeAdapter[Any]]] = [
         (kind, "serialization", TypeAdapter(kind)) for kind in kinds
     ]
-    made, found = TypeAdapter.json_schemas(inputs)
-    types: dict[str, Any] = found["$defs"]
+    made, definitions = TypeAdapter.json_schemas(inputs)
+    types: dict[str, Any] = definitions["$defs"]
     named = {kind.__name__: made[kind, "serialization"] for kind in kinds}
     return types | {name: s for name, s in named.items() if s.get("$ref") != f"#/$defs/{name}"}

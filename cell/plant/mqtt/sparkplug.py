@@ -77,7 +77,7 @@ class Metric:
 
     name           as in the birth; None = only its alias is sent
     time_ms        when it was so, Unix time, ms
-    is_historical  whether it is told late and is not the present value
+    is_historical  whether it is sent late and is not the present value
     """
 
     name: str | None
@@ -243,7 +243,7 @@ class EdgeNode:
         return [Message(self._topic("NBIRTH"), encode(metrics, at_ms, self._seq), 0)]
 
     def of_notice(self, notice: Notice) -> list[Message]:
-        """Metrics of what has happened; historical if a birth has said more than that already."""
+        """Metrics of what has happened; historical if a later birth contains them already."""
         late = self._contained is not None and (
             notice.run != self._contained[0] or notice.sequence <= self._contained[1]
         )
@@ -263,7 +263,7 @@ class EdgeNode:
         return [self._data(changed, _now_ms(), False)]
 
     def farewell(self, known: PublishedState) -> list[Message]:
-        """The death certificate, said by oneself."""
+        """The death certificate, sent by the adapter itself."""
         return [self.will()]
 
     def receive(self, topic: str, payload: bytes) -> bool:
@@ -282,8 +282,8 @@ class EdgeNode:
 
     def _receive_host_state(self, payload: bytes) -> None:
         try:
-            said = json.loads(payload)
-            online, since = said["online"] is True, int(said["timestamp"])
+            state = json.loads(payload)
+            online, since = state["online"] is True, int(state["timestamp"])
         except (ValueError, KeyError, TypeError):
             return
         if since < self._host_since:
@@ -293,7 +293,7 @@ class EdgeNode:
             raise EndOfSessionError("the primary host is offline")
 
     def _values(self, known: PublishedState) -> dict[str, Value]:
-        """What a status says; nothing is known of a cell that was never reached."""
+        """Values of a status; those of a cell that was never reached are unknown."""
         values: dict[str, Value] = {
             "Cell/Connected": known.is_cell,
             "Cell/Dropped": known.dropped,
@@ -343,12 +343,12 @@ def _values_of_status(status: Status) -> dict[str, Value]:
 
 
 def _values_of_fault(fault: Mapping[str, Any] | None) -> dict[str, Value]:
-    given = fault or {}
-    time_s = given.get("time_s")
+    entries = fault or {}
+    time_s = entries.get("time_s")
     return {
-        "Fault/cycle": given.get("cycle"),
+        "Fault/cycle": entries.get("cycle"),
         "Fault/time": None if time_s is None else round(1000 * time_s),
-        **{f"Fault/{name}": given.get(name) for name in _FAULT_TEXTS},
+        **{f"Fault/{name}": entries.get(name) for name in _FAULT_TEXTS},
     }
 
 
@@ -363,7 +363,7 @@ def _values_of_product(data: Mapping[str, Any]) -> dict[str, Value]:
 
 
 def _values_of(notice: Notice) -> dict[str, Value]:
-    said: dict[str, Value]
+    values: dict[str, Value]
     data = notice.data
     match notice.kind:
         case MessageKind.STATE:
@@ -376,15 +376,15 @@ def _values_of(notice: Notice) -> dict[str, Value]:
             return {"Cell/Step": data["step"], "Cell/Cycle": data["cycle"]}
         case MessageKind.CYCLE:
             names = ("cycle", "part", "product")
-            said = {f"Cell/{name.capitalize()}": data[name] for name in names}
-            return said | _values_of_product(data)
+            values = {f"Cell/{name.capitalize()}": data[name] for name in names}
+            return values | _values_of_product(data)
         case MessageKind.RESULT:
             return _values_of_result(data)
         case MessageKind.FAULT:
             return _values_of_fault(data)
         case MessageKind.ACKNOWLEDGED:
-            said = {f"Acknowledged/{name}": data[name] for name in ("by", "note")}
-            return said | _values_of_fault(None)
+            values = {f"Acknowledged/{name}": data[name] for name in ("by", "note")}
+            return values | _values_of_fault(None)
         case MessageKind.PRODUCT:
             return {"Cell/Product": data["product"], **_values_of_product(data)}
         case MessageKind.WAITING:

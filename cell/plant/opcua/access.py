@@ -31,10 +31,10 @@ from cell.files.atomic import write_secret
 from cell.plant.users import Role
 from cell.plant.users import Users as Accounts
 
-#: The server's certificate is valid for so long, days, and made again with so many left.
-_DAYS, _LEFT_DAYS = 3650, 30
-#: At most so many certificates of strangers are kept.
-_STRANGERS = 20
+#: Validity of the server's certificate, and remaining validity at which it is renewed, days.
+_DAYS, _RENEWAL_DAYS = 3650, 30
+#: Largest number of stored certificates of unknown clients.
+_MOST_REJECTED = 20
 
 
 def own_certificate(folder: Path, uri: str, listen: str) -> tuple[Path, Path]:
@@ -70,12 +70,12 @@ def own_certificate(folder: Path, uri: str, listen: str) -> tuple[Path, Path]:
 
 def _fits(path: Path, uri: str) -> bool:
     try:
-        found = x509.load_der_x509_certificate(path.read_bytes())
-        names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        parsed = x509.load_der_x509_certificate(path.read_bytes())
+        names = parsed.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except (ValueError, x509.ExtensionNotFound):
         return False
     uris = names.get_values_for_type(x509.UniformResourceIdentifier)
-    return uri in uris and found.not_valid_after_utc > datetime.now(UTC) + timedelta(_LEFT_DAYS)
+    return uri in uris and parsed.not_valid_after_utc > datetime.now(UTC) + timedelta(_RENEWAL_DAYS)
 
 
 class TrustedClients:
@@ -90,21 +90,21 @@ class TrustedClients:
             made.mkdir(parents=True, exist_ok=True)
 
     def knows(self, certificate: bytes) -> bool:
-        """Whether a certificate, DER, is trusted and valid now; a stranger's is kept."""
+        """Whether a certificate, DER, is trusted and valid now; an unknown one is stored."""
         try:
-            found = x509.load_der_x509_certificate(certificate)
+            parsed = x509.load_der_x509_certificate(certificate)
         except ValueError:
             return False
-        if not found.not_valid_before_utc <= datetime.now(UTC) <= found.not_valid_after_utc:
+        if not parsed.not_valid_before_utc <= datetime.now(UTC) <= parsed.not_valid_after_utc:
             return False
         if any(_der(path) == certificate for path in sorted(self.trusted.iterdir())):
             return True
-        self._keep(certificate)
+        self._store_rejected(certificate)
         return False
 
-    def _keep(self, certificate: bytes) -> None:
+    def _store_rejected(self, certificate: bytes) -> None:
         path = self.rejected / f"{hashlib.sha256(certificate).hexdigest()[:16]}.der"
-        if path.exists() or len(list(self.rejected.iterdir())) >= _STRANGERS:
+        if path.exists() or len(list(self.rejected.iterdir())) >= _MOST_REJECTED:
             return
         try:
             path.write_bytes(certificate)

@@ -24,10 +24,10 @@ from cell.plant.opcua.view import PackmlView
 from cell.plant.wire import LONGEST_TEXT, LinkError, NoCellError
 from cell.run.machine import MachineEvent
 
-#: The message under way has come at this time or later, on the monotonic clock, s.
-came_s: ContextVar[float] = ContextVar("came_s")
+#: Lower bound of the arrival time of the current message, monotonic clock, s.
+received_s: ContextVar[float] = ContextVar("received_s")
 
-#: How often it is noted that the server has nothing to do, s.
+#: Interval between two notes of the time, s.
 _EVERY_S = 0.1
 
 
@@ -39,41 +39,41 @@ class Idle:
         self._noted_s: deque[float] = deque((now_s, now_s), maxlen=2)
 
     @property
-    def since_s(self) -> float:
-        """What is read now has come since then: the last note may be of the same round."""
+    def lower_bound_s(self) -> float:
+        """The second-newest note: the newest may be of the same round as the message."""
         return self._noted_s[0]
 
     async def note(self) -> None:
-        """Note it for ever."""
+        """Note the time at intervals, until cancelled."""
         while True:
             self._noted_s.append(time.monotonic())
             await asyncio.sleep(_EVERY_S)
 
 
 class _Connection(OPCUAProtocol):  # type: ignore[misc]
-    """A connection that knows since when each of its messages may have waited."""
+    """A connection that stores a lower bound of each message's arrival time."""
 
-    def __init__(self, idle: Idle, **given: Any) -> None:
-        super().__init__(**given)
+    def __init__(self, idle: Idle, **options: Any) -> None:
+        super().__init__(**options)
         self._idle = idle
-        self._came_s: deque[float] = deque()
+        self._received_s: deque[float] = deque()
 
     def data_received(self, data: bytes) -> None:
         """Take in messages."""
         waiting = self.messages.qsize()
         super().data_received(data)
-        self._came_s.extend([self._idle.since_s] * (self.messages.qsize() - waiting))
+        self._received_s.extend([self._idle.lower_bound_s] * (self.messages.qsize() - waiting))
 
     async def _process_one_msg(self, header: Any, buf: Any) -> bool:
-        came_s.set(self._came_s.popleft())
+        received_s.set(self._received_s.popleft())
         return bool(await super()._process_one_msg(header, buf))
 
 
 class _Connections(BinaryServer):  # type: ignore[misc]
     """Listens for connections."""
 
-    def __init__(self, idle: Idle, *given: Any) -> None:
-        super().__init__(*given)
+    def __init__(self, idle: Idle, *options: Any) -> None:
+        super().__init__(*options)
         self._idle = idle
 
     def _make_protocol(self) -> OPCUAProtocol:
@@ -115,7 +115,7 @@ class TimedServer(Server):  # type: ignore[misc]
 _LOG = logging.getLogger(__name__)
 
 Code = ua.StatusCodes
-#: Asks the cell.  Raises LinkError.
+#: Sends a request to the cell.  Raises LinkError.
 Ask = Callable[[Request], CommandReply]
 
 
@@ -125,8 +125,8 @@ class Command:
 
     path       of the object that has it
     arguments  (name, data type), …
-    event      what the cell is asked for; None = something else
-    type_id    of the method in the object's type of PackML; None = it is this program's own
+    event      command to the cell; None = something else
+    type_id    of the method in the object's type of PackML; None = not of PackML
     """
 
     path: str
@@ -152,14 +152,14 @@ _MEANINGS = {
 
 
 def _standard() -> list[Command]:
-    made, events = [], {event.value for event in MachineEvent}
+    result, events = [], {event.value for event in MachineEvent}
     for path, machine in zip(MACHINE_PATHS, MACHINES, strict=True):
         for method in machine.methods:
             if method.name.lower() in events:
                 event = MachineEvent(method.name.lower())
-                meaning = _MEANINGS[event]
-                made.append(Command(path, method.name, meaning, event, method.arguments, method.id))
-    return made
+                head = path, method.name, _MEANINGS[event], event
+                result.append(Command(*head, method.arguments, method.id))
+    return result
 
 
 def _of_unit(method: Method) -> Command:
@@ -198,7 +198,7 @@ COMMANDS: tuple[Command, ...] = (
 
 
 class _RefusedError(Exception):
-    """A call is refused before the cell is asked.  Scenario: too few arguments."""
+    """A call is refused before it reaches the cell.  Scenario: too few arguments."""
 
     def __init__(self, code: int, reason: str, wrong: Sequence[int] = ()) -> None:
         super().__init__(reason)
@@ -208,9 +208,9 @@ class _RefusedError(Exception):
 class Methods:
     """Adds the methods to a unit, and answers their calls.
 
-    ask      asks the cell; called in a thread
-    view     what is known of the cell now
-    refused  told why a command was refused, or that it was not, by an empty text
+    ask      sends a request to the cell; called in a thread
+    view     the present view of the cell
+    refused  called with the reason of a refusal; with an empty text after an accepted command
     """
 
     def __init__(
@@ -251,8 +251,8 @@ class Methods:
         title = command.event.value if command.event else command.name
         try:
             _check(command, arguments)
-            asked = self._request(command, [a.Value for a in arguments])
-            request = replace(asked, asked_s=came_s.get())
+            plain = self._request(command, [a.Value for a in arguments])
+            request = replace(plain, asked_s=received_s.get())
             answer = await asyncio.to_thread(self._ask, request)
         except _RefusedError as refused:
             await self._refused(f"{title}: {refused}")
@@ -301,7 +301,7 @@ class Methods:
         return Request(None, by, product=product)
 
     def _numbered(self, structures: Sequence[Any] | None) -> str:
-        """Name of the product that an argument of SetProduct means."""
+        """Name of the product in an argument of SetProduct."""
         status = self._view().status
         products: tuple[str, ...] = () if status is None else status.products
         numbers: list[int] = [s.ProductID for s in structures or ()]
@@ -312,7 +312,7 @@ class Methods:
 
 
 def _answered(command: Command, answer: CommandReply) -> ua.CallMethodResult:
-    """The status of an answer: an argument is wrong, it came too late, or the state forbids it."""
+    """Status code of a reply: wrong argument, too late, or not possible in this state."""
     if answer.accepted:
         return _result(Code.Good)
     if answer.wrong == "asked_s":
@@ -325,33 +325,33 @@ def _answered(command: Command, answer: CommandReply) -> ua.CallMethodResult:
 
 
 def _check(command: Command, arguments: Sequence[ua.Variant]) -> None:
-    """Raises _RefusedError: not the arguments of this method.  An array may be left empty."""
+    """Raises _RefusedError: not the arguments of this method.  An array may be empty."""
     if len(arguments) < len(command.arguments):
         raise _RefusedError(Code.BadArgumentsMissing, f"needs {len(command.arguments)} arguments")
     if len(arguments) > len(command.arguments):
         raise _RefusedError(Code.BadTooManyArguments, f"takes {len(command.arguments)} arguments")
     wrong = [
-        Code.Good if _is(type_, given) else Code.BadTypeMismatch
-        for (_, type_), given in zip(command.arguments, arguments, strict=True)
+        Code.Good if _has_type(type_, argument) else Code.BadTypeMismatch
+        for (_, type_), argument in zip(command.arguments, arguments, strict=True)
     ]
     if any(code != Code.Good for code in wrong):
         wanted = ", ".join(f"{name}: {type_}" for name, type_ in command.arguments)
         raise _RefusedError(Code.BadInvalidArgument, f"the arguments are {wanted}", wrong)
 
 
-def _is(type_: str, given: ua.Variant) -> bool:
-    if given.Value is None:
+def _has_type(type_: str, argument: ua.Variant) -> bool:
+    if argument.Value is None:
         return type_ == _TEXT or type_.endswith("[]")
     if type_.endswith("[]"):
         wanted = type_[:-2]
-        return given.is_array is True and all(type(v).__name__ == wanted for v in given.Value)
-    if given.VariantType.name != type_ or given.is_array:
+        return argument.is_array is True and all(type(v).__name__ == wanted for v in argument.Value)
+    if argument.VariantType.name != type_ or argument.is_array:
         return False
-    return type_ != _TEXT or len(given.Value) <= LONGEST_TEXT
+    return type_ != _TEXT or len(argument.Value) <= LONGEST_TEXT
 
 
-def _result(code: int, wrong: Sequence[int] = (), given: int = 0) -> ua.CallMethodResult:
-    codes = wrong if len(wrong) == given else ()
+def _result(code: int, wrong: Sequence[int] = (), argument_count: int = 0) -> ua.CallMethodResult:
+    codes = wrong if len(wrong) == argument_count else ()
     return ua.CallMethodResult(
         StatusCode=ua.StatusCode(code), InputArgumentResults=[ua.StatusCode(c) for c in codes]
     )

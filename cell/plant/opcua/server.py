@@ -88,7 +88,7 @@ _LOG = logging.getLogger(__name__)
 OWN_URI = "urn:cable-cell:opcua"
 #: Times are shown anew so often, s.
 _TICK_S = 1.0
-#: After the cell has spoken another version it is asked again so much later, s.
+#: Pause before a cell of another version is contacted again, s.
 _AGAIN_S = 5.0
 
 
@@ -114,7 +114,7 @@ def serve(
     """Serve until SIGTERM or Ctrl-C.
 
     runs    folder of the cell's records
-    ready   told the address once clients may come
+    ready   called with the address once clients may connect
     users   file of the users
     raises  ValueError: no section `plant.opcua`, the address cannot be listened at, or the folder
             cannot be written; the message says what to do

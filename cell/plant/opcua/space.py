@@ -42,7 +42,7 @@ class AddressSpace:
         return ua.NodeId(path, self.own)
 
     def name(self, name: str, namespace: int | None = None) -> ua.QualifiedName:
-        """A browse name; of PackML if nothing else is said."""
+        """A browse name; of PackML by default."""
         return ua.QualifiedName(name, self.packml if namespace is None else namespace)
 
     def kind(self, name: str) -> NodeKind:
@@ -144,7 +144,7 @@ class AddressSpace:
         return self._add(item, attributes(IsAbstract=False))
 
     async def write(self, node: ua.NodeId, data: ua.DataValue) -> None:
-        """Give a variable a value; whoever subscribed to it is told."""
+        """Give a variable a value; its subscribers are notified."""
         status = await self.server.iserver.aspace.write_attribute_value(
             node, ua.AttributeIds.Value, data
         )
@@ -154,15 +154,15 @@ class AddressSpace:
         """Add a reference, and the one back."""
         aspace = self.server.iserver.aspace
         for start, end, forward in ((source, target, True), (target, source, False)):
-            found = aspace[end].attributes[ua.AttributeIds.NodeClass].value
-            assert found is not None
-            assert found.Value is not None
+            node_class = aspace[end].attributes[ua.AttributeIds.NodeClass].value
+            assert node_class is not None
+            assert node_class.Value is not None
             item = ua.AddReferencesItem(
                 SourceNodeId=start,
                 ReferenceTypeId=ua.NodeId(reference),
                 IsForward=forward,
                 TargetNodeId=end,
-                TargetNodeClass=found.Value.Value,
+                TargetNodeClass=node_class.Value.Value,
             )
             [status] = self.server.iserver.node_mgt_service.add_references([item])
             status.check()

@@ -38,8 +38,8 @@ class Tag:
     type        of the data, as in the tables of `packml`
     meaning     a phrase
     value       from the view and the time now on the computer's own clock
-    always      it is true without a cell, too; others keep their last value then, and say so
-    reference, definition   how its parent has it, and its type definition
+    always      valid without a cell, too; others keep their last value then, marked as uncertain
+    reference, definition   reference type from its parent, and its type definition
     """
 
     path: str
@@ -59,7 +59,7 @@ _DECLARED = {
 
 
 def packml_tag(path: str, meaning: str, value: Value, always: bool) -> Tag:
-    """A variable that PackML declares, which says its type and how its parent has it."""
+    """A variable declared by PackML, with the declared type and reference."""
     declared = _DECLARED[path]
     definition = "BaseDataVariableType" if declared.range_id is None else "AnalogItemType"
     return Tag(path, declared.type, meaning, value, always, declared.reference, definition)
@@ -69,8 +69,8 @@ def of(value: Callable[[Status], Any]) -> Value:
     """Reader of a variable that depends on the status alone; None becomes `NO_DATA`."""
 
     def read(view: PackmlView, now_s: float) -> Any:
-        found = None if view.status is None else value(view.status)
-        return NO_DATA if found is None else found
+        result = None if view.status is None else value(view.status)
+        return NO_DATA if result is None else result
 
     return read
 
@@ -79,8 +79,8 @@ def of_view(value: Callable[[PackmlView], Any]) -> Value:
     """Reader of a variable that depends on the view alone; None becomes `NO_DATA`."""
 
     def read(view: PackmlView, now_s: float) -> Any:
-        found = value(view)
-        return NO_DATA if found is None else found
+        result = value(view)
+        return NO_DATA if result is None else result
 
     return read
 
@@ -93,7 +93,7 @@ def utc(seconds: float | None) -> datetime | None:
 _PROPERTY = "HasProperty"
 _NEVER = datetime(1601, 1, 1, tzinfo=UTC)
 
-#: Cycles with these outcomes used a cable up without inserting it.
+#: Outcomes of cycles that used up a cable without inserting it.
 DEFECTIVE = (Outcome.MISSED, Outcome.REJECTED, Outcome.FAILED)
 #: States that end by themselves.
 ACTING = frozenset(s for s in CellState if s.value.endswith("ing")) | {CellState.EXECUTE}
@@ -142,8 +142,8 @@ def _last(level: int, item: int) -> Value:
     def value(view: PackmlView, now_s: float) -> Any:
         if not view.connected:
             return NO_CELL
-        found = view.transitions.get(level, (None, None))[item]
-        return NO_DATA if found is None else found
+        result = view.transitions.get(level, (None, None))[item]
+        return NO_DATA if result is None else result
 
     return value
 
@@ -178,8 +178,8 @@ def _alarm(past: PastFault) -> tuple[Any, ...]:
     number = zlib.crc32(fault.code.encode()) & 0x7FFFFFFF
     category = 0 if fault.device is None else 1
     at, open_ = datetime.fromtimestamp(fault.time_s, UTC), past.acknowledged_s is None
-    seen = datetime.fromtimestamp(past.acknowledged_s, UTC) if past.acknowledged_s else _NEVER
-    return (number, fault.cycle, text, category, at, seen, open_)
+    end = datetime.fromtimestamp(past.acknowledged_s, UTC) if past.acknowledged_s else _NEVER
+    return (number, fault.cycle, text, category, at, end, open_)
 
 
 def _alarms(view: PackmlView) -> tuple[tuple[Any, ...], ...]:
@@ -232,7 +232,7 @@ def _this_state(view: PackmlView, now_s: float) -> dict[CellState, float]:
 def status_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
     """Variables of PackML's `Status`.
 
-    design_per_minute  cables that the cell makes at best; None = not said
+    design_per_minute  cables that the cell makes at best; None = not set
     """
     design = "ideal cables/min, by `ledger.ideal_cycle_s`"
     blocked = of(lambda s: "downstream" in s.waiting_for)
@@ -308,18 +308,18 @@ def _fault(entry: str, none: Any) -> Value:
     """An entry of the fault that nobody has acknowledged; `none` without one."""
 
     def read(status: Status) -> Any:
-        found = None if status.fault is None else getattr(status.fault, entry)
-        return none if found is None else utc(found) if entry == "time_s" else found
+        result = None if status.fault is None else getattr(status.fault, entry)
+        return none if result is None else utc(result) if entry == "time_s" else result
 
     return of(read)
 
 
 def _result(entry: str, none: Any) -> Value:
-    """An entry of the newest result; `none` where it has none of its own."""
+    """An entry of the newest result; `none` where it is missing or null."""
 
     def read(status: Status) -> Any:
-        found = (status.last or {}).get(entry)
-        return none if found is None else found
+        result = (status.last or {}).get(entry)
+        return none if result is None else result
 
     return of(read)
 
@@ -380,7 +380,7 @@ _NOW = (
     Tag("Cell.Software", "String", "version of the program", of(lambda s: s.software)),
 )
 
-#: Of a fault: name, type, meaning, entry of the notice, and what is said without a fault.
+#: Of a fault: name, type, meaning, entry of the notice, and value without a fault.
 _FAULT: tuple[tuple[str, str, str, str, Any], ...] = (
     ("Cycle", "UInt32", "in which cycle", "cycle", 0),
     ("Step", "String", "in which step", "step", ""),
@@ -391,7 +391,7 @@ _FAULT: tuple[tuple[str, str, str, str, Any], ...] = (
     ("Cable", "String", "where the cable is", "cable", ""),
     ("Time", "DateTime", "when", "time_s", None),
 )
-#: Of the newest result: name, type, meaning, its entry, and what is said where that is null.
+#: Of the newest result: name, type, meaning, its entry, and value where that is null.
 _RESULT: tuple[tuple[str, str, str, str, Any], ...] = (
     ("Cycle", "UInt32", "number of the cycle", "cycle", None),
     ("Outcome", "String", "how it ended", "outcome", None),

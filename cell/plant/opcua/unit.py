@@ -41,7 +41,7 @@ def tags_of(line: str, design_per_minute: float | None) -> tuple[Tag, ...]:
     """All variables of a unit.
 
     line               that the cell belongs to
-    design_per_minute  cables that the cell makes at best; None = not said
+    design_per_minute  cables that the cell makes at best; None = not set
     """
     return (
         packml_tag("TagID", "the line", lambda v, t: line, True),
@@ -150,5 +150,5 @@ class Unit:
             return value
         [structure] = [s for s in packml.STRUCTURES if self._space.node_id(s.id) == kind.node]
         names = [name for name, _ in structure.fields]
-        given = {n: v for n, v in zip(names, value, strict=True) if v is not None}
-        return structure_class(structure.name)(**given)
+        fields = {n: v for n, v in zip(names, value, strict=True) if v is not None}
+        return structure_class(structure.name)(**fields)

@@ -1,4 +1,4 @@
-"""The cell as the OPC UA server knows it: its status, and counts kept while following it."""
+"""The cell as the OPC UA server knows it: its status, and counts that it makes itself."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class PastFault:
 class PackmlView:
     """The cell's status and counts at one moment.
 
-    Moments are those of the computer's own clock, which nobody sets, unless Unix time is said.
+    Times are on the computer's monotonic clock, which nobody sets, unless marked as Unix time.
 
     status        None = no cell was reached yet; otherwise as last known
     lost_s        since when the cell is not there any more; None = it is there
@@ -33,7 +33,7 @@ class PackmlView:
     started_s     when the cycle under way began; None = none is
     cycle_s       what the last cycle took, s
     faults        the newest first
-    acknowledged  who said what about the last fault
+    acknowledged  name and note of the last acknowledgement
     transitions   the newest of each state machine, by its level: name, and id if PackML knows it
     refusal       why the last command over OPC UA was refused
     """
@@ -88,9 +88,9 @@ class PackmlView:
             case MessageKind.FAULT if view.status is not None and view.status.fault is not None:
                 return view._with_fault(view.status.fault)
             case MessageKind.ACKNOWLEDGED:
-                said = f"{notice.data['by']}: {notice.data['note']}"
+                text = f"{notice.data['by']}: {notice.data['note']}"
                 first = [replace(past, acknowledged_s=notice.time_s) for past in self.faults[:1]]
-                return replace(view, acknowledged=said, faults=(*first, *self.faults[1:]))
+                return replace(view, acknowledged=text, faults=(*first, *self.faults[1:]))
         return view
 
     def lost(self, now_s: float) -> PackmlView:

@@ -59,7 +59,7 @@ def test_one_that_ends_is_started_again_and_told_of_once(tmp_path: Path) -> None
 def test_pauses_grow_to_the_longest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pauses: list[float] = []
     adapters = Adapters({"mqtt": [str(tmp_path / "no program")]}, lambda *said: None)
-    [kept] = adapters._kept
+    [kept] = adapters._adapters
     wait = kept._over.wait
 
     def waited(pause_s: float) -> bool:

@@ -375,7 +375,7 @@ def test_a_program_that_is_told_nothing_more_sees_the_cell_as_away(
     def broken(*_: object) -> bool:
         raise RuntimeError("broken")
 
-    monkeypatch.setattr(CommandServer, "_tell_news", broken)
+    monkeypatch.setattr(CommandServer, "_send_news", broken)
     with follower(runs) as raw:
         raw.settimeout(20.0)
         while raw.recv(1 << 16):

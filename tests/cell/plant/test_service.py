@@ -87,7 +87,7 @@ def test_nothing_moves_if_the_process_was_halted_after_it_had_accepted(
         service.end()
 
     monkeypatch.setattr(cell, "prepare", lambda *_: None)
-    service._prepared()
+    service._prepare()
     if command is MachineEvent.START:
         cell.machine.send(MachineEvent.DONE)
     else:
@@ -98,7 +98,7 @@ def test_nothing_moves_if_the_process_was_halted_after_it_had_accepted(
     monkeypatch.setattr(cell, "command", lambda event, reason: given.append(event))
     accepted = service.answer(Request(command, "Ada", asked_s=monotonic() - 1.5))
     assert accepted.accepted
-    service._idle() if command is MachineEvent.START else service._prepared()
+    service._run_next() if command is MachineEvent.START else service._prepare()
     assert given == [MachineEvent.STOP]
 
 

@@ -101,7 +101,7 @@ def test_a_start_that_waited_while_the_adapter_was_halted_starts_nothing(
 
     plc.say(part_present=True, upstream_ready=True, downstream_ready=True)
     looks()
-    adapter._looked_s -= 1.5  # halted for so long
+    adapter._polled_s -= 1.5  # halted for so long
     looks()  # the start arrives after the first look
     plc.say(start=True)
     looks()
