@@ -46,7 +46,7 @@ class Abilities:
 def abilities() -> Abilities:
     """Abilities of this computer, for this user."""
     return Abilities(
-        _cores(), _may_run_in_real_time(), _kernel(), _said(_CLOCK), _said(_GOVERNOR), _free_bytes()
+        _cores(), _may_run_in_real_time(), _kernel(), _read(_CLOCK), _read(_GOVERNOR), _free_bytes()
     )
 
 
@@ -57,7 +57,7 @@ def _cores() -> int:
 
 
 def _may_run_in_real_time() -> bool:
-    """Tried by a thread of its own, which ends."""
+    """Whether real-time scheduling is permitted, tried in a temporary thread."""
     granted = []
 
     def ask() -> None:
@@ -74,20 +74,20 @@ def _may_run_in_real_time() -> bool:
 
 
 def _kernel() -> str:
-    if _said(_REAL_TIME_KERNEL) == "1":
+    if _read(_REAL_TIME_KERNEL) == "1":
         return f"{platform.release()}, PREEMPT_RT"
     kinds = [word for word in platform.version().split() if word.startswith("PREEMPT")]
     return ", ".join([platform.release(), *kinds])
 
 
 def _free_bytes() -> int | None:
-    for line in (_said(_MEMORY) or "").splitlines():
+    for line in (_read(_MEMORY) or "").splitlines():
         if line.startswith("MemAvailable:"):
             return 1024 * int(line.split()[1])
     return None
 
 
-def _said(path: Path) -> str | None:
+def _read(path: Path) -> str | None:
     try:
         return path.read_text(encoding="ascii").strip()
     except (OSError, ValueError):
@@ -153,7 +153,7 @@ class StallProbe:
 
 
 def _probe(door: Connection) -> None:
-    """Measure until the other end of `door` is closed, and tell whenever it is asked."""
+    """Measure until the other end of `door` is closed, and report at each request."""
     door.send(None)
     slept_s: list[float] = []
     spun_s: list[float] = []

@@ -204,7 +204,7 @@ def compiler(fingerprint: Callable[[], str]) -> Callable[[F], F]:
         dispatcher.__class__ = Entry
         try:
             dispatcher.enable_caching()
-        except RuntimeError:  # numba found no folder that it may write to
+        except RuntimeError:  # there is no folder that numba may write to
             return dispatcher  # type: ignore[no-any-return]
         index = dispatcher._cache._cache_file
         index._source_stamp = fingerprint()
@@ -224,7 +224,7 @@ def _widest_vectors(typing_context: Any) -> Any:
     """
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        # llvmlite knows no such attribute, but writes what it is given
+        # llvmlite knows no such attribute, but writes any text
         set.add(builder.function.attributes, '"prefer-vector-width"="512"')
         return context.get_dummy_value()
 

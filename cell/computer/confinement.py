@@ -28,7 +28,7 @@ _NOBODY = 65534
 
 _PR_SET_NO_NEW_PRIVS, _PR_SET_SECCOMP, _PR_SET_DUMPABLE, _PR_SET_KEEPCAPS = 38, 22, 4, 8
 _PR_SET_PDEATHSIG = 1
-#: Of capabilities: version, and the only one that is kept: programs may lie in root's own folder.
+#: Version of capabilities, and the only one retained: programs may be in root's own folder.
 _CAPABILITIES, _DAC_READ_SEARCH = 0x20080522, 1 << 2
 _SECCOMP_MODE_FILTER = 2
 #: Numbers of system calls that are the same on all computers.
@@ -144,7 +144,7 @@ def _become_nobody(libc: ctypes.CDLL) -> None:
     header = struct.pack("=Ii", _CAPABILITIES, 0)
     had = (ctypes.c_uint32 * 6)()
     libc.capget(header, had)
-    kept = had[1] & _DAC_READ_SEARCH  # root of a container may lack it, and needs it seldom
+    kept = had[1] & _DAC_READ_SEARCH  # root of a container may lack it, and rarely needs it
     if libc.capset(header, struct.pack("=6I", kept, kept, 0, 0, 0, 0)) != 0:
         raise UnconfinedError(ctypes.get_errno(), "capabilities cannot be given up")
 
@@ -157,7 +157,7 @@ def _prctl(libc: ctypes.CDLL, option: int, value: int) -> None:
 def _restrict_files(
     libc: ctypes.CDLL, places: Iterable[Path], allowed: int = _READ_FILE | _READ_DIR
 ) -> None:
-    """Only what is allowed, below some places; no network and no signals, if Landlock can."""
+    """Permit only allowed accesses below some paths; no network and signals, if Landlock can."""
     version = libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
     if version < 1:
         raise UnconfinedError(ctypes.get_errno(), "the kernel offers no Landlock")
@@ -183,14 +183,14 @@ def _restrict_files(
 
 
 def _restrict_calls(libc: ctypes.CDLL, machine: str) -> None:
-    """Only the system calls of `_CALLS`, and `open` for reading."""
+    """Permit only the system calls of `_CALLS`, and `open` for reading."""
     program = _filter(machine)
 
     class Program(ctypes.Structure):
         _fields_ = (("length", ctypes.c_ushort), ("filter", ctypes.c_char_p))
 
-    given = Program(len(program) // 8, program)
-    if libc.prctl(_PR_SET_SECCOMP, _SECCOMP_MODE_FILTER, ctypes.byref(given), 0, 0) != 0:
+    argument = Program(len(program) // 8, program)
+    if libc.prctl(_PR_SET_SECCOMP, _SECCOMP_MODE_FILTER, ctypes.byref(argument), 0, 0) != 0:
         raise UnconfinedError(ctypes.get_errno(), "the kernel offers no seccomp filter")
 
 

@@ -67,7 +67,7 @@ class Forks:
         killed or the function raised, is done again by this process.
 
         function  one of those that `forks` was opened with
-        done      is told of every job as its result comes, by any thread
+        done      called with every job as its result comes, by any thread
         check     may raise while others are waited for
         """
         waiting = deque(enumerate(jobs))

@@ -1,7 +1,7 @@
 """Sandboxes: confined processes that run unreviewed code and serve requests.
 
-A process of this program's own code alone, the nursery, loads what is trusted; each sandbox is a
-fork of it that confines itself.  Between a sandbox and this process only plain values pass.
+A process of this program's own code alone, the nursery, loads trusted code; each sandbox is a
+fork of it that confines itself.  A sandbox and this process exchange plain values only.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _DTYPES = ("float64", "int64", "bool")
 def encode(value: object) -> bytes:
     """Bytes of None, bool, int, float, str, list, tuple, dict with str keys, and arrays of these.
 
-    raises  TypeError: it holds anything else
+    raises  TypeError: it contains another type
     """
     arrays: list[bytes] = []
 
@@ -94,7 +94,7 @@ def decode(content: bytes) -> Any:
         raise ValueError(f"is no value: {error}") from error
 
 
-#: The nursery may take so long to load, s: a part of it may have to be compiled.
+#: Longest time for the nursery to load, s: a part of it may have to be compiled.
 START_S = 180.0
 _SIZE = 8
 _CHUNK = 1 << 20
@@ -118,10 +118,10 @@ class Channel:
     def send(self, value: object, wait: Callable[[bool], None] = lambda write: None) -> None:
         """Send a value.  Raises OSError: the other end is closed."""
         content = encode(value)
-        left = memoryview(len(content).to_bytes(_SIZE, "little") + content)
-        while left:
+        remaining = memoryview(len(content).to_bytes(_SIZE, "little") + content)
+        while remaining:
             wait(True)
-            left = left[os.write(self._line.fileno(), left[:_CHUNK]) :]
+            remaining = remaining[os.write(self._line.fileno(), remaining[:_CHUNK]) :]
 
     def receive(self, wait: Callable[[bool], None] = lambda write: None) -> Any:
         """The next value.  Raises EOFError: the other end is closed; ValueError: no value."""
@@ -170,7 +170,7 @@ class Nursery:
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
                 | {"OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
             )
-        self._process.returncode = 0  # it ends when nobody has it any more, and is not waited for
+        self._process.returncode = 0  # it ends after its last client, and is not waited for
 
     def sandbox(self) -> Sandbox:
         """A new sandbox.  Raises UnconfinedError: this computer cannot confine one."""
@@ -188,8 +188,8 @@ class Sandbox:
 
     def __init__(self, channel: Channel) -> None:
         self._channel = channel
-        self._asking = threading.RLock()
-        self._given, self._under_way, self._patience_s = GrantedTime(0), RunningCall(), START_S
+        self._lock = threading.RLock()
+        self._granted, self._under_way, self._patience_s = GrantedTime(0), RunningCall(), START_S
         try:
             begun = channel.receive(self._wait)
         except (OSError, EOFError, ValueError, SandboxStuckError) as error:
@@ -200,7 +200,7 @@ class Sandbox:
             raise UnconfinedError(begun["unconfined"])
         self._pid = int(begun["pid"])
         self._process = os.pidfd_open(self._pid)
-        self._given = GrantedTime(self._pid)
+        self._granted = GrantedTime(self._pid)
 
     def request(
         self,
@@ -210,11 +210,11 @@ class Sandbox:
     ) -> Any:
         """The answer to a request.
 
-        patience_s  of this process's own time; it begins anew with every message
-        more        of each message: whether it is the last, and what is sent back if it is not
-        raises      SandboxStuckError, SandboxEndedError: it is not there any more
+        patience_s  longest time of the sandbox's process for each message, s
+        more        called with each message: whether it is the last, and a reply if it is not
+        raises      SandboxStuckError, SandboxEndedError: it has ended
         """
-        with self._asking:
+        with self._lock:
             try:
                 self._patience_s = patience_s
                 self._send(request)
@@ -230,7 +230,7 @@ class Sandbox:
                 raise
 
     def be_patient(self, patience_s: float) -> None:
-        """What is under way may take so long from now."""
+        """Set the longest time of the current request."""
         self._patience_s = patience_s
 
     def end(self) -> None:
@@ -262,13 +262,13 @@ class Sandbox:
             raise SandboxEndedError from error
 
     def _wait(self, write: bool) -> None:
-        """Until something can be read or written.  Raises SandboxStuckError."""
+        """Wait until the channel can be read or written.  Raises SandboxStuckError."""
         line = [self._channel]
         while True:
             ready = select.select([] if write else line, line if write else [], [], POLL_S)
             if ready[0] or ready[1]:
                 return
-            self._under_way.sample(self._given.since_last_sample_s())
+            self._under_way.sample(self._granted.since_last_sample_s())
             if self._under_way.is_stuck(self._patience_s):
                 raise SandboxStuckError
 
@@ -276,30 +276,30 @@ class Sandbox:
 def tend(control: int, serve: Callable[[Channel], None], readable: Iterable[Path]) -> NoReturn:
     """Main loop of the nursery: fork a sandbox per request until the last client has gone.
 
-    serve     does requests until EOFError; only in a confined process
+    serve     serves requests until EOFError; only in a confined process
     readable  folders of programs, which a sandbox may read
     """
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     folders = list(readable)
     line = socket.socket(fileno=control)
     while True:
-        asked, given, _, _ = socket.recv_fds(line, 1, 1)
-        if not asked:
+        request, descriptors, _, _ = socket.recv_fds(line, 1, 1)
+        if not request:
             os._exit(0)
         parent = os.getpid()
         if os.fork() == 0:
-            _begin(given[0], parent, serve, folders)
-        os.close(given[0])
+            _begin(descriptors[0], parent, serve, folders)
+        os.close(descriptors[0])
 
 
 def _begin(
-    given: int, parent: int, serve: Callable[[Channel], None], folders: Iterable[Path]
+    descriptor: int, parent: int, serve: Callable[[Channel], None], folders: Iterable[Path]
 ) -> NoReturn:
-    """In a fork of the nursery: keep the line alone, be confined, and serve."""
+    """In a fork of the nursery: close all other files, confine it, and serve."""
     try:
-        channel = Channel(socket.socket(fileno=given))
-        os.closerange(3, given)
-        os.closerange(given + 1, os.sysconf("SC_OPEN_MAX"))
+        channel = Channel(socket.socket(fileno=descriptor))
+        os.closerange(3, descriptor)
+        os.closerange(descriptor + 1, os.sysconf("SC_OPEN_MAX"))
         pid = os.getpid()
         try:
             confine(folders, parent)

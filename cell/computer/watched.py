@@ -2,7 +2,7 @@
 
 An endless loop in compiled code, or in C code that holds the interpreter lock, blocks Ctrl-C and
 all timers of its process.  Calls that may never return are therefore registered in shared memory.
-If the parent sees the same call there for too long, it names it, and ends the child.
+If the parent finds the same call there for too long, it reports it, and ends the child.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-#: A call that takes so long does not come to an end, s: a motion takes milliseconds.  Time in which
-#: others had the cores does not count …
+#: A call that takes so long counts as endless, s: a motion takes milliseconds.  Time in which other
+#: processes had the cores does not count …
 PATIENCE_S = 3.0
 #: … up to so many times the patience.
 _BUSY = 2.5
-#: The parent looks so often, s.  What it counts are looks: while both processes are stopped, as by
+#: Sampling interval of the parent, s.  It counts samples: while both processes are stopped, as by
 #: Ctrl-Z, nothing is counted.
 POLL_S = 0.25
-#: After Ctrl-C the child may tidy up for so long, s.
+#: Time for the child to clean up after Ctrl-C, s.
 _TIDYING_S = 2.0
-#: So long if it has said that it will still answer, s.
+#: The same if it has declared that it will still answer, s.
 _ANSWERING_S = 30.0
-#: Signals that come within so long are one, s: `timeout` gives it to the command and to its group.
+#: Equal signals within this are one, s: `timeout` sends it to the command and to its group.
 _ONE_S = 0.5
-#: Variable of the environment by which whoever starts a command sets the time between two lines of
+#: Environment variable by which the caller of a command sets the time between two lines of
 #: progress, s.
 PROGRESS_VARIABLE = "CELL_PROGRESS_EVERY_S"
-#: Begins a line with the error of a fitted model as JSON, for whoever started the command.
+#: Begins a line with the error of a fitted model as JSON, for the caller of the command.
 FIT_ERROR = "fit error: "
-#: After these a command may still say what it knows.
+#: Signals after which a command may still print results.
 ANSWERED = (signal.SIGINT, signal.SIGTERM)
-#: What the parent hands on to the child.
+#: Signals that the parent forwards to the child.
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-#: Forks of the child that may be at work at a time, and the slots of each: the last ones.
+#: Largest number of forks of the child at a time, and slots of each, at the end of the table.
 MOST_FORKS, _OF_FORK = 64, 16
 #: Slots of the child itself: calls under way at a time.
 _OWN = 128
@@ -59,8 +59,8 @@ _STUCK = 2
 class _CallSlot(ctypes.Structure):
     """Place of one call.
 
-    number  odd during a call; it grows by one at its beginning and at its end
-    what    UTF-8 of what is, or was last, called
+    number  odd during a call; incremented at its beginning and at its end
+    what    UTF-8 name of the current or last call
     """
 
     _fields_ = (("number", ctypes.c_uint64), ("what", ctypes.c_char * (_SLOT_BYTES - 8)))
@@ -69,7 +69,7 @@ class _CallSlot(ctypes.Structure):
 
 
 class _SharedCalls(ctypes.Structure):
-    """Layout of the memory: slots, the process of each fork (0 = it is not there), see `Calls`."""
+    """Layout of the memory: slots, the process of each fork (0 = none), see `Calls`."""
 
     _fields_ = (
         ("slots", _CallSlot * (_OWN + MOST_FORKS * _OF_FORK)),
@@ -112,7 +112,7 @@ class Calls:
         return [slot.number for slot in self.shared.slots]
 
     def what(self, slot: int) -> str:
-        """What is, or was last, called in a slot."""
+        """Name of the current or last call in a slot."""
         return self.shared.slots[slot].what.decode(errors="replace")
 
     def fork(self, slot: int) -> int | None:
@@ -120,7 +120,7 @@ class Calls:
         return None if slot < _OWN else (slot - _OWN) // _OF_FORK
 
     def belong(self, fork: int, process: int) -> None:
-        """This process is a fork of the child, and has that one's slots; 0 = it has ended."""
+        """Assign the slots of a fork to this process, which is that fork; 0 = it has ended."""
         slots = range(_OWN + fork * _OF_FORK, _OWN + (fork + 1) * _OF_FORK)
         for slot in slots:
             self.shared.slots[slot].number += self.shared.slots[slot].number % 2  # it ended in it
@@ -170,13 +170,13 @@ def go_on_watched(patience_s: float | None = None) -> None:
     Ctrl-C or SIGTERM end the child, whatever it is doing, the second time soon.  To be called
     while there is one thread only.
 
-    patience_s  None = as usual
+    patience_s  None = `PATIENCE_S`
     """
     global _calls
     calls = Calls()
     ended, child_end = os.pipe()
     parent_end, lasting = os.pipe()
-    # a signal waits until whoever gets it knows what to do with it
+    # signals wait until their handlers are installed
     signal.pthread_sigmask(signal.SIG_BLOCK, _PASSED_ON)
     child = os.fork()
     if child == 0:
@@ -187,7 +187,7 @@ def go_on_watched(patience_s: float | None = None) -> None:
         threading.Thread(target=_end_with, args=(parent_end,), daemon=True).start()
         try:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
-        except KeyboardInterrupt:  # given before there was anything to interrupt
+        except KeyboardInterrupt:  # a signal that came before
             os.write(2, b"interrupted\n")
             os._exit(128 + signal.SIGINT)
         return
@@ -199,7 +199,7 @@ def go_on_watched(patience_s: float | None = None) -> None:
 
 
 def _interrupt_once(number: int, frame: FrameType | None) -> None:
-    """What is tidied up after Ctrl-C is not interrupted again: the parent's patience is short."""
+    """Interrupt once: cleaning up is not interrupted again, and the parent waits only shortly."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     raise KeyboardInterrupt
 
@@ -213,7 +213,7 @@ def _end_with(parent_end: int) -> None:
 
 
 def cpu_s(process: int) -> float:
-    """CPU time that a process has taken, s; 0 where the system does not tell."""
+    """CPU time that a process has taken, s; 0 where the system does not report it."""
     try:
         after_name = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
     except OSError:
@@ -243,7 +243,7 @@ class GrantedTime:
         self._cpu_s = cpu_s(process)
 
     def since_last_sample_s(self) -> float:
-        """All of it while the process sleeps; while it wants to compute, what it was given."""
+        """Full interval while the process sleeps; its CPU time while it wants to compute."""
         before_s, self._cpu_s = self._cpu_s, cpu_s(self._process)
         if not wants_to_compute(self._process):
             return POLL_S
@@ -252,14 +252,14 @@ class GrantedTime:
 
 @dataclass
 class RunningCall:
-    """Time that an unfinished call was given: its process's own time, s, and sampled time, s."""
+    """Time granted to an unfinished call: its process's own time, s, and sampled time, s."""
 
     own_s: float = 0.0
     sampled_s: float = 0.0
 
-    def sample(self, given_s: float) -> None:
-        """One more look at which the call is still under way."""
-        self.own_s += given_s
+    def sample(self, granted_s: float) -> None:
+        """Count one more sample in which the call is unfinished."""
+        self.own_s += granted_s
         self.sampled_s += POLL_S
 
     def is_stuck(self, patience_s: float) -> bool:
@@ -272,20 +272,20 @@ class CallMonitor:
 
     def __init__(self, calls: Calls, process: int, patience_s: float) -> None:
         self._calls = calls
-        self._given = GrantedTime(process)
+        self._granted = GrantedTime(process)
         self._forks: dict[int, GrantedTime] = {}  # by process
         self._patience_s = patience_s
         self._numbers = calls.numbers()
         self._under_way = [RunningCall() for _ in self._numbers]
 
     def stuck(self) -> int | None:
-        """Look once more: slot of a call that is under way for too long."""
-        numbers, given_s = self._calls.numbers(), self._given.since_last_sample_s()
+        """Take a sample: slot of a call that takes too long; None = there is none."""
+        numbers, granted_s = self._calls.numbers(), self._granted.since_last_sample_s()
         by_fork = self._granted_to_forks()
         for slot, (number, before) in enumerate(zip(numbers, self._numbers, strict=True)):
             if number == before and number % 2 == 1:
                 fork = self._calls.fork(slot)
-                self._under_way[slot].sample(given_s if fork is None else by_fork[fork])
+                self._under_way[slot].sample(granted_s if fork is None else by_fork[fork])
             elif self._under_way[slot].sampled_s:
                 self._under_way[slot] = RunningCall()
         self._numbers = numbers
@@ -293,28 +293,28 @@ class CallMonitor:
         return next(stuck, None)
 
     def _granted_to_forks(self) -> list[float]:
-        """Time in which every fork could have gone on since the last look, s."""
+        """Time in which each fork could have run since the last sample, s."""
         processes: list[int] = list(self._calls.shared.processes)
         self._forks = {p: self._forks.get(p) or GrantedTime(p) for p in processes if p}
-        given = {p: g.since_last_sample_s() for p, g in self._forks.items()}
-        return [given.get(p, 0.0) for p in processes]
+        granted = {p: g.since_last_sample_s() for p, g in self._forks.items()}
+        return [granted.get(p, 0.0) for p in processes]
 
 
 class _Watch:
-    """The parent: waits for the child's end, passes signals on, counts looks at the same call."""
+    """The parent: waits for the child's end, forwards signals, and monitors calls."""
 
     def __init__(self, child: int, ended: int, calls: Calls, patience_s: float) -> None:
         self._child = child
         self._ended = ended
         self._calls = calls
         self._patience_s = patience_s
-        self._looks = CallMonitor(calls, child, patience_s)
-        self._given: int | None = None
-        self._given_s = float("inf")
+        self._monitor = CallMonitor(calls, child, patience_s)
+        self._signal: int | None = None
+        self._signal_s = float("inf")
         self._kill_s = float("inf")
         for number in _PASSED_ON:
             if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
-                continue  # of `nohup`: it is to go on without its terminal
+                continue  # under `nohup` it continues without its terminal
             signal.signal(number, self._pass_on)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
 
@@ -323,33 +323,33 @@ class _Watch:
         while not select.select([self._ended], [], [], POLL_S)[0]:
             if time.monotonic() > self._kill_s:
                 os.kill(self._child, signal.SIGKILL)
-            elif (stuck := self._looks.stuck()) is not None:
+            elif (stuck := self._monitor.stuck()) is not None:
                 os.kill(self._child, signal.SIGKILL)
-                if self._given is not None:
+                if self._signal is not None:
                     continue
                 os.waitpid(self._child, 0)
                 self._say(f"{self._calls.what(stuck)} {no_end(self._patience_s)}")
                 return _STUCK
         _, status = os.waitpid(self._child, 0)
         code = os.waitstatus_to_exitcode(status)
-        return code if code >= 0 else self._killed(-code)
+        return code if code >= 0 else self._code_after(-code)
 
     def _pass_on(self, number: int, frame: FrameType | None) -> None:
-        now_s, again = time.monotonic(), self._given is not None
-        if again and number == self._given and now_s - self._given_s < _ONE_S:
+        now_s, repeated = time.monotonic(), self._signal is not None
+        if repeated and number == self._signal and now_s - self._signal_s < _ONE_S:
             return
-        if not again:
-            self._given, self._given_s = number, now_s
-        answers = self._calls.shared.answers and number in ANSWERED and not again
+        if not repeated:
+            self._signal, self._signal_s = number, now_s
+        answers = self._calls.shared.answers and number in ANSWERED and not repeated
         self._kill_s = min(self._kill_s, now_s + (_ANSWERING_S if answers else _TIDYING_S))
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._child, number)
 
-    def _killed(self, number: int) -> int:
-        """Exit code after a signal has ended the child; says what was called then."""
-        if self._given is not None:
+    def _code_after(self, number: int) -> int:
+        """Exit code after a signal has ended the child; prints the call under way."""
+        if self._signal is not None:
             self._say("interrupted")
-            return 128 + self._given
+            return 128 + self._signal
         under_way = [s for s, n in enumerate(self._calls.numbers()) if n % 2 == 1]
         name = signal.Signals(number).name
         if under_way:

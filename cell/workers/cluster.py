@@ -1,7 +1,7 @@
 """Jobs done by the workers of a Dask cluster.
 
-Its scheduler gives what a lost worker was doing to another.  Every worker runs the code that the
-client runs, or is refused.
+Its scheduler repeats the jobs of a lost worker on another one.  A worker whose code differs from
+the client's is refused.
 """
 
 from __future__ import annotations
@@ -26,24 +26,23 @@ from drivers.installing import install_extra
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: A scheduler on a network answers within it, s.
+#: Longest wait for the answer of a scheduler, s.
 _CONNECT_S = 10.0
-#: Whoever waits looks this often whether anybody still wants the results, s.
-_LOOK_S = 0.1
-#: Jobs that are given for each worker before the result of the oldest is taken.
+#: Interval at which a wait checks whether the results are still wanted, s.
+_POLL_S = 0.1
+#: Jobs that are submitted per worker ahead of the oldest result.
 _AHEAD = 4
-#: A recording is a megabyte, and Dask's thread frees its copies among what it still uses: memory is
-#: given back after so many jobs.
-_RELEASED = 16
-#: A worker that was lost is begun anew by its nanny in some seconds; with none for so long the
-#: jobs wait for nobody, s.
-_NOBODY_S = 60.0
-#: How one is started.
+#: Number of jobs between two releases of free memory: a recording is a megabyte, and the copies of
+#: Dask's thread fragment the memory.
+_RELEASE_EVERY = 16
+#: Longest time without a worker, s: a nanny restarts a lost worker in some seconds.
+_NO_WORKER_S = 60.0
+#: Command that starts workers.
 START = "OPENBLAS_NUM_THREADS=1 dask worker {address} --nthreads 1 --nworkers auto"
 
 
 class Cluster:
-    """An executor of the workers that a scheduler has, also of those that join it later."""
+    """An executor of a scheduler's workers, including those that join it later."""
 
     def __init__(self, client: Client, address: str) -> None:
         self._client = client
@@ -51,7 +50,7 @@ class Cluster:
 
     @property
     def workers(self) -> int:
-        """Jobs that are done at a time."""
+        """Number of simultaneous jobs."""
         return sum(self._client.nthreads().values())
 
     def map(
@@ -66,7 +65,7 @@ class Cluster:
         futures: deque[tuple[int, Future[bytes]]] = deque()
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Sending large graph")  # it is sent once
-            # as the result of a job it is made again where the worker that had it is lost
+            # as the result of a job it is computed again after the loss of its worker
             task = self._client.submit(_cached_function, pack(function), key=f"{run}-function")
         try:
             while True:
@@ -75,16 +74,16 @@ class Cluster:
                     sent, max(0, _AHEAD * max(1, self.workers) - len(futures))
                 ):
                     future = self._client.submit(
-                        _do, task, pack(job), identity().code, key=f"{run}-{number}", pure=False
+                        _run, task, pack(job), identity().code, key=f"{run}-{number}", pure=False
                     )
                     futures.append((number, future))
                 if not futures:
                     return
                 number, future = futures[0]
                 result = self._result(number, future, check)
-                futures.popleft()  # until then it is under way, and is cancelled with the others
+                futures.popleft()  # not before: it would not be cancelled with the others
                 yield result
-                if number % _RELEASED == 0:
+                if number % _RELEASE_EVERY == 0:
                     release_free_memory()
         finally:
             self._client.cancel([future for _, future in futures])
@@ -93,15 +92,15 @@ class Cluster:
     def _result(
         self, number: int, future: Future[bytes], check: Callable[[], None]
     ) -> JobResult[Any]:
-        """A job's result, once it is there.  Raises WorkersError."""
+        """Wait for a job's result.  Raises WorkersError."""
         from distributed import KilledWorker
 
         self._wait(future, check)
         try:
             return result_of(number, future.result())
         except KilledWorker as error:
-            told = f"ended {error.allowed_failures + 1} workers; is there enough memory?"
-            return JobResult(number, None, RuntimeError(told))
+            cause = f"ended {error.allowed_failures + 1} workers; is there enough memory?"
+            return JobResult(number, None, RuntimeError(cause))
         except WorkersError:
             raise
         except Exception as error:  # cancelled: the scheduler has ended
@@ -111,22 +110,22 @@ class Cluster:
             ) from error
 
     def _wait(self, future: Future[bytes], check: Callable[[], None]) -> None:
-        """Until a job has ended, in whatever way.  Raises WorkersError: nobody does it.
+        """Wait for the end of a job, with or without error.  Raises WorkersError: no worker.
 
-        Not by `result(timeout)`: a wait that is given up goes on in Dask's thread, holds what it
-        waited for, and now and then ends with neither a result nor an error.
+        Not by `result(timeout)`: an abandoned wait continues in Dask's thread, holds the result,
+        and sometimes ends with neither a result nor an error.
         """
         ended = threading.Event()
         future.add_done_callback(lambda _: ended.set())
-        nobody_since_s = None
-        while not ended.wait(_LOOK_S):
+        no_worker_since_s = None
+        while not ended.wait(_POLL_S):
             check()
             if self._client.nthreads():
-                nobody_since_s = None
-            elif nobody_since_s is None:
-                nobody_since_s = time.monotonic()
-            elif time.monotonic() - nobody_since_s > _NOBODY_S:
-                raise WorkersError(_nobody(self._address))
+                no_worker_since_s = None
+            elif no_worker_since_s is None:
+                no_worker_since_s = time.monotonic()
+            elif time.monotonic() - no_worker_since_s > _NO_WORKER_S:
+                raise WorkersError(_no_worker_message(self._address))
 
 
 @contextmanager
@@ -134,8 +133,8 @@ def cluster(address: str, tell: Callable[[str], None] = lambda note: None) -> It
     """The executor of a scheduler's workers.
 
     address  tcp://host:port or tls://host:port
-    tell     is told of what may make results differ in their last bits
-    raises   WorkersError: the package is missing, nobody answers, or a worker may not be used
+    tell     called with a message if results may differ in their last bits
+    raises   WorkersError: the package is missing, no answer comes, or a worker is refused
     """
     try:
         from distributed import Client
@@ -162,7 +161,7 @@ def _check(address: str, client: Client, tell: Callable[[str], None]) -> None:
     """Refuse workers that would give other results.  Raises WorkersError."""
     threads: Mapping[str, int] = client.nthreads()
     if not threads:
-        raise WorkersError(_nobody(address))
+        raise WorkersError(_no_worker_message(address))
     theirs = client.run(identity, on_error="return")
     refused = [line for worker in sorted(theirs) for line in _refused(worker, theirs[worker])]
     refused += [
@@ -180,26 +179,26 @@ def _check(address: str, client: Client, tell: Callable[[str], None]) -> None:
             )
 
 
-def _refused(worker: str, said: object) -> list[str]:
-    """Why a worker may not be used."""
-    if not isinstance(said, WorkerIdentity):
+def _refused(worker: str, answer: object) -> list[str]:
+    """Reasons to refuse a worker."""
+    if not isinstance(answer, WorkerIdentity):
         return [
-            f"worker {worker} cannot run this program ({said}); install the same version of "
+            f"worker {worker} cannot run this program ({answer}); install the same version of "
             "cable-cell there"
         ]
-    found = [
+    reasons = [
         f"worker {worker} has another {difference}; install the same version of both there"
-        for difference in identity().differences(said)
+        for difference in identity().differences(answer)
     ]
-    if said.blas != "1":
-        found.append(
-            f"worker {worker} has OPENBLAS_NUM_THREADS {said.blas}; start it with "
+    if answer.blas != "1":
+        reasons.append(
+            f"worker {worker} has OPENBLAS_NUM_THREADS {answer.blas}; start it with "
             "OPENBLAS_NUM_THREADS=1, so that sums have the same last bits"
         )
-    return found
+    return reasons
 
 
-def _nobody(address: str) -> str:
+def _no_worker_message(address: str) -> str:
     return (
         f"--workers {address}: the scheduler has no worker; start some: "
         f"{START.format(address=address)}"
@@ -210,14 +209,14 @@ def _cached_function(function: bytes) -> bytes:
     return function
 
 
-def _do(function: bytes, job: bytes, code: str) -> bytes:
-    """In a worker: a job of a client that has this code."""
+def _run(function: bytes, job: bytes, code: str) -> bytes:
+    """In a worker: run a job of a client whose code has this hash."""
     own = identity()
-    if own.code != code or own.blas != "1":  # it has joined since the client looked
+    if own.code != code or own.blas != "1":  # it has joined since the client's check
         import distributed
 
         worker = distributed.get_worker().address
-        told = f"worker {worker} has another code {own.code}, or other threads; end it"
-        return pack((None, WorkersError(told)))
+        cause = f"worker {worker} has another code {own.code}, or other threads; end it"
+        return pack((None, WorkersError(cause)))
     with one_core():
         return done(function, job)

@@ -12,15 +12,15 @@ Returned_co = TypeVar("Returned_co", covariant=True)
 
 
 class WorkersError(ValueError):
-    """Workers cannot be used.  Scenario: one of them has another version of this program."""
+    """Workers cannot be used.  Scenario: a worker has a different version of this program."""
 
 
 @dataclass(frozen=True)
 class JobResult(Generic[Returned_co]):
     """The result of one job, or why there is none.
 
-    number  of the job, from 0 in the order in which they were given
-    error   what the job raised, or that it ends its process; None = it has a value
+    number  of the job, from 0 in the order of submission
+    error   raised by the job, or of the end of its process; None = it has a value
     """
 
     number: int
@@ -29,18 +29,18 @@ class JobResult(Generic[Returned_co]):
 
     @property
     def value(self) -> Returned_co:
-        """The result.  Raises what the job raised."""
+        """The result.  Raises the job's error."""
         if self.error is not None:
             raise self.error
         return self._value  # type: ignore[return-value]  # None only where the job gives None
 
 
 class Executor(Protocol):
-    """Runs jobs; results do not depend on how many workers there are, nor where."""
+    """Runs jobs; results depend neither on the number of workers nor on their place."""
 
     @property
     def workers(self) -> int:
-        """Jobs that are done at a time."""
+        """Number of simultaneous jobs."""
         ...
 
     def map(
@@ -49,21 +49,21 @@ class Executor(Protocol):
         jobs: Iterable[Job],
         check: Callable[[], None] = lambda: None,
     ) -> Generator[JobResult[Returned]]:
-        """Results in the order of the jobs, each as soon as it and those before it are there.
+        """Results in the order of the jobs, each as soon as all earlier ones are ready.
 
-        Jobs are taken a few ahead of the results only.  An exception of a job is its result; the
-        others are done.  What a worker was doing that is lost is done again by another.  Closing
-        the iterator cancels what is under way.
+        Only a few jobs are taken ahead of the results.  An exception of a job is its result; the
+        other jobs continue.  The jobs of a lost worker are repeated by another one.  Closing the
+        iterator cancels running jobs.
 
-        function  of one job alone: nothing that it changes is seen by another job or by the caller;
-                  it, the jobs and the results can be pickled, effects of a user's files included
-        check     may raise while a result is waited for
-        raises    WorkersError: no worker is left, or one may not be used
+        function  of one job alone: its side effects reach neither other jobs nor the caller; it,
+                  the jobs and the results can be pickled, effects of a user's files included
+        check     called during a wait for a result; may raise
+        raises    WorkersError: no worker remains, or one is refused
         """
         ...
 
 
-#: How the address of a scheduler begins.
+#: Schemes of a scheduler's address.
 SCHEMES = ("tcp://", "tls://")
 
 

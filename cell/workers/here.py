@@ -70,7 +70,7 @@ def this_computer(cores: int | None = None) -> Executor:
 
     cores  None = all that this process may use
     """
-    if not sys.platform.startswith("linux"):  # only there a copy is what this process is
+    if not sys.platform.startswith("linux"):  # only there a fork is a copy of this process
         return OneAfterAnother()
     return LocalCores(threads() if cores is None else cores)
 
@@ -82,13 +82,13 @@ def executor(
     """Executor of a cluster or of this computer's cores, within the `with`.
 
     where   address of a scheduler, number of cores of this computer; None = all of its cores
-    tell    is told what a person should know of the workers
+    tell    called with messages for a person about the workers
     raises  WorkersError
     """
     if isinstance(where, str):
         from cell.workers.cluster import cluster  # an extra, and a second to import
 
-        with cluster(where, tell) as found:
-            yield found
+        with cluster(where, tell) as workers:
+            yield workers
     else:
         yield this_computer(where)

@@ -21,9 +21,9 @@ class WorkerIdentity:
     version    of this program
     code       first digits of the hash of all its sources
     python     major and minor version
-    packages   name and version of those that compute
-    blas       threads of linear algebra: with other numbers of them sums have other last bits
-    processor  linear algebra has other last bits on another kind
+    packages   name and version of numerical packages
+    blas       threads of linear algebra: their number changes the last bits of sums
+    processor  its type changes the last bits of linear algebra
     """
 
     version: str
@@ -34,8 +34,8 @@ class WorkerIdentity:
     processor: str
 
     def differences(self, other: WorkerIdentity) -> list[str]:
-        """What another process has otherwise and must not, as `name theirs, here ours`."""
-        found = [
+        """Forbidden differences of another process, as `name theirs, here ours`."""
+        differences = [
             f"{f.name} {getattr(other, f.name)}, here {getattr(self, f.name)}"
             for f in fields(self)
             if f.name in ("version", "code", "python")
@@ -43,8 +43,8 @@ class WorkerIdentity:
         ]
         for (name, ours), (_, theirs) in zip(self.packages, other.packages, strict=True):
             if ours != theirs:
-                found.append(f"{name} {theirs}, here {ours}")
-        return found
+                differences.append(f"{name} {theirs}, here {ours}")
+        return differences
 
 
 @cache

@@ -1,7 +1,7 @@
-"""What goes to a worker and comes back, as bytes: effects of a user's files go as their source.
+"""Packs jobs and results as bytes; effects of a user's files are sent as their source.
 
-A worker loads an effect from its source, checked by its hash; what comes back names the class that
-this process has.
+A worker loads an effect from its source, checked by its hash; a result refers to the class of this
+process.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from cell.workers.executor import JobResult, WorkersError
 
 #: Path at the client, hash, source, and whether it is confined.
 _Source = tuple[str, str, bytes, bool]
-#: Where this process keeps sources that it was sent; it is removed at the process's end.
+#: Folder of received sources; it is removed at the end of the process.
 _folder: tempfile.TemporaryDirectory[str] | None = None
-#: Classes of users' effects by path at the client and hash, and what they are sent as.
+#: Classes of users' effects by path at the client and hash; and the sources to send, by class.
 _classes: dict[tuple[str, str], type[Effect]] = {}
 _sources: dict[type[Effect], _Source] = {}
 
@@ -44,7 +44,7 @@ def pack(content: object) -> bytes:
 def unpack(packed: bytes) -> Any:
     """The content that was packed.
 
-    raises  WorkersError: an effect's source is not what it was; EffectError
+    raises  WorkersError: an effect's source is damaged; EffectError
     """
     return pickle.loads(packed)
 
@@ -55,7 +55,7 @@ def know_own_effects() -> None:
         if effect.file is not None and effect not in _sources:
             try:
                 _source_of(effect)
-            except (OSError, WorkersError):  # of a file that is gone; nobody has used it
+            except (OSError, WorkersError):  # its file is gone, and it is not in use
                 continue
 
 
@@ -87,11 +87,11 @@ def _know(effect: type[Effect], source: _Source) -> None:
 
 
 def _effect(path: str, sha256: str, source: bytes, confined: bool) -> type[Effect]:
-    """The class of a source; the same of the same source."""
+    """The class of a source; the same class for the same source."""
     if (path, sha256) not in _classes:
         if hashlib.sha256(source).hexdigest() != sha256:
             raise WorkersError(f"{path}: its source does not arrive whole; run the command again")
-        # it was tried by the process that sends it, which refuses what does not come to an end
+        # the sending process has tried it, and refuses endless effects
         file = _written(Path(path).name, sha256, source)
         if confined:
             confine_effects(file)
@@ -127,10 +127,10 @@ def done(function: bytes, job: bytes) -> bytes:
     try:
         packed = pack((value, error))
         if error is not None:
-            unpack(packed)  # classes of errors with arguments of their own cannot be
+            unpack(packed)  # fails for error classes with arguments of their own
     except Exception as unsendable:
-        told = unsendable if error is None else error
-        return pack((None, RuntimeError(f"{type(told).__name__}: {told}")))
+        cause = unsendable if error is None else error
+        return pack((None, RuntimeError(f"{type(cause).__name__}: {cause}")))
     return packed
 
 
